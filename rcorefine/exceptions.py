@@ -1,0 +1,65 @@
+"""Errors and warnings: what was wrong, where, and what to do.
+
+::
+
+    RCOError
+    |-- DataError            (ValueError)    the measured record
+    |-- ModelError           (ValueError)    the model or an effect in it
+    |-- DivergenceError      (ArithmeticError)  an estimate that blew up
+    `-- MissingExtraError    (ImportError)   an optional dependency
+    RCOWarning
+    |-- ConversionWarning    discrete <-> continuous conversion is not unique
+    |-- ExcitationWarning    the record does not excite what is asked of it
+    `-- IdentifiabilityWarning  a combination of parameters that the data cannot see
+
+Sizes that do not fit raise `control.ControlDimension` and wrong types
+`control.ControlArgument`, as python-control itself does.
+"""
+
+__all__ = [
+    "ConversionWarning",
+    "DataError",
+    "DivergenceError",
+    "ExcitationWarning",
+    "IdentifiabilityWarning",
+    "MissingExtraError",
+    "ModelError",
+    "RCOError",
+    "RCOWarning",
+]
+
+
+class RCOError(Exception):
+    """Base class of the errors that rcorefine raises of its own."""
+
+
+class DataError(RCOError, ValueError):
+    """The measured record cannot be used as it is."""
+
+
+class ModelError(RCOError, ValueError):
+    """The model, a port or an effect cannot be used as it is."""
+
+
+class DivergenceError(RCOError, ArithmeticError):
+    """An estimate diverged; the message says when, why and what to change."""
+
+
+class MissingExtraError(RCOError, ImportError):
+    """An optional dependency is not installed; the message names the extra."""
+
+
+class RCOWarning(UserWarning):
+    """Base class of the warnings that rcorefine emits."""
+
+
+class ConversionWarning(RCOWarning):
+    """The conversion between discrete and continuous time is not unique."""
+
+
+class ExcitationWarning(RCOWarning):
+    """The record does not excite what is asked of it."""
+
+
+class IdentifiabilityWarning(RCOWarning):
+    """The data cannot see a combination of the parameters."""
