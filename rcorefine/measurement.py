@@ -1,0 +1,325 @@
+"""The measured record: inputs, outputs, time, and what happens between the samples."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import control as ct
+import numpy as np
+
+from .exceptions import DataError, ExcitationWarning
+from .signals import as_labels, as_signals, as_texts, as_time_grid, check_finite
+from .systems.linear import Array
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from .spectral import FrequencyResponse
+
+__all__ = ["HOLDS", "Measurement"]
+
+HOLDS = ("zoh", "foh", "bandlimited")
+_FIELDS = (
+    "inputs", "outputs", "dt", "timepts", "hold", "input_labels", "output_labels", "input_units", "output_units",
+    "name",
+)  # fmt: skip
+_ARRAYS = ("inputs", "outputs", "timepts")
+
+
+@dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
+class Measurement:
+    """Measured inputs and outputs on a regular time grid.
+
+    The record keeps read-only copies: nothing that you do to your arrays
+    afterwards, and nothing that rcorefine does, changes it.
+
+    Parameters
+    ----------
+    inputs : array_like of shape (N,) or (n_w, N)
+        What drove the system; one row per signal, time last.
+    outputs : array_like of shape (N,) or (n_y, N)
+        What was measured.
+    dt : float, optional
+        Sampling time in s. Either `dt` or `timepts` must be given.
+    timepts : array_like of shape (N,), optional
+        Times in s. They must lie on a regular grid; rounding up to 2 % of a
+        sample is accepted and the regular grid is held.
+    hold : {"zoh", "foh", "bandlimited"}
+        How the input runs between samples: constant (a D/A converter),
+        straight lines, or band-limited (an analog input behind an
+        anti-aliasing filter). It outweighs most physical effects.
+    input_labels, output_labels : str or sequence of str, optional
+        Signal names; default ``u[0], ...`` and ``y[0], ...`` as in
+        python-control. `compare` matches named channels by name.
+    input_units, output_units : str or sequence of str, optional
+        Units for labels of plots and tables.
+    name : str, optional
+        Name of the record, default "measured".
+
+    Attributes
+    ----------
+    inputs, outputs : ndarray of shape (n_w, N) and (n_y, N)
+        The signals, read-only, float64.
+    dt : float
+        Sampling time in s.
+    timepts : ndarray of shape (N,)
+        Times in s, read-only.
+
+    Raises
+    ------
+    DataError
+        NaN or Inf (signal and sample are named), no sample, no or
+        contradictory time, irregular time (place and size are named).
+    control.ControlDimension
+        Unequal lengths, transposed arrays, wrong number of labels.
+    control.ControlArgument
+        Complex values, text, an unknown hold.
+
+    Notes
+    -----
+    A constant input is legitimate (a free decay), so it is accepted here.
+    Functions that judge or estimate what the input drives call
+    `check_excitation`, which emits `ExcitationWarning`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> data = Measurement(np.ones(50), np.arange(50.0), dt=0.1, input_labels="force")
+    >>> data.n_samples, data.inputs.shape
+    (50, (1, 50))
+    >>> train, test = data.split(0.7)
+    >>> float(test.timepts[0])
+    3.5
+    """
+
+    inputs: Array
+    outputs: Array
+    dt: float
+    timepts: Array
+    hold: str
+    input_labels: tuple[str, ...]
+    output_labels: tuple[str, ...]
+    input_units: tuple[str, ...]
+    output_units: tuple[str, ...]
+    name: str
+
+    def __init__(
+        self,
+        inputs: Any,
+        outputs: Any,
+        *,
+        dt: float | None = None,
+        timepts: Any = None,
+        hold: str = "zoh",
+        input_labels: str | Sequence[str] | None = None,
+        output_labels: str | Sequence[str] | None = None,
+        input_units: str | Sequence[str] | None = None,
+        output_units: str | Sequence[str] | None = None,
+        name: str | None = None,
+    ) -> None:
+        w = as_signals(inputs, "inputs")
+        y = as_signals(outputs, "outputs")
+        n_samples = y.shape[1]
+        if w.shape[1] != n_samples:
+            raise ct.ControlDimension(
+                f"inputs have {w.shape[1]} samples and outputs {n_samples}; give both over the same time "
+                "(nothing is cut for you)"
+            )
+        if not isinstance(hold, str) or hold not in HOLDS:
+            raise ct.ControlArgument(f"hold must be one of {', '.join(map(repr, HOLDS))}, not {hold!r}")
+        if name is not None and not (isinstance(name, str) and name):
+            raise ct.ControlArgument(f"name must be a non-empty string, not {name!r}")
+        w_labels = as_labels(input_labels, w.shape[0], "u", "input_labels")
+        y_labels = as_labels(output_labels, y.shape[0], "y", "output_labels")
+        step, times = as_time_grid(dt, timepts, n_samples)
+        check_finite(w, w_labels, times, "input")
+        check_finite(y, y_labels, times, "output")
+        for array in (w, y, times):
+            array.setflags(write=False)
+        w_units = ("",) * w.shape[0] if input_units is None else as_texts(input_units, w.shape[0], "input_units")
+        y_units = ("",) * y.shape[0] if output_units is None else as_texts(output_units, y.shape[0], "output_units")
+        values = (w, y, step, times, hold, w_labels, y_labels, w_units, y_units, name or "measured")
+        for field, value in zip(_FIELDS, values, strict=True):
+            object.__setattr__(self, field, value)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {field: getattr(self, field) for field in _FIELDS}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        # neither pickle nor deepcopy keeps the read-only flag of an array
+        for field in _FIELDS:
+            if field in _ARRAYS:
+                state[field].setflags(write=False)
+            object.__setattr__(self, field, state[field])
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples N."""
+        return int(self.timepts.size)
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of inputs n_w."""
+        return int(self.inputs.shape[0])
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs n_y."""
+        return int(self.outputs.shape[0])
+
+    @property
+    def duration(self) -> float:
+        """Length of the record in s, N dt."""
+        return self.n_samples * self.dt
+
+    def check_excitation(self, purpose: str = "the record", stacklevel: int = 2) -> tuple[str, ...]:
+        """Warn about inputs that never change, and name them.
+
+        Parameters
+        ----------
+        purpose : str
+            What the record is used for, opens the message.
+        stacklevel : int
+            As in `warnings.warn`, counted from the caller.
+
+        Returns
+        -------
+        tuple of str
+            Labels of the constant inputs.
+
+        Warns
+        -----
+        ExcitationWarning
+            If an input is constant: a free decay still shows how the system
+            settles, but nothing of what that input drives.
+        """
+        still = tuple(
+            label
+            for label, row in zip(self.input_labels, self.inputs, strict=True)
+            if np.ptp(row) == 0.0 and self.n_samples > 1
+        )
+        if still:
+            values = ", ".join(f"{label!r} = {self.inputs[self.input_labels.index(label), 0]:g}" for label in still)
+            warnings.warn(
+                f"{purpose}: constant over all {self.n_samples} samples: {values}. The record shows how the system "
+                "settles (a free decay), not what this input drives; vary the input to learn that",
+                ExcitationWarning,
+                stacklevel=stacklevel + 1,
+            )
+        return still
+
+    def split(self, fraction: float) -> tuple[Measurement, Measurement]:
+        """Cut in two: the first part to learn from, the rest to judge by.
+
+        Parameters
+        ----------
+        fraction : float
+            Share of the samples in the first part, between 0 and 1.
+
+        Returns
+        -------
+        first, second : Measurement
+            Both keep their true times.
+
+        Raises
+        ------
+        DataError
+            If a part would be without samples.
+
+        Examples
+        --------
+        >>> train, test = Measurement(np.zeros(10), np.arange(10.0), dt=1.0).split(0.7)
+        >>> train.n_samples, float(test.timepts[0])
+        (7, 7.0)
+        """
+        if isinstance(fraction, (bool, np.bool_)) or not isinstance(fraction, (int, float, np.number)):
+            raise ct.ControlArgument(f"fraction must be a number between 0 and 1, not {fraction!r}")
+        cut = round(float(fraction) * self.n_samples) if np.isfinite(fraction) else -1
+        if not 0 < cut < self.n_samples:
+            raise DataError(
+                f"fraction = {fraction} of {self.n_samples} samples leaves a part empty; take one between 0 and 1"
+            )
+        return self._part(slice(0, cut)), self._part(slice(cut, None))
+
+    def segment(self, start: float | None = None, stop: float | None = None) -> Measurement:
+        """Stretch of the record from `start` up to, not including, `stop`.
+
+        Parameters
+        ----------
+        start, stop : float, optional
+            Seconds on the record's own time axis (`timepts`); default its
+            beginning and its end. Adjoining segments do not overlap.
+
+        Returns
+        -------
+        Measurement
+            The samples with start <= t < stop; times are kept.
+
+        Raises
+        ------
+        DataError
+            If no sample lies in between.
+
+        Examples
+        --------
+        >>> data = Measurement(np.zeros(10), np.arange(10.0), dt=0.5)
+        >>> data.segment(1.0, 2.0).timepts
+        array([1. , 1.5])
+        """
+        slack = 1e-6 * self.dt
+        inside = np.ones(self.n_samples, dtype=bool)
+        for bound, after in ((start, True), (stop, False)):
+            if bound is None:
+                continue
+            if isinstance(bound, (bool, np.bool_)) or not isinstance(bound, (int, float, np.number)):
+                raise ct.ControlArgument(f"start and stop are times in seconds, not {bound!r}")
+            inside &= (self.timepts >= bound - slack) == after
+        found = np.flatnonzero(inside)
+        if found.size == 0:
+            raise DataError(
+                f"no sample lies between start = {start} and stop = {stop} s; "
+                f"the record runs from {self.timepts[0]:g} to {self.timepts[-1]:g} s"
+            )
+        return self._part(slice(int(found[0]), int(found[-1]) + 1))
+
+    def _part(self, where: slice) -> Measurement:
+        return Measurement(
+            self.inputs[:, where],
+            self.outputs[:, where],
+            dt=self.dt,
+            timepts=self.timepts[where],
+            hold=self.hold,
+            input_labels=self.input_labels,
+            output_labels=self.output_labels,
+            input_units=self.input_units,
+            output_units=self.output_units,
+            name=self.name,
+        )
+
+    def to_response(self) -> ct.TimeResponseData:
+        """The record as `control.TimeResponseData`, labels and times kept.
+
+        Returns
+        -------
+        TimeResponseData
+            Copies; plots with its inputs.
+
+        Examples
+        --------
+        >>> data = Measurement(np.ones(4), np.arange(4.0), dt=0.5, output_labels="speed")
+        >>> data.to_response().output_labels
+        ['speed']
+        """
+        return ct.TimeResponseData(
+            self.timepts.copy(),
+            self.outputs.copy(),
+            inputs=self.inputs.copy(),
+            output_labels=list(self.output_labels),
+            input_labels=list(self.input_labels),
+            issiso=self.n_inputs == self.n_outputs == 1,
+            sysname=self.name,
+            plot_inputs=True,
+        )
