@@ -1,0 +1,33 @@
+"""Find out why a linear model and a measured record disagree, and mend the model.
+
+The toolbox stands on python-control: `control.StateSpace` goes in and comes
+out. The estimator is retrospective cost model refinement (D'Amato et al.).
+"""
+
+from __future__ import annotations
+
+from .exceptions import (
+    ConversionWarning,
+    DataError,
+    DivergenceError,
+    ExcitationWarning,
+    IdentifiabilityWarning,
+    MissingExtraError,
+    ModelError,
+    RCOError,
+    RCOWarning,
+)
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "ConversionWarning",
+    "DataError",
+    "DivergenceError",
+    "ExcitationWarning",
+    "IdentifiabilityWarning",
+    "MissingExtraError",
+    "ModelError",
+    "RCOError",
+    "RCOWarning",
+]

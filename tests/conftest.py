@@ -1,0 +1,57 @@
+"""Fixtures that every test gets: a quiet backend, no open figures, no leaked defaults."""
+
+from __future__ import annotations
+
+import copy
+import os
+import zlib
+from collections.abc import Iterator
+
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+import control as ct
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+
+@pytest.fixture(autouse=True)
+def _close_figures() -> Iterator[None]:
+    """Close what a test has drawn, also where it failed."""
+    yield
+    plt.close("all")
+
+
+@pytest.fixture(autouse=True)
+def _no_leaked_defaults() -> Iterator[None]:
+    """Neither python-control's defaults nor matplotlib's may change for good."""
+    control_before = copy.deepcopy(dict(ct.defaults))
+    style_before = dict(mpl.rcParams)
+    yield
+    changed = {key for key, value in ct.defaults.items() if control_before.get(key) != value}
+    if changed:
+        ct.defaults.clear()
+        ct.defaults.update(control_before)
+    styled = {key for key, value in mpl.rcParams.items() if style_before.get(key) != value}
+    for key in styled:
+        mpl.rcParams[key] = style_before[key]
+    assert not changed, f"the test left python-control's defaults changed: {sorted(changed)}"
+    assert not styled, f"the test left matplotlib's rcParams changed: {sorted(styled)}"
+
+
+@pytest.fixture(autouse=True)
+def _no_global_random_numbers() -> Iterator[None]:
+    """Random numbers come from a generator that is handed over, never from the global one."""
+    before = np.random.get_state(legacy=False)  # noqa: NPY002
+    yield
+    after = np.random.get_state(legacy=False)  # noqa: NPY002
+    same = np.array_equal(before["state"]["key"], after["state"]["key"])
+    assert same, "the test drew from (or seeded) numpy's global generator"
+    assert before["state"]["pos"] == after["state"]["pos"], "the test drew from numpy's global generator"
+
+
+@pytest.fixture
+def rng(request: pytest.FixtureRequest) -> np.random.Generator:
+    """Generator seeded by the name of the test: the same numbers in every run and order."""
+    return np.random.default_rng(zlib.crc32(request.node.nodeid.encode()))
