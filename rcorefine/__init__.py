@@ -4,8 +4,6 @@ The toolbox stands on python-control: `control.StateSpace` goes in and comes
 out. The estimator is retrospective cost model refinement (D'Amato et al.).
 """
 
-from __future__ import annotations
-
 from .exceptions import (
     ConversionWarning,
     DataError,

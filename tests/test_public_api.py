@@ -1,0 +1,188 @@
+"""What `import rcorefine` offers: names, docstrings, keywords, and nothing heavy."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import inspect
+import json
+import pkgutil
+import subprocess
+import sys
+import types
+from typing import Any
+
+import pytest
+from numpydoc.docscrape import NumpyDocString
+
+import rcorefine as rco
+
+HEAVY = ["pandas", "statsmodels", "dask", "distributed", "harold", "sklearn", "h5py", "IPython", "pytest"]
+
+
+def public_objects() -> dict[str, Any]:
+    return {name: getattr(rco, name) for name in rco.__all__}
+
+
+def is_own_exception(obj: Any) -> bool:
+    return isinstance(obj, type) and issubclass(obj, Exception)
+
+
+CALLABLES = {
+    name: obj for name, obj in public_objects().items() if callable(obj) and not is_own_exception(obj)
+}
+
+
+def with_methods() -> dict[str, Any]:
+    """Public callables, and the public methods that the classes among them define."""
+    found = dict(CALLABLES)
+    for name, obj in CALLABLES.items():
+        if not isinstance(obj, type):
+            continue
+        for attribute, raw in vars(obj).items():
+            if attribute.startswith("_") or isinstance(raw, property):
+                continue
+            method = getattr(obj, attribute)
+            if inspect.isroutine(method):
+                found[f"{name}.{attribute}"] = method
+    return found
+
+
+WITH_METHODS = with_methods()
+
+
+def sections(obj: Any) -> NumpyDocString:
+    return NumpyDocString(inspect.getdoc(obj) or "")
+
+
+def documented(doc: NumpyDocString, *titles: str) -> set[str]:
+    """Names in these sections; `a, b : float` documents both."""
+    return {
+        name.strip().lstrip("*")
+        for title in titles
+        for entry in doc[title]
+        for name in entry.name.split(",")
+        if name.strip()
+    }
+
+
+def parameters(obj: Any) -> dict[str, inspect.Parameter]:
+    found = dict(inspect.signature(obj).parameters)
+    if "." in getattr(obj, "__qualname__", "") and not isinstance(obj, type):
+        found.pop("self", None)
+    return found
+
+
+def test_every_public_name_exists_once():
+    missing = [name for name in rco.__all__ if not hasattr(rco, name)]
+    assert not missing
+    assert len(set(rco.__all__)) == len(rco.__all__)
+
+
+def test_no_name_leaks():
+    """`rco.<tab>` shows the public names and submodules, never `np` or a helper."""
+    shown = {name for name in vars(rco) if not name.startswith("_")}
+    submodules = {module.name for module in pkgutil.iter_modules(rco.__path__)}
+    assert shown - set(rco.__all__) - submodules == set()
+    for name in submodules & set(rco.__all__):
+        assert inspect.ismodule(getattr(rco, name)), f"{name} hides the submodule of the same name"
+
+
+def test_version_is_a_release_number():
+    parts = rco.__version__.split(".")
+    assert len(parts) == 3
+    assert all(part.isdigit() for part in parts)
+
+
+def test_modules_export_what_they_define():
+    """A name in a module's `__all__` exists there."""
+    for info in pkgutil.walk_packages(rco.__path__, "rcorefine."):
+        if info.name.endswith(("conftest", "__main__")):
+            continue
+        module = importlib.import_module(info.name)
+        for name in getattr(module, "__all__", ()):
+            assert hasattr(module, name), f"{info.name}.__all__ names {name!r}, which does not exist"
+
+
+def test_bare_import_is_light():
+    code = f"import json, sys, rcorefine; print(json.dumps([m for m in {HEAVY!r} if m in sys.modules]))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout) == []
+
+
+def test_package_is_marked_as_typed():
+    from importlib.resources import files
+
+    assert files("rcorefine").joinpath("py.typed").is_file()
+
+
+@pytest.mark.parametrize("name", sorted(rco.__all__))
+def test_docstring_has_a_summary(name):
+    obj = getattr(rco, name)
+    summary = " ".join(sections(obj)["Summary"]) if not inspect.ismodule(obj) else (obj.__doc__ or "")
+    assert summary.strip(), f"{name} has no summary line"
+    if not inspect.ismodule(obj):
+        assert summary.strip().endswith((".", ":")), f"{name}: the summary is no sentence: {summary!r}"
+
+
+@pytest.mark.parametrize("name", sorted(WITH_METHODS))
+def test_every_parameter_is_documented(name):
+    obj = WITH_METHODS[name]
+    doc = sections(obj)
+    signature = set(parameters(obj))
+    # a result is made by the toolbox, not by the user: its fields may stand under Attributes
+    result = isinstance(obj, type) and dataclasses.is_dataclass(obj)
+    titles = ("Parameters", "Other Parameters", *(("Attributes",) if result else ()))
+    undocumented = signature - documented(doc, *titles)
+    assert not undocumented, f"{name} does not document {sorted(undocumented)}"
+    unknown = documented(doc, "Parameters", "Other Parameters") - signature
+    assert not unknown, f"{name} documents {sorted(unknown)}, which it does not take"
+
+
+@pytest.mark.parametrize(
+    "name", sorted(name for name, obj in WITH_METHODS.items() if not isinstance(obj, type))
+)
+def test_what_is_returned_is_documented(name):
+    obj = WITH_METHODS[name]
+    if inspect.signature(obj).return_annotation in ("None", None, inspect.Signature.empty):
+        return
+    doc = sections(obj)
+    assert doc["Returns"] or doc["Yields"], f"{name} does not say what it returns"
+
+
+@pytest.mark.parametrize("name", sorted(name for name in CALLABLES if not name.endswith("Warning")))
+def test_docstring_has_an_example(name):
+    """Runnable: pytest executes the examples of the package as doctests."""
+    obj = CALLABLES[name]
+    if isinstance(obj, type) and dataclasses.is_dataclass(obj) and not sections(obj)["Parameters"]:
+        return  # a result: the function that makes it has the example
+    assert sections(obj)["Examples"], f"{name} has no example"
+
+
+@pytest.mark.parametrize("name", sorted(WITH_METHODS))
+def test_unknown_keyword_is_refused(name):
+    with pytest.raises(TypeError, match="no_such_keyword"):
+        WITH_METHODS[name](no_such_keyword=1)
+
+
+@pytest.mark.parametrize("name", sorted(WITH_METHODS))
+def test_signature_is_annotated(name):
+    obj = WITH_METHODS[name]
+    bare = [key for key, item in parameters(obj).items() if item.annotation is inspect.Parameter.empty]
+    assert not bare, f"{name}: no type for {bare}"
+
+
+def test_errors_are_what_python_users_expect():
+    assert issubclass(rco.DataError, ValueError)
+    assert issubclass(rco.ModelError, ValueError)
+    assert issubclass(rco.DivergenceError, ArithmeticError)
+    assert issubclass(rco.MissingExtraError, ImportError)
+    errors = [obj for name, obj in public_objects().items() if name.endswith("Error")]
+    assert all(issubclass(error, rco.RCOError) for error in errors)
+    told = [obj for name, obj in public_objects().items() if name.endswith("Warning")]
+    assert all(issubclass(warning, rco.RCOWarning) for warning in told)
+
+
+def test_examples_is_a_module_of_examples():
+    if "examples" in rco.__all__:
+        assert isinstance(rco.examples, types.ModuleType)
