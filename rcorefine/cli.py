@@ -28,8 +28,9 @@ def _parser() -> argparse.ArgumentParser:
         "demo",
         help="run the loop on an example: compare, refine, compare again",
         description=(
-            "Run the loop on a circuit whose model is wrong: compare the model with a noisy record, refine it "
-            "sample by sample, and compare again on data that the refinement has not seen. Takes up to a minute."
+            "Run the loop on a circuit whose model is wrong: compare the model with a noisy record, "
+            "refine it sample by sample, and compare again on data that the refinement has not seen. "
+            "Takes up to a minute."
         ),
         epilog=_EXIT_CODES,
     )
