@@ -107,8 +107,12 @@ class LinearModel:
                     f"matrix {key} of system {sys.name!r} is not finite at [{row}, {col}]; "
                     "give finite parameters"
                 )
+        a, b, c, d = arrays
         return cls(
-            *arrays,
+            A=a,
+            B=b,
+            C=c,
+            D=d,
             dt=sys.dt,
             input_labels=tuple(sys.input_labels),
             output_labels=tuple(sys.output_labels),

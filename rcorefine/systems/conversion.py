@@ -1,0 +1,241 @@
+"""From continuous to discrete time and back, labels and name kept."""
+
+from __future__ import annotations
+
+import math
+import warnings
+
+import control as ct
+import numpy as np
+from scipy import linalg
+
+from ..exceptions import ConversionWarning, ModelError
+from .discretization import _balanced, _power_of_two, check_sampling_time, discretize
+from .linear import Array, LinearModel
+
+__all__ = ["d2c", "to_discrete"]
+
+# Two sampling times that agree this well are the same (time columns are rounded).
+SAME_DT = 1e-6
+# Angle of a discrete pole, as a fraction of pi, beyond which aliasing is suspected.
+DOUBTFUL_ANGLE = 0.9
+# Relative error of a matrix logarithm that is worth a word.
+LOG_TOLERANCE = 1e-8
+_EPS = float(np.finfo(float).eps)
+
+
+def to_discrete(model: LinearModel, dt: float, hold: str = "zoh") -> LinearModel:
+    """Give the discrete model that a record sampled every `dt` seconds calls for.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Continuous model (``dt = 0``, it is discretized exactly), discrete
+        model (kept as it is), or a model without a definite timebase
+        (``dt = True`` or ``None``, it takes over the record's).
+    dt : float
+        Sampling time of the record in seconds.
+    hold : {'zoh', 'foh'}, optional
+        How the input moves between samples; matters for continuous models
+        only. With 'foh' the state is shifted by a multiple of the input,
+        ``x - G1 w``, so that the model keeps the usual form.
+
+    Returns
+    -------
+    LinearModel
+        Discrete model with sampling time `dt`, labels and name kept.
+
+    Raises
+    ------
+    ModelError
+        If the model has another sampling time, or `dt` is not positive.
+
+    Examples
+    --------
+    >>> import control as ct
+    >>> from rcorefine.systems.linear import LinearModel
+    >>> integrator = LinearModel.from_statespace(ct.ss([[0.0]], [[1.0]], [[1.0]], [[0.0]]))
+    >>> print(to_discrete(integrator, 0.5).B)
+    [[0.5]]
+    """
+    step = check_sampling_time(dt)
+    if model.dt is None or model.dt is True:
+        return model.with_arrays(dt=step)
+    if model.is_continuous:
+        phi, g0, g1 = discretize(model.A, model.B, step, hold)
+        return model.with_arrays(A=phi, B=g0 + phi @ g1, C=model.C.copy(), D=model.D + model.C @ g1, dt=step)
+    if not math.isclose(model.dt, step, rel_tol=SAME_DT):
+        raise ModelError(
+            f"model {model.name!r} has dt = {model.dt:g} s but the record has dt = {step:g} s; "
+            "resample the record, or give the continuous model (rcorefine.d2c converts one)"
+        )
+    return model.with_arrays(dt=step)
+
+
+def d2c(system: ct.StateSpace, method: str = "zoh") -> ct.StateSpace:
+    """Convert a discrete model to continuous time.
+
+    The inverse of ``system.sample(dt, method)``; labels and name are kept.
+    With 'zoh' the block matrix logarithm is taken, which also holds where
+    the continuous state matrix is singular (integrators), unlike the
+    reverse of the paper's equation (20).
+
+    Parameters
+    ----------
+    system : StateSpace
+        Discrete model with a definite sampling time, ``dt > 0``.
+    method : {'zoh', 'tustin'}, optional
+        How the discrete model came about: exactly, its input held between
+        samples (zero-order hold), or by the bilinear transformation.
+
+    Returns
+    -------
+    StateSpace
+        Continuous model (``dt = 0``).
+
+    Raises
+    ------
+    control.ControlArgument
+        If `system` is not a `StateSpace` or `method` is unknown.
+    ModelError
+        If `system` is continuous already or has no definite sampling time,
+        if no continuous model has these samples (a pole at zero, as delays
+        have; a real negative pole, whose logarithm is complex), or, with
+        'tustin', if there is a pole at -1.
+
+    Warns
+    -----
+    ConversionWarning
+        With 'zoh', if a pole lies so near the negative real axis that its
+        frequency is above 0.9 of the Nyquist frequency ``pi / dt``.
+
+    Notes
+    -----
+    *What can be detected about aliasing, and what cannot.* A mode at the
+    frequency ``omega`` and modes at ``2 pi k / dt +- omega`` have the same
+    discrete pole. The conversion gives the slowest of them, the only one
+    with ``omega < pi / dt``. A model that was sampled too slowly, with a
+    mode well above Nyquist, thus comes back with that mode folded below
+    it, and nothing in the discrete model betrays it. Only a pole on the
+    negative real axis or near it can be seen, and is warned about: it is
+    where a mode crosses Nyquist. Compare the frequencies found with
+    what is known of the plant, or sample faster.
+
+    'tustin' is one to one (it maps the whole left half plane onto the
+    unit disk), so there is nothing to warn about; but its frequencies are
+    warped, ``omega = (2 / dt) tan(omega_d dt / 2)``.
+
+    Examples
+    --------
+    >>> import control as ct
+    >>> import rcorefine as rco
+    >>> plant = ct.ss([[0.0, 1.0], [0.0, -2.0]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], name="motor")
+    >>> back = rco.d2c(plant.sample(0.1, name="motor"))
+    >>> print(back.name, back.dt, abs(back.A - plant.A).max() < 1e-12)
+    motor 0 True
+    """
+    if method not in ("zoh", "tustin"):
+        raise ct.ControlArgument(f"method {method!r} is unknown; choose 'zoh' or 'tustin'")
+    model = LinearModel.from_statespace(system)
+    where = f"system {model.name!r}"
+    if model.is_continuous:
+        raise ModelError(f"{where} is continuous already (dt = 0); d2c takes a discrete model")
+    if model.dt is None or model.dt is True:
+        raise ModelError(
+            f"{where} has no definite sampling time (dt = {model.dt}); "
+            "give it one, as in control.ss(A, B, C, D, 0.01)"
+        )
+    step = check_sampling_time(model.dt)
+    if model.n_states == 0:
+        return model.with_arrays(dt=0).to_statespace()
+    if method == "tustin":
+        return _inverse_tustin(model, step, where).to_statespace()
+    a, b = _inverse_hold(model.A, model.B, step, where)
+    return model.with_arrays(A=a, B=b, dt=0).to_statespace()
+
+
+def _inverse_hold(phi: Array, gamma: Array, step: float, where: str) -> tuple[Array, Array]:
+    """Continuous A and B from the block logarithm of a zero-order hold model."""
+    n, n_w = gamma.shape
+    phi, scale = _balanced(phi)
+    gamma = gamma / scale[:, None]
+    columns = _power_of_two(np.max(np.abs(gamma), axis=0, initial=0.0))
+    _check_poles(phi, step, where)
+    block = np.eye(n + n_w)
+    block[:n, :n], block[:n, n:] = phi, gamma / columns
+    with warnings.catch_warnings():
+        # Accuracy is judged below, by going forward again.
+        warnings.filterwarnings("ignore", message="logm result may be inaccurate", category=RuntimeWarning)
+        log = np.asarray(linalg.logm(block))
+    size = float(np.max(np.abs(log)))
+    if not np.isfinite(size) or float(np.max(np.abs(log.imag))) > 1e-6 * size:
+        raise ModelError(
+            f"{where} has no real logarithm, so no continuous model has these samples exactly; "
+            "check the model, or use method='tustin'"
+        )
+    log = log.real
+    mismatch = float(np.max(np.abs(linalg.expm(log) - block))) / float(np.max(np.abs(block)))
+    if not mismatch < LOG_TOLERANCE:
+        warnings.warn(
+            f"{where} converts to continuous time with a relative error of {mismatch:.1g} only, because its "
+            "A is nearly singular or far from normal; sample faster, or remove states without effect",
+            ConversionWarning,
+            stacklevel=3,
+        )
+    log = log / step
+    return log[:n, :n] * scale[:, None] / scale, log[:n, n:] * scale[:, None] * columns
+
+
+def _check_poles(phi: Array, step: float, where: str) -> None:
+    """Refuse poles without a real logarithm; warn where the branch of it is in doubt."""
+    poles = linalg.eigvals(phi)
+    sizes = linalg.svdvals(phi)
+    if sizes[-1] <= len(poles) * _EPS * sizes[0]:
+        raise ModelError(
+            f"{where} has a pole at zero (smallest singular value of A {sizes[-1]:.1g}): a delay, or "
+            f"a mode that dies out within one sample of {step:g} s. No continuous model has it; remove "
+            "the state, sample faster, or use method='tustin'"
+        )
+    angles = np.abs(np.angle(poles))
+    negative = (poles.real < 0) & (np.abs(poles.imag) <= _EPS * len(poles) * sizes[0])
+    if negative.any():
+        raise ModelError(
+            f"{where} has a pole at {poles[negative][0].real:.4g}: a real negative pole has no real "
+            f"logarithm, so no continuous model of this order has it. Its motion changes sign every "
+            f"sample, at the Nyquist frequency {math.pi / step:.4g} rad/s; sample faster, or use "
+            "method='tustin'"
+        )
+    doubtful = angles > DOUBTFUL_ANGLE * math.pi
+    if doubtful.any():
+        frequency = float(angles[doubtful].max()) / step
+        warnings.warn(
+            f"{where} has a mode at {frequency:.4g} rad/s, close to the Nyquist frequency "
+            f"{math.pi / step:.4g} rad/s; if the mode really lies above it, the continuous model "
+            "is wrong (aliasing). Sample faster to be sure",
+            ConversionWarning,
+            stacklevel=4,
+        )
+
+
+def _inverse_tustin(model: LinearModel, step: float, where: str) -> LinearModel:
+    """Invert the bilinear transformation as `StateSpace.sample` applies it."""
+    identity = np.eye(model.n_states)
+    phi, scale = _balanced(model.A)
+    b, c = model.B / scale[:, None], model.C * scale
+    resolvent = (phi + identity) / 2  # (I - A_c step / 2)^-1
+    sizes = linalg.svdvals(resolvent)
+    if sizes[-1] <= model.n_states * _EPS * max(1.0, float(sizes[0])):
+        raise ModelError(
+            f"{where} has a pole at -1, which the bilinear transformation sends to infinity; "
+            "no continuous model has it. Use another sampling time"
+        )
+    inverse = np.linalg.inv(resolvent)
+    a = np.linalg.solve(resolvent, phi - identity) / step
+    c = c @ inverse
+    return model.with_arrays(
+        A=a * scale[:, None] / scale,
+        B=(np.linalg.solve(resolvent, b) / step) * scale[:, None],
+        C=c / scale,
+        D=model.D - c @ b / 2,
+        dt=0,
+    )

@@ -1,0 +1,196 @@
+"""Frequency response of arrays in one batch, and the distance between two of them."""
+
+from __future__ import annotations
+
+import math
+
+import control as ct
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..exceptions import ModelError
+from .discretization import check_sampling_time
+from .linear import Array, LinearModel
+
+__all__ = ["bode_error", "default_omega", "frequency_response"]
+
+# Complex numbers that one batch may hold (32 MB).
+_BATCH = 2_000_000
+
+
+def frequency_response(model: LinearModel, omega: ArrayLike) -> NDArray[np.complex128]:
+    """Evaluate the transfer function at real frequencies, all in one batch.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Continuous model, evaluated at ``j omega``, or discrete model,
+        evaluated at ``exp(j omega dt)``. As in python-control, ``dt =
+        True`` counts as 1 s and ``dt = None`` as continuous.
+    omega : array_like
+        Frequencies in rad/s, shape (n_omega,).
+
+    Returns
+    -------
+    ndarray of complex
+        Response of shape (n_y, n_w, n_omega); ``inf + nan j`` where a pole
+        lies exactly on the point.
+
+    Raises
+    ------
+    control.ControlDimension
+        If `omega` is not one-dimensional.
+    ModelError
+        If a frequency is not finite.
+
+    Examples
+    --------
+    >>> import control as ct
+    >>> from rcorefine.systems.linear import LinearModel
+    >>> lag = LinearModel.from_statespace(ct.ss([[-1.0]], [[1.0]], [[1.0]], [[0.0]]))
+    >>> print(frequency_response(lag, [0.0, 1.0])[0, 0])
+    [1. +0.j  0.5-0.5j]
+    """
+    points = _checked_omega(omega)
+    if model.dt is None or model.is_continuous:
+        z = np.asarray(1j * points, dtype=np.complex128)
+    else:
+        z = np.asarray(np.exp(1j * points * float(model.dt)), dtype=np.complex128)
+    n = model.n_states
+    response = np.empty((points.size, model.n_outputs, model.n_inputs), dtype=complex)
+    batch = max(1, _BATCH // max(1, n * (n + model.n_inputs)))
+    for start in range(0, points.size, batch):
+        part = slice(start, start + batch)
+        response[part] = model.C @ _resolvent_times(model.A, model.B, z[part]) + model.D
+    return np.moveaxis(response, 0, -1)
+
+
+def bode_error(
+    true: ct.StateSpace | LinearModel,
+    estimate: ct.StateSpace | LinearModel,
+    omega: ArrayLike | None = None,
+    *,
+    dt: float | None = None,
+) -> float:
+    """Measure how far the frequency response of an estimate is from the true one.
+
+    The figure is ``||G_hat - G|| / ||G||``, the norm taken over all
+    channels and frequencies: 0 is a perfect estimate, 1 is no better than
+    an estimate of zero.
+
+    Parameters
+    ----------
+    true, estimate : StateSpace or LinearModel
+        Systems with the same numbers of inputs and outputs, each evaluated
+        in its own timebase.
+    omega : array_like, optional
+        Frequencies in rad/s, shape (n_omega,). Default: 200 points, evenly
+        spaced on the logarithmic axis, from 0.1 rad/s up to the Nyquist
+        frequency ``pi / dt``.
+    dt : float, optional
+        Sampling time in seconds that sets the Nyquist frequency; default
+        that of the systems. Two continuous systems need it, or `omega`.
+
+    Returns
+    -------
+    float
+        Relative error, without unit.
+
+    Raises
+    ------
+    control.ControlDimension
+        If the systems have different numbers of inputs or outputs.
+    ModelError
+        If the range of frequencies is not known, or the true response is
+        zero or infinite at the frequencies asked for.
+
+    Examples
+    --------
+    >>> import control as ct
+    >>> true = ct.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1)
+    >>> print(round(bode_error(true, 0.9 * true), 6))
+    0.1
+    """
+    g, g_hat = _arrays(true), _arrays(estimate)
+    if (g.n_inputs, g.n_outputs) != (g_hat.n_inputs, g_hat.n_outputs):
+        raise ct.ControlDimension(
+            f"the systems must have the same channels: the true one has {g.n_inputs} inputs and "
+            f"{g.n_outputs} outputs, the estimate {g_hat.n_inputs} and {g_hat.n_outputs}"
+        )
+    points = default_omega(_common_dt(g, g_hat, dt)) if omega is None else _checked_omega(omega)
+    reference = frequency_response(g, points)
+    size = float(np.linalg.norm(reference))
+    if not math.isfinite(size) or size == 0.0:
+        raise ModelError(
+            f"the true response is {'zero' if size == 0.0 else 'not finite'} at the frequencies asked for, "
+            "so a relative error has no meaning; choose other frequencies"
+        )
+    return float(np.linalg.norm(frequency_response(g_hat, points) - reference)) / size
+
+
+def default_omega(dt: float, n_points: int = 200, lowest: float = 0.1) -> Array:
+    """Spread frequencies evenly on the logarithmic axis up to the Nyquist frequency.
+
+    Parameters
+    ----------
+    dt : float
+        Sampling time in seconds.
+    n_points : int, optional
+        Number of points.
+    lowest : float, optional
+        First frequency in rad/s; a thousandth of the Nyquist frequency
+        where that is smaller.
+
+    Returns
+    -------
+    ndarray
+        Frequencies in rad/s, shape (n_points,), the last one ``pi / dt``.
+
+    Examples
+    --------
+    >>> omega = default_omega(0.01)
+    >>> print(omega.size, round(omega[-1], 3))
+    200 314.159
+    """
+    nyquist = math.pi / check_sampling_time(dt)
+    return np.geomspace(min(lowest, nyquist / 1000), nyquist, n_points)
+
+
+def _resolvent_times(a: Array, b: Array, z: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Solve (z I - A) X = B for every z; a pole hit exactly gives inf + nan j."""
+    shifted = z[:, None, None] * np.eye(a.shape[0]) - a
+    right = np.broadcast_to(b.astype(complex), (z.size, *b.shape))
+    try:
+        return np.asarray(np.linalg.solve(shifted, right))
+    except np.linalg.LinAlgError:
+        if z.size == 1:
+            return np.full(right.shape, complex(np.inf, np.nan))
+    half = z.size // 2
+    return np.concatenate([_resolvent_times(a, b, z[:half]), _resolvent_times(a, b, z[half:])])
+
+
+def _checked_omega(omega: ArrayLike) -> Array:
+    points = np.array(omega, dtype=float)
+    if points.ndim != 1:
+        raise ct.ControlDimension(f"omega must be one-dimensional, not of shape {points.shape}")
+    if not np.isfinite(points).all():
+        where = int(np.flatnonzero(~np.isfinite(points))[0])
+        raise ModelError(f"omega is not finite at point {where}; give finite frequencies in rad/s")
+    return points
+
+
+def _arrays(system: ct.StateSpace | LinearModel) -> LinearModel:
+    return system if isinstance(system, LinearModel) else LinearModel.from_statespace(system)
+
+
+def _common_dt(g: LinearModel, g_hat: LinearModel, dt: float | None) -> float:
+    """Sampling time that sets the Nyquist frequency: the slower of two."""
+    if dt is not None:
+        return check_sampling_time(dt)
+    known = [float(m.dt) for m in (g, g_hat) if m.dt is not None and m.dt is not True and m.dt > 0]
+    if not known:
+        raise ModelError(
+            "neither system has a sampling time, so there is no Nyquist frequency to go up to; "
+            "give dt= (seconds) or omega= (rad/s)"
+        )
+    return max(known)
