@@ -7,6 +7,7 @@ import warnings
 
 import control as ct
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg
 
 from ..exceptions import ConversionWarning, ModelError
@@ -163,17 +164,14 @@ def _inverse_hold(phi: Array, gamma: Array, step: float, where: str) -> tuple[Ar
     _check_poles(phi, step, where)
     block = np.eye(n + n_w)
     block[:n, :n], block[:n, n:] = phi, gamma / columns
-    with warnings.catch_warnings():
-        # Accuracy is judged below, by going forward again.
-        warnings.filterwarnings("ignore", message="logm result may be inaccurate", category=RuntimeWarning)
-        log = np.asarray(linalg.logm(block))
-    size = float(np.max(np.abs(log)))
-    if not np.isfinite(size) or float(np.max(np.abs(log.imag))) > 1e-6 * size:
+    principal = _logarithm(block)
+    size = float(np.max(np.abs(principal)))
+    if not np.isfinite(size) or float(np.max(np.abs(principal.imag))) > 1e-6 * size:
         raise ModelError(
             f"{where} has no real logarithm, so no continuous model has these samples exactly; "
             "check the model, or use method='tustin'"
         )
-    log = log.real
+    log: Array = principal.real
     mismatch = float(np.max(np.abs(linalg.expm(log) - block))) / float(np.max(np.abs(block)))
     if not mismatch < LOG_TOLERANCE:
         warnings.warn(
@@ -184,6 +182,31 @@ def _inverse_hold(phi: Array, gamma: Array, step: float, where: str) -> tuple[Ar
         )
     log = log / step
     return log[:n, :n] * scale[:, None] / scale, log[:n, n:] * scale[:, None] * columns
+
+
+def _logarithm(matrix: Array) -> NDArray[np.complex128]:
+    """Principal logarithm by inverse scaling and squaring.
+
+    `scipy.linalg.logm` draws from the global random numbers, which a
+    conversion must not do.
+    """
+    triangle, unitary = linalg.schur(matrix, output="complex")
+    exact = np.log(np.diag(triangle))
+    identity = np.eye(len(matrix))
+    squarings = 0
+    while np.linalg.norm(triangle - identity, 1) > 0.25 and squarings < 100:
+        triangle = linalg.sqrtm(triangle)
+        squarings += 1
+    deviation = np.array(triangle - identity)
+    np.fill_diagonal(deviation, np.expm1(exact / 2.0**squarings))
+    # log(I + X) = integral of X (I + s X)^-1 over [0, 1], to rounding with 12 nodes.
+    nodes, weights = np.polynomial.legendre.leggauss(12)
+    log = np.zeros_like(deviation)
+    for node, weight in zip((nodes + 1) / 2, weights / 2, strict=True):
+        log += weight * linalg.solve_triangular(identity + node * deviation, deviation)
+    log *= 2.0**squarings
+    np.fill_diagonal(log, exact)
+    return np.asarray(unitary @ log @ unitary.conj().T, dtype=np.complex128)
 
 
 def _check_poles(phi: Array, step: float, where: str) -> None:

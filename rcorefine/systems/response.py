@@ -61,7 +61,11 @@ def frequency_response(model: LinearModel, omega: ArrayLike) -> NDArray[np.compl
     batch = max(1, _BATCH // max(1, n * (n + model.n_inputs)))
     for start in range(0, points.size, batch):
         part = slice(start, start + batch)
-        response[part] = model.C @ _resolvent_times(model.A, model.B, z[part]) + model.D
+        states = _resolvent_times(model.A, model.B, z[part])
+        at_pole = np.isnan(states).any(axis=(1, 2))
+        states[at_pole] = 0.0
+        response[part] = model.C @ states + model.D
+        response[part][at_pole] = complex(np.inf, np.nan)
     return np.moveaxis(response, 0, -1)
 
 
@@ -157,14 +161,14 @@ def default_omega(dt: float, n_points: int = 200, lowest: float = 0.1) -> Array:
 
 
 def _resolvent_times(a: Array, b: Array, z: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Solve (z I - A) X = B for every z; a pole hit exactly gives inf + nan j."""
+    """Solve (z I - A) X = B for every z; a pole hit exactly gives NaN."""
     shifted = z[:, None, None] * np.eye(a.shape[0]) - a
     right = np.broadcast_to(b.astype(complex), (z.size, *b.shape))
     try:
         return np.asarray(np.linalg.solve(shifted, right))
     except np.linalg.LinAlgError:
         if z.size == 1:
-            return np.full(right.shape, complex(np.inf, np.nan))
+            return np.full(right.shape, complex(np.nan, np.nan))
     half = z.size // 2
     return np.concatenate([_resolvent_times(a, b, z[:half]), _resolvent_times(a, b, z[half:])])
 

@@ -1,0 +1,172 @@
+"""Exact discretization against closed forms, scipy and superposition."""
+
+import control as ct
+import numpy as np
+import pytest
+from scipy import linalg, signal
+
+from rcorefine.exceptions import ModelError
+from rcorefine.systems import LinearModel, check_sampling_time, discretize, to_discrete
+
+
+def test_first_order_lag_in_closed_form():
+    a, b, h = -3.0, 2.0, 0.1
+    phi, g0, g1 = discretize([[a]], [[b]], h)
+    assert phi[0, 0] == pytest.approx(np.exp(a * h), rel=1e-14)
+    assert g0[0, 0] == pytest.approx(b * np.expm1(a * h) / a, rel=1e-14)
+    assert g1[0, 0] == 0.0
+
+
+def test_first_order_hold_of_a_lag_in_closed_form():
+    # x(h) = e^{ah} x + int e^{a(h-s)} b (w0 + (w1 - w0) s / h) ds
+    a, b, h = -3.0, 2.0, 0.1
+    _, g0, g1 = discretize([[a]], [[b]], h, "foh")
+    ramp = b * (np.expm1(a * h) - a * h) / (a**2 * h)
+    assert g1[0, 0] == pytest.approx(ramp, rel=1e-12)
+    assert g0[0, 0] == pytest.approx(b * np.expm1(a * h) / a - ramp, rel=1e-12)
+
+
+def test_chain_of_integrators_is_exact_although_a_is_singular():
+    h = 0.25
+    phi, g0, g1 = discretize(np.eye(3, k=1), [[0.0], [0.0], [1.0]], h, "foh")
+    np.testing.assert_allclose(phi, [[1, h, h**2 / 2], [0, 1, h], [0, 0, 1]], rtol=1e-14)
+    # A ramp of slope 1 from 0 integrates to t^2/2, t^3/6, t^4/24.
+    np.testing.assert_allclose(g1.ravel() * h, [h**4 / 24, h**3 / 6, h**2 / 2], rtol=1e-13)
+    np.testing.assert_allclose((g0 + g1).ravel(), [h**3 / 6, h**2 / 2, h], rtol=1e-13)
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+def test_against_scipy_for_random_mimo_models(rng, hold):
+    for _ in range(20):
+        n = int(rng.integers(1, 7))
+        a = rng.standard_normal((n, n)) - 2 * np.eye(n)
+        b = rng.standard_normal((n, 2))
+        phi, g0, g1 = discretize(a, b, 0.2, hold)
+        ad, bd, _, dd, _ = signal.cont2discrete((a, b, np.eye(n), np.zeros((n, 2))), 0.2, hold)
+        np.testing.assert_allclose(phi, ad, rtol=1e-10, atol=1e-12)
+        # scipy shifts the state: B = G0 + Phi G1, D = C G1.
+        np.testing.assert_allclose(g0 + phi @ g1, bd, rtol=1e-10, atol=1e-12)
+        np.testing.assert_allclose(g1, dd, rtol=1e-10, atol=1e-12)
+
+
+def test_stiff_circuit_agrees_with_its_two_exponentials():
+    # The paper's start of the RLC example: poles at -0.004 and -1.25e8 rad/s, T_s = 0.1 ms.
+    inductance, capacitance, resistance, h = 2e-6, 1.0, 250.0, 1e-4
+    fast = -resistance / inductance
+    slow = -1 / (resistance * capacitance)  # to 1e-10 relative
+    phi, g0, _ = discretize([[0, 1], [-1 / (inductance * capacitance), fast]], [[0], [1 / inductance]], h)
+    # The fast mode is gone within the sample; what is left is the slow one.
+    np.testing.assert_allclose(phi[0], [np.exp(slow * h), np.exp(slow * h) / -fast], rtol=1e-9)
+    np.testing.assert_allclose(phi[1], slow * phi[0], rtol=1e-9)
+    # Charge after h under a held volt: C (1 - e^{slow h}), less L / R^2 that the coil takes.
+    charge = -capacitance * np.expm1(slow * h) - inductance / resistance**2
+    np.testing.assert_allclose(g0[0, 0], charge, rtol=1e-6)
+    np.testing.assert_allclose(g0[1, 0], np.exp(slow * h) / resistance, rtol=1e-6)
+
+
+def test_units_do_not_cost_digits(rng):
+    a = rng.standard_normal((5, 5)) - 2 * np.eye(5)
+    b = rng.standard_normal((5, 2))
+    units = 10.0 ** np.array([-6, 3, 0, 5, -4])
+    gain = np.array([1e-5, 1e6])
+    phi, g0, g1 = discretize(a, b, 0.1, "foh")
+    scaled = discretize(units[:, None] * a / units, units[:, None] * b * gain, 0.1, "foh")
+    np.testing.assert_allclose(scaled[0], units[:, None] * phi / units, rtol=1e-12)
+    np.testing.assert_allclose(scaled[1], units[:, None] * g0 * gain, rtol=1e-12)
+    np.testing.assert_allclose(scaled[2], units[:, None] * g1 * gain, rtol=1e-11)
+
+
+def test_two_half_steps_make_a_whole_one(rng):
+    a, b = rng.standard_normal((4, 4)), rng.standard_normal((4, 1))
+    phi, g, _ = discretize(a, b, 0.3)
+    half, g_half, _ = discretize(a, b, 0.15)
+    np.testing.assert_allclose(half @ half, phi, rtol=1e-11)
+    np.testing.assert_allclose(half @ g_half + g_half, g, rtol=1e-11, atol=1e-14)
+
+
+def test_static_model_has_no_states():
+    phi, g0, g1 = discretize(np.zeros((0, 0)), np.zeros((0, 2)), 0.1, "foh")
+    assert phi.shape == (0, 0)
+    assert g0.shape == g1.shape == (0, 2)
+
+
+def test_model_without_inputs():
+    phi, g0, _ = discretize([[-1.0]], np.zeros((1, 0)), 0.1)
+    assert phi[0, 0] == pytest.approx(np.exp(-0.1))
+    assert g0.shape == (1, 0)
+
+
+@pytest.mark.parametrize(
+    "a, b, dt, hold, error, words",
+    [
+        ([[1.0, 2.0]], [[1.0]], 0.1, "zoh", ct.ControlDimension, "square"),
+        ([[1.0]], [[1.0], [2.0]], 0.1, "zoh", ct.ControlDimension, "n_w"),
+        ([[np.nan]], [[1.0]], 0.1, "zoh", ModelError, r"A is not finite at \[0, 0\]"),
+        ([[1.0]], [[np.inf]], 0.1, "zoh", ModelError, "B is not finite"),
+        ([[1.0]], [[1.0]], 0.0, "zoh", ModelError, "positive"),
+        ([[1.0]], [[1.0]], True, "zoh", ModelError, "True"),
+        ([[1.0]], [[1.0]], "fast", "zoh", ModelError, "fast"),
+        ([[1.0]], [[1.0]], 0.1, "bandlimited", ct.ControlArgument, "bandlimited"),
+        ([[1e6]], [[1.0]], 1.0, "zoh", ModelError, "grows beyond"),
+    ],
+)
+def test_bad_input_is_named(a, b, dt, hold, error, words):
+    with pytest.raises(error, match=words):
+        discretize(a, b, dt, hold)
+
+
+def test_numpy_numbers_are_sampling_times():
+    assert check_sampling_time(np.float32(0.5)) == 0.5
+    assert check_sampling_time(np.int64(2)) == 2.0
+
+
+def labeled(dt=0):
+    return LinearModel.from_statespace(
+        ct.ss([[-1.0, 1.0], [0.0, -2.0]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.5]], dt,
+              inputs="force", outputs="speed", states=["a", "b"], name="plant")
+    )  # fmt: skip
+
+
+def test_to_discrete_agrees_with_sample_and_keeps_the_labels():
+    model = labeled()
+    discrete = to_discrete(model, 0.1)
+    sampled = model.to_statespace().sample(0.1)
+    for key in "ABCD":
+        np.testing.assert_allclose(getattr(discrete, key), getattr(sampled, key), rtol=1e-13)
+    assert discrete.dt == 0.1
+    assert (discrete.name, discrete.input_labels, discrete.output_labels) == ("plant", ("force",), ("speed",))
+    assert discrete.state_labels == ("a", "b")
+
+
+def test_to_discrete_with_first_order_hold_has_the_response_to_a_ramp():
+    model = labeled()
+    discrete = to_discrete(model, 0.1, hold="foh")
+    t = np.arange(200) * 0.1
+    x = np.zeros(2)
+    y = np.empty(t.size)
+    for k, w in enumerate(t):
+        y[k] = discrete.C[0] @ x + discrete.D[0, 0] * w
+        x = discrete.A @ x + discrete.B[:, 0] * w
+    # Particular solution of the ramp w = t: x = p t + q, with A p = -B and A q = p.
+    p = np.linalg.solve(model.A, -model.B[:, 0])
+    q = np.linalg.solve(model.A, p)
+    free = np.array([linalg.expm(model.A * s) @ -q for s in t])
+    np.testing.assert_allclose(y, (free + np.outer(t, p) + q) @ model.C[0] + 0.5 * t, atol=1e-12)
+
+
+@pytest.mark.parametrize("dt", [True, None])
+def test_to_discrete_takes_over_the_records_timebase(dt):
+    model = labeled(dt)
+    discrete = to_discrete(model, 0.02)
+    assert discrete.dt == 0.02
+    np.testing.assert_array_equal(discrete.A, model.A)
+
+
+def test_to_discrete_keeps_a_model_with_the_same_dt():
+    model = labeled(0.1)
+    np.testing.assert_array_equal(to_discrete(model, 0.1 * (1 + 1e-9)).A, model.A)
+
+
+def test_contradicting_sampling_times_are_both_named():
+    with pytest.raises(ModelError, match=r"'plant' has dt = 0\.1 s but the record has dt = 0\.2 s"):
+        to_discrete(labeled(0.1), 0.2)
