@@ -1,0 +1,512 @@
+"""The initial model with its places: what the builders return."""
+
+from __future__ import annotations
+
+import html
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from ..exceptions import ModelError
+from ..systems.linear import Array, LinearModel
+from .effects import Effect
+from .ports import Port
+from .units import combine_units
+
+__all__ = ["NominalParameter", "PhysicalModel", "as_physical"]
+
+
+@dataclass(frozen=True, slots=True)
+class NominalParameter:
+    """A number in the initial model that an effect could correct.
+
+    Parameters
+    ----------
+    name : str
+        Name, such as ``"k2"``.
+    value : float
+        Value in the initial model; the corrected value is this plus the effect's
+        coefficient (an ``"input_gain"`` has the value 1).
+    unit : str
+        Unit, ``""`` where it is unknown.
+    kind : str
+        Kind of the effect that changes it: ``"stiffness"``, ``"damping"``,
+        ``"mass"``, ``"coefficient"``, ``"input_gain"``.
+    place : str
+        Place of that effect.
+    physical : bool
+        True if the value is a physical one that the builder was given, False if it
+        was read out of the matrices (and may be relative to an unknown mass).
+    """
+
+    name: str
+    value: float
+    unit: str
+    kind: str
+    place: str
+    physical: bool = True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhysicalModel:
+    """A linear model that knows its places, parameters and units.
+
+    Made by the builders (`mass_spring_damper`, `series_rlc`, ...), or from a plain
+    `StateSpace` by `from_statespace`. The output is split so that a force that an effect
+    adds reaches an accelerometer::
+
+        y = output_state @ x + output_rate @ dx/dt + output_input @ w
+
+    Parameters
+    ----------
+    linear : LinearModel
+        Matrices and labels, in continuous time.
+    output_state : ndarray of shape (n_y, n)
+        Part of the output that reads states.
+    output_rate : ndarray of shape (n_y, n)
+        Part of the output that reads rates of states (accelerometers).
+    output_input : ndarray of shape (n_y, n_w)
+        Direct part of the inputs.
+    ports : tuple of Port
+        Places where a force can act.
+    parameters : tuple of NominalParameter
+        Numbers that the initial model was built from.
+    input_units, output_units, state_units : tuple of str
+        Units, ``""`` where they are unknown.
+
+    Attributes
+    ----------
+    system : StateSpace
+        The linear model, built anew at each call.
+
+    Raises
+    ------
+    control.ControlDimension
+        If sizes do not fit.
+    ModelError
+        If the output parts do not add up to C and D, names are not
+        unique, or the model is not in continuous time.
+
+    Examples
+    --------
+    >>> model = PhysicalModel.from_statespace(
+    ...     ct.ss([[0, 1], [-4, -1]], [[0], [2]], [[1, 0]], 0, states=["q", "v"])
+    ... )
+    >>> print(model.port("q").description)
+    displacement q, velocity v; mass 0.5 from the input u[0]
+    """
+
+    linear: LinearModel
+    output_state: Array
+    output_rate: Array
+    output_input: Array
+    ports: tuple[Port, ...]
+    parameters: tuple[NominalParameter, ...] = ()
+    input_units: tuple[str, ...] = ()
+    output_units: tuple[str, ...] = ()
+    state_units: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        linear = self.linear
+        if not linear.is_continuous:
+            raise ModelError(
+                f"model {linear.name!r} has dt = {linear.dt}, but a physical model is in continuous time; "
+                "use PhysicalModel.from_statespace, which converts it"
+            )
+        sizes = {
+            "output_state": (linear.n_outputs, linear.n_states),
+            "output_rate": (linear.n_outputs, linear.n_states),
+            "output_input": (linear.n_outputs, linear.n_inputs),
+        }
+        for key, size in sizes.items():
+            array = np.array(getattr(self, key), dtype=float, ndmin=2)
+            if array.shape != size:
+                raise ct.ControlDimension(f"{key} has shape {array.shape}, expected {size}")
+            array.setflags(write=False)
+            object.__setattr__(self, key, array)
+        for key, size, what in (
+            ("input_units", linear.n_inputs, "inputs"),
+            ("output_units", linear.n_outputs, "outputs"),
+            ("state_units", linear.n_states, "states"),
+        ):
+            units = tuple(getattr(self, key)) or ("",) * size
+            if len(units) != size:
+                raise ct.ControlDimension(f"{key} has {len(units)} entries for {size} {what}")
+            object.__setattr__(self, key, units)
+        object.__setattr__(self, "ports", tuple(self.ports))
+        object.__setattr__(self, "parameters", tuple(self.parameters))
+        self._check_outputs()
+        self._check_places()
+
+    def _check_outputs(self) -> None:
+        linear = self.linear
+        pairs = (
+            ("C", linear.C, self.output_state, self.output_rate @ linear.A),
+            ("D", linear.D, self.output_input, self.output_rate @ linear.B),
+        )
+        for name, whole, direct, rate in pairs:
+            scale = np.abs(whole) + np.abs(direct) + np.abs(rate)
+            limit = 1e-9 * scale.max(axis=1, keepdims=True, initial=0.0)
+            wrong = np.argwhere(np.abs(direct + rate - whole) > limit)
+            if wrong.size:
+                raise ModelError(
+                    f"{name} of output {linear.output_labels[wrong[0][0]]!r} is not its state part plus its "
+                    f"rate part (rate part of {name} = output_rate @ {'A' if name == 'C' else 'B'})"
+                )
+
+    def _check_places(self) -> None:
+        linear = self.linear
+        for port in self.ports:
+            if not isinstance(port, Port):
+                raise ct.ControlArgument(f"ports must hold Port, not {type(port).__name__}")
+            if port.act.size != linear.n_states:
+                raise ct.ControlDimension(
+                    f"port {port.name!r} is for {port.act.size} states, the model has {linear.n_states}"
+                )
+            if port.velocity_input.size != linear.n_inputs:
+                if port.velocity_input.any() or port.position_input.any() or port.acceleration_input.any():
+                    raise ct.ControlDimension(
+                        f"port {port.name!r} is for {port.velocity_input.size} inputs, "
+                        f"the model has {linear.n_inputs}"
+                    )
+                empty = dict.fromkeys(
+                    ("position_input", "velocity_input", "acceleration_input"), np.zeros(linear.n_inputs)
+                )
+                filled = [replace(port, **empty) if item is port else item for item in self.ports]
+                object.__setattr__(self, "ports", tuple(filled))
+        names = [port.name for port in self.ports]
+        for what, labels in (("port", names), ("parameter", [item.name for item in self.parameters])):
+            twice = sorted({label for label in labels if labels.count(label) > 1})
+            if twice:
+                raise ModelError(f"{what} names must be unique, but {twice[0]!r} occurs more than once")
+
+    @property
+    def system(self) -> ct.StateSpace:
+        """The linear model as a `control.StateSpace`, built anew."""
+        return self.linear.to_statespace()
+
+    @property
+    def name(self) -> str:
+        """Name of the system."""
+        return self.linear.name
+
+    @property
+    def places(self) -> tuple[str, ...]:
+        """Names of all places: ports, inputs and outputs."""
+        names = (port.name for port in self.ports)
+        return tuple(dict.fromkeys((*names, *self.linear.input_labels, *self.linear.output_labels)))
+
+    @classmethod
+    def from_statespace(cls, sys: ct.StateSpace, *, dt: float | None = None) -> PhysicalModel:
+        """Find ports and parameters in a plain `control.StateSpace`.
+
+        Parameters
+        ----------
+        sys : StateSpace
+            Linear model, the states in physical coordinates and in any order. A
+            discrete-time model is converted to continuous time by `d2c`.
+        dt : float, optional
+            Sampling time [s], for a discrete-time model with ``dt=True``.
+
+        Returns
+        -------
+        PhysicalModel
+            Model with the ports found.
+
+        Raises
+        ------
+        ModelError
+            If the sampling time of a discrete-time model is unknown.
+
+        Notes
+        -----
+        *Displacements.* A state whose derivative is another state is a displacement, and gives
+        a mechanical port named after it. So does a state whose derivative is a difference of
+        two states, or a state minus an input (an elongation), if a spring acts
+        back. Chains of three or more integrators that close on themselves and companion
+        (canonical) forms are not mechanical, and their states are taken as
+        first-order ones.
+
+        *Relative ports.* Masses whose rows of A are coupled both ways give ``"x1-x2"``. Their mass ratio
+        follows from the symmetry of the stiffness matrix, A_ij / A_ji = m_j / m_i. A pair that no
+        choice of masses makes symmetric is not a link and gives none.
+
+        *Masses.* The mass is 1/B where exactly one input drives exactly one velocity (so forces are
+        in units of that input). Otherwise forces are per unit mass. An input
+        with -1 on every mass is the acceleration of the base.
+
+        *First order.* Every other state is a port of its own. Two that exchange something
+        (both off-diagonal entries positive, as between two temperatures) give ``"T1-T2"``, and a
+        one-way flow gives ``"h1->h2"``.
+
+        In arbitrary coordinates (after a similarity transformation) no displacement
+        can be recognized, and the effects left are those on states, entries of A
+        and channels; use a builder, or give the model in physical coordinates.
+
+        Examples
+        --------
+        >>> sys = ct.ss([[0, 1], [-4, -1]], [[0], [1]], [[1, 0]], 0, states=["q", "v"])
+        >>> [(item.name, float(item.value)) for item in PhysicalModel.from_statespace(sys).parameters]
+        [('k[q]', 4.0), ('c[q]', 1.0), ('gain[u[0]]', 1.0)]
+        """
+        from .detection import find_ports, find_rate_sensors
+
+        linear = LinearModel.from_statespace(sys)
+        tolerance = 1e-9
+        if linear.dt is None:  # python-control: either time base
+            linear = linear.with_arrays(dt=0)
+        if not linear.is_continuous:
+            from ..systems.conversion import d2c
+
+            if linear.dt is True:
+                if dt is None:
+                    raise ModelError(
+                        f"model {linear.name!r} is in discrete time but has no sampling time (dt = True); "
+                        "give the model a dt, or the time between samples as dt="
+                    )
+                sys = linear.with_arrays(dt=float(dt)).to_statespace()
+            linear = replace(LinearModel.from_statespace(d2c(sys)), name=linear.name)
+            tolerance = 1e-7  # the matrix logarithm leaves noise where zeros were
+        found, parameters = find_ports(linear, tolerance)
+        rate = find_rate_sensors(linear, tolerance)
+        return cls(
+            linear=linear,
+            output_state=linear.C - rate @ linear.A if rate.any() else linear.C,
+            output_rate=rate,
+            output_input=linear.D - rate @ linear.B,
+            ports=found,
+            parameters=parameters,
+        )
+
+    def port(self, name: str) -> Port:
+        """Port of a given name.
+
+        Parameters
+        ----------
+        name : str
+            Name of the place.
+
+        Returns
+        -------
+        Port
+            The port.
+
+        Raises
+        ------
+        ModelError
+            If there is none; the message lists the names that exist.
+        """
+        for port in self.ports:
+            if port.name == name:
+                return port
+        known = ", ".join(port.name for port in self.ports) or "none"
+        raise ModelError(f"model {self.name!r} has no port {name!r}; its ports are: {known}")
+
+    def entry(self, place: str) -> tuple[int, int]:
+        """Row and column of an entry of A, the place of a `coefficient` effect.
+
+        Parameters
+        ----------
+        place : str
+            ``"A[1,0]"``, counted from 0, or with state labels, ``"A[v1,x1]"``.
+
+        Returns
+        -------
+        tuple of int
+            Row and column.
+
+        Raises
+        ------
+        ModelError
+            If the text is not of this form or the entry does not exist.
+        """
+        match = re.fullmatch(r"A\[(.+)\]", place.strip())
+        labels = self.linear.state_labels
+        if match:
+            pieces = match.group(1).split(",")
+            for cut in range(1, len(pieces)):  # a label may hold a comma itself
+                pair = (",".join(pieces[:cut]).strip(), ",".join(pieces[cut:]).strip())
+                found = [self._state(text) for text in pair]
+                if all(index is not None for index in found):
+                    return found[0], found[1]  # type: ignore[return-value]
+        raise ModelError(
+            f"{place!r} is not an entry of A: write 'A[i,j]' with i and j from 0 to {len(labels) - 1}, "
+            f"or with state labels ({', '.join(labels)})"
+        )
+
+    def _state(self, text: str) -> int | None:
+        if text in self.linear.state_labels:
+            return self.linear.state_labels.index(text)
+        if text.isdecimal() and int(text) < self.linear.n_states:
+            return int(text)
+        return None
+
+    def check(self, effect: Effect) -> Effect:
+        """Check that an effect makes sense at its place in this model.
+
+        Parameters
+        ----------
+        effect : Effect
+            Effect to check.
+
+        Returns
+        -------
+        Effect
+            The same effect, worded for its kind of place.
+
+        Raises
+        ------
+        ModelError
+            If the place does not exist, the kind cannot sit there, or the place senses
+            nothing that the law needs (a stiffness where there is no
+            displacement).
+        """
+        if not isinstance(effect, Effect):
+            raise ct.ControlArgument(f"an effect must be an Effect, not {type(effect).__name__}")
+        where = effect.spec.where
+        if effect.kind == "coefficient":
+            self.entry(effect.place)
+            return effect
+        for channel, labels in (("input", self.linear.input_labels), ("output", self.linear.output_labels)):
+            if channel in where:
+                if effect.place not in labels:
+                    raise ModelError(
+                        f"{effect.kind} sits at an {channel}, and {effect.place!r} is none of them: "
+                        f"{', '.join(labels)}"
+                    )
+                return effect
+        port = self.port(effect.place)
+        if port.kind not in where:
+            raise ModelError(
+                f"{effect.kind} cannot sit at {port.name}, a {port.kind.replace('_', '-')} port; "
+                f"it needs a {' or '.join(sorted(where - {'any'})).replace('_', '-')} one"
+            )
+        for need, there in (("position", port.has_position), ("velocity", port.has_velocity)):
+            if need in effect.spec.needs and not there:
+                raise ModelError(f"{effect.label}: there is no {need} at {port.name} ({port.description})")
+        return effect.at_port(port.kind)
+
+    def unit(self, effect: Effect, coefficient: str) -> str:
+        """Unit of a coefficient of an effect in this model.
+
+        Parameters
+        ----------
+        effect : Effect
+            Effect at a place of this model.
+        coefficient : str
+            Name of the coefficient.
+
+        Returns
+        -------
+        str
+            Unit, ``""`` where it is unknown, ``"1"`` for a pure number.
+        """
+        if coefficient not in effect.coefficients:
+            raise ct.ControlArgument(
+                f"{effect.label} has no coefficient {coefficient!r}, only {', '.join(effect.coefficients)}"
+            )
+        if coefficient not in effect.spec.coefficient_names:
+            return ""  # a custom law's own
+        rule = effect.spec.coefficient(coefficient).unit_rule
+        where = effect.spec.where
+        if effect.kind == "coefficient":
+            row, column = self.entry(effect.place)
+            states = {"row": self.state_units[row], "column": self.state_units[column]}
+            return combine_units("row/(column s)", states)
+        if "input" in where:
+            index = self.linear.input_labels.index(effect.place)
+            return combine_units(rule, {"signal": self.input_units[index]})
+        if "output" in where:
+            index = self.linear.output_labels.index(effect.place)
+            return combine_units(rule, {"signal": self.output_units[index]})
+        return combine_units(rule, self.port(effect.place).units)
+
+    def __str__(self) -> str:
+        linear = self.linear
+        lines = [
+            f"Physical model {linear.name!r}: {linear.n_states} states, {linear.n_inputs} inputs, "
+            f"{linear.n_outputs} outputs"
+        ]
+        for what, labels, units in (
+            ("inputs", linear.input_labels, self.input_units),
+            ("outputs", linear.output_labels, self.output_units),
+            ("states", linear.state_labels, self.state_units),
+        ):
+            lines.append(_wrap(f"{what:<8}", [_with_unit(*pair) for pair in zip(labels, units, strict=True)]))
+        lines.append(_wrap("ports   ", [port.name for port in self.ports]))
+        shown = self.parameters[:12]
+        if shown:
+            width = max(len(item.name) for item in shown)
+            lines.append("parameters of the initial model (an effect at the place adds to the value)")
+            for item in shown:
+                value = f"{item.value:.6g} {item.unit}".strip()
+                lines.append(f"  {item.name:<{width}} = {value:<20} {item.kind} at {item.place}"[:80])
+            if len(self.parameters) > len(shown):
+                lines.append(f"  ... and {len(self.parameters) - len(shown)} more")
+        return "\n".join(line.rstrip() for line in lines)
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><td>{html.escape(item.name)}</td><td>{item.value:.6g}</td><td>{html.escape(item.unit)}</td>"
+            f"<td>{html.escape(item.kind)}</td><td>{html.escape(item.place)}</td></tr>"
+            for item in self.parameters
+        )
+        ports = "".join(f"<li>{html.escape(str(port))}</li>" for port in self.ports)
+        head = "".join(f"<th>{text}</th>" for text in ("parameter", "value", "unit", "kind", "place"))
+        return (
+            f"<p><b>Physical model {html.escape(repr(self.name))}</b></p><p>Places:</p><ul>{ports}</ul>"
+            f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+        )
+
+
+def as_physical(model: Any, *, dt: float | None = None) -> PhysicalModel:
+    """Physical model behind whatever a user hands over.
+
+    Parameters
+    ----------
+    model : StateSpace, PhysicalModel, or object with a `physical_model`
+        A plain `StateSpace` is searched for ports.
+    dt : float, optional
+        Sampling time [s] of a discrete-time `StateSpace` that does not tell its own.
+
+    Returns
+    -------
+    PhysicalModel
+        The model itself if it is one.
+
+    Raises
+    ------
+    control.ControlArgument
+        If it is none of these.
+
+    Examples
+    --------
+    >>> as_physical(ct.ss([[-1.0]], [[1.0]], [[1.0]], 0, states=["T"])).ports[0].name
+    'T'
+    """
+    if isinstance(model, PhysicalModel):
+        return model
+    inner = getattr(model, "physical_model", None)
+    if isinstance(inner, PhysicalModel):
+        return inner
+    return PhysicalModel.from_statespace(model, dt=dt)
+
+
+def _with_unit(label: str, unit: str) -> str:
+    return f"{label} [{unit}]" if unit else label
+
+
+def _wrap(head: str, items: Sequence[str], width: int = 80) -> str:
+    """Comma-separated items in lines of at most `width` columns."""
+    lines, line = [], head
+    for index, item in enumerate(items):
+        piece = item + ("," if index + 1 < len(items) else "")
+        if len(line) + 1 + len(piece) > width and line.strip():
+            lines.append(line)
+            line = " " * len(head)
+        line += " " + piece
+    return "\n".join([*lines, line])
