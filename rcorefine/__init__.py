@@ -15,6 +15,8 @@ from .exceptions import (
     RCOError,
     RCOWarning,
 )
+from .measurement import Measurement
+from .systems import d2c
 
 __version__ = "0.1.0"
 
@@ -24,8 +26,10 @@ __all__ = [
     "DivergenceError",
     "ExcitationWarning",
     "IdentifiabilityWarning",
+    "Measurement",
     "MissingExtraError",
     "ModelError",
     "RCOError",
     "RCOWarning",
+    "d2c",
 ]
