@@ -76,6 +76,11 @@ class Effect:
     kind: str
     place: str
     _port_kind: str
+    _law: Callable[..., Any] | None
+    _name: str | None
+    _start: dict[str, float]
+    _fixed: dict[str, float]
+    _prior: dict[str, float]
 
     def __init__(
         self,

@@ -156,7 +156,7 @@ _STIFFNESS = (
         "quadratic_stiffness", "mechanical",
         (_C("quadratic_stiffness", "force/position^2", explanation="force per squared displacement"),),
         "f = t d^2",
-        "The spring at {place} is stiffer on one side than on the other, the more so the further it is moved.",
+        "The spring at {place} is stiffer on one side than on the other, more so the further it is moved.",
         needs="position",
     ),
     _make(

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from itertools import combinations
 
 import numpy as np
 
 from ..systems.linear import Array, LinearModel
+from .displacements import Displacement, is_companion, significant
 
-if TYPE_CHECKING:
-    from .detection import Displacement
-
-__all__ = ["MassScale", "relative_masses"]
+__all__ = ["MassScale", "exchanging", "relative_masses"]
 
 _ASYMMETRY = 0.05  # ratios that differ by more are not those of one set of masses
 
@@ -65,9 +63,14 @@ def relative_masses(
     """
     n, labels = linear.n_states, linear.state_labels
     ratios = _ratios(linear.A, displacements, tolerance)
-    states = sorted({s for item in displacements for s in (item.moving, item.other) if s is not None})
+    velocities = {s for item in displacements for s in (item.moving, item.other) if s is not None}
+    stores = [i for i in range(n) if i not in velocities | {item.state for item in displacements}]
+    for i, j in exchanging(linear.A, stores, tolerance):
+        if linear.A[i, j] > 0:  # both ways: capacities, like masses, make it symmetric
+            ratios[i, j] = float(np.log(linear.A[i, j] / linear.A[j, i]))
+    states = sorted(velocities) + stores
     logs, kept, group = _solve(states, ratios)
-    base = _base_acceleration(linear, states)
+    base = _base_acceleration(linear, sorted(velocities))
     mass = np.ones(n)
     origin = [f"forces are per unit mass of {label}" for label in labels]
     anchors = _anchors(linear, base, tolerance)
@@ -84,11 +87,41 @@ def relative_masses(
                     origin[state] += " and the symmetry of A"
             else:
                 origin[state] = f"forces are per unit mass of {labels[anchor]}"
-    for state, (value, column) in anchors.items():
-        if state not in states:  # a store that an input fills
-            mass[state] = value
-            origin[state] = f"mass {value:.4g} from the input {linear.input_labels[column]}"
     return MassScale(mass, tuple(origin), frozenset(kept), base)
+
+
+def exchanging(A: Array, states: Sequence[int], tolerance: float) -> list[tuple[int, int]]:
+    """Pairs of stores that something flows between: both ways, or from the first to the second.
+
+    Parameters
+    ----------
+    A : ndarray of shape (n, n)
+        State matrix.
+    states : sequence of int
+        States that are neither displacements nor velocities.
+    tolerance : float
+        Relative size below which an entry counts as zero.
+
+    Returns
+    -------
+    list of tuple of int
+        Source and sink; for an exchange both ways the lower index first.
+    """
+    if is_companion(A, tolerance):
+        return []
+    A = significant(A, tolerance)
+    # what flows in comes from others, what is there only flows out
+    stores = [i for i in states if A[i, i] < 0 and all(A[i, j] >= 0 for j in states if j != i)]
+    found = []
+    for i, j in combinations(stores, 2):
+        if A[i, j] > 0 and A[j, i] > 0:
+            if A[i, j] <= -A[i, i] * (1 + 1e-6) and A[j, i] <= -A[j, j] * (1 + 1e-6):
+                found.append((i, j))
+        elif A[j, i] > 0:
+            found.append((i, j))
+        elif A[i, j] > 0:
+            found.append((j, i))
+    return found
 
 
 def _ratios(
@@ -96,28 +129,20 @@ def _ratios(
 ) -> dict[tuple[int, int], float]:
     """log(m_j / m_i) of each pair of velocity states that are coupled both ways."""
     found: dict[tuple[int, int], float] = {}
-    absolute = [item for item in displacements if item.absolute]
-    stiffness = np.abs([[A[a.moving, b.state] for b in absolute] for a in absolute]) if absolute else None
-    largest = stiffness.max(axis=1) if stiffness is not None else np.zeros(0)
-    for row, one in enumerate(absolute):
-        for column in range(row + 1, len(absolute)):
-            two = absolute[column]
-            assert one.moving is not None and two.moving is not None
-            # d = scale * velocity: a force along d enters through the same mass
-            forth = A[one.moving, two.state] * one.scale
-            back = A[two.moving, one.state] * two.scale
-            weak = abs(A[one.moving, two.state]) <= tolerance * largest[row]
-            weak |= abs(A[two.moving, one.state]) <= tolerance * largest[column]
-            if weak and not (forth and back):
-                # no spring between them: a damper tells the same ratio
-                if abs(forth) > tolerance * largest[row] or abs(back) > tolerance * largest[column]:
-                    continue  # one-way coupling is not a link
-                forth = A[one.moving, two.moving] / two.scale * one.scale
-                back = A[two.moving, one.moving] / one.scale * two.scale
-            if forth * back > 0:
-                pair = (min(one.moving, two.moving), max(one.moving, two.moving))
-                ratio = float(np.log(forth / back))
-                found[pair] = ratio if pair[0] == one.moving else -ratio
+    absolute = [(item.state, item.moving, item.scale) for item in displacements if item.moving is not None]
+    absolute = [(q, v, s) for q, v, s in absolute if any(i.state == q and i.absolute for i in displacements)]
+    largest = {v: max(abs(A[v, q]) for q, _, _ in absolute) for _, v, _ in absolute}
+    for (q1, v1, s1), (q2, v2, s2) in combinations(absolute, 2):
+        sprung = abs(A[v1, q2]) > tolerance * largest[v1], abs(A[v2, q1]) > tolerance * largest[v2]
+        if all(sprung):
+            forth, back = A[v1, q2] * s2, A[v2, q1] * s1
+        elif any(sprung):
+            continue  # one-way coupling is not a link
+        else:  # no spring between them: a damper tells the same ratio
+            forth, back = A[v1, v2], A[v2, v1]
+        if forth * back > 0:
+            ratio = float(np.log(forth / back))
+            found[min(v1, v2), max(v1, v2)] = ratio if v1 < v2 else -ratio
     for item in displacements:
         if not item.absolute and item.moving is not None and item.other is not None:
             pair = (min(item.moving, item.other), max(item.moving, item.other))

@@ -122,10 +122,10 @@ class PhysicalModel:
             "output_rate": (linear.n_outputs, linear.n_states),
             "output_input": (linear.n_outputs, linear.n_inputs),
         }
-        for key, size in sizes.items():
+        for key, shape in sizes.items():
             array = np.array(getattr(self, key), dtype=float, ndmin=2)
-            if array.shape != size:
-                raise ct.ControlDimension(f"{key} has shape {array.shape}, expected {size}")
+            if array.shape != shape:
+                raise ct.ControlDimension(f"{key} has shape {array.shape}, expected {shape}")
             array.setflags(write=False)
             object.__setattr__(self, key, array)
         for key, size, what in (
@@ -173,11 +173,11 @@ class PhysicalModel:
                         f"port {port.name!r} is for {port.velocity_input.size} inputs, "
                         f"the model has {linear.n_inputs}"
                     )
-                empty = dict.fromkeys(
-                    ("position_input", "velocity_input", "acceleration_input"), np.zeros(linear.n_inputs)
+                none = np.zeros(linear.n_inputs)
+                filled = replace(port, position_input=none, velocity_input=none, acceleration_input=none)
+                object.__setattr__(
+                    self, "ports", tuple(filled if item is port else item for item in self.ports)
                 )
-                filled = [replace(port, **empty) if item is port else item for item in self.ports]
-                object.__setattr__(self, "ports", tuple(filled))
         names = [port.name for port in self.ports]
         for what, labels in (("port", names), ("parameter", [item.name for item in self.parameters])):
             twice = sorted({label for label in labels if labels.count(label) > 1})
@@ -253,7 +253,8 @@ class PhysicalModel:
         >>> [(item.name, float(item.value)) for item in PhysicalModel.from_statespace(sys).parameters]
         [('k[q]', 4.0), ('c[q]', 1.0), ('gain[u[0]]', 1.0)]
         """
-        from .detection import find_ports, find_rate_sensors
+        from .detection import find_ports
+        from .readout import find_rate_sensors
 
         linear = LinearModel.from_statespace(sys)
         tolerance = 1e-9

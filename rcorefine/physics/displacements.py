@@ -1,0 +1,188 @@
+"""Find displacement states in a plain StateSpace."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..systems.linear import Array, LinearModel
+
+__all__ = ["Displacement", "find_displacements", "is_companion", "significant"]
+
+
+@dataclass(frozen=True, slots=True)
+class Displacement:
+    """A state whose derivative is a velocity or a difference of two.
+
+    Parameters
+    ----------
+    state : int
+        Index of the displacement.
+    moving, other : int or None
+        Velocity states: d' = scale x_moving - scale x_other + input part.
+    absolute : bool
+        Whether the state belongs to one mass (and not to a link, an elongation).
+    scale : float
+        1 unless displacement and velocity have different units.
+    """
+
+    state: int
+    moving: int | None
+    other: int | None
+    absolute: bool
+    scale: float
+
+
+def is_companion(A: Array, tolerance: float = 1e-9) -> bool:
+    """Whether A is a companion matrix, as in the canonical forms.
+
+    Parameters
+    ----------
+    A : ndarray of shape (n, n)
+        State matrix, the states in any order.
+    tolerance : float, optional
+        Relative size below which an entry counts as zero.
+
+    Returns
+    -------
+    bool
+        True for n >= 3 if all of A but one row or one column is a chain of ones.
+        (With two states the controllable form is that of a mass on a spring.)
+    """
+    n = A.shape[0]
+    if n < 3:
+        return False
+    for matrix in (A, A.T):
+        for free in range(n):
+            chain = matrix.copy()
+            chain[:, free] = 0.0
+            chain[np.abs(chain) <= tolerance] = 0.0
+            rest = np.delete(chain, free, axis=1)
+            if (np.count_nonzero(rest, axis=0) != 1).any() or not np.allclose(rest.sum(axis=0), 1.0):
+                continue
+            # nilpotent of full index = one path through all the states
+            if np.any(np.linalg.matrix_power(chain, n - 1)):
+                return True
+    return False
+
+
+def significant(A: Array, tolerance: float) -> Array:
+    """A with the entries set to zero that are noise beside their row or their column.
+
+    Parameters
+    ----------
+    A : ndarray of shape (n, n)
+        State matrix.
+    tolerance : float
+        Relative size below which an entry counts as zero.
+
+    Returns
+    -------
+    ndarray of shape (n, n)
+        Copy of `A`.
+    """
+    size = np.abs(A)
+    limit = tolerance * np.minimum(size.max(axis=1, keepdims=True), size.max(axis=0, keepdims=True))
+    return np.where(size > limit, A, 0.0)
+
+
+def find_displacements(linear: LinearModel, tolerance: float = 1e-9) -> list[Displacement]:
+    """Displacement states of a continuous-time model.
+
+    Parameters
+    ----------
+    linear : LinearModel
+        Continuous-time model.
+    tolerance : float, optional
+        Relative size below which an entry counts as zero.
+
+    Returns
+    -------
+    list of Displacement
+        In the order of the states; empty for canonical forms.
+    """
+    A, B = linear.A, linear.B
+    n = linear.n_states
+    if is_companion(A, tolerance):
+        return []
+    columns = np.abs(B).max(axis=0, initial=0.0)
+    driven = [bool((np.abs(B[i]) > tolerance * np.maximum(columns, 1e-300)).any()) for i in range(n)]
+    entries = [np.flatnonzero(np.abs(A[i]) > tolerance * np.abs(A[i]).max()) for i in range(n)]
+
+    single = {
+        i: int(entries[i][0])
+        for i in range(n)
+        if entries[i].size == 1 and entries[i][0] != i and not driven[i]
+    }
+    unit = {i: j for i, j in single.items() if abs(A[i, j] - 1.0) <= 10 * tolerance}
+    pairs = _unit_pairs(unit, entries)
+    velocities = set(pairs.values())
+    for i, j in single.items():
+        # another unit of length (or an LC pair) is believed only if a spring acts back
+        chained = i in single.values() and single.get(j) != i
+        if i in unit or i in velocities or j in pairs or chained or single.get(j, i) != i:
+            continue
+        if A[i, j] > 0 and A[j, i] < 0:
+            pairs[i] = j
+
+    found: list[Displacement] = []
+    for i in sorted(pairs, key=lambda i: (A[pairs[i], i] >= 0, i)):
+        if all(item.moving != pairs[i] for item in found):  # else a second integral of one velocity
+            found.append(Displacement(i, pairs[i], None, True, float(A[i, pairs[i]])))
+    taken = {item.state for item in found}
+    for i in range(n):
+        if i not in taken and i not in unit:
+            link = _elongation(A, B[i] if driven[i] else np.zeros(0), i, entries[i], taken)
+            if link is not None:
+                found.append(link)
+    moving = {item.moving for item in found} | {item.other for item in found}
+    return sorted((item for item in found if item.state not in moving), key=lambda item: item.state)
+
+
+def _unit_pairs(unit: dict[int, int], entries: list[NDArray[np.intp]]) -> dict[int, int]:
+    """Displacement and velocity in chains x_i' = x_j with coefficient one.
+
+    Three in a chain are position, velocity and a lagged actuator if the last does not look back at
+    the others. If it does, they may as well be a canonical form or the integral of a
+    position, so none of them is taken; nor is any of a longer chain.
+    """
+    pairs: dict[int, int] = {}
+    for i in unit:
+        chain = [i]
+        while chain[-1] in unit and unit[chain[-1]] not in chain:
+            chain.append(unit[chain[-1]])
+        closed = chain[-1] in unit  # back to the start, as in an inverted pendulum at rest
+        if closed and len(chain) == 2:
+            pairs[min(chain)] = max(chain)
+        elif i not in unit.values():
+            looks_back = bool(set(chain[:-1]) & set(entries[chain[-1]].tolist()))
+            if len(chain) == 2 or (len(chain) == 3 and not looks_back):
+                pairs[chain[0]] = chain[1]
+    return pairs
+
+
+def _elongation(
+    A: Array, driven: Array, i: int, entries: NDArray[np.intp], taken: set[int]
+) -> Displacement | None:
+    """State whose derivative is v_j - v_k, v_j - w or w - v_k, with a spring acting back."""
+    if i in entries or any(int(j) in taken for j in entries):
+        return None
+    plus = [int(j) for j in entries if A[i, j] > 0]
+    minus = [int(j) for j in entries if A[i, j] < 0]
+    if len(plus) > 1 or len(minus) > 1 or not plus + minus:
+        return None
+    size = np.abs(A[i, entries])
+    if len(plus) + len(minus) == 1:
+        # the other end is an input, a velocity in the same unit
+        velocity = driven[driven != 0]
+        if velocity.size != 1 or not np.isclose(velocity[0], -A[i, entries[0]], rtol=1e-6):
+            return None
+        if not np.isclose(size[0], 1.0, rtol=1e-6) or (minus and np.isclose(A[minus[0], i], 1.0)):
+            return None  # the last one is the observable form with unit gain
+    elif driven.size or np.ptp(size) > 1e-6 * size.max():
+        return None
+    if any(A[j, i] >= 0 for j in plus) or any(A[k, i] <= 0 for k in minus):
+        return None
+    return Displacement(i, plus[0] if plus else None, minus[0] if minus else None, False, float(size.max()))
