@@ -11,26 +11,25 @@ import control as ct
 import numpy as np
 
 from .exceptions import DataError, ExcitationWarning
+from .reading import RecordReaders
 from .signals import as_labels, as_signals, as_texts, as_time_grid, check_finite
 from .systems.linear import Array
 
 if TYPE_CHECKING:
-    from os import PathLike
-
     from .spectral import FrequencyResponse
 
 __all__ = ["HOLDS", "Measurement"]
 
 HOLDS = ("zoh", "foh", "bandlimited")
 _FIELDS = (
-    "inputs", "outputs", "dt", "timepts", "hold", "input_labels", "output_labels", "input_units", "output_units",
-    "name",
+    "inputs", "outputs", "dt", "timepts", "hold", "input_labels", "output_labels",
+    "input_units", "output_units", "name",
 )  # fmt: skip
 _ARRAYS = ("inputs", "outputs", "timepts")
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
-class Measurement:
+class Measurement(RecordReaders):
     """Measured inputs and outputs on a regular time grid.
 
     The record keeps read-only copies: nothing that you do to your arrays
@@ -139,8 +138,12 @@ class Measurement:
         check_finite(y, y_labels, times, "output")
         for array in (w, y, times):
             array.setflags(write=False)
-        w_units = ("",) * w.shape[0] if input_units is None else as_texts(input_units, w.shape[0], "input_units")
-        y_units = ("",) * y.shape[0] if output_units is None else as_texts(output_units, y.shape[0], "output_units")
+        w_units = (
+            ("",) * w.shape[0] if input_units is None else as_texts(input_units, w.shape[0], "input_units")
+        )
+        y_units = (
+            ("",) * y.shape[0] if output_units is None else as_texts(output_units, y.shape[0], "output_units")
+        )
         values = (w, y, step, times, hold, w_labels, y_labels, w_units, y_units, name or "measured")
         for field, value in zip(_FIELDS, values, strict=True):
             object.__setattr__(self, field, value)
@@ -202,10 +205,12 @@ class Measurement:
             if np.ptp(row) == 0.0 and self.n_samples > 1
         )
         if still:
-            values = ", ".join(f"{label!r} = {self.inputs[self.input_labels.index(label), 0]:g}" for label in still)
+            values = ", ".join(
+                f"{label!r} = {self.inputs[self.input_labels.index(label), 0]:g}" for label in still
+            )
             warnings.warn(
-                f"{purpose}: constant over all {self.n_samples} samples: {values}. The record shows how the system "
-                "settles (a free decay), not what this input drives; vary the input to learn that",
+                f"{purpose}: constant over all {self.n_samples} samples: {values}. The record shows how the "
+                "system settles (a free decay), not what this input drives; vary the input to learn that",
                 ExcitationWarning,
                 stacklevel=stacklevel + 1,
             )
@@ -240,7 +245,8 @@ class Measurement:
         cut = round(float(fraction) * self.n_samples) if np.isfinite(fraction) else -1
         if not 0 < cut < self.n_samples:
             raise DataError(
-                f"fraction = {fraction} of {self.n_samples} samples leaves a part empty; take one between 0 and 1"
+                f"fraction = {fraction} of {self.n_samples} samples leaves a part empty; "
+                "take one between 0 and 1"
             )
         return self._part(slice(0, cut)), self._part(slice(cut, None))
 
@@ -323,3 +329,103 @@ class Measurement:
             sysname=self.name,
             plot_inputs=True,
         )
+
+    def frequency_response(
+        self,
+        *,
+        segment_length: int | None = None,
+        overlap: float = 0.5,
+        window: str | tuple[Any, ...] = "hann",
+    ) -> FrequencyResponse:
+        """Measured frequency response with coherence and standard deviation.
+
+        Parameters
+        ----------
+        segment_length : int, optional
+            Samples per averaged segment; default about N/8.
+        overlap : float
+            Share of a segment that the next one repeats, 0 <= overlap < 1.
+        window : str or tuple
+            Window, as for `scipy.signal.get_window`.
+
+        Returns
+        -------
+        FrequencyResponse
+            Holds `omega`, `response`, `coherence`, `std`, and as `frd` the
+            named `control.FrequencyResponseData`.
+
+        Raises
+        ------
+        DataError
+            If an input is constant, inputs run together, or the record is
+            too short.
+
+        See Also
+        --------
+        rcorefine.spectral.estimate_frequency_response : The formulas.
+        """
+        from .spectral import estimate_frequency_response
+
+        return estimate_frequency_response(
+            self, segment_length=segment_length, overlap=overlap, window=window
+        )
+
+    def plot(
+        self,
+        *,
+        ax: Any = None,
+        label: str | None = None,
+        title: str | None = None,
+        legend_loc: str | bool | None = None,
+        rcParams: dict[str, Any] | None = None,
+        show_legend: bool | None = None,
+    ) -> ct.ControlPlot:
+        """Plot outputs over inputs, one row per signal.
+
+        Parameters
+        ----------
+        ax : array of Axes, optional
+            Axes to draw in, shape (n_y + n_w, 1).
+        label : str, optional
+            Label of the curves; default the record's name.
+        title : str, optional
+            Title of the figure.
+        legend_loc : str or False, optional
+            Place of the legend, as in matplotlib.
+        rcParams : dict, optional
+            Matplotlib settings on top of `control.rcParams`.
+        show_legend : bool, optional
+            Force the legend on or off; default: off for one record.
+
+        Returns
+        -------
+        ControlPlot
+            Lines, axes, figure.
+        """
+        from .reporting.records import plot_measurement
+
+        return plot_measurement(
+            self,
+            ax=ax,
+            label=label,
+            title=title,
+            legend_loc=legend_loc,
+            rcParams=rcParams,
+            show_legend=show_legend,
+        )
+
+    def __repr__(self) -> str:
+        return (
+            f"<Measurement {self.name!r}: {self.n_inputs} input(s), {self.n_outputs} output(s), "
+            f"{self.n_samples} samples, dt={self.dt:g}, hold={self.hold!r}>"
+        )
+
+    def __str__(self) -> str:
+        from .reporting.records import measurement_text
+
+        return measurement_text(self)
+
+    def _repr_html_(self) -> str:
+        from .reporting.records import measurement_html
+
+        return measurement_html(self)

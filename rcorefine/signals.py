@@ -55,7 +55,9 @@ def as_signals(values: Any, what: str) -> Array:
     except ValueError as error:
         raise ct.ControlDimension(f"{what} holds signals of unequal lengths; give all the same") from error
     if array.dtype.kind == "c":
-        raise ct.ControlArgument(f"{what} is complex; a record is real (for a measured response use control.frd)")
+        raise ct.ControlArgument(
+            f"{what} is complex; a record is real (for a measured response use control.frd)"
+        )
     if array.dtype.kind not in "fiub":
         raise ct.ControlArgument(
             f"{what} must hold real numbers, not {array.dtype} such as {_first(array)!r}; convert it first"
@@ -64,15 +66,16 @@ def as_signals(values: Any, what: str) -> Array:
         raise ct.ControlDimension(f"{what} is a single number; give a signal over time")
     if array.ndim > 2:
         raise ct.ControlDimension(
-            f"{what} has shape {array.shape}; give (signal, time), one record at a time, or (time,) for one signal"
+            f"{what} has shape {array.shape}; give (signal, time), one record at a time, "
+            "or (time,) for one signal"
         )
     if array.size == 0:
         raise DataError(f"{what} is empty (shape {array.shape}); give at least one signal with one sample")
     if array.ndim == 2 and array.shape[0] > array.shape[1]:
         n_samples, n_signals = array.shape
         raise ct.ControlDimension(
-            f"{what} has shape {array.shape}: it looks transposed ({n_signals} signal(s) of {n_samples} samples?). "
-            f"Signals come first and time last, as in python-control; pass {what}.T"
+            f"{what} has shape {array.shape}: it looks transposed "
+            f"({n_signals} signal(s) of {n_samples} samples?). Signals come first and time last, as in python-control; pass {what}.T"
         )
     return np.atleast_2d(array).astype(np.float64)
 
@@ -144,8 +147,8 @@ def as_time_grid(dt: Any, timepts: Any, n_samples: int) -> tuple[float, Array]:
     if (steps <= 0).any():
         k = int(np.argmax(steps <= 0))
         raise DataError(
-            f"timepts does not increase from sample {k} ({times[k]:.9g} s) to sample {k + 1} ({times[k + 1]:.9g} s); "
-            "sort the record and remove doubled samples"
+            f"timepts does not increase from sample {k} ({times[k]:.9g} s) "
+            f"to sample {k + 1} ({times[k + 1]:.9g} s); sort the record and remove doubled samples"
         )
     # 12 digits keep 0.01 from becoming 0.010000000000000002
     mean = float(f"{(times[-1] - times[0]) / (n_samples - 1):.12g}")
@@ -167,10 +170,15 @@ def _check_regular(times: Array, steps: Array, mean: float) -> None:
     usual = float(np.median(steps))
     k = int(np.argmax(np.abs(steps - usual)))
     if abs(steps[k] - usual) > GRID_TOLERANCE * usual:
-        where = f"from sample {k} to {k + 1} (t = {times[k]:.9g} s) it advances by {steps[k]:.6g} s instead of {usual:.6g} s"
+        where = (
+            f"from sample {k} to {k + 1} (t = {times[k]:.9g} s) it advances by {steps[k]:.6g} s "
+            f"instead of {usual:.6g} s"
+        )
     else:
         k = int(np.argmax(off_grid))
-        where = f"sample {k} (t = {times[k]:.9g} s) is {off_grid[k]:.3g} s off the regular grid of {mean:.6g} s"
+        where = (
+            f"sample {k} (t = {times[k]:.9g} s) is {off_grid[k]:.3g} s off the regular grid of {mean:.6g} s"
+        )
     raise DataError(
         f"time is irregular: {where}. Resample the record on a regular grid "
         "(numpy.interp, scipy.signal.resample), or use a stretch without the gap"
@@ -182,7 +190,9 @@ def _as_step(dt: Any) -> float:
         raise ct.ControlArgument(f"dt must be the sampling time in seconds, a number, not {dt!r}")
     step = float(dt)
     if not np.isfinite(step) or step <= 0:
-        raise DataError(f"dt must be positive and finite, not {step:g}: a record is sampled, whatever the model")
+        raise DataError(
+            f"dt must be positive and finite, not {step:g}: a record is sampled, whatever the model"
+        )
     return step
 
 

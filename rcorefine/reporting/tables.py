@@ -1,0 +1,140 @@
+"""Tables as text of at most 80 columns and as HTML, every name escaped."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Sequence
+from html import escape
+
+__all__ = ["WIDTH", "clip", "html_table", "number", "text_table"]
+
+WIDTH = 80
+
+
+def number(value: float, digits: int = 4) -> str:
+    """Figure with `digits` significant digits; "-" where there is none.
+
+    Examples
+    --------
+    >>> number(0.123456), number(float("nan")), number(-12.0)
+    ('0.1235', '-', '-12')
+    """
+    value = float(value)
+    if math.isnan(value):
+        return "-"
+    return f"{value:.{digits}g}"
+
+
+def clip(text: str, width: int) -> str:
+    """Text of at most `width` characters, on one line, the cut marked by "..."."""
+    text = " ".join(text.split())
+    return text if len(text) <= width else text[: max(width - 3, 0)] + "..."
+
+
+def text_table(
+    headers: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    *,
+    title: str | None = None,
+    notes: Sequence[str] = (),
+    left: int = 1,
+    width: int = WIDTH,
+) -> str:
+    """Table in plain text.
+
+    Parameters
+    ----------
+    headers : sequence of str
+        One per column.
+    rows : sequence of sequence of str
+        Cells, formatted.
+    title : str, optional
+        Line(s) above.
+    notes : sequence of str
+        Sentences below, wrapped.
+    left : int
+        That many columns from the left are text, set left; the others are
+        set right.
+    width : int
+        Longest line; the widest text columns are cut to fit.
+
+    Returns
+    -------
+    str
+        Lines joined by newlines.
+
+    Examples
+    --------
+    >>> print(text_table(["model", "fit"], [["plant", "41.2"]], notes=["fit in percent."]))
+    model   fit
+    -----  ----
+    plant  41.2
+    fit in percent.
+    """
+    table = [list(headers), *[[str(cell) for cell in row] for row in rows]]
+    widths = [max(len(row[i]) for row in table) for i in range(len(headers))]
+    while sum(widths) + 2 * (len(widths) - 1) > width:
+        # names are cut rather than figures
+        widest = max(range(len(widths)), key=lambda i: (i < left, widths[i]) if widths[i] > 8 else (False, 0))
+        if widths[widest] <= 8:
+            break
+        widths[widest] -= 1
+    lines = []
+    for index, row in enumerate(table):
+        cells = [clip(cell, size) for cell, size in zip(row, widths, strict=True)]
+        lines.append(
+            "  ".join(
+                cell.ljust(size) if i < left else cell.rjust(size)
+                for i, (cell, size) in enumerate(zip(cells, widths, strict=True))
+            ).rstrip()
+        )
+        if index == 0:
+            lines.append("  ".join("-" * size for size in widths))
+    above = (
+        [] if title is None else [line for part in title.split("\n") for line in textwrap.wrap(part, width)]
+    )
+    below = [line for note in notes for line in textwrap.wrap(note, width, subsequent_indent="  ")]
+    return "\n".join([*above, *lines, *below])
+
+
+def html_table(
+    headers: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    *,
+    title: str | None = None,
+    notes: Sequence[str] = (),
+    left: int = 1,
+) -> str:
+    """Table in HTML; names from files may hold anything, so all is escaped.
+
+    Parameters
+    ----------
+    headers, rows, title, notes, left
+        As in `text_table`.
+
+    Returns
+    -------
+    str
+        One ``div`` element.
+
+    Examples
+    --------
+    >>> "&lt;b&gt;" in html_table(["model"], [["<b>"]])
+    True
+    """
+
+    def align(index: int) -> str:
+        return ' style="text-align:left"' if index < left else ' style="text-align:right"'
+
+    head = "".join(f'<th scope="col"{align(i)}>{escape(str(cell))}</th>' for i, cell in enumerate(headers))
+    body = "".join(
+        "<tr>" + "".join(f"<td{align(i)}>{escape(str(cell))}</td>" for i, cell in enumerate(row)) + "</tr>"
+        for row in rows
+    )
+    caption = "" if title is None else f"<caption>{escape(title)}</caption>"
+    below = "".join(f"<p>{escape(note)}</p>" for note in notes)
+    return (
+        f'<div class="rcorefine"><table>{caption}<thead><tr>{head}</tr></thead>'
+        f"<tbody>{body}</tbody></table>{below}</div>"
+    )
