@@ -103,7 +103,8 @@ def _sniff(header: str, names: Sequence[str]) -> str:
         cells = [cell.strip() for cell in next(_rows([header], delimiter))[1]]
         return sum(name in cells for name in names), len(cells)
 
-    return max([*_DELIMITERS, " "], key=score)
+    best: str = max([*_DELIMITERS, " "], key=score)
+    return best
 
 
 def _rows(lines: list[str], delimiter: str) -> Any:

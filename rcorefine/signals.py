@@ -47,7 +47,7 @@ def as_signals(values: Any, what: str) -> Array:
             f"{what} is a table of columns ({type(values).__name__}); "
             "read it with Measurement.from_frame(frame, inputs=[...], outputs=[...])"
         )
-    if np.ma.isMaskedArray(values) and np.ma.count_masked(values):
+    if np.ma.isMaskedArray(values) and np.ma.getmaskarray(values).any():
         place = np.argwhere(np.ma.getmaskarray(values))[0]
         raise DataError(f"{what} is masked at index {tuple(int(i) for i in place)}; repair or cut the gap")
     try:
@@ -75,7 +75,8 @@ def as_signals(values: Any, what: str) -> Array:
         n_samples, n_signals = array.shape
         raise ct.ControlDimension(
             f"{what} has shape {array.shape}: it looks transposed "
-            f"({n_signals} signal(s) of {n_samples} samples?). Signals come first and time last, as in python-control; pass {what}.T"
+            f"({n_signals} signal(s) of {n_samples} samples?). "
+            f"Signals come first and time last, as in python-control; pass {what}.T"
         )
     return np.atleast_2d(array).astype(np.float64)
 
@@ -159,7 +160,7 @@ def as_time_grid(dt: Any, timepts: Any, n_samples: int) -> tuple[float, Array]:
             "give one of the two (timepts in seconds)"
         )
     step = mean if step is None else step
-    return step, times[0] + step * np.arange(n_samples)
+    return step, np.asarray(times[0] + step * np.arange(n_samples), dtype=np.float64)
 
 
 def _check_regular(times: Array, steps: Array, mean: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -79,7 +80,7 @@ class FrequencyResponse:
     @property
     def magnitude(self) -> Array:
         """Magnitude of shape (n_y, n_w, n_omega), output unit per input unit."""
-        return np.abs(self.response)
+        return np.asarray(np.abs(self.response), dtype=np.float64)
 
     @property
     def phase(self) -> Array:
@@ -321,7 +322,7 @@ def _segment_length(given: int | None, n_samples: int) -> int:
     if given is None:
         if n_samples < 32:
             raise DataError(f"{n_samples} samples are too few for a frequency response; record at least 32")
-        return max(8, 2 ** round(np.log2(n_samples / 8)))
+        return max(8, 2 ** round(math.log2(n_samples / 8)))
     if isinstance(given, (bool, np.bool_)) or not isinstance(given, (int, np.integer)):
         raise ct.ControlArgument(f"segment_length must be a whole number of samples, not {given!r}")
     if not 4 <= given <= n_samples:

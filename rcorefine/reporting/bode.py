@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import control as ct
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..exceptions import ModelError
+from ..measurement import Measurement
+from ..spectral import FrequencyResponse
 from ..systems.discretization import discretize
 from ..systems.linear import Array, LinearModel
 from ..systems.response import frequency_response
 from .axes_of_bode import BodeUnits, bode_rows, broken_phase, draw_measured, magnitude_limits
 from .figures import BAND, curve_labels, finish, make_axes, settings, style
-
-if TYPE_CHECKING:
-    from ..measurement import Measurement
-    from ..spectral import FrequencyResponse
 
 __all__ = ["as_sampled", "bode_comparison", "bode_grid"]
 
@@ -88,23 +86,22 @@ def bode_comparison(
         (str(text), m if isinstance(m, LinearModel) else LinearModel.from_statespace(m))
         for text, m in systems
     ]
-    if measured is not None and not hasattr(measured, "coherence"):
-        measured = measured.frequency_response()
-    outputs, inputs = _channels(models, measured)
+    seen_as = measured.frequency_response() if isinstance(measured, Measurement) else measured
+    outputs, inputs = _channels(models, seen_as)
     points = None if omega is None else np.asarray(omega, dtype=float)
     names = curve_labels(label, [text for text, _ in models])
     with settings(rcParams):
-        ratios = [1.8, 1.4] if measured is None else [1.8, 1.4, 1.2]
+        ratios = [1.8, 1.4] if seen_as is None else [1.8, 1.4, 1.2]
         figure, axes = make_axes(ax, ratios * len(outputs), len(inputs))
-        units = bode_rows(axes, outputs, inputs, extra=None if measured is None else "error")
+        units = bode_rows(axes, outputs, inputs, extra=None if seen_as is None else "error")
         lines = np.empty(axes.shape, dtype=object)
         for place in np.ndindex(axes.shape):
             lines[place] = []
         for index, (name, (_, model)) in enumerate(zip(names, models, strict=True)):
-            seen = model if measured is None else as_sampled(model, measured.dt, measured.hold)
-            _draw_model(axes, lines, seen, bode_grid(seen, measured, points), name, index, units, measured)
-        if measured is not None:
-            _draw_measured(axes, lines, measured, units)
+            seen = model if seen_as is None else as_sampled(model, seen_as.dt, seen_as.hold)
+            _draw_model(axes, lines, seen, bode_grid(seen, seen_as, points), name, index, units, seen_as)
+        if seen_as is not None:
+            _draw_measured(axes, lines, seen_as, units)
         for i, j in np.ndindex(len(outputs), len(inputs)):
             magnitude_limits(axes[len(ratios) * i, j], lines[len(ratios) * i, j], units)
         return finish(

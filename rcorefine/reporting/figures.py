@@ -53,7 +53,8 @@ def style(index: int) -> Style:
 @contextmanager
 def settings(rcParams: dict[str, Any] | None) -> Iterator[None]:
     """Matplotlib settings: python-control's, then the caller's."""
-    with plt.rc_context({**ct.rcParams, **(rcParams or {})}):
+    changed: Any = {**ct.rcParams, **(rcParams or {})}
+    with plt.rc_context(changed):
         yield
 
 
