@@ -138,7 +138,7 @@ def as_time_grid(dt: Any, timepts: Any, n_samples: int) -> tuple[float, Array]:
     if timepts is None:
         if step is None:
             raise DataError("the record has no time: give dt (sampling time in s) or timepts (times in s)")
-        return step, step * np.arange(n_samples)
+        return step, step * np.arange(n_samples, dtype=np.float64)
     times = _as_times(timepts, n_samples)
     if n_samples == 1:
         if step is None:
@@ -160,7 +160,8 @@ def as_time_grid(dt: Any, timepts: Any, n_samples: int) -> tuple[float, Array]:
             "give one of the two (timepts in seconds)"
         )
     step = mean if step is None else step
-    return step, np.asarray(times[0] + step * np.arange(n_samples), dtype=np.float64)
+    grid: Array = float(times[0]) + step * np.arange(n_samples, dtype=np.float64)
+    return step, grid
 
 
 def _check_regular(times: Array, steps: Array, mean: float) -> None:

@@ -80,7 +80,8 @@ class FrequencyResponse:
     @property
     def magnitude(self) -> Array:
         """Magnitude of shape (n_y, n_w, n_omega), output unit per input unit."""
-        return np.asarray(np.abs(self.response), dtype=np.float64)
+        size: Array = np.abs(self.response)
+        return size
 
     @property
     def phase(self) -> Array:
@@ -90,10 +91,10 @@ class FrequencyResponse:
     @property
     def phase_std(self) -> Array:
         """Standard deviation of the phase in rad, at most that of a uniform phase."""
-        ratio = np.divide(
-            self.std, self.magnitude, out=np.full_like(self.std, np.inf), where=self.magnitude > 0
-        )
-        return np.minimum(ratio, np.pi / np.sqrt(3.0))
+        size = self.magnitude
+        ratio = np.divide(self.std, size, out=np.full_like(self.std, np.inf), where=size > 0)
+        limited: Array = np.minimum(ratio, np.pi / np.sqrt(3.0))
+        return limited
 
     @property
     def resolution(self) -> float:
@@ -322,7 +323,7 @@ def _segment_length(given: int | None, n_samples: int) -> int:
     if given is None:
         if n_samples < 32:
             raise DataError(f"{n_samples} samples are too few for a frequency response; record at least 32")
-        return max(8, 2 ** round(math.log2(n_samples / 8)))
+        return max(8, 1 << round(math.log2(n_samples / 8)))
     if isinstance(given, (bool, np.bool_)) or not isinstance(given, (int, np.integer)):
         raise ct.ControlArgument(f"segment_length must be a whole number of samples, not {given!r}")
     if not 4 <= given <= n_samples:

@@ -1,0 +1,204 @@
+"""Free-run comparison of models with a measured record."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from ..exceptions import DataError, DivergenceError
+from ..measurement import Measurement
+from ..physics.simulation import simulate
+from ..systems.linear import Array, LinearModel
+from .channels import Channels, aligned, match_channels, record_for, with_outputs
+from .result import Comparison
+
+__all__ = ["compare"]
+
+
+def compare(
+    model: Any,
+    data: Measurement,
+    *,
+    x0: str | Array | Sequence[float] = "estimate",
+    horizon: float | None = None,
+) -> Comparison:
+    """Simulate one or several models on a record and compare the outputs.
+
+    Parameters
+    ----------
+    model : StateSpace, PhysicalModel, Refinement, or list of them
+        Continuous, or discrete with the record's sampling time. Channels are
+        matched by name where model and record have names, in any order;
+        by position otherwise. Outputs that were not measured are left out.
+    data : Measurement
+        Record; its hold decides how continuous models see the inputs.
+    x0 : {"estimate", "zero"} or array_like of shape (n,)
+        Initial state: the one that fits this record best, rest, or given.
+    horizon : float, optional
+        Length in s of windows that start anew, each from its own estimated
+        initial state. For models with integrators or slow modes, whose free
+        run drifts away however good they are. The record is cut in the
+        whole number of equal windows that comes nearest. Default: one free
+        run over the whole record.
+
+    Returns
+    -------
+    Comparison
+        `fit`, `rmse`, `residual`, `simulated`; ``print`` it, ``.plot()`` it.
+
+    Raises
+    ------
+    control.ControlArgument
+        If a model or the record is something else; the message says what to
+        convert.
+    control.ControlDimension
+        If channels do not fit or a name is missing.
+    DataError
+        If the record or a window has too few samples to estimate the state.
+    DivergenceError
+        If a simulation leaves all bounds; the message names the model.
+
+    Warns
+    -----
+    ExcitationWarning
+        If an input is constant over the record.
+
+    Examples
+    --------
+    >>> t = 0.1 * np.arange(200)
+    >>> w = np.sign(np.sin(t))
+    >>> true = ct.ss([[-1.0]], [[1.0]], [[1.0]], [[0.0]], name="true")
+    >>> wrong = ct.ss([[-2.0]], [[1.0]], [[1.0]], [[0.0]], name="wrong")
+    >>> y = ct.forced_response(true.sample(0.1), t, w).outputs
+    >>> result = compare([wrong, true], rco.Measurement(w, y, dt=0.1))
+    >>> bool(result.fit[1, 0] > 99.999), bool(result.fit[0, 0] < 60)
+    (True, True)
+    """
+    if not isinstance(data, Measurement):
+        raise ct.ControlArgument(
+            f"data must be a rcorefine.Measurement, not {type(data).__name__}; build one with "
+            "Measurement(inputs, outputs, dt=...) or Measurement.from_response(...)"
+        )
+    several = isinstance(model, (list, tuple))
+    models = list(model) if several else [model]
+    if not models:
+        raise ct.ControlArgument("no model to compare; give one StateSpace or a list of them")
+    linear = [LinearModel.from_statespace(getattr(each, "system", each)) for each in models]
+    channels = [match_channels(each, data) for each in linear]
+    names = _unique([each.name for each in linear])
+    outputs = [i for i in range(data.n_outputs) if all(i in each.outputs for each in channels)]
+    if not outputs:
+        raise ct.ControlDimension(
+            "the models have no output of the record in common; compare them one by one"
+        )
+    data.check_excitation("compare", stacklevel=2)
+    notes = [note for each in channels for note in each.notes]
+    windows = _windows(data, horizon, x0, max(each.n_states for each in linear), len(outputs))
+    runs, states = [], []
+    for each, flat, places, name in zip(models, linear, channels, names, strict=True):
+        run, start = _simulate(each, flat, places, data, x0, windows, name, outputs)
+        runs.append(run)
+        states.append(start)
+    return Comparison(
+        names=tuple(names),
+        models=tuple(
+            aligned(each, places, data, outputs).with_arrays(name=name)
+            for each, places, name in zip(linear, channels, names, strict=True)
+        ),
+        data=with_outputs(data, outputs),
+        runs=np.array(runs),
+        initial_states=tuple(states),
+        starts=tuple(int(window.start) for window in windows),
+        horizon=None if horizon is None else float(horizon),
+        x0=x0 if isinstance(x0, str) else "given",
+        notes=tuple(dict.fromkeys(notes)),
+        several=several,
+    )
+
+
+def _windows(data: Measurement, horizon: float | None, x0: Any, n_states: int, n_outputs: int) -> list[slice]:
+    """Windows that cover the record, each long enough to estimate a state in."""
+    n = data.n_samples
+    count = 1
+    if horizon is not None:
+        if isinstance(horizon, (bool, np.bool_)) or not isinstance(horizon, (int, float, np.number)):
+            raise ct.ControlArgument(f"horizon must be a time in seconds, not {horizon!r}")
+        if not np.isfinite(horizon) or horizon <= 0:
+            raise DataError(f"horizon must be a positive time in seconds, not {horizon}")
+        if not isinstance(x0, str):
+            raise ct.ControlArgument("a given x0 holds for one start only; leave horizon or x0 out")
+        count = max(1, min(n, round(data.duration / float(horizon))))
+    if isinstance(x0, str) and x0 == "estimate":
+        shortest = n // count
+        if shortest * n_outputs <= n_states:
+            what = "the record" if count == 1 else f"a window of horizon = {horizon} s"
+            raise DataError(
+                f"{what} holds {shortest} samples of {n_outputs} output(s), too few to estimate {n_states} "
+                "initial states from and to judge by; give a longer one, or x0='zero'"
+            )
+    edges = np.linspace(0, n, count + 1).round().astype(int)
+    return [slice(int(a), int(b)) for a, b in pairwise(edges)]
+
+
+def _simulate(
+    model: Any,
+    linear: LinearModel,
+    channels: Channels,
+    data: Measurement,
+    x0: Any,
+    windows: list[slice],
+    name: str,
+    outputs: Sequence[int],
+) -> tuple[Array, Array]:
+    """Outputs (compared ones, in the record's order) and the initial state of each window."""
+    record = record_for(data, channels)
+    rows = [i for i, place in enumerate(channels.outputs) if place >= 0]
+    if len(rows) < len(channels.outputs):
+        if model is not getattr(model, "system", model):
+            unmeasured = ", ".join(linear.output_labels[i] for i, p in enumerate(channels.outputs) if p < 0)
+            raise ct.ControlDimension(
+                f"{name!r} has outputs that the record does not hold ({unmeasured}); only a plain "
+                "StateSpace can be compared on part of its outputs: measure them, build the model without "
+                "them, or pass .system"
+            )
+        model = linear.with_arrays(
+            C=linear.C[rows], D=linear.D[rows], output_labels=tuple(linear.output_labels[i] for i in rows)
+        ).to_statespace()
+    order = [[place for place in channels.outputs if place >= 0].index(place) for place in outputs]
+    start = x0 if isinstance(x0, str) else np.asarray(x0, dtype=float)
+    run = np.empty((len(outputs), data.n_samples))
+    states = np.empty((len(windows), linear.n_states))
+    for index, window in enumerate(windows):
+        try:
+            simulation = simulate(model, record.part(window) if len(windows) > 1 else record, start)
+        except DivergenceError as error:
+            raise DivergenceError(_DIVERGED.format(name=name, why=error)) from error
+        run[:, window] = simulation.outputs[order]
+        states[index] = simulation.x0[: linear.n_states]
+    if not np.isfinite(run).all():
+        k = int(np.argmin(np.isfinite(run).all(axis=0)))
+        why = f"its output is not finite from t = {data.timepts[k]:g} s on"
+        raise DivergenceError(_DIVERGED.format(name=name, why=why))
+    return run, states
+
+
+_DIVERGED = (
+    "the free run of model {name!r} diverges: {why}. Look at its poles (control.poles); "
+    "horizon=... starts it anew every so many seconds"
+)
+
+
+def _unique(names: Sequence[str]) -> list[str]:
+    """Names that differ: the second "plant" becomes "plant (2)"."""
+    result: list[str] = []
+    for name in names:
+        candidate, count = name, 1
+        while candidate in result:
+            count += 1
+            candidate = f"{name} ({count})"
+        result.append(candidate)
+    return result

@@ -1,0 +1,247 @@
+"""What `compare` returns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import control as ct
+import numpy as np
+
+from ..measurement import Measurement
+from ..systems.linear import Array, LinearModel
+from .metrics import fit_percent, root_mean_square
+
+if TYPE_CHECKING:
+    from ..spectral import FrequencyResponse
+
+__all__ = ["Comparison"]
+
+_KINDS = ("time", "bode")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """Models beside the record that they were simulated on.
+
+    Arrays have a leading axis over the models where `compare` was given a
+    list, and none where it was given one model.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names of the models, made unique.
+    models : tuple of LinearModel
+        Their linear parts, channels in the record's order.
+    data : Measurement
+        The record, with the outputs that were compared.
+    runs : ndarray of shape (n_models, n_y, N)
+        Simulated outputs.
+    initial_states : tuple of ndarray of shape (n_windows, n)
+        Initial state of each model at the start of each window.
+    starts : tuple of int
+        First sample of each window; (0,) for one free run.
+    horizon : float or None
+        Length of the windows in s as asked for.
+    x0 : str
+        "estimate", "zero" or "given".
+    notes : tuple of str
+        Channels that were reordered or left out.
+    several : bool
+        Whether a list of models was compared.
+    """
+
+    names: tuple[str, ...]
+    models: tuple[LinearModel, ...]
+    data: Measurement
+    runs: Array
+    initial_states: tuple[Array, ...]
+    starts: tuple[int, ...]
+    horizon: float | None
+    x0: str
+    notes: tuple[str, ...]
+    several: bool
+
+    def _shaped(self, array: Array) -> Array:
+        return array if self.several else array[0]
+
+    @property
+    def fit(self) -> Array:
+        """Fit in percent, shape (n_y,) or (n_models, n_y).
+
+        100 (1 - norm(y - yh) / norm(y - mean(y))); NaN for a constant output.
+        """
+        return self._shaped(fit_percent(self.data.outputs[None], self.runs))
+
+    @property
+    def nrmse(self) -> Array:
+        """Error over the spread of the output, 1 - fit/100, same shape."""
+        return 1.0 - self.fit / 100.0
+
+    @property
+    def rmse(self) -> Array:
+        """Root mean square of the residual in output units, shape (n_y,) or (n_models, n_y)."""
+        return self._shaped(root_mean_square(self.data.outputs[None] - self.runs))
+
+    @property
+    def residual(self) -> Array:
+        """Measured minus simulated, shape (n_y, N) or (n_models, n_y, N)."""
+        return self._shaped(self.data.outputs[None] - self.runs)
+
+    @property
+    def simulated(self) -> Array:
+        """Simulated outputs, shape (n_y, N) or (n_models, n_y, N)."""
+        return self._shaped(self.runs)
+
+    @property
+    def responses(self) -> tuple[ct.TimeResponseData, ...]:
+        """Simulated outputs as `control.TimeResponseData`, one per model."""
+        return tuple(
+            ct.TimeResponseData(
+                self.data.timepts.copy(),
+                run.copy(),
+                inputs=self.data.inputs.copy(),
+                output_labels=list(self.data.output_labels),
+                input_labels=list(self.data.input_labels),
+                issiso=self.data.n_inputs == self.data.n_outputs == 1,
+                sysname=name,
+            )
+            for name, run in zip(self.names, self.runs, strict=True)
+        )
+
+    def select(self, name: str | int) -> Comparison:
+        """Comparison of one of the models.
+
+        Parameters
+        ----------
+        name : str or int
+            Name, or position in `names`.
+
+        Returns
+        -------
+        Comparison
+            With arrays of shape (n_y, ...).
+
+        Raises
+        ------
+        control.ControlArgument
+            If there is no such model; the message lists those that exist.
+        """
+        if isinstance(name, str) and name in self.names:
+            index = self.names.index(name)
+        elif (
+            isinstance(name, int)
+            and not isinstance(name, bool)
+            and -len(self.names) <= name < len(self.names)
+        ):
+            index = name % len(self.names)
+        else:
+            raise ct.ControlArgument(f"no model {name!r}; there are {', '.join(map(repr, self.names))}")
+        return replace(
+            self,
+            names=(self.names[index],),
+            models=(self.models[index],),
+            runs=self.runs[index : index + 1],
+            initial_states=(self.initial_states[index],),
+            several=False,
+        )
+
+    def __str__(self) -> str:
+        from ..reporting.comparisons import comparison_text
+
+        return comparison_text(self)
+
+    def _repr_html_(self) -> str:
+        from ..reporting.comparisons import comparison_html
+
+        return comparison_html(self)
+
+    def plot(
+        self,
+        kind: str = "time",
+        *,
+        measured: FrequencyResponse | None = None,
+        omega: Any = None,
+        ax: Any = None,
+        label: str | Sequence[str] | None = None,
+        title: str | None = None,
+        legend_loc: str | bool | None = None,
+        rcParams: dict[str, Any] | None = None,
+        show_legend: bool | None = None,
+    ) -> ct.ControlPlot:
+        """Draw the record and the models.
+
+        Parameters
+        ----------
+        kind : {"time", "bode"}
+            "time": measured and simulated outputs, fit % in the legend, and a
+            row of residuals. "bode": frequency responses of the models'
+            linear parts as the record sees them (its dt and hold), measured
+            points with a band of two standard deviations, and a row with the
+            relative error.
+        measured : FrequencyResponse, optional
+            For "bode": measured response in place of
+            ``data.frequency_response()``, e.g. with another segment length.
+        omega : array_like, optional
+            For "bode": frequencies in rad/s of the models' curves.
+        ax : array of Axes, optional
+            Axes to draw in, shape (2 n_y, 1) for "time", (3 n_y, n_w) for "bode".
+        label : str or sequence of str, optional
+            Labels of the models in place of their names.
+        title : str, optional
+            Title of the figure.
+        legend_loc : str or False, optional
+            Place of the legend, as in matplotlib; False for none.
+        rcParams : dict, optional
+            Matplotlib settings on top of `control.rcParams`.
+        show_legend : bool, optional
+            Force the legend on or off.
+
+        Returns
+        -------
+        ControlPlot
+            Lines, axes, figure.
+
+        Raises
+        ------
+        control.ControlArgument
+            If `kind` is unknown.
+        DataError
+            For "bode": if the record is too short or does not excite.
+        """
+        if kind not in _KINDS:
+            raise ct.ControlArgument(f"kind must be one of {', '.join(map(repr, _KINDS))}, not {kind!r}")
+        if kind == "bode":
+            from ..reporting.bode import bode_comparison
+
+            return bode_comparison(
+                [(model.name, model) for model in self.models],
+                self.data.frequency_response() if measured is None else measured,
+                omega,
+                ax=ax,
+                label=label,
+                title=f"Models and record {self.data.name}" if title is None and ax is None else title,
+                legend_loc=legend_loc,
+                rcParams=rcParams,
+                show_legend=show_legend,
+            )
+        for keyword, value in (("measured", measured), ("omega", omega)):
+            if value is not None:
+                raise ct.ControlArgument(f"{keyword} belongs to kind='bode', not to kind='time'")
+        from ..reporting.comparisons import plot_time
+
+        return plot_time(
+            self,
+            ax=ax,
+            label=label,
+            title=title,
+            legend_loc=legend_loc,
+            rcParams=rcParams,
+            show_legend=show_legend,
+        )
+
+    def __repr__(self) -> str:
+        fits = np.atleast_2d(self.fit).mean(axis=1)
+        listed = ", ".join(f"{name!r} {fit:.1f} %" for name, fit in zip(self.names, fits, strict=True))
+        return f"<Comparison on {self.data.name!r}: {listed}>"

@@ -1,0 +1,170 @@
+"""Tables and the time picture of a `Comparison`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import control as ct
+import numpy as np
+
+from .figures import MEASURED, curve_labels, finish, make_axes, settings, style, unit_text
+from .tables import html_table, number, text_table
+
+if TYPE_CHECKING:
+    from ..comparison.result import Comparison
+
+__all__ = ["comparison_html", "comparison_text", "plot_time"]
+
+_START = {
+    "estimate": "the initial state is estimated from the record",
+    "zero": "from rest (x0 = 0)",
+    "given": "from the given x0",
+}
+
+
+def _cells(result: Comparison) -> tuple[list[str], list[list[str]], str, list[str]]:
+    data = result.data
+    headers = ["model", "output", "unit", "fit [%]", "RMSE", "bias", "largest", "at [s]"]
+    residual = data.outputs[None] - result.runs
+    fit, rmse = np.atleast_2d(result.fit), np.atleast_2d(result.rmse)
+    rows = []
+    for m, name in enumerate(result.names):
+        for i, output in enumerate(data.output_labels):
+            worst = int(np.argmax(np.abs(residual[m, i])))
+            rows.append(
+                [
+                    name,
+                    output,
+                    data.output_units[i],
+                    number(fit[m, i], 3) if abs(fit[m, i]) < 99.5 else f"{fit[m, i]:.5g}",
+                    number(rmse[m, i], 3),
+                    number(residual[m, i].mean(), 2),
+                    number(residual[m, i, worst], 3),
+                    number(data.timepts[worst], 4),
+                ]
+            )
+    count = len(result.names)
+    title = (
+        f"{count} model{'s' if count > 1 else ''} on record {data.name!r}: {data.n_samples} samples, "
+        f"dt = {number(data.dt, 6)} s, t = {number(data.timepts[0])} ... {number(data.timepts[-1])} s, "
+        f"hold {data.hold!r}"
+    )
+    notes = [
+        _how(result),
+        "fit = 100 (1 - |y - yh| / |y - mean(y)|): 100 % is perfect, 0 % is no better than the mean of the "
+        "output, below 0 % is worse.",
+        "RMSE: typical size of the residual (measured minus simulated), in the output's unit; bias: its "
+        "mean; largest: its largest value and when.",
+    ]
+    if np.isnan(fit).any():
+        notes.append("fit '-': the measured output is constant, so there is nothing to explain.")
+    notes += [f"{note[0].upper()}{note[1:]}." for note in result.notes]
+    return headers, rows, title, notes
+
+
+def _how(result: Comparison) -> str:
+    if len(result.starts) == 1:
+        return f"Free run over the whole record (simulation, not prediction); {_START[result.x0]}."
+    length = result.data.duration / len(result.starts)
+    return (
+        f"Free run in {len(result.starts)} windows of {number(length, 3)} s, each started anew; "
+        f"{_START[result.x0]} in every window."
+    )
+
+
+def comparison_text(result: Comparison) -> str:
+    """Table with one row per model and output, at most 80 columns."""
+    headers, rows, title, notes = _cells(result)
+    headers, rows = _without_empty_unit(headers, rows)
+    return text_table(headers, rows, title=title, notes=notes, left=len(headers) - 5)
+
+
+def comparison_html(result: Comparison) -> str:
+    """Table with one row per model and output, HTML."""
+    headers, rows, title, notes = _cells(result)
+    headers, rows = _without_empty_unit(headers, rows)
+    return html_table(headers, rows, title=title, notes=notes, left=len(headers) - 5)
+
+
+def _without_empty_unit(headers: list[str], rows: list[list[str]]) -> tuple[list[str], list[list[str]]]:
+    if any(row[2] for row in rows):
+        return headers, rows
+    return headers[:2] + headers[3:], [row[:2] + row[3:] for row in rows]
+
+
+def plot_time(
+    result: Comparison,
+    *,
+    ax: Any = None,
+    label: str | Sequence[str] | None = None,
+    title: str | None = None,
+    legend_loc: str | bool | None = None,
+    rcParams: dict[str, Any] | None = None,
+    show_legend: bool | None = None,
+) -> ct.ControlPlot:
+    """Measured and simulated outputs, and the residuals; see `Comparison.plot`."""
+    data = result.data
+    names = curve_labels(label, result.names)
+    fits = np.atleast_2d(result.fit)
+    residual = data.outputs[None] - result.runs
+    with settings(rcParams):
+        figure, axes = make_axes(ax, [1.9, 1.0] * data.n_outputs, 1)
+        lines = np.empty(axes.shape, dtype=object)
+        for i, (output, unit) in enumerate(zip(data.output_labels, data.output_units, strict=True)):
+            upper, lower = axes[2 * i, 0], axes[2 * i + 1, 0]
+            # the record lies under the models, broad and pale: a good model would hide it otherwise
+            lines[2 * i, 0] = upper.plot(
+                data.timepts, data.outputs[i], color="0.72", linewidth=2.8, label=data.name, zorder=1
+            )
+            lines[2 * i + 1, 0] = []
+            lower.axhline(0.0, color=MEASURED, linewidth=0.7, zorder=1)
+            for m, name in enumerate(names):
+                look: dict[str, Any] = dict(style(m)._asdict(), zorder=3)
+                look["linewidth"] = 0.8 * look["linewidth"]
+                fit = "" if np.isnan(fits[m, i]) else f" (fit {_percent(fits[m, i])} %)"
+                times, run = _broken(data.timepts, result.runs[m, i], result.starts)
+                lines[2 * i, 0] += upper.plot(times, run, label=name + fit, **look)
+                times, rest = _broken(data.timepts, residual[m, i], result.starts)
+                lines[2 * i + 1, 0] += lower.plot(times, rest, label=name, **look)
+            _focus(upper, data.outputs[i], result.runs[:, i])
+            upper.set_ylabel(unit_text(output, unit))
+            lower.set_ylabel(unit_text("Residual", unit))
+            for axis in (upper, lower):
+                axis.grid(True, alpha=0.3)
+        axes[-1, 0].set_xlabel("Time [s]")
+        axes[-1, 0].margins(x=0.01)
+        figure.align_ylabels(axes[:, 0])
+        return finish(
+            figure,
+            axes,
+            lines,
+            title=f"Models and record {data.name}" if title is None and ax is None else title,
+            legends=list(axes[::2, 0]),
+            legend_loc=legend_loc,
+            show_legend=show_legend,
+        )
+
+
+def _percent(fit: float) -> str:
+    """Fit with one decimal, more where it is close to 100, none where it is far off."""
+    if abs(fit) < 99.5:
+        return f"{fit:.1f}"
+    return f"{fit:.4g}" if fit < 0 else f"{fit:.2f}"
+
+
+def _broken(times: Any, values: Any, starts: Sequence[int]) -> tuple[Any, Any]:
+    """A line that stops at the start of each window."""
+    cuts = np.asarray(starts[1:], dtype=int)
+    return np.insert(times, cuts, times[cuts]), np.insert(values, cuts, np.nan)
+
+
+def _focus(axis: Any, measured: Any, runs: Any) -> None:
+    """Keep the record readable where a model runs far away."""
+    low, high = float(measured.min()), float(measured.max())
+    span = (high - low) or max(abs(high), 1.0)
+    reach = (max(float(runs.max()), high), min(float(runs.min()), low))
+    if reach[0] > high + 2.0 * span or reach[1] < low - 2.0 * span:
+        axis.set_ylim(
+            max(reach[1], low - 2.0 * span) - 0.05 * span, min(reach[0], high + 2.0 * span) + 0.05 * span
+        )
