@@ -251,7 +251,7 @@ _DAMPING = (
             _C("displacement", "position", lower=0.0, default_start=None,
                explanation="presliding displacement: how far it gives before it slips"),
         ),
-        "dz/dt = v - |v| z/displacement, f = force z/displacement (Dahl)",
+        "f = t z/D, dz/dt = v - |v| z/D (Dahl)",
         "The force at {place} depends on the path taken: a joint that gives a little before it slips.",
         needs="velocity", inner_states=1,
     ),
@@ -274,7 +274,7 @@ _OTHER = (
             _C("damping", "force/velocity", lower=0.0, default_start=None, explanation="its damper"),
             _C("stiffness", "force/position", lower=0.0, default_start=None, explanation="its spring"),
         ),
-        "m z'' = c (v - z') + k (d - z), f = c (v - z') + k (d - z)",
+        "m z'' = f = c (v - z') + k (d - z)",
         "Something is attached at {place} and vibrates on its own spring: "
         "a mass, spring and damper that the model lacks.",
         linear=True, needs="velocity", inner_states=2,

@@ -152,7 +152,7 @@ def _rate_weights(linear: LinearModel, rows: list[int], c: Array, d: Array, tole
             weights[index] = (c @ row) / (row @ row)
             candidates.append(weights)
     candidates.sort(key=lambda weights: abs(abs(weights).max() - 1.0))
-    candidates.append(np.linalg.lstsq(A.T, c, rcond=None)[0])
+    candidates.append(np.asarray(np.linalg.lstsq(A.T, c, rcond=None)[0], dtype=np.float64))
     for weights in candidates:
         weights = np.where(np.abs(weights) > 1e-9 * np.abs(weights).max(), weights, 0.0)
         if np.abs(weights @ A - c).max() > max(10 * tolerance, 1e-9) * np.abs(c).max():
@@ -164,5 +164,5 @@ def _rate_weights(linear: LinearModel, rows: list[int], c: Array, d: Array, tole
         damped = bool(np.any(c[rows]))
         shorter = used.size < np.count_nonzero(np.abs(c) > tolerance * np.abs(c).max())
         if agrees or (unit and (shorter or used.size == 1)) or (damped and shorter):
-            return np.asarray(weights)
+            return np.asarray(weights, dtype=np.float64)
     return None
