@@ -1,0 +1,156 @@
+"""The command `rcorefine`: exit codes, streams, and the demo with its pictures."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+import pytest
+
+import rcorefine as rco
+from rcorefine.cli import main
+
+ROOT = Path(__file__).resolve().parent.parent
+DEMO_LIMIT = 60.0  # s, the promise of the README for two cores, first compilation included
+
+
+def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Start `python -m rcorefine` in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-m", "rcorefine", *arguments],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
+        stdin=subprocess.DEVNULL,
+        timeout=600,
+        check=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[subprocess.CompletedProcess[str], Path, float]:
+    """One demo as a user sees it on first use: nothing compiled yet, progress shown."""
+    output = tmp_path_factory.mktemp("demo") / "a" / "new folder"
+    started = time.perf_counter()
+    done = run("demo", "--output", str(output), NUMBA_CACHE_DIR=str(tmp_path_factory.mktemp("cache")))
+    return done, output, time.perf_counter() - started
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["demo", "--help"], ["--version"]])
+def test_help_and_version_end_with_0(arguments, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(arguments)
+    assert end.value.code == 0
+    captured = capsys.readouterr()
+    assert captured.out
+    assert not captured.err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [[], ["dmeo"], ["demo", "--no-such-option"], ["demo", "--seed", "-1"], ["demo", "--seed", "x"]],
+)
+def test_wrong_usage_ends_with_2(arguments, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(arguments)
+    assert end.value.code == 2
+    captured = capsys.readouterr()
+    assert "usage: rcorefine" in captured.err
+    assert not captured.out
+
+
+def test_failed_work_ends_with_1(tmp_path, capsys):
+    """The folder for the pictures is a file: said before any work is done."""
+    blocked = tmp_path / "taken"
+    blocked.write_text("a file, not a folder")
+    assert main(["demo", "--quiet", "--output", str(blocked)]) == 1
+    captured = capsys.readouterr()
+    assert "taken" in captured.err
+    assert "Traceback" not in captured.err
+    assert blocked.read_text() == "a file, not a folder"
+
+
+def test_module_is_the_command():
+    done = run("--version")
+    assert done.returncode == 0
+    assert done.stdout.strip() == f"rcorefine {rco.__version__}"
+
+
+def test_demo_ends_well_and_in_time(demo):
+    done, _, elapsed = demo
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+    assert elapsed < DEMO_LIMIT
+
+
+def test_demo_shows_progress_on_standard_error_only(demo):
+    done, _, _ = demo
+    assert "100%" in done.stderr
+    assert "%|" not in done.stdout
+    assert done.stdout.isascii()
+    assert max(map(len, done.stdout.splitlines())) <= 100
+
+
+def test_demo_says_that_the_refined_model_is_better(demo):
+    """The fit on held-out data rises from poor to what the noise allows (2 % of noise: about 98 %)."""
+    done, _, _ = demo
+    before, after = (
+        float(x) for x in re.search(r"fit.*?(-?[\d.]+) %.*?to (-?[\d.]+) %", done.stdout).groups()
+    )
+    assert before < 50.0
+    assert 95.0 < after <= 98.5
+
+
+def test_demo_finds_the_parts_of_the_circuit(demo):
+    """Inductance and capacitance of the paper's circuit, within the 6 % that 2 % noise allows."""
+    done, _, _ = demo
+    inductance = float(re.search(r"L\s*=?\s*([\d.]+) mH", done.stdout).group(1))
+    capacitance = float(re.search(r"C\s*=?\s*([\d.]+) uF", done.stdout).group(1))
+    assert inductance == pytest.approx(55.0, rel=0.06)
+    assert capacitance == pytest.approx(23.5, rel=0.06)
+
+
+def test_demo_writes_pictures(demo):
+    done, output, _ = demo
+    pictures = sorted(path.name for path in output.iterdir())
+    assert pictures == ["bode.png", "time.png"]
+    for name in pictures:
+        assert str(output / name) in done.stdout.replace("\n", "")
+        pixels = matplotlib.image.imread(output / name)
+        height, width = pixels.shape[:2]
+        assert height >= 500
+        assert width >= 700
+        assert np.ptp(pixels[..., :3]) > 0.5, f"{name} is blank"
+
+
+def test_demo_is_the_same_without_numba(demo, tmp_path):
+    """Same text, figure by figure: one source, compiled or not. Quiet means quiet."""
+    done, output, _ = demo
+    plain = run("demo", "--quiet", "--output", str(tmp_path / "x"), RCOREFINE_NUMBA="0")
+    assert plain.returncode == 0, plain.stderr
+    assert plain.stderr == ""
+    assert plain.stdout.replace(str(tmp_path / "x"), "") == done.stdout.replace(str(output), "")
+
+
+def test_demo_survives_a_reader_that_leaves(tmp_path):
+    """`rcorefine demo | head -1` ends without a traceback."""
+    with subprocess.Popen(
+        [sys.executable, "-u", "-m", "rcorefine", "demo", "--quiet", "--output", str(tmp_path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert process.stdout.readline()
+        process.stdout.close()
+        errors = process.stderr.read()
+        assert process.wait(timeout=600) == 1
+    assert errors == ""
