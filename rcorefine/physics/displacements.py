@@ -36,7 +36,7 @@ class Displacement:
 
 
 def is_companion(A: Array, tolerance: float = 1e-9) -> bool:
-    """Whether A is a companion matrix, as in the canonical forms.
+    """Whether A is a companion matrix, as in the observable canonical form.
 
     Parameters
     ----------
@@ -48,23 +48,26 @@ def is_companion(A: Array, tolerance: float = 1e-9) -> bool:
     Returns
     -------
     bool
-        True for n >= 3 if all of A but one row or one column is a chain of ones.
-        (With two states the controllable form is that of a mass on a spring.)
+        True for n >= 3 if all of A but one column is a chain of ones.
+
+    Notes
+    -----
+    The controllable form, with a free row, is a chain of integrators, which
+    `find_displacements` looks into: with two states it is a mass on a spring, and with a
+    row that does not look back a mass behind a lagged actuator.
     """
     n = A.shape[0]
     if n < 3:
         return False
-    for matrix in (A, A.T):
-        for free in range(n):
-            chain = matrix.copy()
-            chain[:, free] = 0.0
-            chain[np.abs(chain) <= tolerance] = 0.0
-            rest = np.delete(chain, free, axis=1)
-            if (np.count_nonzero(rest, axis=0) != 1).any() or not np.allclose(rest.sum(axis=0), 1.0):
-                continue
-            # nilpotent of full index = one path through all the states
-            if np.any(np.linalg.matrix_power(chain, n - 1)):
-                return True
+    for free in range(n):
+        chain = np.where(np.abs(A) > tolerance, A, 0.0)
+        chain[:, free] = 0.0
+        rest = np.delete(chain, free, axis=1)
+        if (np.count_nonzero(rest, axis=0) != 1).any() or not np.allclose(rest.sum(axis=0), 1.0):
+            continue
+        # nilpotent of full index = one path through all the states
+        if np.any(np.linalg.matrix_power(chain, n - 1)):
+            return True
     return False
 
 
