@@ -65,12 +65,18 @@ def _requests(sensors: Any, size: int) -> list[tuple[str, Any]]:
         raise ct.ControlArgument(
             f"sensors must be a quantity, a pair (quantity, mass) or a list of these, not {sensors!r}"
         )
-    pair = len(sensors) == 2 and isinstance(sensors[0], str)
-    if pair and not (isinstance(sensors[1], str) and sensors[1] in QUANTITIES):
+    pair = len(sensors) == 2 and isinstance(sensors[0], str) and not _is_request(sensors[1])
+    if pair:
         where = sensors[1]
         several = isinstance(where, Sequence) and not isinstance(where, str)
         return [(sensors[0], item) for item in (where if several else [where])]
     return [request for item in sensors for request in _requests(item, size)]
+
+
+def _is_request(item: Any) -> bool:
+    """Whether an item is a sensor of its own rather than a place."""
+    first = item if isinstance(item, str) else item[0] if isinstance(item, Sequence) and item else None
+    return isinstance(first, str) and first in QUANTITIES
 
 
 def parse_force(force: Any, size: int) -> tuple[Array, list[str]]:

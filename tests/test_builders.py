@@ -1,0 +1,534 @@
+"""Builders against independent derivations: by hand, Lagrange, closed-form transfer functions."""
+
+import pickle
+from dataclasses import replace
+
+import control as ct
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+
+from rcorefine.exceptions import ModelError
+from rcorefine.physics import (
+    PhysicalModel,
+    dc_motor,
+    effect_library,
+    mass_spring_damper,
+    mechanical,
+    quarter_car,
+    series_rlc,
+    thermal_network,
+    two_tanks,
+)
+
+OMEGA = np.geomspace(1e-2, 1e3, 25)
+
+
+def response(model, omega=OMEGA):
+    """G(jw) of shape (n_y, n_w, n_omega), by solving at each frequency."""
+    sys = getattr(model, "system", model)
+    eye = np.eye(sys.nstates)
+    return np.stack(
+        [sys.C @ np.linalg.solve(1j * w * eye - sys.A, sys.B.astype(complex)) + sys.D for w in omega], axis=-1
+    )
+
+
+def with_parameter(model, name, change):
+    """A, B, C, D when a parameter changes, through its port: the algebra that the engine solves."""
+    item = next(item for item in model.parameters if item.name == name)
+    port, linear = model.port(item.place), model.linear
+    A, B, inertia = linear.A.copy(), linear.B.copy(), np.eye(linear.n_states)
+    if item.kind == "stiffness":
+        A += change * np.outer(port.act, port.position)
+        B += change * np.outer(port.act, port.position_input)
+    elif item.kind == "damping":
+        A += change * np.outer(port.act, port.velocity)
+        B += change * np.outer(port.act, port.velocity_input)
+    else:  # dx/dt = A x + B w + act t (velocity dx/dt + acceleration_input w)
+        inertia -= change * np.outer(port.act, port.velocity)
+        B += change * np.outer(port.act, port.acceleration_input)
+    A, B = np.linalg.solve(inertia, A), np.linalg.solve(inertia, B)
+    C = model.output_state + model.output_rate @ A
+    return ct.ss(A, B, C, model.output_input + model.output_rate @ B)
+
+
+# ---------------------------------------------------------------- each parameter, through its place
+def chain_of(p):
+    return mass_spring_damper(
+        [p["m1"], p["m2"], p["m3"]],
+        [p["c1"], p["c2"], p["c3"], p["c4"]],
+        [p["k1"], p["k2"], p["k3"], p["k4"]],
+        force=[1, 3],
+        sensors=["displacement", ("velocity", 2), ("acceleration", (1, 3)), ("displacement", "link2")],
+    )
+
+
+def shaken_of(p):
+    return mass_spring_damper(
+        [p["m1"], p["m2"]],
+        [p["c1"], p["c2"]],
+        [p["k1"], p["k2"]],
+        excitation="base",
+        sensors=["acceleration", ("velocity", 1)],
+    )
+
+
+def general_of(p):
+    K = [[p["k1"] + p["k12"], -p["k12"]], [-p["k12"], p["k12"] + p["k2"]]]
+    C = [[p["c1"] + p["c12"], -p["c12"]], [-p["c12"], p["c12"] + p["c2"]]]
+    return mechanical([p["m1"], p["m2"]], C, K, sensors=["acceleration", "velocity"])
+
+
+def car_of(p):
+    return quarter_car(
+        p["body_mass"],
+        p["wheel_mass"],
+        p["suspension_stiffness"],
+        p["suspension_damping"],
+        p["tire_stiffness"],
+        p["tire_damping"],
+        actuator=True,
+        sensors=["body_acceleration", "wheel_acceleration", "suspension_deflection", "tire_deflection"],
+    )
+
+
+def raised_of(p):
+    return quarter_car(
+        p["body_mass"],
+        p["wheel_mass"],
+        p["suspension_stiffness"],
+        p["suspension_damping"],
+        p["tire_stiffness"],
+        road="displacement",
+        sensors=["body_position", "tire_deflection", "wheel_acceleration"],
+    )
+
+
+CHAIN = {f"{x}{i}": v for x, vs in {"m": (1.0, 2, 3), "c": (1, 2, 3, 4), "k": (50, 60, 70, 80)}.items()
+         for i, v in enumerate(vs, 1)}  # fmt: skip
+CAR = {
+    "body_mass": 250.0, "wheel_mass": 35.0, "suspension_stiffness": 16e3, "suspension_damping": 1e3,
+    "tire_stiffness": 160e3, "tire_damping": 80.0,
+}  # fmt: skip
+CASES = {
+    "chain": (chain_of, CHAIN, {}),
+    "shaken": (shaken_of, {"m1": 1.0, "m2": 2.0, "c1": 1, "c2": 2, "k1": 30, "k2": 40}, {}),
+    "general": (
+        general_of,
+        {"m1": 1.0, "m2": 2.0, "c1": 1, "c12": 2, "c2": 3, "k1": 30, "k12": 40, "k2": 50},
+        {"c1": "c[mass1]", "c12": "c[mass1-mass2]", "c2": "c[mass2]", "k1": "k[mass1]",
+         "k12": "k[mass1-mass2]", "k2": "k[mass2]"},
+    ),
+    "rlc": (
+        lambda p: series_rlc(p["R"], p["L"], 1 / p["1/C"], sensors=["current", "charge"]),
+        {"R": 250.0, "L": 0.055, "1/C": 4e4},
+        {},
+    ),
+    "motor": (
+        lambda p: dc_motor(
+            R=p["R"], L=p["L"], Kt=0.1, J=p["J"], b=p["b"], load_torque=True,
+            sensors=["speed", "angle", "current"],
+        ),
+        {"R": 1.5, "L": 0.2, "J": 0.01, "b": 0.02},
+        {},
+    ),
+    "speed": (
+        lambda p: dc_motor(gain=1 / p["1/gain"], time_constant=p["tau/gain"] / p["1/gain"]),
+        {"1/gain": 0.5, "tau/gain": 0.2},
+        {},
+    ),
+    "thermal": (
+        lambda p: thermal_network(
+            [p["C1"], p["C2"], p["C3"]], {(1, 2): 1 / p["G12"], (2, 3): 1 / p["G23"], (3, 0): 1 / p["G3"]},
+            heat=[1, 2],
+        ),
+        {"C1": 1.0, "C2": 2.0, "C3": 5.0, "G12": 2.0, "G23": 3.0, "G3": 0.5},
+        {"C1": "C[T1]", "C2": "C[T2]", "C3": "C[T3]", "G12": "1/R[T1-T2]", "G23": "1/R[T2-T3]",
+         "G3": "1/R[T3-ambient]"},
+    ),
+    "tanks": (
+        lambda p: two_tanks([p["A1"], p["A2"]], [p["k1"], p["k2"]], pump_gain=3.0, sensors=[1, 2]),
+        {"A1": 2.0, "A2": 1.0, "k1": 0.5, "k2": 0.25},
+        {},
+    ),
+    "car": (car_of, CAR, {}),
+    "raised": (raised_of, {key: value for key, value in CAR.items() if key != "tire_damping"}, {}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "case, name", [(case, name) for case, (_, values, _) in CASES.items() for name in values]
+)
+def test_changing_a_parameter_is_an_effect_at_its_place(case, name):
+    """The port of each parameter gives the model that is built with the changed value."""
+    build, values, names = CASES[case]
+    model = build(values)
+    shown = names.get(name, name)
+    item = next(item for item in model.parameters if item.name == shown)
+    assert item.value == pytest.approx(values[name])
+    changed = build(values | {name: 1.7 * values[name]})
+    through_port = with_parameter(model, shown, 0.7 * values[name])
+    np.testing.assert_allclose(response(through_port), response(changed), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_pickle_text_and_library_of_each(case):
+    build, values, _ = CASES[case]
+    model = build(values)
+    again = pickle.loads(pickle.dumps(model))
+    np.testing.assert_array_equal(again.system.B, model.system.B)
+    assert again.parameters == model.parameters
+    assert max(map(len, str(model).splitlines())) <= 80
+    assert all(unit for unit in model.state_units + model.input_units + model.output_units)
+    assert all(port.force_unit and port.velocity_unit and port.description for port in model.ports)
+    for effect in effect_library(model):
+        model.check(effect)
+        for coefficient in effect.coefficients:
+            assert model.unit(effect, coefficient), (effect, coefficient)
+
+
+# ---------------------------------------------------------------- chains
+class TestChain:
+    def test_matrices_of_the_paper(self):
+        model = mass_spring_damper(
+            [0.8, 0.5], [100, 200, 120], [1000, 25000, 25000], sensors=("velocity", 1), outputs="y"
+        )
+        M = np.diag([0.8, 0.5])
+        C = [[300, -200], [-200, 320]]
+        K = [[26000, -25000], [-25000, 50000]]
+        np.testing.assert_allclose(model.system.A[2:, :2], -np.linalg.solve(M, K))
+        np.testing.assert_allclose(model.system.A[2:, 2:], -np.linalg.solve(M, C))
+        np.testing.assert_allclose(model.system.B, [[0], [0], [1 / 0.8], [0]])
+        assert model.system.output_labels == ["y"]
+
+    def test_single_mass_closed_form(self):
+        m, c, k = 2.0, 0.7, 30.0
+        model = mass_spring_damper(m, c, k, sensors=["displacement", "velocity", "acceleration"])
+        s = 1j * OMEGA
+        G = 1 / (m * s**2 + c * s + k)
+        np.testing.assert_allclose(response(model)[:, 0], [G, s * G, s**2 * G], rtol=1e-9, atol=1e-14)
+
+    def test_transmissibility_closed_form(self):
+        m, c, k = 200.0, 15000.0, 63500.0
+        model = mass_spring_damper(m, c, k, excitation="base", sensors="acceleration")
+        s = 1j * OMEGA
+        np.testing.assert_allclose(response(model)[0, 0], (c * s + k) / (m * s**2 + c * s + k), rtol=1e-10)
+        np.testing.assert_allclose(model.system.B, [[0], [-1]])
+        np.testing.assert_allclose(model.system.D, [[0]], atol=1e-15)
+
+    def test_free_and_fixed_end_by_lagrange(self, rng):
+        n = 5
+        m, c = rng.uniform(1, 3, n), rng.uniform(0.1, 1, n + 1)
+        k = rng.uniform(10, 90, n)  # n springs, n+1 dampers: the end has a damper only
+        model = mass_spring_damper(m, c, k, force=[2, 4], sensors="displacement")
+
+        def energy_hessian(values):  # of V = 1/2 sum k_i (q_i - q_(i-1))^2, by the definition
+            def V(q):
+                padded = np.concatenate([[0.0], q, [0.0]])
+                return 0.5 * sum(v * (padded[i + 1] - padded[i]) ** 2 for i, v in enumerate(values))
+
+            e = np.eye(n)
+            return np.array([[V(e[i] + e[j]) - V(e[i]) - V(e[j]) for j in range(n)] for i in range(n)])
+
+        K, C = energy_hessian(k), energy_hessian(c)
+        F = np.eye(n)[:, [1, 3]]
+        expected = np.stack([np.linalg.solve(-np.diag(m) * w**2 + 1j * w * C + K, F) for w in OMEGA], axis=-1)
+        np.testing.assert_allclose(response(model), expected, rtol=1e-9, atol=1e-14)
+        assert [port.name for port in model.ports][:6] == [f"link{i}" for i in range(1, 7)]
+        assert model.system.input_labels == ["force2", "force4"]
+
+    def test_base_excitation_in_absolute_coordinates(self):
+        m, c, k = np.array([1.0, 2.0]), np.array([0.3, 0.2]), np.array([40.0, 60.0])
+        model = mass_spring_damper(
+            m, c, k, excitation="base", force=2, sensors=["acceleration", ("displacement", 2)]
+        )
+        # absolute z with z0 the base: M z'' + C z' + K z = (c1 z0' + k1 z0) e1
+        C = np.array([[c.sum(), -c[1]], [-c[1], c[1]]])
+        K = np.array([[k.sum(), -k[1]], [-k[1], k[1]]])
+        for i, w in enumerate(OMEGA):
+            s = 1j * w
+            Z = np.linalg.inv(np.diag(m) * s**2 + C * s + K)
+            z = Z @ np.array([c[0] * s + k[0], 0]) / s**2  # per unit base acceleration
+            G = response(model, [w])[:, :, 0]
+            np.testing.assert_allclose(G[:2, 0], s**2 * z, rtol=1e-8)
+            np.testing.assert_allclose(G[2, 0], z[1] - 1 / s**2, rtol=1e-6)
+            np.testing.assert_allclose(G[:2, 1], s**2 * Z[:, 1], rtol=1e-8, err_msg=str(i))
+
+    def test_sensors_in_order_with_labels(self):
+        model = mass_spring_damper(
+            [1, 1, 1], [1, 1, 1], [1, 1, 1], sensors=[("velocity", 1), ("acceleration", 3)]
+        )
+        assert model.linear.output_labels == ("v1", "a3")
+        assert model.output_units == ("m/s", "m/s^2")
+        np.testing.assert_array_equal(model.output_rate, [[0] * 6, [0, 0, 0, 0, 0, 1]])
+
+    def test_force_map(self):
+        model = mass_spring_damper([1, 2], [1, 1], [1, 1], force=np.array([[1.0], [-3.0]]))
+        np.testing.assert_allclose(model.system.B, [[0], [0], [1], [-1.5]])
+
+    @pytest.mark.parametrize(
+        "arguments, keywords, message",
+        [
+            (([1, -2], [1, 1], [1, 1]), {}, r"m\[1\] = -2 must be positive"),
+            (([1, 2], [1, 1], [1, -1]), {}, r"k\[1\] = -1 must not be negative"),
+            (([1, 2], [1, np.nan], [1, 1]), {}, r"c\[1\]"),
+            (([1, 2], [1, 1], [1]), {}, "k has 1 entries for 2 masses"),
+            (([1, 2], [1, 1, 1, 1], [1, 1]), {}, "c has 4 entries"),
+            (([1, 2], [1, 1], [1, 1]), {"force": 3}, "= 3 does not exist"),
+            (([1, 2], [1, 1], [1, 1]), {"force": [1, 1]}, "names a mass twice"),
+            (([1, 2], [1, 1], [1, 1]), {"force": 1.0}, "whole number"),
+            (([1, 2], [1, 1], [1, 1]), {"sensors": ("speed", 1)}, "'displacement', 'velocity'"),
+            (([1, 2], [1, 1], [1, 1]), {"sensors": ("velocity", 5)}, "= 5 does not exist"),
+            (([1, 2], [1, 1], [1, 1]), {"sensors": ("velocity", "link9")}, "no such place"),
+            (([1, 2], [1, 1], [1, 1]), {"sensors": ["velocity", ("velocity", 1)]}, "more than once"),
+            (([1, 2], [1, 1], [1, 1]), {"sensors": []}, "empty"),
+            (([1, 2], [1, 1], [1, 1]), {"sensors": 3}, "must be a quantity"),
+            (([1, 2], [1, 1], [1, 1]), {"outputs": "y"}, "1 names for 2"),
+            (([1, 2], [1, 1], [1, 1]), {"outputs": ["y", "y"]}, "unique"),
+            (([1, 2], [1, 1], [1, 1]), {"excitation": "road"}, "'force', 'base'"),
+            ((["a", 2], [1, 1], [1, 1]), {}, "list of numbers"),
+        ],
+    )
+    def test_what_is_wrong_is_said(self, arguments, keywords, message):
+        with pytest.raises((ModelError, ct.ControlDimension, ct.ControlArgument), match=message):
+            mass_spring_damper(*arguments, **keywords)
+
+    def test_unknown_keyword(self):
+        with pytest.raises(TypeError):
+            mass_spring_damper(1, 1, 1, stiffness=3)
+
+
+# ---------------------------------------------------------------- general matrices
+class TestMechanical:
+    def test_agrees_with_the_chain(self):
+        chain = mass_spring_damper([1, 2, 3], [0.1, 0.2, 0.3], [10, 20, 30], sensors=("velocity", 3))
+        K = [[30, -20, 0], [-20, 50, -30], [0, -30, 30.0]]
+        C = 0.01 * np.array(K)
+        model = mechanical([1, 2, 3], C, K, sensors=("velocity", 3))
+        np.testing.assert_allclose(response(model), response(chain), rtol=1e-10)
+        assert [port.name for port in model.ports][:2] == ["mass1-mass2", "mass2-mass3"]
+
+    def test_full_mass_matrix_by_virtual_work(self, rng):
+        # a force pair at a link of a model with inertial coupling: K changes by t g g'
+        Q = rng.normal(size=(4, 4))
+        M, K = Q @ Q.T + 4 * np.eye(4), np.diag([5.0, 6, 7, 8])
+        g = rng.normal(size=4)
+        model = mechanical(M, K=K, links={"brace": g, "strut": (1, 4), "foot": (2, 0)}, damping_ratio=0.01)
+        for name, direction in (("brace", g), ("strut", np.array([1.0, 0, 0, -1]))):
+            port = model.port(name)
+            changed = model.linear.A + 3.0 * np.outer(port.act, port.position)
+            expected = -np.linalg.solve(M, K + 3.0 * np.outer(direction, direction))
+            np.testing.assert_allclose(changed[4:, :4], expected, rtol=1e-10)
+        assert {item.place for item in model.parameters if item.kind == "stiffness"} >= {"foot"}
+
+    def test_modal_damping_ratios(self, rng):
+        Q = rng.normal(size=(5, 5))
+        M, K = np.diag(rng.uniform(1, 2, 5)), Q @ Q.T + np.eye(5)
+        ratios = np.array([0.01, 0.02, 0.03, 0.04, 0.05])
+        poles = np.linalg.eigvals(mechanical(M, K=K, damping_ratio=ratios).system.A)
+        poles = poles[poles.imag > 0]
+        poles = poles[np.argsort(np.abs(poles))]
+        np.testing.assert_allclose(np.abs(poles), np.sqrt(eigh(K, M, eigvals_only=True)), rtol=1e-9)
+        np.testing.assert_allclose(-poles.real / np.abs(poles), ratios, rtol=1e-8)
+
+    def test_gyroscopic_rotor(self):
+        G = np.array([[0, 3.0], [-3.0, 0]])
+        model = mechanical(np.eye(2), G, np.diag([4.0, 9.0]), force_map=2, sensors=("displacement", 1))
+        s = 1j * OMEGA
+        expected = -3 * s / ((s**2 + 4) * (s**2 + 9) + 9 * s**2)
+        np.testing.assert_allclose(response(model)[0, 0], expected, rtol=1e-9)
+
+    @pytest.mark.parametrize(
+        "keywords, message",
+        [
+            ({"M": [[1, 2], [2, 1]], "K": np.eye(2)}, "positive definite"),
+            ({"M": [[1, 2], [0, 1]], "K": np.eye(2)}, "M is not symmetric"),
+            ({"M": [1, 1], "K": [[1, -1], [0, 1]]}, "K is not symmetric"),
+            ({"M": [1, 1], "K": np.eye(3)}, r"K has shape \(3, 3\)"),
+            ({"M": [1, 1], "K": np.eye(2), "C": np.eye(2), "damping_ratio": 0.1}, "not both"),
+            ({"M": [1, 1], "K": -np.eye(2), "damping_ratio": 0.1}, "negative direction"),
+            ({"M": [1, 1], "K": np.eye(2), "links": {"a": (1, 2), "b": (2, 1)}}, "join the same"),
+            ({"M": [1, 1], "K": np.eye(2), "links": {"a": (0, 1)}}, "start at a mass"),
+            ({"M": [1, 1], "K": np.eye(2), "links": {"mass1": (1, 2)}}, "cannot be named"),
+            ({"M": [1, 1], "K": np.eye(2), "links": {"a": np.ones(3)}}, "length 2"),
+            ({"M": [1, 1], "K": np.eye(2), "force_map": np.ones((3, 1))}, "3 rows for 2"),
+            ({"M": [1, 1], "K": np.eye(2), "force_map": np.zeros((2, 1))}, "acts on no mass"),
+        ],
+    )
+    def test_what_is_wrong_is_said(self, keywords, message):
+        with pytest.raises((ModelError, ct.ControlDimension, ct.ControlArgument), match=message):
+            mechanical(keywords.pop("M"), **keywords)
+
+
+# ---------------------------------------------------------------- circuits, motors, heat, tanks, car
+class TestElectrical:
+    def test_divider_impedances(self):
+        R, L, C = 250.0, 55e-3, 23.5e-6
+        names = ["resistor_voltage", "inductor_voltage", "capacitor_voltage", "current", "charge"]
+        s = 1j * OMEGA
+        Z = R + L * s + 1 / (C * s)
+        expected = [R / Z, L * s / Z, 1 / (C * s) / Z, 1 / Z, 1 / Z / s]
+        np.testing.assert_allclose(
+            response(series_rlc(R, L, C, sensors=names))[:, 0], expected, rtol=1e-9, atol=1e-14
+        )
+
+    def test_stiff_start_of_the_paper(self):
+        model = series_rlc(250.0, 2e-6, 1.0)
+        np.testing.assert_allclose(model.system.A, [[0, 1], [-5e5, -1.25e8]])
+        np.testing.assert_allclose(model.system.C, [[0, 250]])
+
+    def test_checks(self):
+        with pytest.raises(ModelError, match="L = 0 must be positive"):
+            series_rlc(1.0, 0.0, 1.0)
+        with pytest.raises(ct.ControlArgument, match="resistor_voltage"):
+            series_rlc(1.0, 1.0, 1.0, sensors="power")
+
+
+class TestMotor:
+    def test_speed_model(self):
+        s = 1j * OMEGA
+        model = dc_motor(gain=35.0, time_constant=0.28)
+        np.testing.assert_allclose(response(model)[0, 0], 35 / (0.28 * s + 1), rtol=1e-12)
+        assert model.port("shaft").force_unit == "V"
+
+    def test_reversed_motor_is_still_braked_by_friction(self):
+        port = dc_motor(gain=-35.0, time_constant=0.28).port("shaft")
+        assert port.act[0] < 0 < port.velocity[0]
+
+    def test_electromechanical_closed_form(self):
+        R, L, Kt, Ke, J, b = 1.5, 0.02, 0.1, 0.12, 0.01, 0.003
+        model = dc_motor(
+            R=R, L=L, Kt=Kt, Ke=Ke, J=J, b=b, load_torque=True, sensors=["angle", "speed", "current"]
+        )
+        s = 1j * OMEGA
+        D = (L * s + R) * (J * s + b) + Kt * Ke
+        expected = [
+            [Kt / D / s, -(L * s + R) / D / s],
+            [Kt / D, -(L * s + R) / D],
+            [(J * s + b) / D, Ke / D],
+        ]
+        np.testing.assert_allclose(response(model), expected, rtol=1e-8)
+
+    @pytest.mark.parametrize(
+        "keywords, message",
+        [
+            ({}, "R, L, Kt, J missing"),
+            ({"gain": 2.0}, "both gain and time_constant"),
+            ({"gain": 2.0, "time_constant": 1.0, "R": 1.0}, "not both"),
+            ({"gain": 2.0, "time_constant": -1.0}, "time_constant = -1"),
+            ({"gain": 0.0, "time_constant": 1.0}, "gain = 0"),
+            ({"gain": 2.0, "time_constant": 1.0, "sensors": "current"}, "'speed', 'angle'"),
+            ({"gain": 2.0, "time_constant": 1.0, "load_torque": True}, "electromechanical"),
+            ({"R": 1.0, "L": 1.0, "Kt": 1.0}, "J missing"),
+        ],
+    )
+    def test_what_is_wrong_is_said(self, keywords, message):
+        with pytest.raises((ModelError, ct.ControlArgument), match=message):
+            dc_motor(**keywords)
+
+
+class TestThermal:
+    def test_nodal_admittances(self):
+        C = np.array([10.0, 20.0, 5.0])
+        R12, R23, R30, R10 = 0.5, 2.0, 4.0, 8.0
+        model = thermal_network(C, {(1, 2): R12, (3, 2): R23, (3, 0): R30, (0, 1): R10}, heat=[1, 3])
+        G = np.diag([1 / R12 + 1 / R10, 1 / R12 + 1 / R23, 1 / R23 + 1 / R30])
+        G[0, 1] = G[1, 0] = -1 / R12
+        G[1, 2] = G[2, 1] = -1 / R23
+        F = np.array([[1, 0, 1 / R10], [0, 0, 0], [0, 1, 1 / R30]])
+        expected = np.stack([np.linalg.solve(1j * w * np.diag(C) + G, F) for w in OMEGA], axis=-1)
+        np.testing.assert_allclose(response(model), expected, rtol=1e-9)
+
+    def test_steady_state_follows_the_surroundings(self):
+        model = thermal_network([1.0, 2.0], {(1, 2): 1.0, (2, 0): 1.0}, states=["room", "wall"])
+        np.testing.assert_allclose(ct.dcgain(model.system)[:, 1], [1, 1])
+        assert [port.name for port in model.ports] == ["room", "wall", "room-wall", "wall-ambient"]
+
+    def test_relative_to_constant_surroundings(self):
+        model = thermal_network(4.0, {(1, 0): 0.5}, ambient_input=False)
+        np.testing.assert_allclose(response(model)[0, 0], 1 / (4j * OMEGA + 2), rtol=1e-12)
+
+    @pytest.mark.parametrize(
+        "arguments, keywords, message",
+        [
+            (([1.0, 2.0], {(1, 3): 1.0}), {}, "= 3 does not exist"),
+            (([1.0, 2.0], {(1, 1): 1.0}), {}, "joins a node to itself"),
+            (([1.0, 2.0], {(1, 2): 1.0, (2, 1): 2.0}), {}, "joined already"),
+            (([1.0, 2.0], {(1, 2): 0.0}), {}, "must be positive"),
+            (([1.0, 2.0], {}), {}, "must be a mapping"),
+            (([1.0, 2.0], {(1, 2): 1.0}), {"heat": ()}, "no input"),
+            (([1.0, 2.0], {(1, 2): 1.0}), {"sensors": [1, 1]}, "each once"),
+            (([1.0], {(1, 0): 1.0}), {"states": ["ambient"]}, "named like the inputs"),
+        ],
+    )
+    def test_what_is_wrong_is_said(self, arguments, keywords, message):
+        with pytest.raises((ModelError, ct.ControlArgument), match=message):
+            thermal_network(*arguments, **keywords)
+
+
+class TestTanks:
+    def test_cascade_closed_form(self):
+        (A1, A2), (k1, k2), gain = (2.0, 1.0), (0.5, 0.25), 3.0
+        s = 1j * OMEGA
+        expected = gain * k1 / ((A1 * s + k1) * (A2 * s + k2))
+        model = two_tanks((A1, A2), (k1, k2), pump_gain=gain)
+        np.testing.assert_allclose(response(model)[0, 0], expected, rtol=1e-12)
+
+    def test_flow_between_conserves_volume(self):
+        areas = np.array([2.0, 5.0])
+        model = two_tanks(areas, (1.0, 1.0))
+        assert areas @ model.port("tank1->tank2").act == pytest.approx(0.0)
+        assert areas @ model.port("tank1").act == pytest.approx(-1.0)
+
+    def test_checks(self):
+        with pytest.raises(ct.ControlDimension, match="areas has 3 entries"):
+            two_tanks((1, 2, 3))
+        with pytest.raises(ModelError, match="= 3 does not exist"):
+            two_tanks(sensors=3)
+
+
+class TestCar:
+    def test_closed_form_both_inputs(self):
+        mb, mw, ks, cs, kt, cd = 250.0, 35.0, 16e3, 1e3, 160e3, 80.0
+        sensors = ["body_velocity", "wheel_velocity", "suspension_deflection", "tire_deflection",
+                   "body_acceleration"]  # fmt: skip
+        model = quarter_car(mb, mw, ks, cs, kt, cd, actuator=True, sensors=sensors)
+        for i, w in enumerate(OMEGA):
+            s = 1j * w
+            M = np.array(
+                [[mb * s**2 + cs * s + ks, -cs * s - ks], [-cs * s - ks, mw * s**2 + (cs + cd) * s + ks + kt]]
+            )
+            z = np.linalg.solve(M, np.array([[0, 1], [(cd * s + kt) / s, -1]]))  # road enters as velocity
+            road = np.array([1 / s, 0])
+            expected = [s * z[0], s * z[1], z[0] - z[1], z[1] - road, s**2 * z[0]]
+            np.testing.assert_allclose(
+                response(model, [w])[:, :, 0], expected, rtol=1e-6, atol=1e-9, err_msg=str(i)
+            )
+
+    def test_height_of_the_road_as_input(self):
+        velocity = quarter_car(250.0, 35.0, 16e3, 1e3, 160e3, sensors="body_acceleration")
+        height = quarter_car(250.0, 35.0, 16e3, 1e3, 160e3, sensors="body_acceleration", road="displacement")
+        np.testing.assert_allclose(
+            response(height)[0, 0], response(velocity)[0, 0] * 1j * OMEGA, rtol=1e-7, atol=1e-9
+        )
+        assert not height.port("tire").has_velocity
+
+    def test_tire_damper_needs_the_velocity(self):
+        with pytest.raises(ct.ControlArgument, match="tire_damping needs"):
+            quarter_car(250.0, 35.0, 16e3, 1e3, 160e3, 10.0, road="displacement")
+
+
+def test_ports_of_builders_agree_with_those_found():
+    """What is read out of the matrices is what the builder put in."""
+    model = mass_spring_damper([1, 2], [0.1, 0.2, 0.3], [10, 20, 30], states=["x1", "x2", "v1", "v2"])
+    found = PhysicalModel.from_statespace(model.system)
+    for ours, theirs, sign in (("link1", "x1", 1), ("link3", "x2", 1), ("link2", "x1-x2", -1)):
+        np.testing.assert_allclose(model.port(ours).act, sign * found.port(theirs).act)
+        np.testing.assert_allclose(model.port(ours).position, sign * found.port(theirs).position)
+    np.testing.assert_array_equal(found.output_rate, model.output_rate)
+
+
+def test_port_can_be_renamed():
+    model = series_rlc(1.0, 1.0, 1.0)
+    renamed = replace(model, ports=(replace(model.ports[0], name="coil"),), parameters=())
+    assert renamed.port("coil").kind == "mechanical"
