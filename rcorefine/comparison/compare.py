@@ -95,9 +95,9 @@ def compare(
         raise ct.ControlDimension(
             "the models have no output of the record in common; compare them one by one"
         )
-    data.check_excitation("compare", stacklevel=2)
     notes = [note for each in channels for note in each.notes]
     windows = _windows(data, horizon, x0, max(each.n_states for each in linear), len(outputs))
+    data.check_excitation("compare", stacklevel=2)
     runs, states = [], []
     for each, flat, places, name in zip(models, linear, channels, names, strict=True):
         run, start = _simulate(each, flat, places, data, x0, windows, name, outputs)

@@ -43,9 +43,9 @@ class BodeUnits:
         return 180.0 / np.pi if self.deg else 1.0
 
     def magnitude(self, values: Array) -> Array:
-        """Magnitude as drawn."""
-        floor = np.finfo(float).tiny
-        return 20.0 * np.log10(np.maximum(values, floor)) if self.dB else values
+        """Magnitude as drawn; NaN where it is zero, which a logarithm cannot show."""
+        shown: Array = np.where(values > 0.0, values, np.nan)
+        return 20.0 * np.log10(shown) if self.dB else shown
 
 
 def bode_rows(axes: Any, outputs: Sequence[str], inputs: Sequence[str], *, extra: str | None) -> BodeUnits:

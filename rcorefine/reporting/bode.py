@@ -109,7 +109,7 @@ def bode_comparison(
             axes,
             lines,
             title=title,
-            legends=[axes[0, 0]],
+            legends=[axes[0, 0]] if seen_as is None else [axes[0, 0], axes[2, 0]],
             legend_loc=legend_loc,
             show_legend=show_legend,
         )
@@ -211,7 +211,9 @@ def _draw_model(
             error = np.abs(at_points / measured.response - 1.0)
         for i, j in np.ndindex(error.shape[:2]):
             row = per_output * i + 2
-            lines[row, j] += axes[row, j].plot(measured.omega * factor, _finite(error[i, j]), **look)
+            lines[row, j] += axes[row, j].plot(
+                measured.omega * factor, _finite(error[i, j]), **(look | {"label": f"_{name}"})
+            )
 
 
 def _draw_measured(axes: Any, lines: Any, measured: FrequencyResponse, units: BodeUnits) -> None:
@@ -227,7 +229,7 @@ def _draw_measured(axes: Any, lines: Any, measured: FrequencyResponse, units: Bo
             measured.std[i, j], size, out=np.full_like(size, np.nan), where=size > 0
         )
         error.set_yscale("log")
-        drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in lines[3 * i + 2, j]])
+        drawn = np.concatenate([np.zeros(0), *(np.asarray(line.get_ydata()) for line in lines[3 * i + 2, j])])
         drawn = drawn[np.isfinite(drawn) & (drawn > 0)]
         usual = noise[np.isfinite(noise) & (noise > 0)]
         low = min(np.quantile(drawn, 0.02, method="nearest") if drawn.size else 1e-2, 1e-1)
