@@ -1,0 +1,319 @@
+"""The catalogue of kinds and the effects made from it."""
+
+import copy
+import math
+import pickle
+
+import control as ct
+import pytest
+
+from rcorefine.exceptions import ModelError
+from rcorefine.physics import KINDS, Effect, describe_effects, mass_spring_damper, series_rlc, two_tanks
+from rcorefine.physics.units import combine_units
+
+# what the design promises: kind -> (places, coefficients)
+TABLE = {
+    "stiffness": ("mechanical", ("stiffness",)),
+    "damping": ("mechanical first_order", ("damping",)),
+    "mass": ("mechanical first_order", ("mass",)),
+    "cubic_stiffness": ("mechanical", ("cubic_stiffness",)),
+    "quadratic_stiffness": ("mechanical", ("quadratic_stiffness",)),
+    "bilinear_stiffness": ("mechanical", ("bilinear_stiffness",)),
+    "clearance": ("mechanical", ("stiffness", "gap")),
+    "coulomb_friction": ("mechanical first_order", ("force",)),
+    "asymmetric_friction": ("mechanical", ("force_plus", "force_minus")),
+    "asymmetric_damping": ("mechanical", ("damping_plus", "damping_minus")),
+    "stribeck_friction": ("mechanical", ("coulomb_force", "static_force", "velocity")),
+    "quadratic_damping": ("mechanical first_order", ("quadratic_damping",)),
+    "cubic_damping": ("mechanical first_order", ("cubic_damping",)),
+    "hysteresis": ("mechanical", ("force", "displacement")),
+    "hidden_mode": ("mechanical", ("mass", "damping", "stiffness")),
+    "constant_force": ("mechanical first_order", ("force",)),
+    "sqrt_flow": ("first_order", ("flow",)),
+    "threshold_flow": ("first_order", ("flow", "threshold")),
+    "coefficient": ("any", ("value",)),
+    "input_gain": ("input", ("gain",)),
+    "input_offset": ("input", ("offset",)),
+    "input_delay": ("input", ("delay",)),
+    "input_lag": ("input", ("time_constant",)),
+    "input_deadzone": ("input", ("threshold",)),
+    "input_saturation": ("input", ("limit",)),
+    "output_gain": ("output", ("gain",)),
+    "output_offset": ("output", ("offset",)),
+    "output_delay": ("output", ("delay",)),
+    "output_lag": ("output", ("time_constant",)),
+    "output_saturation": ("output", ("limit",)),
+    "output_rectification": ("output", ("fraction",)),
+    "custom": ("mechanical first_order any", ("scale",)),
+}
+
+
+def square(d, v):
+    return v * abs(v)
+
+
+def power(d, v, *, a, b):
+    return a * v + b * v**3
+
+
+class TestKinds:
+    def test_catalogue_is_that_of_the_design(self):
+        assert {name: (kind.where, kind.coefficient_names) for name, kind in KINDS.items()} == {
+            name: (frozenset(where.split()), names) for name, (where, names) in TABLE.items()
+        }
+
+    @pytest.mark.parametrize("name", TABLE)
+    def test_words_and_bounds(self, name):
+        kind = KINDS[name]
+        assert kind.name == name
+        assert kind.formula
+        for text in (kind.explanation, kind.explanation_first_order or kind.explanation):
+            assert "{place}" in text
+            assert text.endswith(".")
+            assert len(text) < 130
+        for coefficient in kind.coefficients:
+            assert coefficient.explanation
+            assert coefficient.lower < coefficient.upper
+            if coefficient.default_start is not None:
+                assert coefficient.lower <= coefficient.default_start <= coefficient.upper
+
+    def test_bounds_of_physics(self):
+        assert Effect("input_delay", "u").bounds("delay") == (0.0, math.inf)
+        assert Effect("clearance", "link1").bounds("gap")[0] == 0.0
+        assert Effect("hidden_mode", "link1").bounds("mass")[0] == 0.0
+        assert Effect("output_rectification", "y").bounds("fraction") == (0.0, 1.0)
+        assert Effect("stiffness", "link1").bounds("stiffness") == (-math.inf, math.inf)  # damage is negative
+
+    def test_starts_that_must_be_found(self):
+        nowhere = {
+            (kind.name, coefficient.name)
+            for kind in KINDS.values()
+            for coefficient in kind.coefficients
+            if coefficient.default_start is None
+        }
+        assert nowhere >= {
+            ("clearance", "gap"),
+            ("input_delay", "delay"),
+            ("input_deadzone", "threshold"),
+            ("hidden_mode", "stiffness"),
+            ("stribeck_friction", "velocity"),
+            ("output_rectification", "fraction"),
+        }
+        assert Effect("stiffness", "a").start_of("stiffness") == 0.0
+
+    def test_catalogue_cannot_be_changed_and_pickles(self):
+        with pytest.raises(TypeError):
+            KINDS["mine"] = KINDS["damping"]
+        for kind in KINDS.values():
+            assert pickle.loads(pickle.dumps(kind)) is kind
+
+    def test_linear_kinds(self):
+        linear = {name for name, kind in KINDS.items() if kind.linear}
+        assert linear == {
+            "stiffness", "damping", "mass", "hidden_mode", "coefficient", "input_gain", "input_delay",
+            "input_lag", "output_gain", "output_delay", "output_lag",
+        }  # fmt: skip
+
+
+class TestEffect:
+    def test_label_and_explanation(self):
+        effect = Effect("coulomb_friction", "link2")
+        assert effect.label == str(effect) == "coulomb_friction at link2"
+        assert "link2" in effect.explanation
+        assert str([effect]) == "[Effect('coulomb_friction', 'link2')]"
+        assert Effect("damping", "a", name="new damper").label == "new damper"
+
+    def test_words_fit_the_kind_of_place(self):
+        model = two_tanks()
+        effect = model.check(Effect("damping", "tank1"))
+        assert "loss or flow" in effect.explanation
+        assert effect == Effect("damping", "tank1")
+        assert "loss or flow" in pickle.loads(pickle.dumps(effect)).explanation
+        assert "loss or flow" in effect.replace(start={"damping": 1.0}).explanation
+
+    def test_equality_and_hash(self):
+        plain = Effect("clearance", "link1")
+        assert plain == Effect("clearance", "link1", start={"gap": 0.1}, prior={"gap": 0.1})
+        assert len({plain, Effect("clearance", "link1"), Effect("clearance", "link2")}) == 2
+        assert plain != Effect("clearance", "link1", fixed={"gap": 0.1})
+        assert plain != "clearance"
+
+    def test_fixed_coefficients_and_constants(self):
+        effect = Effect("stribeck_friction", "a", fixed={"velocity": 0.1, "width": 1e-3})
+        assert effect.coefficients == ("coulomb_force", "static_force", "velocity")
+        assert effect.free == ("coulomb_force", "static_force")
+        assert effect.constants == {"width": 1e-3}
+        assert effect.start_of("velocity") == 0.1
+        assert Effect("coulomb_friction", "a").constants == {"width": None}
+
+    def test_start_and_prior(self):
+        effect = Effect("damping", "a", start={"damping": 2}, prior={"damping": 0.5})
+        assert effect.start == {"damping": 2.0}
+        assert effect.start_of("damping") == 2.0
+        assert effect.prior == {"damping": 0.5}
+        effect.start["damping"] = 9.0  # a copy
+        assert effect.start == {"damping": 2.0}
+
+    def test_custom_laws(self):
+        assert Effect("custom", "a", law=square).coefficients == ("scale",)
+        effect = Effect("custom", "a", law=power, start={"a": 1.0, "b": 0.0})
+        assert effect.coefficients == ("a", "b")
+        assert effect.bounds("a") == (-math.inf, math.inf)
+        held = Effect("custom", "a", law=power, start={"a": 1.0, "b": 0.0}, fixed={"b": 2.0})
+        assert held.free == ("a",)
+        assert held.start_of("b") == 2.0
+        again = pickle.loads(pickle.dumps(effect))
+        assert again == effect
+        assert again.law is power
+        assert effect != Effect("custom", "a", law=square, start={"a": 1.0, "b": 0.0})
+
+    def test_immutable_and_copyable(self):
+        effect = Effect("damping", "a", start={"damping": 2.0})
+        with pytest.raises(AttributeError, match="replace"):
+            effect.place = "b"
+        with pytest.raises(AttributeError):
+            del effect.place
+        for other in (copy.copy(effect), copy.deepcopy(effect), pickle.loads(pickle.dumps(effect))):
+            assert other == effect
+            assert other.start == effect.start
+        moved = effect.replace(place="b")
+        assert (moved.place, moved.start, effect.place) == ("b", {"damping": 2.0}, "a")
+
+    def test_repr_makes_it_again(self):
+        effect = Effect("clearance", "a", start={"gap": 0.5}, fixed={"stiffness": 3.0}, name="stop")
+        again = eval(repr(effect), {"Effect": Effect})
+        assert again == effect
+        assert again.start == effect.start
+
+    @pytest.mark.parametrize(
+        "arguments, keywords, message",
+        [
+            (("friction", "a"), {}, "unknown kind of effect 'friction'; the kinds are stiffness"),
+            ((["damping"], "a"), {}, "unknown kind"),
+            (("damping", 3), {}, r"ports\(model\)"),
+            (("damping", " "), {}, "must be the name"),
+            (("damping", "a"), {"start": {"force": 1.0}}, "no such coefficient, only damping"),
+            (("damping", "a"), {"start": {"damping": "x"}}, "must be a number"),
+            (("damping", "a"), {"start": {"damping": math.nan}}, "must be finite"),
+            (("damping", "a"), {"prior": {"damping": 0.0}}, "must be positive"),
+            (("input_delay", "a"), {"start": {"delay": -1.0}}, "outside"),
+            (("input_delay", "a"), {"fixed": {"delay": -1.0}}, "outside"),
+            (("clearance", "a"), {"start": {"gap": 1.0}, "fixed": {"gap": 1.0}}, "both fixed"),
+            (("coulomb_friction", "a"), {"fixed": {"width": 0.0}}, "must be positive"),
+            (("coulomb_friction", "a"), {"start": {"width": 1.0}}, "no such coefficient"),
+            (("custom", "a"), {}, "needs law="),
+            (("damping", "a"), {"law": square}, "for kind 'custom' only"),
+            (("damping", "a"), {"name": 3}, "name of damping"),
+        ],
+    )
+    def test_what_is_wrong_is_said(self, arguments, keywords, message):
+        with pytest.raises((ct.ControlArgument, ModelError), match=message):
+            Effect(*arguments, **keywords)
+
+    def test_unknown_keyword(self):
+        with pytest.raises(TypeError):
+            Effect("damping", "a", value=3.0)
+
+
+class TestUnits:
+    @pytest.mark.parametrize(
+        "kind, coefficient, unit",
+        [
+            ("stiffness", "stiffness", "N/m"),
+            ("damping", "damping", "N s/m"),
+            ("mass", "mass", "kg"),
+            ("cubic_stiffness", "cubic_stiffness", "N/m^3"),
+            ("quadratic_damping", "quadratic_damping", "N s^2/m^2"),
+            ("coulomb_friction", "force", "N"),
+            ("clearance", "gap", "m"),
+            ("stribeck_friction", "velocity", "m/s"),
+            ("hidden_mode", "mass", "kg"),
+            ("custom", "scale", "N"),
+        ],
+    )
+    def test_mechanical(self, kind, coefficient, unit):
+        law = {"law": square} if kind == "custom" else {}
+        assert mass_spring_damper(1, 1, 1).unit(Effect(kind, "link1", **law), coefficient) == unit
+
+    def test_electrical_and_hydraulic(self):
+        circuit = series_rlc(1.0, 1.0, 1.0)
+        assert circuit.unit(Effect("damping", "resistor"), "damping") == "Ohm"
+        assert circuit.unit(Effect("mass", "inductor"), "mass") == "H"
+        assert circuit.unit(Effect("stiffness", "capacitor"), "stiffness") == "1/F"
+        tanks = two_tanks(level_unit="cm", flow_unit="cm^3/s")
+        assert tanks.unit(Effect("sqrt_flow", "tank1"), "flow") == "cm^2.5/s"
+        assert tanks.unit(Effect("threshold_flow", "tank1->tank2"), "threshold") == "cm"
+
+    def test_channels_and_entries(self):
+        model = mass_spring_damper(1, 1, 1)
+        assert model.unit(Effect("input_deadzone", "force"), "threshold") == "N"
+        assert model.unit(Effect("input_delay", "force"), "delay") == "s"
+        assert model.unit(Effect("output_gain", "q1"), "gain") == "1"
+        assert model.unit(Effect("coefficient", "A[v1,q1]"), "value") == "1/s^2"
+
+    def test_unknown_units_stay_unknown(self):
+        model = mass_spring_damper(1, 1, 1, position_unit="", force_unit="N")
+        assert model.unit(Effect("stiffness", "link1"), "stiffness") == ""
+        with pytest.raises(ct.ControlArgument, match="no coefficient"):
+            model.unit(Effect("stiffness", "link1"), "damping")
+
+    @pytest.mark.parametrize(
+        "rule, unit",
+        [
+            ("a/b", "N s/m"),
+            ("a b", "N m/s"),
+            ("b/b", "1"),
+            ("1", "1"),
+            ("1/b", "s/m"),
+            ("c/b", "kg s/(m^2 K)"),
+            ("b^0.5", "m^0.5/s^0.5"),
+            ("missing/a", "missing/N"),
+        ],
+    )
+    def test_algebra(self, rule, unit):
+        assert combine_units(rule, {"a": "N", "b": "m/s", "c": "kg/(m K)"}) == unit
+
+
+class TestCheck:
+    def test_places_of_a_model(self):
+        model = mass_spring_damper([1, 1], [1, 1], [1, 1])
+        for effect in (
+            Effect("stiffness", "link2"),
+            Effect("input_lag", "force"),
+            Effect("output_gain", "q1"),
+        ):
+            assert model.check(effect) == effect
+        assert model.check(Effect("coefficient", "A[2,0]"))
+        assert model.check(Effect("custom", "mass1", law=square))
+
+    @pytest.mark.parametrize(
+        "effect, message",
+        [
+            (Effect("stiffness", "link9"), "its ports are: link1, link2"),
+            (Effect("stiffness", "force"), "no port 'force'"),
+            (Effect("input_gain", "q1"), "none of them: force"),
+            (Effect("output_gain", "force"), "none of them: q1, q2"),
+            (Effect("sqrt_flow", "link1"), "cannot sit at link1, a mechanical port"),
+            (Effect("coefficient", "A[9,9]"), "not an entry of A"),
+        ],
+    )
+    def test_misplaced(self, effect, message):
+        with pytest.raises(ModelError, match=message):
+            mass_spring_damper([1, 1], [1, 1], [1, 1]).check(effect)
+
+    def test_no_displacement_no_stiffness(self):
+        from rcorefine.physics import dc_motor
+
+        with pytest.raises(ModelError, match="no position at shaft"):
+            dc_motor(gain=1.0, time_constant=1.0).check(Effect("stiffness", "shaft"))
+        with pytest.raises(ModelError, match="cannot sit at tank1, a first-order port"):
+            two_tanks().check(Effect("stiffness", "tank1"))
+        with pytest.raises(ct.ControlArgument, match="must be an Effect"):
+            two_tanks().check("damping at tank1")
+
+
+def test_table_of_effects_fits_a_terminal():
+    effects = [Effect(name, "somewhere", **({"law": square} if name == "custom" else {})) for name in KINDS]
+    text = describe_effects(effects)
+    assert max(map(len, text.splitlines())) <= 80
+    assert all(name in text and kind.formula[:40] in text for name, kind in KINDS.items())
