@@ -87,7 +87,9 @@ def significant(A: Array, tolerance: float) -> Array:
         Copy of `A`.
     """
     size = np.abs(A)
-    limit = tolerance * np.minimum(size.max(axis=1, keepdims=True), size.max(axis=0, keepdims=True))
+    limit = tolerance * np.minimum(
+        size.max(axis=1, keepdims=True, initial=0.0), size.max(axis=0, keepdims=True, initial=0.0)
+    )
     return np.where(size > limit, A, 0.0)
 
 

@@ -166,9 +166,9 @@ def _solve(
             target = np.array(list(kept.values()))
             logs = np.linalg.lstsq(rows, target, rcond=None)[0]
             misfit = np.abs(rows @ logs - target)
-            worst = int(np.argmax(misfit))
-            if misfit[worst] > _ASYMMETRY:
-                del kept[list(kept)[worst]]
+            worst = float(misfit.max())
+            if worst > _ASYMMETRY:
+                kept = {pair: kept[pair] for pair, m in zip(kept, misfit, strict=True) if m < 0.9 * worst}
                 continue
         return {state: float(logs[index[state]]) for state in states}, set(kept), _groups(states, kept)
 

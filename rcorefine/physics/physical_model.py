@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import html
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import control as ct
-import numpy as np
 
 from ..exceptions import ModelError
 from ..systems.linear import Array, LinearModel
+from .consistency import check_outputs, check_places, check_sizes
+from .description import model_html, model_text
 from .effects import Effect
 from .ports import Port
 from .units import combine_units
@@ -117,72 +116,9 @@ class PhysicalModel:
                 f"model {linear.name!r} has dt = {linear.dt}, but a physical model is in continuous time; "
                 "use PhysicalModel.from_statespace, which converts it"
             )
-        sizes = {
-            "output_state": (linear.n_outputs, linear.n_states),
-            "output_rate": (linear.n_outputs, linear.n_states),
-            "output_input": (linear.n_outputs, linear.n_inputs),
-        }
-        for key, shape in sizes.items():
-            array = np.array(getattr(self, key), dtype=float, ndmin=2)
-            if array.shape != shape:
-                raise ct.ControlDimension(f"{key} has shape {array.shape}, expected {shape}")
-            array.setflags(write=False)
-            object.__setattr__(self, key, array)
-        for key, size, what in (
-            ("input_units", linear.n_inputs, "inputs"),
-            ("output_units", linear.n_outputs, "outputs"),
-            ("state_units", linear.n_states, "states"),
-        ):
-            units = tuple(getattr(self, key)) or ("",) * size
-            if len(units) != size:
-                raise ct.ControlDimension(f"{key} has {len(units)} entries for {size} {what}")
-            object.__setattr__(self, key, units)
-        object.__setattr__(self, "ports", tuple(self.ports))
-        object.__setattr__(self, "parameters", tuple(self.parameters))
-        self._check_outputs()
-        self._check_places()
-
-    def _check_outputs(self) -> None:
-        linear = self.linear
-        pairs = (
-            ("C", linear.C, self.output_state, self.output_rate @ linear.A),
-            ("D", linear.D, self.output_input, self.output_rate @ linear.B),
-        )
-        for name, whole, direct, rate in pairs:
-            scale = np.abs(whole) + np.abs(direct) + np.abs(rate)
-            limit = 1e-9 * scale.max(axis=1, keepdims=True, initial=0.0)
-            wrong = np.argwhere(np.abs(direct + rate - whole) > limit)
-            if wrong.size:
-                raise ModelError(
-                    f"{name} of output {linear.output_labels[wrong[0][0]]!r} is not its state part plus its "
-                    f"rate part (rate part of {name} = output_rate @ {'A' if name == 'C' else 'B'})"
-                )
-
-    def _check_places(self) -> None:
-        linear = self.linear
-        for port in self.ports:
-            if not isinstance(port, Port):
-                raise ct.ControlArgument(f"ports must hold Port, not {type(port).__name__}")
-            if port.act.size != linear.n_states:
-                raise ct.ControlDimension(
-                    f"port {port.name!r} is for {port.act.size} states, the model has {linear.n_states}"
-                )
-            if port.velocity_input.size != linear.n_inputs:
-                if port.velocity_input.any() or port.position_input.any() or port.acceleration_input.any():
-                    raise ct.ControlDimension(
-                        f"port {port.name!r} is for {port.velocity_input.size} inputs, "
-                        f"the model has {linear.n_inputs}"
-                    )
-                none = np.zeros(linear.n_inputs)
-                filled = replace(port, position_input=none, velocity_input=none, acceleration_input=none)
-                object.__setattr__(
-                    self, "ports", tuple(filled if item is port else item for item in self.ports)
-                )
-        names = [port.name for port in self.ports]
-        for what, labels in (("port", names), ("parameter", [item.name for item in self.parameters])):
-            twice = sorted({label for label in labels if labels.count(label) > 1})
-            if twice:
-                raise ModelError(f"{what} names must be unique, but {twice[0]!r} occurs more than once")
+        check_sizes(self)
+        check_outputs(self)
+        check_places(self)
 
     @property
     def system(self) -> ct.StateSpace:
@@ -427,41 +363,10 @@ class PhysicalModel:
         return combine_units(rule, self.port(effect.place).units)
 
     def __str__(self) -> str:
-        linear = self.linear
-        lines = [
-            f"Physical model {linear.name!r}: {linear.n_states} states, {linear.n_inputs} inputs, "
-            f"{linear.n_outputs} outputs"
-        ]
-        for what, labels, units in (
-            ("inputs", linear.input_labels, self.input_units),
-            ("outputs", linear.output_labels, self.output_units),
-            ("states", linear.state_labels, self.state_units),
-        ):
-            lines.append(_wrap(f"{what:<8}", [_with_unit(*pair) for pair in zip(labels, units, strict=True)]))
-        lines.append(_wrap("ports   ", [port.name for port in self.ports]))
-        shown = self.parameters[:12]
-        if shown:
-            width = max(len(item.name) for item in shown)
-            lines.append("parameters of the initial model (an effect at the place adds to the value)")
-            for item in shown:
-                value = f"{item.value:.6g} {item.unit}".strip()
-                lines.append(f"  {item.name:<{width}} = {value:<20} {item.kind} at {item.place}"[:80])
-            if len(self.parameters) > len(shown):
-                lines.append(f"  ... and {len(self.parameters) - len(shown)} more")
-        return "\n".join(line.rstrip() for line in lines)
+        return model_text(self)
 
     def _repr_html_(self) -> str:
-        rows = "".join(
-            f"<tr><td>{html.escape(item.name)}</td><td>{item.value:.6g}</td><td>{html.escape(item.unit)}</td>"
-            f"<td>{html.escape(item.kind)}</td><td>{html.escape(item.place)}</td></tr>"
-            for item in self.parameters
-        )
-        ports = "".join(f"<li>{html.escape(str(port))}</li>" for port in self.ports)
-        head = "".join(f"<th>{text}</th>" for text in ("parameter", "value", "unit", "kind", "place"))
-        return (
-            f"<p><b>Physical model {html.escape(repr(self.name))}</b></p><p>Places:</p><ul>{ports}</ul>"
-            f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
-        )
+        return model_html(self)
 
 
 def as_physical(model: Any, *, dt: float | None = None) -> PhysicalModel:
@@ -495,19 +400,3 @@ def as_physical(model: Any, *, dt: float | None = None) -> PhysicalModel:
     if isinstance(inner, PhysicalModel):
         return inner
     return PhysicalModel.from_statespace(model, dt=dt)
-
-
-def _with_unit(label: str, unit: str) -> str:
-    return f"{label} [{unit}]" if unit else label
-
-
-def _wrap(head: str, items: Sequence[str], width: int = 80) -> str:
-    """Comma-separated items in lines of at most `width` columns."""
-    lines, line = [], head
-    for index, item in enumerate(items):
-        piece = item + ("," if index + 1 < len(items) else "")
-        if len(line) + 1 + len(piece) > width and line.strip():
-            lines.append(line)
-            line = " " * len(head)
-        line += " " + piece
-    return "\n".join([*lines, line])

@@ -1,0 +1,126 @@
+"""Whether the parts of a physical model fit together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import control as ct
+import numpy as np
+
+from ..exceptions import ModelError
+from .ports import Port
+
+if TYPE_CHECKING:
+    from .physical_model import PhysicalModel
+
+__all__ = ["check_outputs", "check_places", "check_sizes"]
+
+
+def check_sizes(model: PhysicalModel) -> None:
+    """Bring arrays and units of a model under construction into shape.
+
+    Parameters
+    ----------
+    model : PhysicalModel
+        Model whose fields are as they were given.
+
+    Raises
+    ------
+    control.ControlDimension
+        If a size does not fit the matrices.
+    """
+    linear, store = model.linear, object.__setattr__
+    shapes = {
+        "output_state": (linear.n_outputs, linear.n_states),
+        "output_rate": (linear.n_outputs, linear.n_states),
+        "output_input": (linear.n_outputs, linear.n_inputs),
+    }
+    for key, shape in shapes.items():
+        array = np.array(getattr(model, key), dtype=float, ndmin=2)
+        if array.shape != shape:
+            raise ct.ControlDimension(f"{key} has shape {array.shape}, expected {shape}")
+        array.setflags(write=False)
+        store(model, key, array)
+    for key, size, what in (
+        ("input_units", linear.n_inputs, "inputs"),
+        ("output_units", linear.n_outputs, "outputs"),
+        ("state_units", linear.n_states, "states"),
+    ):
+        units = tuple(getattr(model, key)) or ("",) * size
+        if len(units) != size:
+            raise ct.ControlDimension(f"{key} has {len(units)} entries for {size} {what}")
+        store(model, key, units)
+    store(model, "ports", tuple(model.ports))
+    store(model, "parameters", tuple(model.parameters))
+
+
+def check_outputs(model: PhysicalModel) -> None:
+    """Check that the parts of the output add up to C and D.
+
+    Parameters
+    ----------
+    model : PhysicalModel
+        Model to check.
+
+    Raises
+    ------
+    ModelError
+        If they do not.
+    """
+    linear = model.linear
+    for name, other, whole, direct, rate in (
+        ("C", "A", linear.C, model.output_state, model.output_rate @ linear.A),
+        ("D", "B", linear.D, model.output_input, model.output_rate @ linear.B),
+    ):
+        scale = np.abs(whole) + np.abs(direct) + np.abs(rate)
+        limit = 1e-9 * scale.max(axis=1, keepdims=True, initial=0.0)
+        wrong = np.argwhere(np.abs(direct + rate - whole) > limit)
+        if wrong.size:
+            raise ModelError(
+                f"{name} of output {linear.output_labels[wrong[0][0]]!r} is not its state part plus its "
+                f"rate part (rate part of {name} = output_rate @ {other})"
+            )
+
+
+def check_places(model: PhysicalModel) -> None:
+    """Check ports against the matrices, and names for uniqueness.
+
+    Parameters
+    ----------
+    model : PhysicalModel
+        Model to check; ports that were made without inputs get rows of the right length.
+
+    Raises
+    ------
+    control.ControlDimension
+        If a port is for another number of states or inputs.
+    ModelError
+        If two ports or two parameters have one name.
+    """
+    linear = model.linear
+    ports = []
+    for port in model.ports:
+        if not isinstance(port, Port):
+            raise ct.ControlArgument(f"ports must hold Port, not {type(port).__name__}")
+        if port.act.size != linear.n_states:
+            raise ct.ControlDimension(
+                f"port {port.name!r} is for {port.act.size} states, the model has {linear.n_states}"
+            )
+        if port.velocity_input.size != linear.n_inputs:
+            if port.velocity_input.any() or port.position_input.any() or port.acceleration_input.any():
+                raise ct.ControlDimension(
+                    f"port {port.name!r} is for {port.velocity_input.size} inputs, "
+                    f"the model has {linear.n_inputs}"
+                )
+            none = np.zeros(linear.n_inputs)
+            port = replace(port, position_input=none, velocity_input=none, acceleration_input=none)
+        ports.append(port)
+    object.__setattr__(model, "ports", tuple(ports))
+    for what, labels in (
+        ("port", [port.name for port in ports]),
+        ("parameter", [item.name for item in model.parameters]),
+    ):
+        twice = sorted({label for label in labels if labels.count(label) > 1})
+        if twice:
+            raise ModelError(f"{what} names must be unique, but {twice[0]!r} occurs more than once")

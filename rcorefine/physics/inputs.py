@@ -1,0 +1,203 @@
+"""The input between the samples: hold, static laws and delay at the input channels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import firwin, upfirdn
+
+from ..systems.linear import Array
+
+if TYPE_CHECKING:
+    from .structure import Structure
+
+__all__ = ["BAND_LIMITED_FACTOR", "Drive", "InputSignal", "interpolate_band_limited"]
+
+BAND_LIMITED_FACTOR = 4
+_HALF_LENGTH = 48  # taps of the sinc, in samples each side
+
+
+def interpolate_band_limited(w: Array, factor: int) -> Array:
+    """Band-limited interpolation of each row by `factor`, the samples kept.
+
+    Parameters
+    ----------
+    w : ndarray, shape (n_w, N)
+        Samples.
+    factor : int
+        Points per sampling interval.
+
+    Returns
+    -------
+    ndarray, shape (n_w, (N - 1) * factor + 1)
+        The windowed-sinc interpolation (Kaiser, 48 samples each side). The ends
+        are continued by point reflection, which keeps level and slope.
+    """
+    n = w.shape[1]
+    half = min(_HALF_LENGTH, n - 1)
+    taps = firwin(2 * half * factor + 1, 1.0 / factor, window=("kaiser", 9.0)) * factor
+    left = 2 * w[:, :1] - w[:, half:0:-1]
+    right = 2 * w[:, -1:] - w[:, -2 : -half - 2 : -1]
+    padded = np.hstack([left, w, right])
+    fine = np.stack([upfirdn(taps, row, up=factor) for row in padded])
+    start = 2 * half * factor
+    fine = fine[:, start : start + (n - 1) * factor + 1]
+    fine[:, ::factor] = w
+    return np.ascontiguousarray(fine)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drive:
+    """Input nodes of all substeps, values at the samples, and their derivatives."""
+
+    W: Array
+    nodes: bool
+    Wout: Array
+    dW: Array
+    dWout: Array
+    driven: NDArray[np.int64]
+
+
+class InputSignal:
+    """What the inputs do between the samples.
+
+    Parameters
+    ----------
+    inputs : ndarray, shape (n_w, N)
+        Samples.
+    dt : float
+        Sampling time in seconds.
+    hold : {"zoh", "foh", "bandlimited"}
+        How the input runs between its samples.
+    substeps : int
+        Substeps per sampling interval; a multiple of 4 for "bandlimited".
+    """
+
+    def __init__(self, inputs: Array, dt: float, hold: str, substeps: int) -> None:
+        self.inputs, self.dt, self.hold, self.substeps = inputs, dt, hold, substeps
+        n = inputs.shape[1]
+        self._fine: Array | None = None
+        if hold == "bandlimited":
+            coarse = interpolate_band_limited(inputs, BAND_LIMITED_FACTOR)
+            self._fine = _refine(coarse, substeps // BAND_LIMITED_FACTOR)
+        elif hold == "foh":
+            self._fine = _refine(inputs, substeps)
+        rows = n - 1
+        held = np.repeat(inputs[:, :rows], substeps, axis=1) if self._fine is None else self._fine
+        self._base = np.ascontiguousarray(np.vstack([held, np.ones((1, held.shape[1]))]).T)
+        self._base_out = np.ascontiguousarray(np.vstack([inputs, np.ones((1, n))]).T)
+
+    def drive(self, structure: Structure, theta: Array) -> Drive:
+        """Input nodes with the structure's dead zones, saturations and delays."""
+        statics = structure.input_statics
+        if not statics:
+            rows, nw = self._base.shape
+            empty = np.zeros((0, rows, nw))
+            none = np.zeros((0, self._base_out.shape[0], nw))
+            nodes = self._fine is not None
+            return Drive(self._base, nodes, self._base_out, empty, none, np.zeros(0, dtype=np.int64))
+        W, Wout = self._base.copy(), self._base_out.copy()
+        driven: list[int] = []
+        dW: list[Array] = []
+        dWout: list[Array] = []
+        for channel in sorted({c for _, c in statics}):
+            here = [index for index, c in statics if c == channel]
+            samples = self.inputs[channel] if self._fine is None else self._fine[channel]
+            signal, slopes = _statics(structure, theta, here, samples)
+            delay, column = _delay(structure, theta, here)
+            signals = [signal, *slopes.values()]
+            at_nodes, at_samples, rate, rate_out = self._delayed(np.array(signals), delay)
+            W[:, channel], Wout[:, channel] = at_nodes[0], at_samples[0]
+            derivatives = list(zip(slopes, at_nodes[1:], at_samples[1:], strict=True))
+            if column >= 0:
+                derivatives.append((column, -rate, -rate_out))
+            for which, fine, coarse in derivatives:
+                driven.append(which)
+                dW.append(_place(fine, channel, W.shape))
+                dWout.append(_place(coarse, channel, Wout.shape))
+        shape, shape_out = (0, *W.shape), (0, *Wout.shape)
+        return Drive(
+            W,
+            self._fine is not None,
+            Wout,
+            np.array(dW) if dW else np.zeros(shape),
+            np.array(dWout) if dWout else np.zeros(shape_out),
+            np.array(driven, dtype=np.int64),
+        )
+
+    def _delayed(self, signals: Array, delay: float) -> tuple[Array, Array, Array, Array]:
+        """Signals (k, points) at the nodes and samples, shifted; and the rate of the first."""
+        n = self.inputs.shape[1]
+        samples = np.arange(n) * self.dt - delay
+        if self._fine is None:
+            # Held input: the mean over each substep, so that no impulse is lost where
+            # the delayed edge falls inside a substep.
+            edges = np.arange((n - 1) * self.substeps + 1) * (self.dt / self.substeps) - delay
+            knots = np.arange(n + 1) * self.dt
+            width = self.dt / self.substeps
+            at_nodes, last = [], np.zeros(0)
+            for signal in signals:
+                area = np.concatenate([[0.0], np.cumsum(signal) * self.dt])
+                integral = np.interp(edges, knots, area) + np.minimum(edges, 0.0) * signal[0]
+                at_nodes.append(np.diff(integral) / width)
+            held = signals[:, np.clip(np.floor(samples / self.dt + 1e-9).astype(int), 0, n - 1)]
+            at_edges = signals[0][np.clip(np.floor(edges / self.dt + 1e-9).astype(int), 0, n - 1)]
+            last = np.diff(at_edges) / width
+            return np.array(at_nodes), held, last, np.zeros(n)
+        step = self.dt / self.substeps
+        grid = np.arange(signals.shape[1]) * step
+        shifted = grid - delay
+        at_nodes = np.array([np.interp(shifted, grid, signal) for signal in signals])
+        cell = np.clip(np.floor(shifted / step + 1e-9).astype(int), 0, len(grid) - 2)
+        rate = np.where(shifted < 0, 0.0, np.diff(signals[0])[cell] / step)
+        return at_nodes, at_nodes[:, :: self.substeps], rate, rate[:: self.substeps]
+
+
+def _refine(w: Array, factor: int) -> Array:
+    """Linear interpolation of each row by an integer factor."""
+    points = np.arange((w.shape[1] - 1) * factor + 1) / factor
+    return np.stack([np.interp(points, np.arange(w.shape[1]), row) for row in w])
+
+
+def _statics(
+    structure: Structure, theta: Array, effects: list[int], signal: Array
+) -> tuple[Array, dict[int, Array]]:
+    """Dead zone, then saturation, and the derivative by each free coefficient."""
+    slopes: dict[int, Array] = {}
+    value = signal
+    for index in effects:
+        kind = structure.effects[index].kind
+        if kind == "input_delay":
+            continue
+        name = "threshold" if kind == "input_deadzone" else "limit"
+        level = float(structure.value(theta, index, name))
+        column = structure.position(index, name)
+        beyond = np.abs(value) > level
+        side = np.sign(value)
+        if kind == "input_deadzone":
+            passed, own = beyond, -side * beyond
+            value = side * np.maximum(np.abs(value) - level, 0.0)
+        else:
+            passed, own = ~beyond, side * beyond
+            value = np.clip(value, -level, level)
+        slopes = {key: slope * passed for key, slope in slopes.items()}
+        if column >= 0:
+            slopes[column] = own.astype(float)
+    return value, slopes
+
+
+def _delay(structure: Structure, theta: Array, effects: list[int]) -> tuple[float, int]:
+    """Total delay of the channel in seconds, and its column in theta."""
+    for index in effects:
+        if structure.effects[index].kind == "input_delay":
+            return float(structure.value(theta, index, "delay")), structure.position(index, "delay")
+    return 0.0, -1
+
+
+def _place(values: Array, channel: int, shape: tuple[int, ...]) -> Array:
+    full = np.zeros(shape)
+    full[:, channel] = values
+    return full

@@ -1,0 +1,398 @@
+"""The simulation engine against scipy.integrate.solve_ivp, for every kind of effect."""
+
+from __future__ import annotations
+
+import itertools
+
+import control as ct
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from rcorefine.exceptions import DivergenceError
+from rcorefine.measurement import Measurement
+from rcorefine.physics.effects import Effect
+from rcorefine.physics.engine import Engine
+from rcorefine.physics.simulation import simulate
+from rcorefine.physics.structure import Structure
+
+M1, M2, C1, K1, K2 = 1.0, 0.7, 0.3, 40.0, 25.0
+DT = 0.05
+WIDTH = 0.05
+
+
+def chain(outputs=("v1", "x1")):
+    A = np.array(
+        [
+            [0, 0, 1, 0],
+            [0, 0, 0, 1],
+            [-(K1 + K2) / M1, K2 / M1, -2 * C1 / M1, C1 / M1],
+            [K2 / M2, -K2 / M2, C1 / M2, -C1 / M2],
+        ]
+    )
+    B = np.array([[0.0], [0.0], [1 / M1], [0.0]])
+    C = np.array([[0.0, 0, 1, 0], [1, 0, 0, 0]])
+    return ct.ss(A, B, C, 0, inputs="f", outputs=list(outputs), states=["x1", "x2", "v1", "v2"])
+
+
+def force(n=240, scale=10.0, seed=0):
+    return np.random.default_rng(seed).standard_normal(n) * scale
+
+
+def record(w, hold="foh", ny=2):
+    return Measurement(w, np.zeros((ny, w.size)), dt=DT, hold=hold)
+
+
+def solve(rhs, x0, times):
+    """Tight reference solution, restarted at each sample where the input has its kinks."""
+    states = [np.asarray(x0, dtype=float)]
+    for start, stop in itertools.pairwise(times):
+        answer = solve_ivp(rhs, (start, stop), states[-1], rtol=1e-10, atol=1e-12, method="DOP853")
+        states.append(answer.y[:, -1])
+    return np.array(states).T
+
+
+def held(w, hold):
+    if hold == "zoh":
+        return lambda t: w[min(int(np.floor(t / DT + 1e-9)), w.size - 1)]
+    times = np.arange(w.size) * DT
+    return lambda t: np.interp(t, times, w)
+
+
+def run(structure, theta, data, substeps, **options):
+    return Engine(structure, data, substeps=substeps).run(np.array(theta, dtype=float), **options)
+
+
+def law_cases():
+    s = lambda v: np.tanh(v / WIDTH)  # noqa: E731
+    return {
+        "cubic_stiffness": ([30.0], lambda d, v: 30 * d**3),
+        "quadratic_stiffness": ([20.0], lambda d, v: 20 * d**2),
+        "bilinear_stiffness": ([15.0], lambda d, v: 15 * max(d, 0)),
+        "clearance": ([50.0, 0.2], lambda d, v: 50 * np.sign(d) * max(abs(d) - 0.2, 0)),
+        "coulomb_friction": ([1.0], lambda d, v: s(v)),
+        "asymmetric_friction": ([1.0, 2.0], lambda d, v: (1.0 if v > 0 else 2.0) * s(v)),
+        "asymmetric_damping": ([1.0, 2.0], lambda d, v: (1.0 if v > 0 else 2.0) * v),
+        "stribeck_friction": (
+            [1.0, 2.0, 0.5],
+            lambda d, v: (1 + np.exp(-((v / 0.5) ** 2))) * s(v),
+        ),
+        "quadratic_damping": ([2.0], lambda d, v: 2 * v * abs(v)),
+        "cubic_damping": ([0.5], lambda d, v: 0.5 * v**3),
+        "stiffness": ([5.0], lambda d, v: 5 * d),
+        "damping": ([0.5], lambda d, v: 0.5 * v),
+        "constant_force": ([3.0], lambda d, v: 3.0),
+    }
+
+
+PORTS = {
+    "x1": (lambda x: (x[0], x[2]), np.array([0, 0, -1 / M1, 0])),
+    "x1-x2": (lambda x: (x[0] - x[1], x[2] - x[3]), np.array([0, 0, -1 / M1, 1 / M2])),
+}
+
+
+@pytest.mark.parametrize("place", ["x1", "x1-x2"])
+@pytest.mark.parametrize("kind", sorted(law_cases()))
+def test_mechanical_law_converges_to_solve_ivp_at_second_order(kind, place):
+    theta, law = law_cases()[kind]
+    model, w = chain(), force(120)
+    sense, act = PORTS[place]
+    u = held(w, "foh")
+    times = np.arange(w.size) * DT
+    x = solve(lambda t, x: model.A @ x + model.B[:, 0] * u(t) + act * law(*sense(x)), np.zeros(4), times)
+    truth = model.C @ x
+    structure = Structure(model, [Effect(kind, place)], constants={0: WIDTH})
+    errors = [
+        np.abs(run(structure, theta, record(w), substeps).outputs - truth).max() / np.abs(truth).max()
+        for substeps in (4, 8, 16)
+    ]
+    if structure.is_linear:
+        assert max(errors) < 1e-8  # exact, whatever the step
+    elif structure.jumps:
+        # substeps in which the force jumps are cut finer: accurate from the start, without an order
+        assert max(errors) < 1e-2
+        assert errors[2] < 1e-3
+    else:
+        assert errors[2] < 2e-3
+        assert errors[2] < 0.4 * errors[1] + 1e-8  # second order: a quarter per halving
+        assert errors[2] < 0.12 * errors[0] + 1e-8
+
+
+@pytest.mark.parametrize("kind", sorted(law_cases()))
+def test_sensitivities_are_the_derivatives(kind):
+    theta = np.array(law_cases()[kind][0])
+    data = record(force(150), hold="zoh")
+    structure = Structure(chain(), [Effect(kind, "x1-x2")], constants={0: WIDTH})
+    engine = Engine(structure, data, substeps=2)
+    x0 = np.array([0.01, -0.02, 0.1, 0.0])
+    exact = engine.run(theta, x0, initial_state=True).sensitivity
+    for i in range(theta.size + 4):
+        step = np.zeros(theta.size + 4)
+        step[i] = 1e-6
+        up = engine.run(theta + step[: theta.size], x0 + step[theta.size :], sensitivity=False).outputs
+        down = engine.run(theta - step[: theta.size], x0 - step[theta.size :], sensitivity=False).outputs
+        np.testing.assert_allclose(exact[:, :, i], (up - down) / 2e-6, atol=2e-5 * np.abs(exact).max())
+
+
+def test_hysteresis_follows_the_path():
+    F, delta = 2.0, 0.1
+    model, w = chain(), force(120)
+    u = held(w, "foh")
+    times = np.arange(w.size) * DT
+
+    def rhs(t, x):
+        v = x[2] - x[3]
+        f = F * x[4]
+        linear = model.A @ x[:4] + model.B[:, 0] * u(t) + PORTS["x1-x2"][1] * f
+        return np.append(linear, (v - abs(v) * x[4]) / delta)
+
+    truth = model.C @ solve(rhs, np.zeros(5), times)[:4]
+    structure = Structure(model, [Effect("hysteresis", "x1-x2")])
+    errors = [
+        np.abs(run(structure, [F, delta], record(w), s).outputs - truth).max() / np.abs(truth).max()
+        for s in (4, 16)
+    ]
+    assert errors[1] < 2e-3
+    assert errors[1] < 0.15 * errors[0]
+
+
+def test_mass_and_hidden_mode_are_exact():
+    model, w = chain(), force(120)
+    u = held(w, "zoh")
+    times = np.arange(w.size) * DT
+    extra = 0.3
+    A, B = model.A.copy(), model.B.copy()
+    A[2] *= M1 / (M1 + extra)
+    B[2] *= M1 / (M1 + extra)
+    truth = model.C @ solve(lambda t, x: A @ x + B[:, 0] * u(t), np.zeros(4), times)
+    heavier = Structure(model, [Effect("mass", "x1")])
+    np.testing.assert_allclose(run(heavier, [extra], record(w, "zoh"), 1).outputs, truth, atol=1e-7)
+
+    m, c, k = 0.1, 0.05, 3.0
+
+    def rhs(t, x):
+        f = k * (x[0] - x[4]) + c * (x[2] - x[5])
+        linear = model.A @ x[:4] + model.B[:, 0] * u(t) + PORTS["x1"][1] * f
+        return np.concatenate([linear, [x[5], f / m]])
+
+    truth = model.C @ solve(rhs, np.zeros(6), times)[:4]
+    attached = Structure(model, [Effect("hidden_mode", "x1")])
+    np.testing.assert_allclose(run(attached, [m, c, k], record(w, "zoh"), 1).outputs, truth, atol=1e-7)
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+@pytest.mark.parametrize("delay", [0.0, 0.3 * DT, 2.6 * DT])
+def test_input_delay_to_a_fraction_of_a_sample(hold, delay):
+    model, w = chain(), force(150)
+    u = held(w, hold)
+    structure = Structure(model, [Effect("input_delay", "f")])
+    fine = np.unique(
+        np.round(np.concatenate([np.arange(w.size) * DT, np.arange(w.size - 4) * DT + delay]), 12)
+    )
+    x = solve(lambda t, x: model.A @ x + model.B[:, 0] * u(max(t - delay, 0.0)), np.zeros(4), fine)
+    at = np.searchsorted(fine, np.arange(w.size - 5) * DT - 1e-9)
+    truth = model.C @ x[:, at]
+    answer = run(structure, [delay], record(w, hold), 8)
+    scale = np.abs(truth).max()
+    np.testing.assert_allclose(answer.outputs[:, : w.size - 5], truth, atol=5e-3 * scale)
+
+
+def test_input_statics_and_their_derivatives():
+    model, w = chain(), force(150)
+    times = np.arange(w.size) * DT
+    for kind, level, law in (
+        ("input_deadzone", 4.0, lambda w: np.sign(w) * np.maximum(np.abs(w) - 4.0, 0)),
+        ("input_saturation", 6.0, lambda w: np.clip(w, -6, 6)),
+    ):
+        u = held(law(w), "zoh")
+        truth = model.C @ solve(lambda t, x, u=u: model.A @ x + model.B[:, 0] * u(t), np.zeros(4), times)
+        structure = Structure(model, [Effect(kind, "f")])
+        engine = Engine(structure, record(w, "zoh"))
+        answer = engine.run(np.array([level]))
+        np.testing.assert_allclose(answer.outputs, truth, atol=1e-7)
+        up, down = (engine.run(np.array([level + s])).outputs for s in (1e-6, -1e-6))
+        np.testing.assert_allclose(answer.sensitivity[:, :, 0], (up - down) / 2e-6, atol=1e-6)
+
+
+def test_lags_gains_and_offsets_are_exact():
+    model, w = chain(), force(150)
+    u = held(w, "zoh")
+    times = np.arange(w.size) * DT
+    lag = 0.13
+
+    def rhs(t, x):
+        return np.append(model.A @ x[:4] + model.B[:, 0] * x[4], (1.2 * u(t) + 0.7 - x[4]) / lag)
+
+    truth = model.C @ solve(rhs, np.zeros(5), times)[:4]
+    effects = [Effect("input_lag", "f"), Effect("input_gain", "f"), Effect("input_offset", "f")]
+    answer = run(Structure(model, effects), [lag, 0.2, 0.7], record(w, "zoh"), 1)
+    np.testing.assert_allclose(answer.outputs, truth, atol=1e-7)
+
+    def sensor(t, x):
+        y = x[2]
+        return np.append(model.A @ x[:4] + model.B[:, 0] * u(t), (y - x[4]) / lag)
+
+    x = solve(sensor, np.zeros(5), times)
+    effects = [Effect("output_lag", "v1"), Effect("output_gain", "v1"), Effect("output_offset", "x1")]
+    answer = run(Structure(model, effects), [lag, -0.1, 2.0], record(w, "zoh"), 1)
+    np.testing.assert_allclose(answer.outputs[0], 0.9 * x[4], atol=1e-7)
+    np.testing.assert_allclose(answer.outputs[1], x[0] + 2.0, atol=1e-7)
+
+
+def test_sensor_statics_and_delay():
+    model, w = chain(), force(150)
+    u = held(w, "foh")
+    times = np.arange(w.size) * DT
+    x = solve(lambda t, x: model.A @ x + model.B[:, 0] * u(t), np.zeros(4), times)
+    y = model.C @ x
+    clip = run(Structure(model, [Effect("output_saturation", "v1")]), [0.8], record(w), 1)
+    np.testing.assert_allclose(clip.outputs[0], np.clip(y[0], -0.8, 0.8), atol=1e-7)
+    bridge = run(Structure(model, [Effect("output_rectification", "x1")]), [0.9], record(w), 1)
+    np.testing.assert_allclose(bridge.outputs[1], 0.1 * y[1] + 0.9 * np.abs(y[1]), atol=1e-7)
+    late = 1.4 * DT
+    shifted = solve(
+        lambda t, x: model.A @ x + model.B[:, 0] * u(t),
+        np.zeros(4),
+        np.unique(np.round(np.concatenate([times, times[2:] - late]), 12)),
+    )
+    fine = np.unique(np.round(np.concatenate([times, times[2:] - late]), 12))
+    truth = model.C @ shifted[:, np.searchsorted(fine, times[2:] - late - 1e-9)]
+    answer = run(Structure(model, [Effect("output_delay", "x1")]), [late], record(w), 1)
+    np.testing.assert_allclose(answer.outputs[1, 2:], truth[1], atol=2e-3 * np.abs(truth[1]).max())
+
+
+def test_first_order_laws():
+    model = ct.ss([[-0.1]], [[1.0]], [[1.0]], 0, inputs="q", outputs="y", states=["level"])
+    rng = np.random.default_rng(3)
+    w = np.repeat(rng.uniform(0, 3, 30), 10)
+    u = held(w, "zoh")
+    times = np.arange(w.size) * DT
+    for kind, theta, law in (
+        ("sqrt_flow", [0.5], lambda x: 0.5 * np.sqrt(max(x, 0))),
+        ("threshold_flow", [0.6, 1.2], lambda x: 0.6 * max(x - 1.2, 0)),
+        ("coulomb_friction", [0.3], lambda x: 0.3 * np.tanh(x / WIDTH)),
+        ("quadratic_damping", [0.2], lambda x: 0.2 * x * abs(x)),
+        ("cubic_damping", [0.1], lambda x: 0.1 * x**3),
+        ("damping", [0.2], lambda x: 0.2 * x),
+    ):
+        truth = solve(lambda t, x, law=law: -0.1 * x + u(t) - law(x[0]), [2.0], times)
+        constants = {0: 1e-5 if kind == "sqrt_flow" else WIDTH}
+        structure = Structure(model, [Effect(kind, "level")], constants=constants)
+        answer = run(structure, theta, record(w, "zoh", 1), 8, x0=np.array([2.0]))
+        np.testing.assert_allclose(answer.outputs, truth, atol=2e-4 * np.abs(truth).max(), err_msg=kind)
+
+
+def test_coefficient_of_A_and_custom_law():
+    model, w = chain(), force(80)
+    u = held(w, "foh")
+    times = np.arange(w.size) * DT
+    A = model.A.copy()
+    A[3, 0] += 4.0
+    truth = model.C @ solve(lambda t, x: A @ x + model.B[:, 0] * u(t), np.zeros(4), times)
+    answer = run(Structure(model, [Effect("coefficient", "A[v2,x1]")]), [4.0], record(w), 1)
+    np.testing.assert_allclose(answer.outputs, truth, atol=1e-7)
+
+    def law(d, v, a, b):
+        return a * np.sin(d) + b * v * v * v
+
+    own = Structure(model, [Effect("custom", "x1", law=law, start={"a": 5.0, "b": 0.1})])
+    x = solve(
+        lambda t, x: model.A @ x + model.B[:, 0] * u(t) + PORTS["x1"][1] * law(x[0], x[2], 5.0, 0.1),
+        np.zeros(4),
+        times,
+    )
+    engine = Engine(own, record(w), substeps=8)
+    theta = np.array([5.0, 0.1])
+    answer = engine.run(theta)
+    np.testing.assert_allclose(answer.outputs, model.C @ x, atol=2e-3 * np.abs(model.C @ x).max())
+    up, down = (engine.run(theta + np.array([s, 0.0])).outputs for s in (1e-4, -1e-4))
+    np.testing.assert_allclose(answer.sensitivity[:, :, 0], (up - down) / 2e-4, atol=1e-6)
+
+
+def test_accelerometer_feels_the_force():
+    A, B = chain().A, chain().B
+    model = ct.ss(A, B, A[2:3], B[2:3], inputs="f", outputs="a1", states=["x1", "x2", "v1", "v2"])
+    w = force(100)
+    u = held(w, "foh")
+    times = np.arange(w.size) * DT
+    law = lambda d, v: 30 * d**3  # noqa: E731
+    x = solve(lambda t, x: A @ x + B[:, 0] * u(t) + PORTS["x1"][1] * law(x[0], x[2]), np.zeros(4), times)
+    truth = A[2] @ x + w / M1 - law(x[0], x[2]) / M1
+    answer = run(Structure(model, [Effect("cubic_stiffness", "x1")]), [30.0], record(w, ny=1), 16)
+    np.testing.assert_allclose(answer.outputs[0], truth, atol=2e-3 * np.abs(truth).max())
+
+
+def test_two_ports_at_once():
+    model, w = chain(), force(120)
+    u = held(w, "foh")
+    times = np.arange(w.size) * DT
+
+    def rhs(t, x):
+        f1 = 1.0 * np.tanh(x[2] / WIDTH)
+        f2 = 30 * (x[0] - x[1]) ** 3
+        return model.A @ x + model.B[:, 0] * u(t) + PORTS["x1"][1] * f1 + PORTS["x1-x2"][1] * f2
+
+    truth = model.C @ solve(rhs, np.zeros(4), times)
+    effects = [Effect("coulomb_friction", "x1"), Effect("cubic_stiffness", "x1-x2")]
+    structure = Structure(model, effects, constants={0: WIDTH})
+    answer = run(structure, [1.0, 30.0], record(w), 16)
+    np.testing.assert_allclose(answer.outputs, truth, atol=2e-3 * np.abs(truth).max())
+
+
+def test_stiff_pole_and_singular_matrix_are_exact():
+    R, L, C = 250.0, 2e-6, 1.0
+    stiff = ct.ss([[0, 1], [-1 / (L * C), -R / L]], [[0], [1 / L]], [[0, R]], 0, states=["q", "i"])
+    w = np.random.default_rng(1).standard_normal(50)
+    data = Measurement(w, np.zeros(50), dt=1e-4)
+    s1, s2 = np.roots([L, R, 1 / C])  # q = a / (s - s1) - a / (s - s2), each exact under a hold
+    s2 = 1 / (L * C * s1)  # the slow root, without cancellation
+    a, modes, exact = 1 / (L * (s1 - s2)), np.zeros(2), []
+    for value in w:
+        exact.append(a * (modes[0] - modes[1]))
+        for i, pole in enumerate((s1, s2)):
+            modes[i] = np.exp(pole * 1e-4) * modes[i] + np.expm1(pole * 1e-4) / pole * value
+    answer = simulate(stiff, data, "zero")
+    np.testing.assert_allclose(answer.states[0], exact, rtol=1e-7, atol=1e-9 * np.abs(exact).max())
+    double = ct.ss([[0, 1], [0, 0]], [[0], [1]], [[1, 0]], 0)
+    answer = simulate(double, Measurement(np.ones(20), np.zeros(20), dt=0.5), "zero")
+    np.testing.assert_allclose(answer.outputs[0], 0.5 * (0.5 * np.arange(20)) ** 2, rtol=1e-12)
+
+
+def test_band_limited_hold_follows_a_sine():
+    model = chain()
+    n = 600
+    omega = 2 * np.pi * 0.35 / DT  # 70 % of Nyquist
+    ramp = np.minimum(np.arange(n) / 200, 1.0)
+    w = np.sin(omega * np.arange(n) * DT) * ramp**2
+    steady = abs(model(1j * omega)[1, 0])
+    answer = simulate(model, record(w, "bandlimited"), "zero").outputs[1, 400:560]
+    free = np.column_stack(
+        [np.sin(omega * np.arange(400, 560) * DT), np.cos(omega * np.arange(400, 560) * DT)]
+    )
+    slow = np.vander(np.linspace(-1, 1, 160), 12)
+    amplitude = np.linalg.lstsq(np.hstack([free, slow]), answer, rcond=None)[0][:2]
+    assert np.hypot(*amplitude) == pytest.approx(steady, rel=0.05)  # foh would lose 35 %
+
+
+def test_observer_pulls_towards_the_record_and_windows_let_go():
+    model, w = chain(), force(300)
+    truth = simulate(model, record(w), "zero")
+    wrong = Structure(model, [Effect("stiffness", "x1")])
+    data = Measurement(w, truth.outputs, dt=DT, hold="foh")
+    engine = Engine(wrong, data)
+    theta = np.array([8.0])
+    from rcorefine.physics.observer import observer_gain
+
+    gain = observer_gain(wrong, theta, data, 1.0)
+    free = engine.run(theta).outputs - truth.outputs
+    led = engine.run(theta, gain=gain).outputs - truth.outputs
+    assert np.sqrt(np.mean(led**2)) < 0.5 * np.sqrt(np.mean(free**2))
+    off = np.zeros((300, 2), dtype=bool)
+    np.testing.assert_allclose(engine.run(theta, gain=gain, use=off).outputs, engine.run(theta).outputs)
+
+
+def test_divergence_says_when():
+    unstable = ct.ss([[5.0]], [[1.0]], [[1.0]], 0)
+    data = Measurement(np.ones(400), np.zeros(400), dt=1.0)
+    with pytest.raises(DivergenceError, match="sample"):
+        simulate(unstable, data, "zero")
