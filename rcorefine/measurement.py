@@ -248,7 +248,7 @@ class Measurement(RecordReaders):
                 f"fraction = {fraction} of {self.n_samples} samples leaves a part empty; "
                 "take one between 0 and 1"
             )
-        return self.part(slice(0, cut)), self.part(slice(cut, None))
+        return self._part(slice(0, cut)), self._part(slice(cut, None))
 
     def segment(self, start: float | None = None, stop: float | None = None) -> Measurement:
         """Stretch of the record from `start` up to, not including, `stop`.
@@ -289,10 +289,9 @@ class Measurement(RecordReaders):
                 f"no sample lies between start = {start} and stop = {stop} s; "
                 f"the record runs from {self.timepts[0]:g} to {self.timepts[-1]:g} s"
             )
-        return self.part(slice(int(found[0]), int(found[-1]) + 1))
+        return self._part(slice(int(found[0]), int(found[-1]) + 1))
 
-    def part(self, where: slice) -> Measurement:
-        """Samples of a slice, times kept."""
+    def _part(self, where: slice) -> Measurement:
         return Measurement(
             self.inputs[:, where],
             self.outputs[:, where],

@@ -77,6 +77,66 @@ class FrequencyResponse:
     output_units: tuple[str, ...]
     name: str
 
+    @classmethod
+    def from_frd(cls, response: ct.FrequencyResponseData, *, hold: str | None = None) -> FrequencyResponse:
+        """Take a measured response whose uncertainty is not known.
+
+        Parameters
+        ----------
+        response : FrequencyResponseData
+            Measured response with positive frequencies.
+        hold : {"zoh", "foh", "bandlimited"}, optional
+            How the inputs ran between samples; default "zoh" where the
+            response has a sampling time, else "bandlimited" (continuous).
+
+        Returns
+        -------
+        FrequencyResponse
+            With `std` 0 and `coherence` 1.
+
+        Raises
+        ------
+        control.ControlArgument
+            If `response` is something else.
+        DataError
+            If a point is not finite or a frequency not positive.
+
+        Examples
+        --------
+        >>> frd = ct.frd([1.0, 0.5], [1.0, 2.0], name="analyzer")
+        >>> FrequencyResponse.from_frd(frd).name
+        'analyzer'
+        """
+        if not isinstance(response, ct.FrequencyResponseData):
+            raise ct.ControlArgument(
+                f"a measured response is a FrequencyResponse or control.FrequencyResponseData, "
+                f"not {type(response).__name__}; from a record take data.frequency_response()"
+            )
+        omega = np.array(response.omega, dtype=float)
+        values = np.array(response.frdata, dtype=complex)
+        if not np.isfinite(values).all() or not (np.isfinite(omega) & (omega > 0)).all():
+            raise DataError(
+                f"response {response.name!r} holds points that are not finite or frequencies that are not "
+                "positive; leave them out"
+            )
+        sampled = response.dt not in (None, True) and response.dt > 0
+        return cls(
+            omega=omega,
+            response=values,
+            coherence=np.ones((values.shape[0], omega.size)),
+            std=np.zeros(values.shape),
+            n_averages=float("nan"),
+            segment_length=0,
+            n_omitted=0,
+            dt=float(response.dt) if sampled else 0.0,
+            hold=hold or ("zoh" if sampled else "bandlimited"),
+            input_labels=tuple(response.input_labels),
+            output_labels=tuple(response.output_labels),
+            input_units=("",) * values.shape[1],
+            output_units=("",) * values.shape[0],
+            name=str(response.name),
+        )
+
     @property
     def magnitude(self) -> Array:
         """Magnitude of shape (n_y, n_w, n_omega), output unit per input unit."""
@@ -98,7 +158,9 @@ class FrequencyResponse:
 
     @property
     def resolution(self) -> float:
-        """Distance of the segments' frequency lines in rad/s."""
+        """Distance of the segments' frequency lines in rad/s; NaN where there were no segments."""
+        if self.segment_length == 0:
+            return float("nan")
         return 2.0 * np.pi / (self.segment_length * self.dt)
 
     @property

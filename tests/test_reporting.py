@@ -10,6 +10,7 @@ import pytest
 from rcorefine import Measurement, compare
 from rcorefine.reporting import bode_comparison, html_table, text_table
 from rcorefine.reporting.bode import as_sampled
+from rcorefine.spectral import FrequencyResponse
 from rcorefine.systems.linear import LinearModel
 
 DT = 0.1
@@ -170,6 +171,23 @@ def test_python_control_can_draw_on_top():
     ct.bode_plot(measured, ax=cplt.axes[:2], marker=".", linestyle="none", label="again")
     below = ct.bode_plot(resonant())
     assert bode_comparison([("m", resonant())], ax=below.axes).figure is below.figure
+
+
+def test_a_plain_frd_serves_as_measured_response():
+    omega = np.geomspace(0.3, 30, 60)
+    analog = ct.frd(resonant()(1j * omega), omega, name="analyzer")
+    cplt = bode_comparison([("true", resonant()), ("wrong", resonant(0.3))], analog)
+    assert np.max(cplt.lines[2, 0][0].get_ydata()) < 1e-9
+    assert "analyzer" in [t.get_text() for t in cplt.legend.get_texts()]
+    sampled = record(resonant()).frequency_response().frd
+    bode_comparison([("true", resonant())], sampled)
+    response = FrequencyResponse.from_frd(sampled)
+    assert "not known" in str(response)
+    response.plot()
+    with pytest.raises(ct.ControlArgument, match="TransferFunction"):
+        bode_comparison([("true", resonant())], ct.tf(1, [1, 1]))
+    with pytest.raises(ValueError, match="not positive"):
+        FrequencyResponse.from_frd(ct.frd([1.0, 1.0], [0.0, 1.0]))
 
 
 def test_static_and_integrating_and_unstable_models_draw():

@@ -174,7 +174,7 @@ def _simulate(
     states = np.empty((len(windows), linear.n_states))
     for index, window in enumerate(windows):
         try:
-            simulation = simulate(model, record.part(window) if len(windows) > 1 else record, start)
+            simulation = simulate(model, _window(record, window) if len(windows) > 1 else record, start)
         except DivergenceError as error:
             raise DivergenceError(_DIVERGED.format(name=name, why=error)) from error
         run[:, window] = simulation.outputs[order]
@@ -184,6 +184,14 @@ def _simulate(
         why = f"its output is not finite from t = {data.timepts[k]:g} s on"
         raise DivergenceError(_DIVERGED.format(name=name, why=why))
     return run, states
+
+
+def _window(record: Measurement, window: slice) -> Measurement:
+    """Samples of one window; the last one runs to the end."""
+    after = window.stop if window.stop < record.n_samples else None
+    return record.segment(
+        float(record.timepts[window.start]), None if after is None else float(record.timepts[after])
+    )
 
 
 _DIVERGED = (

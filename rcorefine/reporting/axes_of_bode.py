@@ -100,7 +100,8 @@ def draw_measured(
         x, units.magnitude(low), units.magnitude(size + 2.0 * spread), color=BAND, linewidth=0, zorder=1
     )
     dots = {"color": MEASURED, "marker": ".", "markersize": 3.5, "linestyle": "none", "zorder": 2}
-    upper = magnitude.plot(x, units.magnitude(size), label=f"{label} (band: 2 std)", **dots)
+    band = " (band: 2 std)" if spread.any() else ""
+    upper = magnitude.plot(x, units.magnitude(size), label=label + band, **dots)
     angle, turn = measured.phase[i, j], 2.0 * measured.phase_std[i, j]
     factor = units.phase_factor
     wraps = np.flatnonzero(np.abs(np.diff(angle)) > np.pi) + 1

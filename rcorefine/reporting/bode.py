@@ -27,7 +27,7 @@ _POINTS = 600
 
 def bode_comparison(
     systems: Sequence[tuple[str, ct.StateSpace | LinearModel]],
-    measured: FrequencyResponse | Measurement | None = None,
+    measured: FrequencyResponse | Measurement | ct.FrequencyResponseData | None = None,
     omega: ArrayLike | None = None,
     *,
     ax: Any = None,
@@ -43,8 +43,8 @@ def bode_comparison(
     ----------
     systems : sequence of (str, StateSpace)
         Label and system; all with the same numbers of inputs and outputs.
-    measured : FrequencyResponse or Measurement, optional
-        Measured response, drawn as dots with a band of two standard
+    measured : FrequencyResponse, Measurement or FrequencyResponseData, optional
+        Measured response (of unknown uncertainty in the last case), drawn as dots with a band of two standard
         deviations; adds a row with the relative error abs(G/G_measured - 1)
         of each system. Continuous systems are then drawn as the record sees
         them: sampled with its dt and hold.
@@ -86,7 +86,7 @@ def bode_comparison(
         (str(text), m if isinstance(m, LinearModel) else LinearModel.from_statespace(m))
         for text, m in systems
     ]
-    seen_as = measured.frequency_response() if isinstance(measured, Measurement) else measured
+    seen_as = _as_measured(measured)
     outputs, inputs = _channels(models, seen_as)
     points = None if omega is None else np.asarray(omega, dtype=float)
     names = curve_labels(label, [text for text, _ in models])
@@ -165,6 +165,16 @@ def bode_grid(model: LinearModel, measured: FrequencyResponse | None, omega: Arr
     return np.unique(np.concatenate([grid, extra[(extra > low) & (extra < high)]]))
 
 
+def _as_measured(measured: Any) -> FrequencyResponse | None:
+    if measured is None or isinstance(measured, FrequencyResponse):
+        return measured
+    return (
+        measured.frequency_response()
+        if isinstance(measured, Measurement)
+        else FrequencyResponse.from_frd(measured)
+    )
+
+
 def _channels(
     models: Sequence[tuple[str, LinearModel]], measured: FrequencyResponse | None
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -236,11 +246,13 @@ def _draw_measured(axes: Any, lines: Any, measured: FrequencyResponse, units: Bo
         if usual.size:
             low = min(low, 0.5 * float(np.median(usual)))
         low = max(low, 1e-6)
+        error.set_ylim(low, max(2.0, min(100.0, 2.0 * float(drawn.max(initial=1.0)))))
+        error.set_ylabel("Error |G/G$_{meas}$ - 1|" if len(axes) == 3 else "|G/G$_{meas}$ - 1|")
+        if not usual.size:
+            continue
         error.fill_between(
             x, low * 1e-3, noise, color=BAND, linewidth=0, zorder=1, label="noise alone (95 %)"
         )
-        error.set_ylim(low, max(2.0, min(100.0, 2.0 * float(drawn.max(initial=1.0)))))
-        error.set_ylabel("Error |G/G$_{meas}$ - 1|" if len(axes) == 3 else "|G/G$_{meas}$ - 1|")
 
 
 def _finite(values: NDArray[Any]) -> NDArray[Any]:

@@ -132,6 +132,8 @@ def _response_cells(measured: FrequencyResponse) -> tuple[list[str], list[list[s
         f"Measured frequency response of {measured.name!r}: {hertz.size} points, "
         f"{number(hertz[0])} ... {number(hertz[-1])} Hz"
     )
+    if measured.segment_length == 0:
+        return headers, rows, title, ["Taken as given: coherence and error are not known."]
     notes = [
         f"H1 from {measured.n_averages:.1f} effective segments of {measured.segment_length} samples, "
         f"lines {number(measured.resolution / (2.0 * np.pi))} Hz apart (narrower peaks are flattened).",
