@@ -83,7 +83,7 @@ class Stage(NamedTuple):
 
 
 class Record(NamedTuple):
-    """What a block leaves behind, time first; arrays of length 0 where it was not asked for."""
+    """What a block leaves behind, time first; of length 0 where it was not asked for."""
 
     z1: Array
     z2: Array
@@ -276,7 +276,7 @@ def _direct_step(rows: Array, residual: Array, alpha: float) -> Array:
     right = np.zeros(count + m)
     right[:count] = -residual
     q, r = np.linalg.qr(stacked)
-    return np.linalg.solve(r, np.ascontiguousarray(q.T) @ right)  # type: ignore[no-any-return]
+    return np.linalg.solve(r, np.ascontiguousarray(q.T) @ right)
 
 
 @compiled
@@ -336,7 +336,7 @@ def remember(stage: Stage, order: int, x: Array, w: Array) -> Array:
     stage.counters[_RECENT] = recent
     stage.past_psi[recent] = psi
     stage.past_u[recent] = u
-    return u  # type: ignore[no-any-return]
+    return u
 
 
 @compiled
@@ -363,11 +363,10 @@ def filtered(design: Design, past_psi: Array, recent: int, width: int) -> Array:
 
 
 @compiled
-def diverged(simulated: Array, x: Array, theta: Array, limit: float) -> bool:
-    """Whether a stage blew up: not finite, or far beyond anything measured."""
-    if not (np.isfinite(theta.sum()) and np.isfinite(x.sum()) and np.isfinite(simulated.sum())):
-        return True
-    return np.abs(simulated).max() > limit
+def bounded(simulated: Array, u: Array, x: Array, limit: float) -> bool:
+    """Whether output, correction and states are numbers of a sane size (NaN is not)."""
+    largest = max(np.abs(simulated).max(), np.abs(u).max())
+    return bool(largest <= limit and np.abs(x).sum() <= DIVERGED * limit)
 
 
 @compiled
@@ -378,6 +377,7 @@ def advance(
     stage1: Stage,
     stage2: Stage,
     peak: Array,
+    levels: Array,
     w: Array,
     y: Array,
     estimated: bool,
@@ -389,8 +389,11 @@ def advance(
     ----------
     peak : ndarray of shape (1,)
         Largest scaled output measured so far, at least 1.
+    levels : ndarray of shape (3, n_y)
+        Mean squares of y, z1 and z2, with a memory of one window of stage 1.
     estimated : bool
-        Whether stage 2 sees the states of stage 1; otherwise its own.
+        Whether stage 2 sees the states of stage 1; otherwise its own, and
+        stage 1 does not learn: it is the initial model.
 
     Returns
     -------
@@ -398,13 +401,14 @@ def advance(
         Number of samples done and 0, or where and in which stage it diverged.
     """
     keep = record.z1.shape[0] > 0
+    rate = y.shape[1] / stage1.rows.shape[0]
     for k in range(w.shape[0]):
         peak[0] = max(peak[0], np.abs(y[k]).max())
         limit = DIVERGED * peak[0]
         x = stage1.x.copy()
         u = remember(stage1, design1.order, x, w[k])
         simulated = affine(plant.C, x, plant.D, w[k], plant.Du, u)
-        if diverged(simulated, u, stage1.theta, limit) or not np.isfinite(x.sum()):
+        if not bounded(simulated, u, x, limit):
             return k, 1
         z1 = simulated - y[k]
         recent = stage1.counters[_RECENT]
@@ -412,7 +416,10 @@ def advance(
         # y^ predicted from the states of stage 1 is y_Delta with u2 in the place of u1
         # over the span of the Markov parameters: free of theta2 but for that span.
         z2 = z1 - reach(design2, stage1.past_u, recent)
-        learn(stage1, design1, filtered(design1, stage1.past_psi, recent, stage1.theta.size), offsets)
+        if estimated:
+            learn(stage1, design1, filtered(design1, stage1.past_psi, recent, stage1.theta.size), offsets)
+            if not np.isfinite(stage1.theta.sum()):
+                return k, 1
         stage1.x[:] = affine(plant.A, x, plant.B, w[k], plant.Bu, u)
 
         x2 = x if estimated else stage2.x.copy()
@@ -425,9 +432,14 @@ def advance(
             z2 = affine(plant.C, x2, plant.D, w[k], plant.Du, u) - y[k]
             offsets = z2 - reach(design2, stage2.past_u, recent)
             stage2.x[:] = affine(plant.A, x2, plant.B, w[k], plant.Bu, u)
-        if diverged(z2 + y[k], u, stage2.theta, limit) or not np.isfinite(x2.sum()):
+        if not bounded(z2 + y[k], u, x2, limit):
             return k, 2
         learn(stage2, design2, filtered(design2, stage2.past_psi, recent, stage2.theta.size), offsets)
+        if not np.isfinite(stage2.theta.sum()):
+            return k, 2
+        levels[0] += rate * (y[k] * y[k] - levels[0])
+        levels[1] += rate * (z1 * z1 - levels[1])
+        levels[2] += rate * (z2 * z2 - levels[2])
         if keep:
             record.z1[k] = z1
             record.z2[k] = z2

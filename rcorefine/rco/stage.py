@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ..systems.linear import Array
 from .kernels import PADDING, Design, Stage
+from .scaling import Scales
 
-__all__ = ["copied", "regressor_length", "regressor_scale", "start"]
+__all__ = ["copied", "in_units", "regressor_length", "regressor_scale", "start"]
 
 
 def regressor_length(n: int, n_w: int, l_u: int, order: int) -> int:
@@ -49,7 +52,8 @@ def start(design: Design, n: int, n_w: int, window: int, memory: int) -> Stage:
 
 def copied(stage: Stage) -> Stage:
     """Independent copy, on which a block can fail without harm."""
-    return Stage(*(array.copy() for array in stage))
+    arrays: Any = (array.copy() for array in stage)
+    return Stage(*arrays)
 
 
 def regressor_scale(states: Array, inputs: Array, corrections: Array, order: int) -> Array:
@@ -57,3 +61,11 @@ def regressor_scale(states: Array, inputs: Array, corrections: Array, order: int
     return np.concatenate(
         [np.tile(states, order + 1), np.tile(inputs, order + 1), np.tile(corrections, order)]
     )
+
+
+def in_units(theta: Array, scales: Scales, order: int) -> Array:
+    """Coefficients (..., m) with padding, as (..., l_u, l_psi) in the units of the signals."""
+    units = regressor_scale(scales.states, scales.inputs, scales.corrections, order)
+    l_u, q = scales.corrections.size, units.size
+    plain = theta[..., : l_u * q].reshape(*theta.shape[:-1], l_u, q)
+    return np.asarray(plain * scales.corrections[:, None] / units)

@@ -1,0 +1,104 @@
+"""All that a refiner remembers, as plain arrays, copied before a block: a failed one changes nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..systems.linear import Array
+from .kernels import Design, Plant, Stage
+from .path import markov_parameters
+from .scaling import Scales, scaled_plant
+from .stage import copied, start
+
+__all__ = ["Memory", "Settings", "Tuned", "begin", "tuned"]
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Numbers that shape one stage: n_c, p, mu and alpha."""
+
+    order: int
+    window: int
+    markov: int
+    learning_rate: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tuned:
+    """What follows from the scales: the scaled model and the designs of both stages."""
+
+    scales: Scales
+    plant: Plant
+    designs: tuple[Design, Design]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Memory:
+    """State of a refiner between two calls.
+
+    Parameters
+    ----------
+    stages : tuple of two Stage
+        Both stages.
+    peak, levels : ndarray of shape (1,), (3, n_y)
+        Largest scaled output; mean squares of y, z1 and z2.
+    inputs, outputs : ndarray of shape (K, n_w), (K, n_y)
+        First samples, held back until they tell the scales; then empty.
+    n_samples : int
+        Samples taken, those held back included.
+    tuned : Tuned or None
+        None while samples are held back.
+    """
+
+    stages: tuple[Stage, Stage]
+    peak: Array
+    levels: Array
+    inputs: Array
+    outputs: Array
+    n_samples: int
+    tuned: Tuned | None
+
+    def copied(self) -> Memory:
+        """Independent copy of what changes in place."""
+        first, second = self.stages
+        return replace(
+            self,
+            stages=(copied(first), copied(second)),
+            peak=self.peak.copy(),
+            levels=self.levels.copy(),
+        )
+
+
+def tuned(plant: Plant, scales: Scales, delay: int, settings: tuple[Settings, Settings]) -> Tuned:
+    """Scale the model and cut the Markov parameters that each stage uses."""
+    scaled = scaled_plant(plant, scales)
+    values = markov_parameters(scaled, delay + max(s.markov for s in settings))
+    first, second = (
+        Design(np.ascontiguousarray(values[delay : delay + s.markov]), delay, s.order, s.learning_rate)
+        for s in settings
+    )
+    return Tuned(scales, scaled, (first, second))
+
+
+def begin(plant: Plant, delay: int, settings: tuple[Settings, Settings], scales: Scales | None) -> Memory:
+    """Memory before the first sample."""
+    n, n_w = plant.B.shape
+    n_y, l_u = plant.Du.shape
+    reach = delay + max(s.markov for s in settings)
+    first, second = (
+        start(
+            Design(np.zeros((s.markov, n_y, l_u)), delay, s.order, s.learning_rate), n, n_w, s.window, reach
+        )
+        for s in settings
+    )
+    return Memory(
+        stages=(first, second),
+        peak=np.ones(1),
+        levels=np.zeros((3, n_y)),
+        inputs=np.zeros((0, n_w)),
+        outputs=np.zeros((0, n_y)),
+        n_samples=0,
+        tuned=None if scales is None else tuned(plant, scales, delay, settings),
+    )

@@ -1,0 +1,165 @@
+"""Settings checked and the model made ready: discretized, with B_u, D_u and the delay of the path."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from ..exceptions import ModelError
+from ..systems.conversion import to_discrete
+from ..systems.discretization import check_sampling_time, discretize
+from ..systems.linear import LinearModel
+from .checks import as_matrix, as_rate, as_size
+from .kernels import Plant
+from .memory import Settings
+from .path import column_delays, relative_degree
+from .scaling import Scales, declared_scales
+from .stage import regressor_length
+
+__all__ = ["Setup", "as_settings", "make_setup"]
+
+# Samples that tell the scales: a window, but at least this many.
+LEAST_WARM_UP = 50
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Setup:
+    """What a refiner knows before the first sample.
+
+    Parameters
+    ----------
+    initial, discrete : LinearModel
+        Model as given, and in discrete time.
+    step : float or None
+        Sampling time in s, None where nobody told it.
+    plant : Plant
+        Discrete arrays with B_u and D_u, in the units of the signals.
+    delay : int
+        First Markov parameter that is not zero, d.
+    settings : tuple of two Settings
+        n_c, p, mu, alpha of both stages.
+    estimated : bool
+        Whether stage 2 sees the states of stage 1.
+    scales : Scales or None
+        Declared scales.
+    """
+
+    initial: LinearModel
+    discrete: LinearModel
+    step: float | None
+    plant: Plant
+    delay: int
+    settings: tuple[Settings, Settings]
+    estimated: bool
+    scales: Scales | None
+
+    @property
+    def warm_up(self) -> int:
+        """Samples that are held back to begin with, where scales are not declared."""
+        return max(self.settings[0].window, LEAST_WARM_UP)
+
+    @property
+    def theta_shapes(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Shapes (l_u, l_psi) of the coefficients of both stages."""
+        n, n_w = self.plant.B.shape
+        l_u = self.plant.Bu.shape[1]
+        first, second = ((l_u, regressor_length(n, n_w, l_u, s.order)) for s in self.settings)
+        return first, second
+
+
+def make_setup(
+    model: Any,
+    dt: float | None,
+    settings: tuple[Settings, Settings],
+    correction_input: Any,
+    correction_feedthrough: Any,
+    estimated: bool,
+    scale: Any,
+) -> Setup:
+    """Check what `RCORefiner` was given and make the model ready."""
+    initial = LinearModel.from_statespace(getattr(model, "system", model))
+    discrete, step = _discretized(initial, dt)
+    plant = _plant(initial, discrete, step, correction_input, correction_feedthrough)
+    delay = relative_degree(plant)
+    column_delays(plant)
+    warm_up = max(settings[0].window, LEAST_WARM_UP)
+    scales = _declared(plant, scale, warm_up)
+    return Setup(initial, discrete, step, plant, delay, settings, estimated, scales)
+
+
+def as_settings(
+    order: Any,
+    window: Any,
+    markov: Any,
+    learning_rate: Any,
+    static_order: Any,
+    static_window: Any,
+    static_markov: Any,
+    static_learning_rate: Any,
+) -> tuple[Settings, Settings]:
+    """n_c, p, mu and alpha of both stages, checked; those of stage 2 default to stage 1's."""
+    first = Settings(
+        as_size(order, "order", 0, "n_c"),
+        as_size(window, "window", 1, "p"),
+        as_size(markov, "markov", 1, "mu"),
+        as_rate(learning_rate, "learning_rate"),
+    )
+    second = Settings(
+        as_size(static_order, "static_order", 0, "n_c"),
+        first.window if static_window is None else as_size(static_window, "static_window", 1, "p"),
+        first.markov if static_markov is None else as_size(static_markov, "static_markov", 1, "mu"),
+        first.learning_rate
+        if static_learning_rate is None
+        else as_rate(static_learning_rate, "static_learning_rate"),
+    )
+    return first, second
+
+
+def _plant(
+    model: LinearModel, discrete: LinearModel, step: float | None, given: Any, feedthrough: Any
+) -> Plant:
+    """Discrete arrays with B_u and D_u; by default those of the model's inputs."""
+    n, n_y = model.n_states, model.n_outputs
+    b_u = model.B.copy() if given is None else as_matrix(given, "correction_input (B_u)", n, None, "state")
+    l_u = b_u.shape[1]
+    if feedthrough is not None:
+        d_u = as_matrix(feedthrough, "correction_feedthrough (D_u)", n_y, l_u, "output")
+    else:
+        d_u = model.D.copy() if given is None else np.zeros((n_y, l_u))
+    if model.is_continuous and step is not None:
+        b_u = discretize(model.A, b_u, step)[1]
+    arrays = (discrete.A, discrete.B, b_u, discrete.C, discrete.D, d_u)
+    return Plant(*(np.ascontiguousarray(array) for array in arrays))
+
+
+def _declared(plant: Plant, scale: Any, n_samples: int) -> Scales | None:
+    """Scales that the user declares, None for those to be measured."""
+    if isinstance(scale, str) and scale == "auto":
+        return None
+    if not isinstance(scale, Mapping):
+        raise ct.ControlArgument(
+            f"scale must be 'auto' or a mapping such as {{'inputs': 1.0, 'outputs': 0.1}}, not {scale!r}"
+        )
+    return declared_scales(plant, scale, n_samples)
+
+
+def _discretized(model: LinearModel, dt: float | None) -> tuple[LinearModel, float | None]:
+    """Discrete model and its sampling time, None where neither model nor `dt` tells it."""
+    if model.is_continuous and dt is None:
+        raise ModelError(
+            f"model {model.name!r} is continuous: give dt, the sampling time of the record in seconds"
+        )
+    if dt is not None:
+        fixed = not model.is_continuous and model.dt is not None and model.dt is not True
+        if fixed and abs(model.dt - check_sampling_time(dt)) > 1e-6 * model.dt:
+            raise ModelError(
+                f"dt = {dt!r} s contradicts model {model.name!r}, which has dt = {model.dt:g} s; "
+                "leave dt out, or give the continuous model (rcorefine.d2c converts one)"
+            )
+        discrete = to_discrete(model, dt)
+        return discrete, float(discrete.dt)
+    return model, None if model.dt is None or model.dt is True else float(model.dt)
