@@ -249,34 +249,48 @@ slide = _slide_loops if NUMBA else _slide_arrays
 
 @compiled
 def refresh(stage: Stage, alpha: float) -> None:
-    """Rebuild the gain matrix and the window's energy from the rows."""
-    gram = stage.rows.T @ stage.rows
+    """Rebuild the gain matrix from the rows: one after the other enters an empty window."""
+    count, m = stage.rows.shape
     energy = 0.0
-    for i in range(gram.shape[0]):
-        energy += gram[i, i]
-        gram[i, i] += alpha
+    for i in range(count):
+        energy += stage.rows[i] @ stage.rows[i]
     stage.energy[0] = energy
     stage.counters[_AGE] = 0
-    if energy <= DIRECT_LIMIT * alpha:
-        stage.gain[:, :] = np.linalg.inv(gram)
-        stage.pending[:] = 0.0
-        stage.counters[_STALE] = 0
-    else:
-        stage.counters[_STALE] = 1
+    stage.counters[_STALE] = 1 if energy > DIRECT_LIMIT * alpha else 0
+    if stage.counters[_STALE] == 1:
+        return
+    stage.gain[:, :] = 0.0
+    for i in range(m):
+        stage.gain[i, i] = 1.0 / alpha
+    stage.pending[:] = 0.0
+    nothing, unused = np.zeros(m), np.zeros(m)
+    for i in range(count):
+        slide(stage.gain, stage.pending, stage.rows[i], nothing, nothing, unused)
 
 
 @compiled
-def _direct_step(rows: Array, residual: Array, alpha: float) -> Array:
-    """Minimize |residual + rows s|^2 + alpha |s|^2 by orthogonal factors."""
+def direct_step(rows: Array, residual: Array, alpha: float) -> Array:
+    """Minimize |residual + rows s|^2 + alpha |s|^2 by Householder's reflections."""
     count, m = rows.shape
-    stacked = np.zeros((count + m, m))
-    stacked[:count] = rows
-    for i in range(m):
-        stacked[count + i, i] = np.sqrt(alpha)
-    right = np.zeros(count + m)
-    right[:count] = -residual
-    q, r = np.linalg.qr(stacked)
-    return np.linalg.solve(r, np.ascontiguousarray(q.T) @ right)
+    columns = np.zeros((m + 1, count + m))  # of [rows; sqrt(alpha) I | -residual; 0]
+    columns[:m, :count] = rows.T
+    columns[m, :count] = -residual
+    for j in range(m):
+        columns[j, count + j] = np.sqrt(alpha)
+    diagonal = np.zeros(m)
+    for j in range(m):
+        v = columns[j, j:].copy()
+        size = np.sqrt(v @ v)
+        diagonal[j] = -size if v[0] > 0.0 else size
+        v[0] -= diagonal[j]
+        back = 2.0 / (v @ v)
+        for i in range(j + 1, m + 1):
+            columns[i, j:] -= (back * (columns[i, j:] @ v)) * v
+    step = columns[m, :m].copy()
+    for j in range(m - 1, -1, -1):
+        step[j] /= diagonal[j]
+        step[:j] -= step[j] * columns[j, :j]
+    return step
 
 
 @compiled
@@ -308,9 +322,11 @@ def learn(stage: Stage, design: Design, new: Array, offsets: Array) -> None:
     if due or counters[_STALE] == 1 or stage.energy[0] > DIRECT_LIMIT * design.alpha:
         refresh(stage, design.alpha)
         if counters[_STALE] == 1:
-            step = _direct_step(stage.rows, product(stage.rows, theta) + stage.offsets, design.alpha)
+            step = direct_step(stage.rows, product(stage.rows, theta) + stage.offsets, design.alpha)
         else:
-            step = -product(stage.gain, gradient)
+            nothing = np.zeros(m)
+            slide(stage.gain, stage.pending, nothing, nothing, gradient, step)
+            step = -step
         theta += step
     else:
         theta -= step
