@@ -5,6 +5,7 @@ out. The estimator is retrospective cost model refinement (D'Amato et al.).
 """
 
 from . import examples
+from .comparison import Comparison, compare
 from .exceptions import (
     ConversionWarning,
     DataError,
@@ -17,12 +18,29 @@ from .exceptions import (
     RCOWarning,
 )
 from .measurement import Measurement
-from .physics import Effect, NominalParameter, PhysicalModel, Port, describe_effects, ports
+from .physics import (
+    Effect,
+    NominalParameter,
+    PhysicalModel,
+    Port,
+    dc_motor,
+    describe_effects,
+    effect_library,
+    mass_spring_damper,
+    mechanical,
+    ports,
+    quarter_car,
+    series_rlc,
+    thermal_network,
+    two_tanks,
+)
+from .rco import RCORefiner
 from .systems import d2c
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "Comparison",
     "ConversionWarning",
     "DataError",
     "DivergenceError",
@@ -36,9 +54,19 @@ __all__ = [
     "PhysicalModel",
     "Port",
     "RCOError",
+    "RCORefiner",
     "RCOWarning",
+    "compare",
     "d2c",
+    "dc_motor",
     "describe_effects",
+    "effect_library",
     "examples",
+    "mass_spring_damper",
+    "mechanical",
     "ports",
+    "quarter_car",
+    "series_rlc",
+    "thermal_network",
+    "two_tanks",
 ]

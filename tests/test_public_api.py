@@ -7,10 +7,12 @@ import importlib
 import inspect
 import json
 import pkgutil
+import re
 import subprocess
 import sys
 import types
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -205,3 +207,46 @@ def test_errors_are_what_python_users_expect():
 def test_examples_is_a_module_of_examples():
     if "examples" in rco.__all__:
         assert isinstance(rco.examples, types.ModuleType)
+
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def test_readme_example_runs(tmp_path, monkeypatch, capsys):
+    """The first example of the README, line by line as it stands."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"^```python\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
+    assert blocks
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    for block in blocks:
+        exec(compile(block, "README.md", "exec"), names)
+    before, after = names["result"].fit
+    assert before[0] < 0 < 95 < after[0]
+    assert "fit" in capsys.readouterr().out
+
+
+def test_readme_opens_with_the_two_commands():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    block = re.search(r"^## Two commands\n+```\w*\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
+    assert block is not None
+    assert block.group(1).splitlines() == [
+        'python -m pip install ".[all]" && rcorefine demo',
+        'python -m pip install ".[all,dev]" && python -m pytest',
+    ]
+
+
+def test_readme_names_what_exists():
+    """Files that it links to, and public names in the table of pieces."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    for target in re.findall(r"\]\((?!http)([^)#]+)\)", text):
+        assert (ROOT / target).exists(), f"README links to {target}, which does not exist"
+    table = text.split("## What each piece does")[1].split("\n\n")[1]
+    for row in table.splitlines()[2:]:
+        for name in re.findall(r"`([A-Za-z_][\w.]*)`", row.split("|")[1]):
+            obj: Any = rco
+            for part in name.split("."):
+                assert hasattr(obj, part), f"README names {name}, which does not exist"
+                obj = getattr(obj, part)
+    listed = {Path(target).name for target in re.findall(r"\]\((notebooks/[^)]+\.py)\)", text)}
+    assert listed == {path.name for path in (ROOT / "notebooks").glob("*.py")}
