@@ -174,7 +174,7 @@ def _draw(whole: Comparison, stretch: Comparison, folder: Path) -> dict[str, str
     whole.plot("bode", title=responses).figure.savefig(folder / "bode.png", dpi=120)
 
     overview = plt.figure(figsize=(12, 5), layout="constrained")
-    left, right = overview.subfigures(1, 2)
+    [[left, right]] = overview.subfigures(1, 2, squeeze=False)
     axes = left.subplots(2, 1, sharex=True, squeeze=False, height_ratios=(2, 1))
     stretch.plot(ax=axes)
     left.suptitle("In time, on data that was held out")
