@@ -163,20 +163,20 @@ class Engine:
         if not np.isfinite(disc.M).all():
             if check:
                 raise DivergenceError(
-                    "the model with these effects grows beyond all numbers within one sample; start from other "
-                    "coefficients or bound them"
+                    "the model with these effects grows beyond all numbers within one sample; start from "
+                    "other coefficients or bound them"
                 )
             return Trajectory(Yout.T, np.moveaxis(SY, 1, 0), X.T, F.T, 0)
         limit = 1e12 * (1.0 + float(np.abs(x).max(initial=0.0)) + self._state_bound())
         blew_up = self._march(
             Ms, dMs, pieces, disc.linear, disc.O, disc.dO, disc.P, disc.dP, codes, values, columns, widths,
-            drive.W, drive.nodes, drive.Wout, dW, dWout, driven, self._measured, flags, K, outcodes, outvalues,
-            outcolumns, x, np.zeros(m), S, self.substeps, Yout, SY, X, F, limit,
+            drive.W, drive.nodes, drive.Wout, dW, dWout, driven, self._measured, flags, K, outcodes,
+            outvalues, outcolumns, x, np.zeros(m), S, self.substeps, Yout, SY, X, F, limit,
         )  # fmt: skip
         if blew_up >= 0 and check:
             raise DivergenceError(
-                f"the simulation left all bounds at sample {blew_up} (t = {blew_up * data.dt:.6g} s): the model "
-                "with these effects is unstable; start from other coefficients or bound them"
+                f"the simulation left all bounds at sample {blew_up} (t = {blew_up * data.dt:.6g} s): the "
+                "model with these effects is unstable; start from other coefficients or bound them"
             )
         for index, channel in delays:
             self._delay_output(theta, index, channel, Yout, SY, sensitivity)
@@ -213,12 +213,13 @@ def _kernel(structure: Structure) -> Callable[..., int]:
     """The loop over samples, bound to the user's own laws where there are any."""
     customs = structure.custom_laws
     if not customs:
-        return kernels.march  # type: ignore[no-any-return]
+        return kernels.march
+    evaluate: Any = evaluate_law
     laws = [(law, len(names)) for law, names in customs]
 
     def evaluate_any(code, d, v, d_start, z_start, p0, p1, p2, p3, width):  # type: ignore[no-untyped-def]
         if code >= 0:
-            return evaluate_law(code, d, v, d_start, z_start, p0, p1, p2, p3, width)
+            return evaluate(code, d, v, d_start, z_start, p0, p1, p2, p3, width)
         law, taken = laws[-code - 1]
         return _custom(law, taken, d, v, (p0, p1, p2, p3))
 

@@ -138,15 +138,14 @@ class InputSignal:
             edges = np.arange((n - 1) * self.substeps + 1) * (self.dt / self.substeps) - delay
             knots = np.arange(n + 1) * self.dt
             width = self.dt / self.substeps
-            at_nodes, last = [], np.zeros(0)
+            means = []
             for signal in signals:
                 area = np.concatenate([[0.0], np.cumsum(signal) * self.dt])
                 integral = np.interp(edges, knots, area) + np.minimum(edges, 0.0) * signal[0]
-                at_nodes.append(np.diff(integral) / width)
+                means.append(np.diff(integral) / width)
             held = signals[:, np.clip(np.floor(samples / self.dt + 1e-9).astype(int), 0, n - 1)]
             at_edges = signals[0][np.clip(np.floor(edges / self.dt + 1e-9).astype(int), 0, n - 1)]
-            last = np.diff(at_edges) / width
-            return np.array(at_nodes), held, last, np.zeros(n)
+            return np.array(means), held, np.diff(at_edges) / width, np.zeros(n)
         step = self.dt / self.substeps
         grid = np.arange(signals.shape[1]) * step
         shifted = grid - delay

@@ -18,7 +18,7 @@ __all__ = ["march"]
 if NUMBA:
 
     @compiled
-    def _apply(out, M, z):  # type: ignore[no-untyped-def]
+    def _apply(out, M, z):
         for i in range(M.shape[0]):
             total = 0.0
             for j in range(M.shape[1]):
@@ -26,7 +26,7 @@ if NUMBA:
             out[i] = total
 
     @compiled
-    def _add(out, M, z):  # type: ignore[no-untyped-def]
+    def _add(out, M, z):
         for i in range(M.shape[0]):
             total = 0.0
             for j in range(M.shape[1]):
@@ -34,7 +34,7 @@ if NUMBA:
             out[i] += total
 
     @compiled
-    def _add_rows(out, S, M):  # type: ignore[no-untyped-def]
+    def _add_rows(out, S, M):
         for p in range(S.shape[0]):
             for i in range(M.shape[0]):
                 total = 0.0
@@ -43,7 +43,7 @@ if NUMBA:
                 out[p, i] += total
 
     @compiled
-    def _add_forcing(out, index, dM, z):  # type: ignore[no-untyped-def]
+    def _add_forcing(out, index, dM, z):
         for q in range(dM.shape[0]):
             p = index[q]
             for i in range(dM.shape[1]):
@@ -54,22 +54,22 @@ if NUMBA:
 
 else:
 
-    def _apply(out, M, z):  # type: ignore[no-untyped-def]
+    def _apply(out, M, z):
         out[:] = M @ z
 
-    def _add(out, M, z):  # type: ignore[no-untyped-def]
+    def _add(out, M, z):
         out += M @ z
 
-    def _add_rows(out, S, M):  # type: ignore[no-untyped-def]
+    def _add_rows(out, S, M):
         out += S @ M.T
 
-    def _add_forcing(out, index, dM, z):  # type: ignore[no-untyped-def]
+    def _add_forcing(out, index, dM, z):
         if index.shape[0]:
             out[index] += dM @ z
 
 
 @compiled
-def _solve_in_place(J, R):  # type: ignore[no-untyped-def]
+def _solve_in_place(J, R):
     """Gaussian elimination with pivoting; rows of R (k, m) are the right-hand sides."""
     m = J.shape[0]
     for c in range(m):
@@ -100,7 +100,7 @@ def _solve_in_place(J, R):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def march(  # type: ignore[no-untyped-def]
+def march(
     Ms,  # (2, n, n + 2 nw + 2 m)    [Phi, Gamma0, Gamma1, Psi0, Psi1] of a substep, and of a piece of it
     dMs,  # (2, q, n, n + 2 nw + 2 m) their derivatives, for the parameters listed in `linear`
     pieces,  # int                   pieces of a substep in which a force jumps

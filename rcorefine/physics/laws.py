@@ -41,7 +41,7 @@ NEEDS_WIDTH: Final = JUMPING | {"sqrt_flow"}
 
 
 @compiled
-def evaluate_law(code, d, v, d_start, z_start, p0, p1, p2, p3, width):  # type: ignore[no-untyped-def]
+def evaluate_law(code, d, v, d_start, z_start, p0, p1, p2, p3, width):
     """Force, inner state and their partial derivatives at the end of a step.
 
     Returns ``(f, f_d, f_v, f_ds, f_zs, z, z_d, z_ds, z_zs, f_p0..f_p3, z_p0..z_p3)``.

@@ -55,6 +55,7 @@ def nonlinear_system(structure: Structure, theta: Array, name: str | None = None
     codes, values, _, widths = structure.laws(theta)
     memory = [i for i, code in enumerate(codes) if code == _HYSTERESIS]
     customs = structure.custom_laws
+    evaluate: Any = evaluate_law
     n, m = structure.n_states, structure.n_ports
 
     def force(i: int, d: float, v: float, z: float) -> float:
@@ -63,7 +64,7 @@ def nonlinear_system(structure: Structure, theta: Array, name: str | None = None
             return float(_custom(law, len(names), d, v, tuple(values[i]))[0])
         if codes[i] == _HYSTERESIS:
             return float(values[i, 0] * z)
-        return float(evaluate_law(codes[i], d, v, d, z, *values[i], widths[i])[0])
+        return float(evaluate(codes[i], d, v, d, z, *values[i], widths[i])[0])
 
     def drive(u: Any) -> Array:
         w = np.append(np.atleast_1d(np.asarray(u, dtype=float)), 1.0)

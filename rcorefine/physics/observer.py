@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import LinAlgError, expm, solve_discrete_are
+from scipy.linalg import LinAlgError, solve_discrete_are
 
 from ..measurement import Measurement
+from ..systems.exponential import exponential
 from ..systems.linear import Array
 from .structure import Structure
 
@@ -55,11 +56,11 @@ def observer_gain(
     # Van Loan: exact covariance of a force that is constant over a sample, as a density
     scale = data.dt
     with np.errstate(over="ignore", invalid="ignore"):
-        F = expm(block * scale)
+        F = exponential((block * scale)[None])[0]
         Phi = F[n:, n:].T
         Q = Phi @ F[:n, n:]
     if not np.isfinite(Q).all():  # a fast pole: the density form overflows, the held form does not
-        held = expm(np.block([[m.A, G], [np.zeros((G.shape[1], n + G.shape[1]))]]) * scale)
+        held = exponential((np.block([[m.A, G], [np.zeros((G.shape[1], n + G.shape[1]))]]) * scale)[None])[0]
         Phi, gamma = held[:n, :n], held[:n, n:]
         Q = gamma @ gamma.T
     else:

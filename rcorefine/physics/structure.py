@@ -14,8 +14,8 @@ from typing import Any
 import control as ct
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
+from ..systems.exponential import exponential
 from ..systems.linear import Array, LinearModel
 from .effects import Effect
 from .laws import CODES, JUMPING, MAX_COEFFICIENTS
@@ -344,7 +344,7 @@ class Structure:
             block[:n, n : n + drive] = np.hstack([matrices.B, matrices.E]) * step
             block[n : n + drive, n + drive :] = np.eye(drive)
         with np.errstate(over="ignore", invalid="ignore"):  # the engine says so where a model blows up
-            exponentials = expm(blocks)[:, :n, :]
+            exponentials = exponential(blocks)[:, :n, :]
             Phi = exponentials[:, :, :n]
             second = exponentials[:, :, n + drive :]
             first = exponentials[:, :, n : n + drive] - second

@@ -1,0 +1,212 @@
+"""The estimation problem: records, coefficients, initial states, priors, as one residual."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from ..measurement import Measurement
+from ..physics.engine import Engine
+from ..physics.structure import Structure
+from ..systems.linear import Array
+
+__all__ = ["Evaluation", "Problem", "residual_blocks"]
+
+_FAILED = 1e8  # residual level of a simulation that blew up: worse than anything, yet finite
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evaluation:
+    """Weighted residual and Jacobian at one point."""
+
+    residual: Array
+    jacobian: Array
+    finite: bool
+
+
+class Problem:
+    """Output-error (or innovation) residuals of a structure on several records.
+
+    The point is ``[theta / scale, x0 of record 1, x0 of record 2, ...]``.
+
+    Parameters
+    ----------
+    structure : Structure
+        Model with effects.
+    records : sequence of Measurement
+        Segments; each has an initial state of its own.
+    weights : ndarray, shape (n_y,)
+        One over the noise level of each output.
+    prior_mean, prior_sd : ndarray, shape (p,)
+        Gaussian prior of the coefficients; sd = inf for none.
+    substeps : int
+        Substeps per sampling interval.
+    initial : ndarray of shape (n,), or None
+        Known initial state; estimated per record where None.
+    """
+
+    def __init__(
+        self,
+        structure: Structure,
+        records: Sequence[Measurement],
+        weights: Array,
+        *,
+        prior_mean: Array,
+        prior_sd: Array,
+        substeps: int = 1,
+        initial: Array | None = None,
+    ) -> None:
+        self.structure, self.records, self.weights = structure, list(records), weights
+        self.prior_mean, self.prior_sd = prior_mean, prior_sd
+        self.initial = initial
+        self.engines = [Engine(structure, record, substeps=substeps) for record in records]
+        self.n_theta, self.n_states = structure.n_parameters, structure.n_states
+        self.free_start = initial is None
+        self.gain: Array | None = None
+        self._cache: tuple[Array, Evaluation] | None = None
+        self.n_points = sum(record.outputs.size for record in self.records)
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return self.n_theta + (len(self.records) * self.n_states if self.free_start else 0)
+
+    def pack(self, theta: Array, starts: Array) -> Array:
+        """Join coefficients and initial states, shape (records, n)."""
+        return np.concatenate([theta, starts.ravel()]) if self.free_start else theta.copy()
+
+    def unpack(self, point: Array) -> tuple[Array, Array]:
+        """Split a point into coefficients and initial states."""
+        theta = point[: self.n_theta]
+        if self.free_start:
+            return theta, point[self.n_theta :].reshape(len(self.records), self.n_states)
+        assert self.initial is not None
+        return theta, np.tile(self.initial, (len(self.records), 1))
+
+    def evaluate(self, point: Array) -> Evaluation:
+        """Weighted residual (model minus record, then priors) and its Jacobian."""
+        if self._cache is not None and np.array_equal(self._cache[0], point):
+            return self._cache[1]
+        theta, starts = self.unpack(point)
+        rows, blocks, finite = [], [], True
+        for i, engine in enumerate(self.engines):
+            run = engine.run(theta, starts[i], initial_state=self.free_start, gain=self.gain, check=False)
+            ok = run.blew_up < 0 and bool(np.isfinite(run.sensitivity).all())
+            finite &= ok
+            width = run.sensitivity.shape[2]
+            block = np.zeros((engine.data.outputs.size, self.size))
+            if ok:
+                error = (self.weights[:, None] * (run.outputs - engine.data.outputs)).ravel()
+                slope = (self.weights[:, None, None] * run.sensitivity).reshape(-1, width)
+                block[:, : self.n_theta] = slope[:, : self.n_theta]
+                if self.free_start:
+                    first = self.n_theta + i * self.n_states
+                    block[:, first : first + self.n_states] = slope[:, self.n_theta :]
+            else:
+                error = np.full(engine.data.outputs.size, _FAILED)
+            rows.append(error)
+            blocks.append(block)
+        held = np.isfinite(self.prior_sd)
+        if held.any():
+            rows.append((theta[held] - self.prior_mean[held]) / self.prior_sd[held])
+            block = np.zeros((int(held.sum()), self.size))
+            block[np.arange(block.shape[0]), np.flatnonzero(held)] = 1.0 / self.prior_sd[held]
+            blocks.append(block)
+        result = Evaluation(np.concatenate(rows), np.vstack(blocks), finite)
+        self._cache = (point.copy(), result)
+        return result
+
+    def cost(self, point: Array) -> float:
+        """Half the sum of squares."""
+        residual = self.evaluate(point).residual
+        return 0.5 * float(residual @ residual)
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Bounds of a point; initial states are free."""
+        lower, upper = np.full(self.size, -np.inf), np.full(self.size, np.inf)
+        for i, parameter in enumerate(self.structure.parameters):
+            lower[i], upper[i] = parameter.lower, parameter.upper
+        return lower, upper
+
+    def inside(self, point: Array) -> Array:
+        """The point moved strictly inside its bounds."""
+        lower, upper = self.bounds()
+        margin = 1e-10 * np.maximum(1.0, np.minimum(np.abs(lower), 1e300))
+        width = np.where(np.isfinite(upper - lower), upper - lower, 1.0)
+        margin = np.minimum(margin, 1e-6 * width)
+        low = np.where(np.isfinite(lower), lower + margin, -np.inf)
+        high = np.where(np.isfinite(upper), upper - margin, np.inf)
+        return np.clip(point, low, high)
+
+    def minimize(
+        self, point: Array, *, max_nfev: int = 50, tol: float = 1e-12, gain: Array | None = None
+    ) -> Any:
+        """Least squares from `point` (trust region, exact Jacobian).
+
+        Parameters
+        ----------
+        point : ndarray
+            Start.
+        max_nfev : int
+            Evaluations at most.
+        tol : float
+            Relative tolerance on cost and step.
+        gain : ndarray, shape (n, n_y), optional
+            Minimize innovations with this observer gain rather than the free-run error.
+
+        Returns
+        -------
+        OptimizeResult
+            As of `scipy.optimize.least_squares`.
+        """
+        self.gain, self._cache = gain, None
+        scale = self._scales(point)
+        fun: Callable[[Array], Array] = lambda q: self.evaluate(q * scale).residual  # noqa: E731
+        jac: Callable[[Array], Array] = lambda q: self.evaluate(q * scale).jacobian * scale  # noqa: E731
+        lower, upper = self.bounds()
+        result = least_squares(
+            fun,
+            self.inside(point) / scale,
+            jac=jac,
+            bounds=(lower / scale, upper / scale),
+            max_nfev=max_nfev,
+            ftol=tol,
+            xtol=tol,
+            gtol=1e-14,
+            x_scale="jac",
+        )
+        result.x = result.x * scale
+        result.jac = result.jac / scale
+        self.gain, self._cache = None, None
+        return result
+
+    def _scales(self, point: Array) -> Array:
+        """Column scales that bring the Jacobian at `point` to unit columns."""
+        columns = np.linalg.norm(self.evaluate(self.inside(point)).jacobian, axis=0)
+        top = columns[np.isfinite(columns) & (columns > 0)]
+        if top.size == 0:
+            return np.ones(self.size)
+        columns = np.where(np.isfinite(columns) & (columns > 1e-12 * top.max()), columns, np.nan)
+        level = np.sqrt(self.n_points)
+        return np.where(np.isnan(columns), np.maximum(np.abs(point), 1.0), level / columns)
+
+
+def residual_blocks(problem: Problem, point: Array) -> list[tuple[Array, Array]]:
+    """Residual (n_y, N) and Jacobian (n_y, N, p) of each window."""
+    evaluation = problem.evaluate(point)
+    blocks, row = [], 0
+    for record in problem.records:
+        count = record.outputs.size
+        shape = record.outputs.shape
+        blocks.append(
+            (
+                evaluation.residual[row : row + count].reshape(shape),
+                evaluation.jacobian[row : row + count].reshape(*shape, problem.size),
+            )
+        )
+        row += count
+    return blocks

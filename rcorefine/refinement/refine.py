@@ -1,0 +1,238 @@
+"""Batch estimation of effects, linear parameters, offsets and initial states."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from ..comparison.channels import match_channels, record_for
+from ..exceptions import DataError
+from ..measurement import Measurement
+from ..physics.effects import Effect
+from ..physics.simulation import check_channels
+from ..physics.structure import Structure
+from ..systems.linear import Array
+from .assembly import assemble, offset_variants, priors, unfold
+from .outcome import output_weights, package
+from .problem import Problem, residual_blocks
+from .refinement import Refinement
+from .search import search, starting_states, step_matters
+from .starts import Motion, estimated_motion, law_widths
+from .windows import as_records, windows
+
+__all__ = ["refine"]
+
+_STEP_SHARE = 0.5  # of a standard deviation that halving the substep may shift a coefficient
+_MOST_HALVINGS = 7
+
+
+def refine(
+    model: Any,
+    data: Measurement | Sequence[Measurement],
+    effects: Sequence[Effect] = (),
+    *,
+    free: str | Sequence[Any] = (),
+    tolerance: float = 0.0,
+    offset: bool = True,
+    x0: str | Array = "estimate",
+    noise: float | Sequence[float] | None = None,
+    horizon: float | None = None,
+    substeps: int | None = None,
+) -> Refinement:
+    """Add effects to a model and estimate them from a record.
+
+    A recursive-type pass (an observer holds the state near the record) finds the
+    valley, a free-run least-squares fit on exact sensitivities polishes.
+
+    Parameters
+    ----------
+    model : StateSpace, PhysicalModel or Refinement
+        Initial model, continuous time. Effects that a Refinement holds already are
+        estimated again, together with the new ones.
+    data : Measurement or list of Measurement
+        Record, or segments that share the coefficients but not the initial state.
+    effects : sequence of Effect
+        What to add.
+    free : "linear" or sequence
+        "linear" lets every linear parameter of the model float (stiffness, damping,
+        input gain, ...); a sequence names some of them (parameter names or effects).
+    tolerance : float
+        Relative prior standard deviation of the linear parameters; with a positive
+        one and nothing in `free`, all of them float within it.
+    offset : bool
+        Estimate a constant sensor offset, or an actuator offset where the model
+        integrates: a nuisance that would otherwise spoil the effects.
+    x0 : {"estimate", "zero"} or ndarray of shape (n,)
+        Initial state of every record.
+    noise : float or sequence of float, optional
+        Known sensor noise (standard deviation per output); estimated by default.
+    horizon : float, optional
+        Length in seconds of the free runs: the record is cut into windows with an initial
+        state each. Default: the whole record; one tenth of it where the model
+        integrates, because a free run then drifts without bound.
+    substeps : int, optional
+        Substeps per sample for nonlinear effects; by default as many as shift no
+        coefficient by a third of its standard deviation when they are doubled.
+
+    Returns
+    -------
+    Refinement
+        Estimates with standard deviations, and the refined model.
+
+    Raises
+    ------
+    ModelError
+        If a place does not exist or an effect is named twice.
+    control.ControlDimension
+        If the record's channels are not the model's.
+    DataError
+        If the record is too short for the number of unknowns.
+
+    Warns
+    -----
+    IdentifiabilityWarning
+        Names the combination of parameters that the record cannot see.
+
+    Notes
+    -----
+    The covariance is that of the output-error estimate under coloured residuals
+    (Ljung, System Identification, sec. 9.3), with an autoregressive residual model.
+
+    Examples
+    --------
+    >>> import numpy as np, rcorefine as rco
+    >>> chain = rco.mass_spring_damper([1.0], [0.4], [100.0], sensors="displacement")
+    >>> true = rco.mass_spring_damper([1.0], [0.4], [90.0], sensors="displacement")
+    >>> force = np.random.default_rng(0).standard_normal(2000)
+    >>> blank = rco.Measurement(force, np.zeros(2000), dt=0.02)
+    >>> data = rco.Measurement(force, rco.simulate(true, blank, "zero").outputs, dt=0.02)
+    >>> better = rco.refine(chain, data, [rco.Effect("stiffness", "link1")])
+    >>> round(better.parameters[0].value, 3)
+    90.0
+    """
+    physical, kept = unfold(model)
+    records = [record_for(r, match_channels(physical.linear, r)) for r in as_records(data)]
+    for record in records:
+        check_channels(physical.linear, record)
+        record.check_excitation("refine", stacklevel=2)
+    segments, note = windows(physical, records, horizon)
+    initial = _given_state(x0)
+    bare = Structure(physical)
+    motion = estimated_motion(bare, np.zeros(0), records[0])
+    best: Fit | None = None
+    for offsets in offset_variants(physical, records[0], offset):
+        chosen = assemble(physical, kept, effects, free, tolerance, offsets)
+        structure = Structure(physical, [e for e, _ in chosen])
+        structure = Structure(physical, structure.effects, constants=law_widths(structure, motion))
+        if best is not None and (
+            structure.is_linear or structure.n_parameters != best.structure.n_parameters
+        ):
+            continue  # behind a linear model all offsets are the same
+        fit = Fit(structure, [role for _, role in chosen], segments, noise, initial, tolerance)
+        fit.run(motion, substeps, start=None if best is None else best.theta)
+        if best is None or fit.cost < best.cost:
+            best = fit
+    assert best is not None
+    return package(best, physical, note, tolerance)
+
+
+class Fit:
+    """One set of effects on the records: search, polish, substeps, noise levels."""
+
+    def __init__(
+        self,
+        structure: Structure,
+        roles: Sequence[str],
+        segments: Sequence[Measurement],
+        noise: Any,
+        initial: Array | None,
+        tolerance: float,
+    ) -> None:
+        self.structure, self.roles, self.segments, self.noise = structure, roles, segments, noise
+        self.initial = None if initial is None else _resized(initial, structure.n_states)
+        self.mean, self.sd = priors(structure, roles, tolerance)
+        self.weights = output_weights(segments, noise)
+        self.steps = 1
+        self.problem: Problem
+        self.result: Any = None
+        values = sum(record.outputs.size for record in segments)
+        unknowns = structure.n_parameters + structure.n_states * len(segments)
+        if values <= unknowns:
+            raise DataError(
+                f"the record has {values} output values and {unknowns} numbers are to be estimated; "
+                "give a longer record or fewer effects"
+            )
+
+    def build(self, segments: Sequence[Measurement], steps: int) -> Problem:
+        """The problem on some segments at the present noise levels."""
+        return Problem(
+            self.structure,
+            segments,
+            self.weights,
+            prior_mean=self.mean,
+            prior_sd=self.sd,
+            substeps=steps,
+            initial=self.initial,
+        )
+
+    def run(self, motion: Motion, substeps: int | None, start: Array | None = None) -> None:
+        """Search (unless a start is given), polish, halve the substep until it no longer matters."""
+        self.steps = substeps or (1 if self.structure.is_linear else 2)
+        self.problem = self.build(self.segments, self.steps)
+        if start is None:
+            point = search(self.build, self.structure, self.segments, motion, self.steps)
+        else:
+            point = self.problem.pack(start, starting_states(self.problem, start))
+        self._polish(point)
+        for _ in range(_MOST_HALVINGS):
+            self._reweigh()
+            if self.structure.is_linear or substeps:
+                break
+            finer = self.build(self.segments, 2 * self.steps)
+            if step_matters(self.problem, finer, self.result.x) < _STEP_SHARE:
+                break
+            self.steps *= 2
+            self.problem = finer
+            self._polish(self.result.x)
+
+    def _polish(self, point: Array) -> None:
+        self.result = self.problem.minimize(point, max_nfev=60)
+
+    def _reweigh(self) -> None:
+        """Noise levels from the residual, and once more at these."""
+        if self.noise is None:
+            self.weights = output_weights(self.segments, None, self.problem, self.result.x)
+        self.problem = self.build(self.segments, self.steps)
+        self._polish(self.result.x)
+
+    @property
+    def theta(self) -> Array:
+        """Coefficients at the minimum."""
+        return self.problem.unpack(self.result.x)[0]
+
+    @property
+    def cost(self) -> float:
+        """Log of the residual power over the outputs: comparable between rivals."""
+        blocks = residual_blocks(self.problem, self.result.x)
+        residual = np.concatenate([r for r, _ in blocks], axis=1) / self.problem.weights[:, None]
+        return float(np.sum(np.log(np.mean(residual**2, axis=1) + 1e-300)))
+
+
+def _given_state(x0: str | Array) -> Array | None:
+    if isinstance(x0, str):
+        if x0 not in ("estimate", "zero"):
+            raise ct.ControlArgument(f"x0 must be 'estimate', 'zero' or an array, not {x0!r}")
+        return None if x0 == "estimate" else np.zeros(0)
+    return np.asarray(x0, dtype=float)
+
+
+def _resized(initial: Array, n: int) -> Array:
+    """Known initial state; states that effects add start at rest."""
+    full = np.zeros(n)
+    if initial.ndim != 1 or initial.size > n:
+        raise ct.ControlDimension(f"x0 has shape {initial.shape}; the model has {n} states")
+    full[: initial.size] = initial
+    return full

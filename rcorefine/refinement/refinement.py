@@ -1,0 +1,281 @@
+"""The refined model: what `refine` returns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from ..exceptions import ModelError
+from ..measurement import Measurement
+from ..physics.effects import Effect
+from ..physics.nonlinear import nonlinear_system
+from ..physics.physical_model import PhysicalModel
+from ..physics.simulation import simulate
+from ..physics.structure import Structure
+from ..systems.linear import Array
+
+__all__ = ["EstimatedParameter", "Refinement"]
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatedParameter:
+    """One row of `Refinement.parameters`.
+
+    Attributes
+    ----------
+    name : str
+        Name of the physical parameter (``"k2"``) or of the effect's coefficient.
+    kind, place : str
+        Effect that it belongs to.
+    initial, value : float
+        Value in the initial model (0 for what was not there) and estimate, in `unit`.
+    coefficient : float
+        Coefficient of the effect: value minus initial.
+    std : float
+        Standard deviation of value and coefficient alike.
+    unit : str
+        Unit, "" where unknown.
+    role : str
+        "effect" (asked for), "linear" (parameter of the model) or "offset" (nuisance).
+    """
+
+    name: str
+    kind: str
+    place: str
+    initial: float
+    value: float
+    coefficient: float
+    std: float
+    unit: str
+    role: str
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval."""
+        return self.value - 1.96 * self.std, self.value + 1.96 * self.std
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refinement:
+    """A model refined with effects, and how well it is known.
+
+    Passes as a model to `compare`, `refine` and the other functions.
+
+    Attributes
+    ----------
+    physical_model : PhysicalModel
+        Initial model.
+    effects : tuple of Effect
+        Effects that were added, linear parameters and offsets included.
+    roles : tuple of str
+        Role of each effect: "effect", "linear" or "offset".
+    theta : ndarray, shape (p,)
+        Coefficients in the order of `parameters`.
+    parameters : tuple of EstimatedParameter
+        Rows: name, kind, place, initial, value, std, unit, role.
+    covariance : ndarray, shape (p, p)
+        Covariance of `theta`, robust to coloured residuals.
+    fit, rmse : ndarray, shape (n_y,)
+        On the records that were fitted: 100 (1 - |y - yh| / |y - mean y|) in percent,
+        and the root mean square error in units of each output.
+    initial_fit : ndarray, shape (n_y,)
+        Fit of the initial model on the same records, initial state estimated too.
+    success : bool
+        Whether the estimate converged to a finite minimum.
+    message : str
+        What happened, in words.
+    """
+
+    physical_model: PhysicalModel
+    effects: tuple[Effect, ...]
+    roles: tuple[str, ...]
+    constants: dict[int, float]
+    theta: Array
+    parameters: tuple[EstimatedParameter, ...]
+    covariance: Array
+    fit: Array
+    rmse: Array
+    initial_fit: Array
+    initial_states: Array
+    substeps: int
+    residual_orders: tuple[int, ...]
+    success: bool
+    message: str
+    warnings: tuple[str, ...] = ()
+
+    # ------------------------------------------------------------------ the model
+    def simulation_structure(self) -> tuple[Structure, Array, int]:
+        """Structure, coefficients and substeps for the simulation engine."""
+        structure = Structure(self.physical_model, self.effects, constants=self.constants)
+        return structure, self.theta, self.substeps
+
+    @property
+    def system(self) -> ct.StateSpace:
+        """Refined linear model: the initial one with the linear effects absorbed."""
+        structure, theta, _ = self.simulation_structure()
+        return structure.system(theta, name=f"{self.physical_model.linear.name}_refined")
+
+    @property
+    def nonlinear(self) -> ct.NonlinearIOSystem:
+        """Refined model with its nonlinear effects, continuous time.
+
+        Raises
+        ------
+        ModelError
+            If an effect has no continuous-time state equation (a delay).
+        """
+        structure, theta, _ = self.simulation_structure()
+        return nonlinear_system(structure, theta, name=f"{self.physical_model.linear.name}_refined")
+
+    @property
+    def ports(self) -> tuple[Any, ...]:
+        """Ports of the initial model."""
+        return self.physical_model.ports
+
+    def simulate(self, data: Measurement, x0: Any = "estimate") -> ct.TimeResponseData:
+        """Free run over a record.
+
+        Parameters
+        ----------
+        data : Measurement
+            Record; its outputs are used for the initial state only.
+        x0 : {"estimate", "zero"} or ndarray of shape (n,)
+            Initial state.
+
+        Returns
+        -------
+        TimeResponseData
+            Outputs and states of the refined model, labels kept.
+        """
+        run = simulate(self, data, x0)
+        structure, _, _ = self.simulation_structure()
+        linear = self.physical_model.linear
+        return ct.TimeResponseData(
+            data.timepts,
+            run.outputs,
+            run.states,
+            data.inputs,
+            input_labels=list(linear.input_labels),
+            output_labels=list(linear.output_labels),
+            state_labels=structure.state_labels(),
+            sysname=f"{linear.name}_refined",
+            issiso=False,
+        )
+
+    def parameter(self, name: str, place: str | None = None) -> EstimatedParameter:
+        """One row of `parameters` by name (or kind), and place where several share it.
+
+        Parameters
+        ----------
+        name : str
+            Name of the parameter, or kind of the effect.
+        place : str, optional
+            Place.
+
+        Returns
+        -------
+        EstimatedParameter
+
+        Raises
+        ------
+        ModelError
+            If none or several rows fit.
+        """
+        rows = [
+            row
+            for row in self.parameters
+            if name in (row.name, row.kind) and (place is None or row.place == place)
+        ]
+        if len(rows) != 1:
+            known = ", ".join(f"{row.name} ({row.place})" for row in self.parameters)
+            raise ModelError(f"{len(rows)} parameters match {name!r} at {place!r}; there are {known}")
+        return rows[0]
+
+    def bode_plot(self, measured: Any = None, **kwargs: Any) -> ct.ControlPlot:
+        """Bode plot of the initial and the refined model, and of the measured response.
+
+        Parameters
+        ----------
+        measured : FrequencyResponse or Measurement, optional
+            Measured response (`Measurement.frequency_response`), or the record.
+        **kwargs
+            Passed to `rcorefine.reporting.bode.bode_comparison`.
+
+        Returns
+        -------
+        ControlPlot
+        """
+        from ..reporting.bode import bode_comparison
+
+        if isinstance(measured, Measurement):
+            measured = measured.frequency_response()
+        systems = [("initial", self.physical_model.system), ("refined", self.system)]
+        return bode_comparison(systems, measured, **kwargs)
+
+    # ------------------------------------------------------------------ in words
+    def sentences(self) -> list[str]:
+        """What the figures mean, one sentence each."""
+        lines = [
+            f"The free run explains {_percent(self.fit)} of the record "
+            f"(initial model {_percent(self.initial_fit)}).",
+            "std is the standard deviation that another record like this one would show"
+            + (
+                ", for white residuals."
+                if not any(self.residual_orders)
+                else f"; residuals are coloured (AR order {max(self.residual_orders)}), which is allowed for."
+            ),
+            self.message,
+        ]
+        return lines + list(self.warnings)
+
+    def __str__(self) -> str:
+        from ..reporting.tables import text_table
+
+        return "\n".join(
+            [
+                f"Refinement of {self.physical_model.linear.name!r}",
+                text_table(_HEADER, self._rows()),
+                *_wrapped(self.sentences()),
+            ]
+        )
+
+    def _repr_html_(self) -> str:
+        from ..reporting.tables import html_table
+
+        return html_table(
+            _HEADER,
+            self._rows(),
+            title=f"Refinement of {self.physical_model.linear.name}",
+            notes=self.sentences(),
+        )
+
+    def _rows(self) -> list[list[str]]:
+        return [
+            [
+                row.name,
+                row.kind if row.name != row.kind else "",
+                row.place,
+                f"{row.initial:.5g}",
+                f"{row.value:.5g}",
+                f"{row.std:.2g}",
+                row.unit,
+            ]
+            for row in self.parameters
+        ]
+
+
+_HEADER = ["parameter", "effect", "place", "initial", "value", "std", "unit"]
+
+
+def _percent(fit: Array) -> str:
+    return " / ".join(f"{value:.4g} %" for value in np.atleast_1d(fit))
+
+
+def _wrapped(lines: Sequence[str]) -> list[str]:
+    import textwrap
+
+    return [part for line in lines for part in textwrap.wrap(line, 80)]
