@@ -83,9 +83,7 @@ def refiner_of(model: Plant, **settings: object) -> RCORefiner:
 def oracle(model: Plant, w: Array, y: Array, delay: int, markov: int = 1) -> tuple[Trace, Trace]:
     s = SETTINGS
     first = literal(model, w, y, delay, s["order"], s["window"], markov, s["learning_rate"])
-    second = literal(
-        model, w, y, delay, 0, s["window"], markov, s["static_learning_rate"], states=first.x
-    )
+    second = literal(model, w, y, delay, 0, s["window"], markov, s["static_learning_rate"], states=first.x)
     return first, second
 
 

@@ -25,7 +25,7 @@ __all__ = ["Design", "Plant", "Record", "Stage", "advance"]
 Integers = NDArray[np.int64]
 
 # Columns of Stage.counters
-_SLOT, _AGE, _STALE, _RECENT = 0, 1, 2, 3
+_SLOT, _AGE, _STALE, _RECENT, _LEARNED = 0, 1, 2, 3, 4
 # theta, rows and gain are padded with zeros to a multiple of this, which the passes run faster over.
 PADDING = 4
 # Samples between two rebuilds of the gain matrix, in windows.
@@ -66,7 +66,7 @@ class Stage(NamedTuple):
     but for the last sample's change, which is pending, (2, m);
     rows, offsets : the window, (p n_y, m) and (p n_y,); psi : (l_psi,);
     past_psi, past_u : the last samples, as a ring; x : (n,);
-    energy : (1,), trace of Phi'Phi; counters : (4,).
+    energy : (1,), trace of Phi'Phi; counters : (5,).
     """
 
     theta: Array
@@ -310,6 +310,7 @@ def learn(stage: Stage, design: Design, new: Array, offsets: Array) -> None:
     stage.offsets[slot : slot + n_y] = offsets
     counters[_SLOT] = (counters[_SLOT] + 1) % window
     counters[_AGE] += 1
+    counters[_LEARNED] += 1
     theta = stage.theta
     gradient = half_gradient(stage.rows, stage.offsets, theta)
     step = np.empty(m)
@@ -394,6 +395,7 @@ def advance(
     stage2: Stage,
     peak: Array,
     levels: Array,
+    recent_theta: Array,
     w: Array,
     y: Array,
     estimated: bool,
@@ -407,6 +409,8 @@ def advance(
         Largest scaled output measured so far, at least 1.
     levels : ndarray of shape (3, n_y)
         Mean squares of y, z1 and z2, with a memory of one window of stage 1.
+    recent_theta : ndarray of shape (average, m)
+        Latest coefficients of stage 2, as a ring.
     estimated : bool
         Whether stage 2 sees the states of stage 1; otherwise its own, and
         stage 1 does not learn: it is the initial model.
@@ -453,6 +457,7 @@ def advance(
         learn(stage2, design2, filtered(design2, stage2.past_psi, recent, stage2.theta.size), offsets)
         if not np.isfinite(stage2.theta.sum()):
             return k, 2
+        recent_theta[(stage2.counters[_LEARNED] - 1) % recent_theta.shape[0]] = stage2.theta
         levels[0] += rate * (y[k] * y[k] - levels[0])
         levels[1] += rate * (z1 * z1 - levels[1])
         levels[2] += rate * (z2 * z2 - levels[2])

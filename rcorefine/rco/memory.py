@@ -44,6 +44,8 @@ class Memory:
         Both stages.
     peak, levels : ndarray of shape (1,), (3, n_y)
         Largest scaled output; mean squares of y, z1 and z2.
+    recent_theta : ndarray of shape (average, m)
+        Latest coefficients of stage 2, as a ring.
     inputs, outputs : ndarray of shape (K, n_w), (K, n_y)
         First samples, held back until they tell the scales; then empty.
     n_samples : int
@@ -55,10 +57,17 @@ class Memory:
     stages: tuple[Stage, Stage]
     peak: Array
     levels: Array
+    recent_theta: Array
     inputs: Array
     outputs: Array
     n_samples: int
     tuned: Tuned | None
+
+    def static_theta(self) -> Array:
+        """Coefficients of stage 2, averaged over the latest samples; with padding, in scaled units."""
+        learned = int(self.stages[1].counters[4])
+        count = min(max(learned, 1), self.recent_theta.shape[0])
+        return np.asarray(self.recent_theta[:count].mean(axis=0))
 
     def copied(self) -> Memory:
         """Independent copy of what changes in place."""
@@ -68,6 +77,7 @@ class Memory:
             stages=(copied(first), copied(second)),
             peak=self.peak.copy(),
             levels=self.levels.copy(),
+            recent_theta=self.recent_theta.copy(),
         )
 
 
@@ -82,7 +92,9 @@ def tuned(plant: Plant, scales: Scales, delay: int, settings: tuple[Settings, Se
     return Tuned(scales, scaled, (first, second))
 
 
-def begin(plant: Plant, delay: int, settings: tuple[Settings, Settings], scales: Scales | None) -> Memory:
+def begin(
+    plant: Plant, delay: int, settings: tuple[Settings, Settings], average: int, scales: Scales | None
+) -> Memory:
     """Memory before the first sample."""
     n, n_w = plant.B.shape
     n_y, l_u = plant.Du.shape
@@ -97,6 +109,7 @@ def begin(plant: Plant, delay: int, settings: tuple[Settings, Settings], scales:
         stages=(first, second),
         peak=np.ones(1),
         levels=np.zeros((3, n_y)),
+        recent_theta=np.zeros((average, second.theta.size)),
         inputs=np.zeros((0, n_w)),
         outputs=np.zeros((0, n_y)),
         n_samples=0,

@@ -44,6 +44,8 @@ class Setup:
         n_c, p, mu, alpha of both stages.
     estimated : bool
         Whether stage 2 sees the states of stage 1.
+    average : int
+        Samples that the static coefficients are averaged over.
     scales : Scales or None
         Declared scales.
     """
@@ -55,6 +57,7 @@ class Setup:
     delay: int
     settings: tuple[Settings, Settings]
     estimated: bool
+    average: int
     scales: Scales | None
 
     @property
@@ -78,6 +81,7 @@ def make_setup(
     correction_input: Any,
     correction_feedthrough: Any,
     estimated: bool,
+    average: int,
     scale: Any,
 ) -> Setup:
     """Check what `RCORefiner` was given and make the model ready."""
@@ -88,7 +92,7 @@ def make_setup(
     column_delays(plant)
     warm_up = max(settings[0].window, LEAST_WARM_UP)
     scales = _declared(plant, scale, warm_up)
-    return Setup(initial, discrete, step, plant, delay, settings, estimated, scales)
+    return Setup(initial, discrete, step, plant, delay, settings, estimated, average, scales)
 
 
 def as_settings(

@@ -46,7 +46,7 @@ def start(design: Design, n: int, n_w: int, window: int, memory: int) -> Stage:
         past_u=np.zeros((memory, l_u)),
         x=np.zeros(n),
         energy=np.zeros(1),
-        counters=np.zeros(4, dtype=np.int64),
+        counters=np.zeros(5, dtype=np.int64),
     )
 
 

@@ -107,6 +107,7 @@ def _advanced(setup: Setup, memory: Memory, inputs: Array, outputs: Array, first
             *stages,
             memory.peak,
             memory.levels,
+            memory.recent_theta,
             inputs / scales.inputs,
             outputs / scales.outputs,
             setup.estimated,
