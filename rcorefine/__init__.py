@@ -34,7 +34,9 @@ from .physics import (
     thermal_network,
     two_tanks,
 )
+from .physics.simulation import simulate
 from .rco import RCORefiner
+from .refinement import EstimatedParameter, Refinement, refine
 from .systems import d2c
 
 __version__ = "0.1.0"
@@ -45,6 +47,7 @@ __all__ = [
     "DataError",
     "DivergenceError",
     "Effect",
+    "EstimatedParameter",
     "ExcitationWarning",
     "IdentifiabilityWarning",
     "Measurement",
@@ -56,6 +59,7 @@ __all__ = [
     "RCOError",
     "RCORefiner",
     "RCOWarning",
+    "Refinement",
     "compare",
     "d2c",
     "dc_motor",
@@ -66,7 +70,9 @@ __all__ = [
     "mechanical",
     "ports",
     "quarter_car",
+    "refine",
     "series_rlc",
+    "simulate",
     "thermal_network",
     "two_tanks",
 ]

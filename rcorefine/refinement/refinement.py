@@ -8,6 +8,7 @@ from typing import Any
 
 import control as ct
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..exceptions import ModelError
 from ..measurement import Measurement
@@ -84,10 +85,20 @@ class Refinement:
         and the root mean square error in units of each output.
     initial_fit : ndarray, shape (n_y,)
         Fit of the initial model on the same records, initial state estimated too.
+    initial_states : ndarray, shape (n_windows, n)
+        Initial state of each record or window.
+    constants : dict
+        Smoothing width of each law that has one, by the index of its effect.
+    substeps : int
+        Substeps per sample with which the model is simulated.
+    residual_orders : tuple of int
+        Order of the autoregressive model of each output's residual; 0 for a white one.
     success : bool
         Whether the estimate converged to a finite minimum.
     message : str
         What happened, in words.
+    warnings : tuple of str
+        What the records cannot see, one sentence each.
     """
 
     physical_model: PhysicalModel
@@ -109,7 +120,17 @@ class Refinement:
 
     # ------------------------------------------------------------------ the model
     def simulation_structure(self) -> tuple[Structure, Array, int]:
-        """Structure, coefficients and substeps for the simulation engine."""
+        """Structure, coefficients and substeps for the simulation engine.
+
+        Returns
+        -------
+        structure : Structure
+            Initial model in feedback with the effects.
+        theta : ndarray, shape (p,)
+            Coefficients.
+        substeps : int
+            Substeps per sample.
+        """
         structure = Structure(self.physical_model, self.effects, constants=self.constants)
         return structure, self.theta, self.substeps
 
@@ -195,30 +216,70 @@ class Refinement:
             raise ModelError(f"{len(rows)} parameters match {name!r} at {place!r}; there are {known}")
         return rows[0]
 
-    def bode_plot(self, measured: Any = None, **kwargs: Any) -> ct.ControlPlot:
-        """Bode plot of the initial and the refined model, and of the measured response.
+    def bode_plot(
+        self,
+        measured: Any = None,
+        omega: ArrayLike | None = None,
+        *,
+        ax: Any = None,
+        label: str | Sequence[str] | None = None,
+        title: str | None = None,
+        legend_loc: str | bool | None = None,
+        rcParams: dict[str, Any] | None = None,
+        show_legend: bool | None = None,
+    ) -> ct.ControlPlot:
+        """Bode plot of the initial and the refined model, beside the measured response.
 
         Parameters
         ----------
-        measured : FrequencyResponse or Measurement, optional
-            Measured response (`Measurement.frequency_response`), or the record.
-        **kwargs
-            Passed to `rcorefine.reporting.bode.bode_comparison`.
+        measured : Measurement or FrequencyResponse, optional
+            Record, or its frequency response; drawn as dots with a band, and
+            a row with the relative error of both models is added.
+        omega : array_like of shape (n_omega,), optional
+            Frequencies in rad/s.
+        ax : array of Axes, optional
+            Axes to draw in, shape (2 n_y, n_w), with `measured` (3 n_y, n_w).
+        label : list of str, optional
+            Labels of the two models.
+        title : str, optional
+            Title of the figure.
+        legend_loc : str or False, optional
+            Place of the legend, as in matplotlib; False for none.
+        rcParams : dict, optional
+            Matplotlib settings on top of `control.rcParams`.
+        show_legend : bool, optional
+            Force the legend on or off.
 
         Returns
         -------
         ControlPlot
+            Lines, axes, figure. Nonlinear effects are not in it: the refined curve
+            is that of `system`.
         """
         from ..reporting.bode import bode_comparison
 
         if isinstance(measured, Measurement):
             measured = measured.frequency_response()
-        systems = [("initial", self.physical_model.system), ("refined", self.system)]
-        return bode_comparison(systems, measured, **kwargs)
+        return bode_comparison(
+            [("initial", self.physical_model.system), ("refined", self.system)],
+            measured,
+            omega,
+            ax=ax,
+            label=label,
+            title=title,
+            legend_loc=legend_loc,
+            rcParams=rcParams,
+            show_legend=show_legend,
+        )
 
     # ------------------------------------------------------------------ in words
     def sentences(self) -> list[str]:
-        """What the figures mean, one sentence each."""
+        """What the figures mean, one sentence each.
+
+        Returns
+        -------
+        list of str
+        """
         lines = [
             f"The free run explains {_percent(self.fit)} of the record "
             f"(initial model {_percent(self.initial_fit)}).",
