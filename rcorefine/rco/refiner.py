@@ -23,7 +23,7 @@ from .samples import checked_block, checked_record
 from .scaling import Scales
 from .setup import as_settings, make_setup
 from .stage import in_units, regressor_scale
-from .stream import Diverged, take
+from .stream import Diverged, take, take_until
 
 __all__ = ["RCORefiner"]
 
@@ -469,9 +469,7 @@ class RCORefiner:
         try:
             self._commit(self._taken(inputs, outputs, last))
         except Diverged as error:
-            good = error.done - self._memory.inputs.shape[0]
-            if good > 0:
-                self._commit(self._taken(inputs[:good], outputs[:good]))
+            self._commit(take_until(self._setup, self._memory, inputs, outputs, error, keep=self._keep))
             raise
 
     def _taken(

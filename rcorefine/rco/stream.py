@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -11,27 +10,24 @@ from ..exceptions import DivergenceError
 from ..systems.linear import Array
 from .divergence import explain
 from .kernels import Record, advance
-from .memory import Memory, tuned
+from .memory import Memory, Tuned, tuned
 from .scaling import Scales, is_settled, measured_scales
 from .setup import Setup
 from .stage import in_units
 
-__all__ = ["Diverged", "take"]
+__all__ = ["Diverged", "take", "take_until"]
 
 # Signals that still grow are held back until there are this many times as many samples.
 LONGEST_WARM_UP = 16
 
 
 class Diverged(DivergenceError):
-    """Divergence, with the number of samples of the block that were still sound."""
+    """Divergence after `done` sound samples (those held back included), in these scales."""
 
-    def __init__(self, done: int, stage: int, message: str) -> None:
+    def __init__(self, message: str, done: int = 0, found: Tuned | None = None) -> None:
         super().__init__(message)
         self.done = done
-        self.stage = stage
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Diverged, (self.done, self.stage, str(self))
+        self.found = found
 
 
 def take(
@@ -71,6 +67,22 @@ def take(
         )
     record = _advanced(setup, memory := memory.copied(), inputs, outputs, n_samples - inputs.shape[0], keep)
     return replace(memory, n_samples=n_samples), record, outputs
+
+
+def take_until(
+    setup: Setup, memory: Memory, inputs: Array, outputs: Array, error: Diverged, *, keep: bool = False
+) -> tuple[Memory, Record | None, Array]:
+    """Take the samples that were sound before these diverged."""
+    inputs = np.concatenate([memory.inputs, inputs])[: error.done]
+    outputs = np.concatenate([memory.outputs, outputs])[: error.done]
+    memory = replace(
+        memory,
+        inputs=inputs[:0].copy(),
+        outputs=outputs[:0].copy(),
+        n_samples=memory.n_samples - len(memory.inputs),
+        tuned=error.found,
+    )
+    return take(setup, memory, inputs, outputs, keep=keep)
 
 
 def found_scales(setup: Setup, inputs: Array, outputs: Array, before: int, last: bool) -> Scales | None:
@@ -114,7 +126,7 @@ def _advanced(setup: Setup, memory: Memory, inputs: Array, outputs: Array, first
             record,
         )
     if stage:
-        raise Diverged(done, stage, _explained(setup, memory, first + done, stage))
+        raise Diverged(_explained(setup, memory, first + done, stage), done, memory.tuned)
     return Record(
         record.z1 * scales.outputs,
         record.z2 * scales.outputs,

@@ -1,0 +1,130 @@
+"""The sliding window against closed forms, and the two bodies of each pass against one another."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rcorefine.rco import kernels
+from rcorefine.rco.kernels import Design, learn
+from rcorefine.rco.stage import start
+
+Array = np.ndarray
+
+
+def step_by_least_squares(rows: Array, offsets: Array, theta: Array, alpha: float) -> Array:
+    """Minimizer of |f + Phi t|^2 + alpha |t - theta|^2 by an orthogonal factorization."""
+    stacked = np.vstack([rows, np.sqrt(alpha) * np.eye(theta.size)])
+    right = np.concatenate([-offsets, np.sqrt(alpha) * theta])
+    return np.asarray(np.linalg.lstsq(stacked, right, rcond=None)[0])
+
+
+def slide_through(
+    rows: Array, offsets: Array, window: int, alpha: float, n_y: int = 1
+) -> tuple[Array, Array]:
+    """theta after every sample, from the kernel and in closed form; rows of shape (N, n_y, m)."""
+    m = rows.shape[2]
+    design = Design(np.ones((1, n_y, 1)), 1, 0, alpha)
+    stage = start(design, m - 1, 1, window, 2)
+    ours, theirs = np.zeros((rows.shape[0], m)), np.zeros((rows.shape[0], m))
+    theta = np.zeros(m)
+    for k in range(rows.shape[0]):
+        new = np.zeros((n_y, stage.theta.size))
+        new[:, :m] = rows[k]
+        learn(stage, design, new, offsets[k])
+        first = max(0, k - window + 1)
+        theta = step_by_least_squares(
+            rows[first : k + 1].reshape(-1, m), offsets[first : k + 1].ravel(), theta, alpha
+        )
+        ours[k], theirs[k] = stage.theta[:m], theta
+    return ours, theirs
+
+
+def stream(rng: np.random.Generator, n: int, n_y: int, m: int) -> tuple[Array, Array]:
+    rows = rng.standard_normal((n, n_y, m))
+    return rows, -rows @ rng.standard_normal(m) + 0.1 * rng.standard_normal((n, n_y))
+
+
+@pytest.mark.parametrize("n_y", [1, 3])
+@pytest.mark.parametrize("window, m", [(1, 3), (7, 5), (40, 13)])
+@pytest.mark.parametrize("alpha", [1e3, 1.0, 1e-3])
+def test_window_slides_as_if_solved_anew(
+    rng: np.random.Generator, n_y: int, window: int, m: int, alpha: float
+) -> None:
+    rows, offsets = stream(rng, 600, n_y, m)
+    ours, theirs = slide_through(rows, offsets, window, alpha, n_y)
+    np.testing.assert_allclose(ours, theirs, atol=1e-8 * np.abs(theirs).max())
+
+
+def test_digits_do_not_drain_over_a_long_stream(rng: np.random.Generator) -> None:
+    """20 000 samples, window energy 1e6 times alpha: the textbook recursion loses 4 digits more."""
+    rows, offsets = stream(rng, 20_000, 1, 8)
+    design = Design(np.ones((1, 1, 1)), 1, 0, 1e-3)
+    stage = start(design, 7, 1, 50, 2)
+    theta = np.zeros(8)
+    for k in range(rows.shape[0]):
+        learn(stage, design, rows[k], offsets[k])
+        if k >= rows.shape[0] - 400:  # older steps are forgotten: theta contracts to the window's solution
+            theta = step_by_least_squares(rows[k - 49 : k + 1, 0], offsets[k - 49 : k + 1, 0], theta, 1e-3)
+    np.testing.assert_allclose(stage.theta, theta, rtol=1e-9)
+
+
+@pytest.mark.parametrize("size", [1e3, 1e5, 1e8])
+def test_outliers_enter_and_leave(rng: np.random.Generator, size: float) -> None:
+    """A huge row passes through the window; afterwards nothing of it is left."""
+    rows, offsets = stream(rng, 400, 1, 6)
+    rows[[120, 123, 190]] *= size
+    offsets[[120, 123, 190]] *= size
+    ours, theirs = slide_through(rows, offsets, 30, 1.0)
+    np.testing.assert_allclose(ours[300:], theirs[300:], atol=1e-8)
+    np.testing.assert_allclose(ours, theirs, atol=1e-4 * np.abs(theirs).max())
+
+
+@pytest.mark.parametrize("alpha", [1e-30, 1e-6, 1.0])
+def test_direct_step_minimizes(rng: np.random.Generator, alpha: float) -> None:
+    rows, residual = rng.standard_normal((40, 12)), rng.standard_normal(40)
+    step = kernels.direct_step(rows, residual, alpha)
+    expected = step_by_least_squares(rows, residual, np.zeros(12), alpha)
+    np.testing.assert_allclose(step, expected, rtol=1e-10, atol=1e-13)
+
+
+def test_both_bodies_of_each_pass_agree(rng: np.random.Generator) -> None:
+    m = 12
+    rows, offsets, theta = rng.standard_normal((9, m)), rng.standard_normal(9), rng.standard_normal(m)
+    np.testing.assert_allclose(
+        kernels._gradient_loops(rows, offsets, theta),
+        kernels._gradient_arrays(rows, offsets, theta),
+        rtol=1e-12,
+    )
+    np.testing.assert_allclose(
+        kernels._product_loops(rows, theta), kernels._product_arrays(rows, theta), rtol=1e-12
+    )
+    three = [rng.standard_normal(shape) for shape in ((3, 2), (2,), (3, 1), (1,), (3, 4), (4,))]
+    np.testing.assert_allclose(kernels._affine_loops(*three), kernels._affine_arrays(*three), rtol=1e-12)
+
+    factor = rng.standard_normal((m, m))
+    gain = np.linalg.inv(factor @ factor.T + np.eye(m))
+    results = []
+    for slide in (kernels._slide_loops, kernels._slide_arrays):
+        copies = [gain.copy(), 0.1 * np.ones((2, m)), rows[0], 0.1 * rows[1], theta, np.zeros(m)]
+        pivot = slide(*copies)
+        results.append((copies[0], copies[1], copies[5], pivot))
+    for one, other in zip(*results, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-12)
+
+
+def test_slide_is_the_inverse_of_the_new_window(rng: np.random.Generator) -> None:
+    m = 8
+    rows = rng.standard_normal((20, m))
+    gain = np.linalg.inv(rows.T @ rows + np.eye(m))
+    new, gradient, pending, step = (
+        rng.standard_normal(m),
+        rng.standard_normal(m),
+        np.zeros((2, m)),
+        np.zeros(m),
+    )
+    kernels.slide(gain, pending, new, rows[0].copy(), gradient, step)
+    expected = np.linalg.inv(rows[1:].T @ rows[1:] + np.outer(new, new) + np.eye(m))
+    now = gain - np.outer(pending[0], pending[0]) + np.outer(pending[1], pending[1])
+    np.testing.assert_allclose(now, expected, atol=1e-12)
+    np.testing.assert_allclose(step, expected @ gradient, atol=1e-12)
