@@ -1,0 +1,140 @@
+"""The tests that a residual must pass: is anything missing, and of which sort?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..physics.effects import Effect
+from ..refinement.starts import Motion
+from ..systems.linear import Array
+from .columns import Candidate, force_responses, generic_forces, slow_forces
+from .state import Fitted, evaluated
+from .whitening import FTest, Whitener, f_test, rank_basis
+
+__all__ = ["Battery", "run_battery"]
+
+_LAGS = 41
+_POWER_LAGS = {2: 21, 3: 6}
+
+
+class Battery:
+    """Whitened residual of a fitted model, with what was fitted already taken out.
+
+    Parameters
+    ----------
+    fitted : Fitted
+        Model at its minimum.
+    ratio : float
+        Observer ratio: 0 for the free run (sensor noise only), more where an
+        unmeasured force acts.
+    whitener : Whitener, optional
+        Common filter; by default fitted to this residual.
+    """
+
+    def __init__(self, fitted: Fitted, ratio: float = 0.0, whitener: Whitener | None = None) -> None:
+        self.fitted, self.ratio = fitted, ratio
+        blocks = fitted.blocks(ratio)
+        self.whitener = whitener or Whitener.fit([r for r, _ in blocks])
+        self.residual = self.whitener.apply([r for r, _ in blocks])
+        self.basis = rank_basis(self.whitener.apply([j for _, j in blocks]))
+
+    def test(self, name: str, blocks: Sequence[Array]) -> FTest:
+        """F-test of columns given as blocks (n_y, N, k) per record."""
+        return f_test(name, self.residual, self.whitener.apply(blocks), self.basis)
+
+    @property
+    def log_likelihood(self) -> float:
+        """Gaussian log-likelihood of the innovations, up to a constant."""
+        counts = [sum(r.shape[1] for r in self.fitted.residuals(self.ratio))] * self.whitener.scales.size
+        return -float(np.dot(counts, np.log(self.whitener.scales)))
+
+
+def run_battery(battery: Battery, candidates: Sequence[Candidate], motions: Sequence[Motion]) -> list[FTest]:
+    """The tests of the gate, each with a p-value of its own.
+
+    Parameters
+    ----------
+    battery : Battery
+        Residual under test.
+    candidates : sequence of Candidate
+        Library, with columns at the ratio of the battery.
+    motions : sequence of Motion
+        Estimated motion on each record.
+
+    Returns
+    -------
+    list of FTest
+        ``library`` (Bonferroni over the candidates), ``other laws``, ``changes with
+        time``, ``parameters``, ``input``, ``powers of the input``.
+    """
+    fitted, ratio = battery.fitted, battery.ratio
+    records = fitted.problem.records
+    tests = [_library(battery, candidates)]
+    gain = fitted.gain(ratio)
+    for name, make in (("other laws", generic_forces), ("changes with time", slow_forces)):
+        blocks = []
+        for i, motion in enumerate(motions):
+            forces = make(fitted.structure, motion)
+            blocks.append(force_responses(fitted, i, forces, gain))
+        tests.append(battery.test(name, blocks))
+    tests.append(_parameters(battery, motions[0]))
+    tests.append(battery.test("input", [_lagged(r.inputs, r.n_outputs, {1: _LAGS}) for r in records]))
+    tests.append(
+        battery.test("powers of the input", [_lagged(r.inputs, r.n_outputs, _POWER_LAGS) for r in records])
+    )
+    return tests
+
+
+def _library(battery: Battery, candidates: Sequence[Candidate]) -> FTest:
+    tests = [
+        battery.test(c.effect.label, c.columns[battery.ratio])
+        for c in candidates
+        if battery.ratio in c.columns
+    ]
+    tests = [t for t in tests if t.dof]
+    if not tests:
+        return FTest("library", 0.0, 0, 1.0, 0.0)
+    best = min(tests, key=lambda t: t.p_value)
+    return FTest(
+        f"library (most: {best.name})",
+        best.statistic,
+        best.dof,
+        min(1.0, best.p_value * len(tests)),
+        best.gain,
+    )
+
+
+def _parameters(battery: Battery, motion: Motion) -> FTest:
+    """Do the parameters of the model itself fit?"""
+    fitted = battery.fitted
+    held = {(e.kind, e.place) for e in fitted.structure.effects}
+    effects = [
+        Effect(q.kind, q.place) for q in fitted.structure.model.parameters if (q.kind, q.place) not in held
+    ]
+    if not effects:
+        return FTest("parameters", 0.0, 0, 1.0, 0.0)
+    problem, point = fitted.extended(effects, motion)
+    blocks = evaluated(problem, point, fitted.gain(battery.ratio))
+    p = fitted.structure.n_parameters
+    return battery.test("parameters", [j[:, :, p : p + len(effects)] for _, j in blocks])
+
+
+def _lagged(w: Array, n_outputs: int, powers: dict[int, int]) -> Array:
+    """Lagged powers of the inputs, for each output on its own: (n_y, N, k)."""
+    columns = []
+    for row in w:
+        centred = row - row.mean()
+        size = float(np.std(row)) or 1.0
+        for power, lags in powers.items():
+            signal = (centred / size) ** power
+            signal = signal - signal.mean()
+            for lag in range(lags):
+                columns.append(np.concatenate([np.zeros(lag), signal[: signal.size - lag]]))
+    base = np.array(columns).T  # (N, k)
+    n, k = base.shape
+    full = np.zeros((n_outputs, n, k * n_outputs))
+    for i in range(n_outputs):
+        full[i, :, i * k : (i + 1) * k] = base
+    return full

@@ -1,0 +1,316 @@
+"""Which physical effect is missing, with a verdict that can be trusted."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from ..comparison.channels import match_channels, record_for
+from ..exceptions import DataError, IdentifiabilityWarning
+from ..measurement import Measurement
+from ..physics.effects import Effect
+from ..physics.library import effect_library
+from ..physics.simulation import simulate
+from ..refinement.refine import refine
+from ..refinement.refinement import Refinement
+from ..refinement.starts import Motion
+from ..refinement.windows import as_records, windows
+from .battery import Battery, run_battery
+from .columns import Candidate, candidate_columns
+from .result import Detectable, Diagnosis, RankedEffect
+from .rivals import Rival, log_likelihoods, refit, shortlist
+from .state import Fitted, fitted_from
+from .whitening import FTest, project
+
+__all__ = ["diagnose"]
+
+_OBSERVERS = (1.0, 0.1)  # a high gain follows the record, a low one tells rivals apart
+_FORCES = (0.003, 0.01, 0.03, 0.1, 0.3)  # unmeasured force over the measured one
+_FORCE_GAIN = 15.0  # log-likelihood that an unmeasured force must earn
+_NOISE_EXCESS = 1.2  # residual over declared noise beyond which coloured noise is no excuse
+_AMBIGUOUS = 9.2  # twice the log-likelihood within which rivals stay rivals
+_POWER = 1.645  # 95 %
+
+
+def diagnose(
+    model: Any,
+    data: Measurement | Sequence[Measurement],
+    *,
+    candidates: Sequence[Effect] | None = None,
+    validation: Measurement | None = None,
+    free: str | Sequence[Any] = (),
+    tolerance: float = 0.0,
+    offset: bool = True,
+    noise: float | Sequence[float] | None = None,
+    significance: float = 0.01,
+    executor: Any = None,
+    progress: bool = False,
+) -> Diagnosis:
+    """Find the physical effect that a model lacks.
+
+    The model is fitted as far as it is declared to be free; its whitened residual must
+    pass a battery of tests. If it does not, every candidate is scored on the motion that
+    the record itself shows, the best are refitted, and the winner must pass the same
+    battery.
+
+    Parameters
+    ----------
+    model : StateSpace, PhysicalModel or Refinement
+        Initial model, continuous time.
+    data : Measurement or list of Measurement
+        Record, or several of the same system.
+    candidates : sequence of Effect, optional
+        What could be missing, default `effect_library(model)`.
+    validation : Measurement, optional
+        Record on which `fit_before` and `fit_after` are judged.
+    free, tolerance, offset, noise
+        As in `refine`: what of the linear model floats, and the declared sensor noise.
+    significance : float
+        Level of the gate: the rate of false alarms where nothing is missing.
+    executor : concurrent.futures.Executor, optional
+        Refits candidates in parallel (`map`).
+    progress : bool
+        Show a progress bar on standard error.
+
+    Returns
+    -------
+    Diagnosis
+        Verdict, ranking, what cannot be told apart, every test.
+
+    Raises
+    ------
+    DataError
+        If the record is too short to test.
+    ModelError
+        If a candidate does not fit the model.
+
+    Notes
+    -----
+    Score tests project every candidate off what was fitted; p-values are corrected for
+    the number of candidates and of tests. Rivals are compared by their likelihood under
+    the whitening filter of the best one.
+
+    Examples
+    --------
+    >>> import numpy as np, rcorefine as rco
+    >>> model = rco.mass_spring_damper([1.0], [0.4], [100.0], sensors="displacement")
+    >>> rng = np.random.default_rng(0)
+    >>> force = 10 * rng.standard_normal(2000)
+    >>> blank = rco.Measurement(force, np.zeros(2000), dt=0.02)
+    >>> y = rco.simulate(model, blank, "zero").outputs[0]
+    >>> noisy = y + 0.03 * y.std() * rng.standard_normal(2000)
+    >>> found = rco.diagnose(model, rco.Measurement(force, noisy, dt=0.02))
+    >>> found.verdict
+    'adequate'
+    """
+    if not 0 < significance < 1:
+        raise ct.ControlArgument(f"significance must lie between 0 and 1, not {significance!r}")
+    records = as_records(data)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", IdentifiabilityWarning)
+        base = refine(model, records, free=free, tolerance=tolerance, offset=offset, noise=noise)
+    physical = base.physical_model
+    ordered = [record_for(r, match_channels(physical.linear, r)) for r in records]
+    segments, _ = windows(physical, ordered, None)
+    if min(r.n_samples for r in segments) < 200:
+        raise DataError(
+            f"a record of {min(r.n_samples for r in segments)} samples is too short to test; give at least 200"
+        )
+    fitted = fitted_from(base, segments, tolerance=tolerance, noise=noise)
+    motions = [Motion(fitted.structure, fitted.theta, record) for record in segments]
+    held = {(effect.kind, effect.place) for effect in base.effects}
+    asked = effect_library(physical) if candidates is None else list(candidates)
+    library = [effect for effect in asked if (effect.kind, effect.place) not in held]
+    if not library:
+        raise ct.ControlArgument("no candidate is left that the model does not hold already")
+    scored = candidate_columns(fitted, library, motions[0], (0.0, *_OBSERVERS))
+
+    free_run = Battery(fitted)
+    tests = run_battery(free_run, scored, motions)
+    gate = _overall(tests)
+    loud = _excess(fitted, noise)
+    settings = {"free": free, "tolerance": tolerance, "offset": offset, "noise": noise}
+    common = {
+        "base": base,
+        "records": tuple(records),
+        "significance": significance,
+        "settings": settings,
+    }
+    if gate >= significance and loud <= _NOISE_EXCESS:
+        return Diagnosis(
+            "adequate",
+            (),
+            (),
+            tuple(tests),
+            (),
+            _detectable(free_run, scored, significance),
+            force_ratio=0.0,
+            **common,
+        )
+    ratio = _unmeasured_force(fitted, free_run) if loud <= _NOISE_EXCESS else 0.0
+    if ratio:
+        for candidate, more in zip(
+            scored, candidate_columns(fitted, library, motions[0], (ratio,)), strict=True
+        ):
+            candidate.columns.update(more.columns)
+        led = Battery(fitted, ratio)
+        led_tests = run_battery(led, scored, motions)
+        if _overall(led_tests) >= significance:
+            return Diagnosis(
+                "adequate",
+                (),
+                (),
+                tuple(led_tests),
+                (),
+                _detectable(led, scored, significance),
+                force_ratio=ratio,
+                **common,
+            )
+
+    batteries = [free_run, *(Battery(fitted, r) for r in _OBSERVERS)]
+    chosen, scores = shortlist(scored, batteries)
+    rivals = _refit_all(fitted, [scored[i] for i in chosen], physical, executor, progress)
+    index = {id(scored[i].effect): i for i in chosen}
+    if not rivals:
+        return Diagnosis("unexplained", (), (), tuple(tests), (), (), force_ratio=ratio, **common)
+    _, likelihoods, _ = log_likelihoods(fitted, rivals)
+    order = np.argsort(-likelihoods)
+    rivals = [rivals[i] for i in order]
+    likelihoods = likelihoods[order]
+    weights = np.exp(likelihoods - likelihoods[0])
+    probabilities = weights / weights.sum()
+    p_values = [scores[index[id(rival.effect)]].p_value for rival in rivals]
+    ranking = _rows(rivals, p_values, probabilities, base, validation)
+    winner = rivals[0]
+    winner_tests, passed = _judge_winner(winner, library, motions, significance, noise)
+    alike = tuple(
+        rival.effect
+        for rival, value in zip(rivals, likelihoods, strict=True)
+        if 2 * (likelihoods[0] - value) <= _AMBIGUOUS
+    )
+    verdict = "unexplained" if not passed else "effect" if len(alike) == 1 else "ambiguous"
+    return Diagnosis(
+        verdict, ranking, alike, tuple(tests), tuple(winner_tests), (), force_ratio=0.0, **common
+    )
+
+
+def _overall(tests: Sequence[FTest]) -> float:
+    """Smallest p-value, corrected for the number of tests."""
+    valid = [t for t in tests if t.dof]
+    return min(1.0, min((t.p_value for t in valid), default=1.0) * len(valid))
+
+
+def _excess(fitted: Fitted, noise: Any) -> float:
+    """Residual over the declared noise, 0 where none was declared."""
+    if noise is None:
+        return 0.0
+    residual = np.concatenate(fitted.residuals(), axis=1)
+    return float(np.sqrt(np.mean(residual**2, axis=1)).max())
+
+
+def _unmeasured_force(fitted: Fitted, free_run: Battery) -> float:
+    """Ratio of an unmeasured force that the residual speaks of, 0 where it does not."""
+    best, chosen = free_run.log_likelihood + _FORCE_GAIN, 0.0
+    for ratio in _FORCES:
+        try:
+            value = Battery(fitted, ratio).log_likelihood
+        except (np.linalg.LinAlgError, ValueError):
+            continue
+        if np.isfinite(value) and value > best:
+            best, chosen = value, ratio
+    return chosen
+
+
+def _refit_all(
+    fitted: Fitted, candidates: list[Candidate], physical: Any, executor: Any, progress: bool
+) -> list[Rival]:
+    if executor is not None:
+        parts = [[candidate] for candidate in candidates]
+        found = executor.map(refit, [fitted] * len(parts), parts, [physical] * len(parts))
+        return [rival for part in found for rival in part]
+    if progress:
+        from tqdm import tqdm
+
+        candidates = list(tqdm(candidates, desc="refit", leave=False))
+    return refit(fitted, candidates, physical)
+
+
+def _judge_winner(
+    winner: Rival, library: Sequence[Effect], motions: Sequence[Motion], significance: float, noise: Any
+) -> tuple[list[FTest], bool]:
+    """The winner's residual through the same battery; then allowing for an unmeasured force."""
+    fitted = winner.fitted
+    held = {(effect.kind, effect.place) for effect in fitted.structure.effects}
+    rest = [effect for effect in library if (effect.kind, effect.place) not in held]
+    moved = [Motion(fitted.structure, fitted.theta, motion.data) for motion in motions]
+    scored = candidate_columns(fitted, rest, moved[0], (0.0,))
+    battery = Battery(fitted)
+    tests = run_battery(battery, scored, moved)
+    if _overall(tests) >= significance and _excess(fitted, noise) <= _NOISE_EXCESS:
+        return tests, True
+    return tests, False
+
+
+def _rows(
+    rivals: Sequence[Rival],
+    p_values: Sequence[float],
+    probabilities: Any,
+    base: Refinement,
+    validation: Measurement | None,
+) -> tuple[RankedEffect, ...]:
+    before = _validated(base, validation)
+    rows = []
+    for i, (rival, p, probability) in enumerate(zip(rivals, p_values, probabilities, strict=True)):
+        refinement = rival.fitted.refinement
+        own = [
+            row
+            for row in refinement.parameters
+            if row.kind == rival.effect.kind and row.place == rival.effect.place
+        ]
+        names = [name for name in rival.effect.coefficients if name not in rival.effect.fixed]
+        rows.append(
+            RankedEffect(
+                effect=rival.effect,
+                coefficients={n: row.coefficient for n, row in zip(names, own, strict=True)},
+                std={n: row.std for n, row in zip(names, own, strict=True)},
+                fit_before=before,
+                fit_after=_validated(refinement, validation if i < 8 else None),
+                p_value=float(p),
+                probability=float(probability),
+                refinement=refinement,
+            )
+        )
+    return tuple(rows)
+
+
+def _validated(refinement: Refinement, validation: Measurement | None) -> float:
+    """Mean fit on the validation record, or on the fitted one where there is none."""
+    if validation is None:
+        return float(np.mean(refinement.fit))
+    record = record_for(validation, match_channels(refinement.physical_model.linear, validation))
+    outputs = simulate(refinement, record).outputs
+    error = np.linalg.norm(outputs - record.outputs, axis=1)
+    spread = np.linalg.norm(record.outputs - record.outputs.mean(axis=1, keepdims=True), axis=1)
+    return float(np.mean(100 * (1 - error / np.where(spread > 0, spread, np.nan))))
+
+
+def _detectable(battery: Battery, scored: Sequence[Candidate], significance: float) -> tuple[Detectable, ...]:
+    """Smallest coefficient of each one-coefficient candidate that the library test would have shown."""
+    from scipy.stats import norm
+
+    level = norm.isf(significance / (2 * 6 * max(len(scored), 1))) + _POWER
+    found = []
+    for candidate in scored:
+        if len(candidate.effect.coefficients) != 1 or len(candidate.starts) != 1:
+            continue
+        white = battery.whitener.apply(candidate.columns[battery.ratio])
+        size = float(np.linalg.norm(project(white[:, :1], battery.basis)))
+        if size > 1e-9 * max(float(np.linalg.norm(white[:, :1])), 1e-300):
+            parameter = candidate.problem.structure.parameters[-1]
+            unit = candidate.problem.structure.unit(parameter)
+            found.append(Detectable(candidate.effect, parameter.name, float(level / size), unit))
+    return tuple(found)

@@ -1,0 +1,236 @@
+"""What a diagnosis found, in figures and in words."""
+
+from __future__ import annotations
+
+import textwrap
+from dataclasses import dataclass
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from ..measurement import Measurement
+from ..physics.effects import Effect
+from ..refinement.refinement import Refinement
+from ..systems.linear import Array
+from .whitening import FTest
+
+__all__ = ["Detectable", "Diagnosis", "RankedEffect"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RankedEffect:
+    """One row of `Diagnosis.ranking`.
+
+    Attributes
+    ----------
+    effect : Effect
+        Kind and place.
+    coefficients, std : dict
+        Coefficient and standard deviation by name, in the model's units.
+    fit_before, fit_after : float
+        Fit in percent without and with it, on the validation record if one was given;
+        the mean over the outputs.
+    p_value : float
+        Of its score, if nothing were missing.
+    probability : float
+        Among the candidates, given that exactly one of them is missing.
+    refinement : Refinement
+        Model with this effect, refitted.
+    """
+
+    effect: Effect
+    coefficients: dict[str, float]
+    std: dict[str, float]
+    fit_before: float
+    fit_after: float
+    p_value: float
+    probability: float
+    refinement: Refinement
+
+
+@dataclass(frozen=True, slots=True)
+class Detectable:
+    """The smallest coefficient of an effect that the record would have shown (95 % power)."""
+
+    effect: Effect
+    coefficient: str
+    smallest: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Diagnosis:
+    """Which physical effect is missing, and how sure that is.
+
+    Attributes
+    ----------
+    verdict : str
+        "adequate" (nothing is missing that this record could show), "effect" (one of the
+        candidates is), "ambiguous" (several explain it alike), "unexplained" (something
+        is missing that none of the candidates explains).
+    ranking : tuple of RankedEffect
+        Candidates that were refitted, the most probable first.
+    ambiguous : tuple of Effect
+        Effects that this record cannot tell from the best one, the best included.
+    tests : tuple of FTest
+        Tests of the model as it is; each has name, statistic, p_value.
+    winner_tests : tuple of FTest
+        The same with the best effect added, empty where none was tried.
+    detectable : tuple of Detectable
+        Where the verdict is "adequate": what the record would have shown.
+    base : Refinement
+        Model before anything is added, its free parameters fitted.
+    data : Measurement or None
+        First record.
+    significance : float
+        Level of the gate.
+    force_ratio : float
+        Unmeasured force over the measured one that the residual speaks of, 0 for none.
+    notes : tuple of str
+        What else was noticed.
+    """
+
+    verdict: str
+    ranking: tuple[RankedEffect, ...]
+    ambiguous: tuple[Effect, ...]
+    tests: tuple[FTest, ...]
+    winner_tests: tuple[FTest, ...]
+    detectable: tuple[Detectable, ...]
+    base: Refinement
+    records: tuple[Measurement, ...]
+    significance: float
+    force_ratio: float
+    settings: dict[str, Any]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def best(self) -> RankedEffect | None:
+        """First row of the ranking, None where nothing was needed or tried."""
+        return self.ranking[0] if self.ranking else None
+
+    def refine(self) -> Refinement:
+        """The model with the best effect, fitted to convergence.
+
+        Returns
+        -------
+        Refinement
+            The base model itself where the verdict is "adequate".
+        """
+        from ..refinement.refine import refine
+
+        if self.best is None:
+            return self.base
+        given = {name: value for name, value in self.best.coefficients.items()}
+        settings = {k: self.settings[k] for k in ("tolerance", "offset", "noise") if k in self.settings}
+        return refine(self.base, list(self.records), [self.best.effect.replace(start=given)], **settings)
+
+    # ------------------------------------------------------------------ in words
+    def sentences(self) -> list[str]:
+        """What was found, one sentence each."""
+        lines = [_VERDICTS[self.verdict].format(best=self._best_text(), alike=self._alike_text())]
+        worst = min(self.tests, key=lambda t: t.p_value) if self.tests else None
+        if self.verdict == "adequate":
+            lines.append(
+                f"No test fires at the level {self.significance:g}"
+                + (f" (smallest p-value {worst.p_value:.2g}, {worst.name})." if worst else ".")
+            )
+            if self.detectable:
+                shown = ", ".join(
+                    f"{d.effect.label} {d.smallest:.3g} {d.unit}".strip() for d in self.detectable[:4]
+                )
+                lines.append(f"It would have shown, with 95 % probability: {shown}.")
+        else:
+            assert worst is not None
+            lines.append(f"The model as it is fails: {worst.name}, p = {worst.p_value:.2g}.")
+            if self.verdict == "unexplained" and self.winner_tests:
+                left = min(self.winner_tests, key=lambda t: t.p_value)
+                lines.append(
+                    f"With the best candidate the residual still fails: {left.name}, p = {left.p_value:.2g}."
+                )
+            if self.best is not None:
+                lines.append(
+                    "p is the chance of such a score with nothing missing; probability compares the candidates "
+                    "with each other; std is one standard deviation of the coefficient."
+                )
+        if self.force_ratio:
+            lines.append(
+                f"The residual speaks of an unmeasured force of about {100 * self.force_ratio:.2g} % of the "
+                "measured one, which is allowed for."
+            )
+        return [*lines, *self.notes]
+
+    def _best_text(self) -> str:
+        if self.best is None:
+            return "nothing"
+        row = self.best
+        values = ", ".join(f"{value:.4g} +/- {row.std[name]:.2g}" for name, value in row.coefficients.items())
+        return (
+            f"{row.effect.label} ({values}): fit {row.fit_before:.4g} -> {row.fit_after:.4g} %, "
+            f"probability {row.probability:.2f}"
+        )
+
+    def _alike_text(self) -> str:
+        return ", ".join(effect.label for effect in self.ambiguous)
+
+    def __str__(self) -> str:
+        from ..reporting.tables import text_table
+
+        parts = [f"Diagnosis: {self.verdict.upper()}"]
+        for sentence in self.sentences():
+            parts += textwrap.wrap(sentence, 80)
+        if self.ranking:
+            parts.append(text_table(_HEADER, self._rows()))
+        return "\n".join(parts)
+
+    def _repr_html_(self) -> str:
+        from ..reporting.tables import html_table
+
+        title = f"Diagnosis: {self.verdict}"
+        return html_table(_HEADER, self._rows(), title=title, notes=self.sentences())
+
+    def _rows(self) -> list[list[str]]:
+        rows = []
+        for row in self.ranking[:8]:
+            first = next(iter(row.coefficients))
+            rows.append(
+                [
+                    row.effect.label[:38],
+                    f"{row.coefficients[first]:.4g}",
+                    f"{row.std[first]:.2g}",
+                    f"{row.fit_after:.2f}",
+                    f"{row.p_value:.1e}",
+                    f"{row.probability:.3f}",
+                ]
+            )
+        return rows
+
+    def plot(self, **kwargs: Any) -> ct.ControlPlot:
+        """Ranking, hidden force against motion, residual before and after.
+
+        Parameters
+        ----------
+        **kwargs
+            ``title, rcParams`` as in python-control.
+
+        Returns
+        -------
+        ControlPlot
+        """
+        from ..reporting.diagnosis import diagnosis_plot
+
+        return diagnosis_plot(self, **kwargs)
+
+
+_HEADER = ["effect", "coefficient", "std", "fit %", "p-value", "probability"]
+_VERDICTS = {
+    "adequate": "Nothing is missing that this record could show.",
+    "effect": "What is missing: {best}.",
+    "ambiguous": "This record cannot tell apart: {alike}. Most probable: {best}.",
+    "unexplained": "Something is missing that no candidate explains. Closest: {best}.",
+}
+
+
+def mean_fit(values: Array) -> float:
+    """Mean fit over the outputs, in percent."""
+    return float(np.mean(values))

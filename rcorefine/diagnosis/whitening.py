@@ -1,0 +1,138 @@
+"""Whitened residuals, and F-tests of columns against them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+from scipy.signal import lfilter
+
+from ..refinement.uncertainty import autoregression
+from ..systems.linear import Array
+
+__all__ = ["FTest", "Whitener", "f_test", "project", "rank_basis"]
+
+_RANK = 1e-7  # singular value, relative, below which a direction is none
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Whitener:
+    """One autoregressive filter per output, common to residuals and regressors.
+
+    Attributes
+    ----------
+    filters : tuple of ndarray
+        Whitening polynomials, leading coefficient 1.
+    scales : ndarray, shape (n_y,)
+        Standard deviation of each innovation.
+    """
+
+    filters: tuple[Array, ...]
+    scales: Array
+
+    @classmethod
+    def fit(cls, residuals: Sequence[Array]) -> Whitener:
+        """Filters from residuals, each of shape (n_y, N); order by Akaike's criterion."""
+        outputs = residuals[0].shape[0]
+        filters, scales = [], []
+        for i in range(outputs):
+            a, variance = autoregression(np.concatenate([r[i] for r in residuals]))
+            filters.append(a)
+            scales.append(np.sqrt(variance) if variance > 0 else 1.0)
+        return cls(tuple(filters), np.array(scales))
+
+    @property
+    def orders(self) -> tuple[int, ...]:
+        """Order of each filter, 0 for white."""
+        return tuple(a.size - 1 for a in self.filters)
+
+    def apply(self, blocks: Sequence[Array]) -> Array:
+        """Whiten blocks of shape (n_y, N) or (n_y, N, k) and stack their rows.
+
+        The first samples of each block, where the filter has no past, are left out.
+        """
+        rows = []
+        for block in blocks:
+            for i, a in enumerate(self.filters):
+                white = lfilter(a, [1.0], block[i], axis=0) / self.scales[i]
+                rows.append(white[a.size - 1 :])
+        return np.concatenate(rows, axis=0)
+
+
+@dataclass(frozen=True, slots=True)
+class FTest:
+    """Does a set of columns explain more of the residual than chance?
+
+    Attributes
+    ----------
+    name : str
+        What was tested.
+    statistic : float
+        F statistic.
+    dof : int
+        Columns that count.
+    p_value : float
+        Probability of such a statistic if nothing is missing.
+    gain : float
+        Sum of squares that the columns take away.
+    """
+
+    name: str
+    statistic: float
+    dof: int
+    p_value: float
+    gain: float
+
+
+def rank_basis(columns: Array) -> Array:
+    """Orthonormal basis of the span of columns, near-dependent ones left out."""
+    if columns.shape[1] == 0:
+        return columns
+    size = np.linalg.norm(columns, axis=0)
+    columns = columns[:, size > 1e-12 * max(float(size.max()), 1e-300)]
+    if columns.shape[1] == 0:
+        return columns
+    columns = columns / np.linalg.norm(columns, axis=0)
+    u, s, _ = np.linalg.svd(columns, full_matrices=False)
+    return np.asarray(u[:, s > _RANK * s[0]])
+
+
+def project(values: Array, basis: Array) -> Array:
+    """What is left of values after the span of an orthonormal basis is taken out."""
+    return np.asarray(values - basis @ (basis.T @ values))
+
+
+def f_test(name: str, residual: Array, columns: Array, basis: Array) -> FTest:
+    """F-test of columns on a whitened residual.
+
+    Parameters
+    ----------
+    name : str
+        What is tested.
+    residual : ndarray, shape (N,)
+        Whitened residual.
+    columns : ndarray, shape (N, k)
+        Whitened columns.
+    basis : ndarray, shape (N, b)
+        Orthonormal basis of what was fitted already; projected off both.
+
+    Returns
+    -------
+    FTest
+        p_value 1 where the columns lie in what was fitted.
+    """
+    r = project(residual, basis)
+    c = project(columns, basis)
+    keep = np.linalg.norm(c, axis=0) > 1e-6 * np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    q = rank_basis(c[:, keep])
+    k = q.shape[1]
+    free = residual.size - basis.shape[1] - k
+    if k == 0 or free < 10:
+        return FTest(name, 0.0, 0, 1.0, 0.0)
+    along = q.T @ r
+    gain = float(along @ along)
+    left = max(float(r @ r) - gain, 1e-300)
+    statistic = gain / k / (left / free)
+    return FTest(name, float(statistic), k, float(stats.f.sf(statistic, k, free)), gain)
