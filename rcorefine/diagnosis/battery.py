@@ -1,4 +1,4 @@
-"""The tests that a residual must pass: is anything missing, and of which sort?"""
+"""The tests that a residual must pass, each for its own sort of fault."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def _library(battery: Battery, candidates: Sequence[Candidate]) -> FTest:
 
 
 def _parameters(battery: Battery, motion: Motion) -> FTest:
-    """Do the parameters of the model itself fit?"""
+    """Test whether the parameters of the model itself fit."""
     fitted = battery.fitted
     held = {(e.kind, e.place) for e in fitted.structure.effects}
     effects = [

@@ -118,7 +118,8 @@ def diagnose(
     segments, _ = windows(physical, ordered, None)
     if min(r.n_samples for r in segments) < 200:
         raise DataError(
-            f"a record of {min(r.n_samples for r in segments)} samples is too short to test; give at least 200"
+            f"a record of {min(r.n_samples for r in segments)} samples is too short to test; "
+            "give at least 200"
         )
     fitted = fitted_from(base, segments, tolerance=tolerance, noise=noise)
     motions = [Motion(fitted.structure, fitted.theta, record) for record in segments]
@@ -133,50 +134,30 @@ def diagnose(
     tests = run_battery(free_run, scored, motions)
     gate = _overall(tests)
     loud = _excess(fitted, noise)
-    settings = {"free": free, "tolerance": tolerance, "offset": offset, "noise": noise}
-    common = {
+    about: dict[str, Any] = {
         "base": base,
         "records": tuple(records),
         "significance": significance,
-        "settings": settings,
+        "settings": {"free": free, "tolerance": tolerance, "offset": offset, "noise": noise},
     }
     if gate >= significance and loud <= _NOISE_EXCESS:
-        return Diagnosis(
-            "adequate",
-            (),
-            (),
-            tuple(tests),
-            (),
-            _detectable(free_run, scored, significance),
-            force_ratio=0.0,
-            **common,
-        )
+        return _adequate(free_run, scored, tests, about)
     ratio = _unmeasured_force(fitted, free_run) if loud <= _NOISE_EXCESS else 0.0
     if ratio:
-        for candidate, more in zip(
-            scored, candidate_columns(fitted, library, motions[0], (ratio,)), strict=True
-        ):
+        led_columns = candidate_columns(fitted, library, motions[0], (ratio,))
+        for candidate, more in zip(scored, led_columns, strict=True):
             candidate.columns.update(more.columns)
         led = Battery(fitted, ratio)
         led_tests = run_battery(led, scored, motions)
         if _overall(led_tests) >= significance:
-            return Diagnosis(
-                "adequate",
-                (),
-                (),
-                tuple(led_tests),
-                (),
-                _detectable(led, scored, significance),
-                force_ratio=ratio,
-                **common,
-            )
+            return _adequate(led, scored, led_tests, about)
 
     batteries = [free_run, *(Battery(fitted, r) for r in _OBSERVERS)]
     chosen, scores = shortlist(scored, batteries)
     rivals = _refit_all(fitted, [scored[i] for i in chosen], physical, executor, progress)
     index = {id(scored[i].effect): i for i in chosen}
     if not rivals:
-        return Diagnosis("unexplained", (), (), tuple(tests), (), (), force_ratio=ratio, **common)
+        return Diagnosis("unexplained", (), (), tuple(tests), (), (), force_ratio=0.0, **about)
     _, likelihoods, _ = log_likelihoods(fitted, rivals)
     order = np.argsort(-likelihoods)
     rivals = [rivals[i] for i in order]
@@ -193,9 +174,15 @@ def diagnose(
         if 2 * (likelihoods[0] - value) <= _AMBIGUOUS
     )
     verdict = "unexplained" if not passed else "effect" if len(alike) == 1 else "ambiguous"
-    return Diagnosis(
-        verdict, ranking, alike, tuple(tests), tuple(winner_tests), (), force_ratio=0.0, **common
-    )
+    return Diagnosis(verdict, ranking, alike, tuple(tests), tuple(winner_tests), (), force_ratio=0.0, **about)
+
+
+def _adequate(
+    battery: Battery, scored: Sequence[Candidate], tests: Sequence[FTest], about: dict[str, Any]
+) -> Diagnosis:
+    """Nothing is missing; say what the record would have shown."""
+    shown = _detectable(battery, scored, about["significance"])
+    return Diagnosis("adequate", (), (), tuple(tests), (), shown, force_ratio=battery.ratio, **about)
 
 
 def _overall(tests: Sequence[FTest]) -> float:

@@ -150,8 +150,8 @@ class Diagnosis:
                 )
             if self.best is not None:
                 lines.append(
-                    "p is the chance of such a score with nothing missing; probability compares the candidates "
-                    "with each other; std is one standard deviation of the coefficient."
+                    "p is the chance of such a score with nothing missing; probability compares the "
+                    "candidates with each other; std is one standard deviation of the coefficient."
                 )
         if self.force_ratio:
             lines.append(

@@ -63,7 +63,7 @@ class Whitener:
 
 @dataclass(frozen=True, slots=True)
 class FTest:
-    """Does a set of columns explain more of the residual than chance?
+    """Whether a set of columns explains more of the residual than chance.
 
     Attributes
     ----------
