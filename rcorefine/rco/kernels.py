@@ -269,27 +269,34 @@ def refresh(stage: Stage, alpha: float) -> None:
 
 
 @compiled
+def _reflect(column: Array, v: Array) -> None:
+    """Householder's reflection of a column in the plane across v."""
+    column -= (2.0 * (column @ v) / (v @ v)) * v
+
+
+@compiled
 def direct_step(rows: Array, residual: Array, alpha: float) -> Array:
     """Minimize |residual + rows s|^2 + alpha |s|^2 by Householder's reflections."""
     count, m = rows.shape
-    columns = np.zeros((m + 1, count + m))  # of [rows; sqrt(alpha) I | -residual; 0]
-    columns[:m, :count] = rows.T
-    columns[m, :count] = -residual
+    right = np.zeros(count + m)  # -residual; 0
+    columns = np.zeros((m, count + m))  # of [rows; sqrt(alpha) I]
+    for i in range(count):
+        right[i] = -residual[i]
+        columns[:, i] = rows[i]
+    step = np.zeros(m)
     for j in range(m):
         columns[j, count + j] = np.sqrt(alpha)
-    diagonal = np.zeros(m)
     for j in range(m):
-        v = columns[j, j:].copy()
+        v = columns[j].copy()
+        v[:j] = 0.0
         size = np.sqrt(v @ v)
-        diagonal[j] = -size if v[0] > 0.0 else size
-        v[0] -= diagonal[j]
-        back = 2.0 / (v @ v)
-        for i in range(j + 1, m + 1):
-            columns[i, j:] -= (back * (columns[i, j:] @ v)) * v
-    step = columns[m, :m].copy()
+        v[j] += size if v[j] > 0.0 else -size
+        for i in range(j, m):
+            _reflect(columns[i], v)
+        _reflect(right, v)
     for j in range(m - 1, -1, -1):
-        step[j] /= diagonal[j]
-        step[:j] -= step[j] * columns[j, :j]
+        step[j] = right[j] / columns[j, j]
+        right -= step[j] * columns[j]
     return step
 
 
