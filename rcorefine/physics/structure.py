@@ -283,6 +283,7 @@ class Structure:
             lag_drive.append((state, Uw[i] / lag))
             Uw[i] = 0.0
 
+        A = self.adjusted_rates(A, theta)
         right = np.hstack([A, Bu, E, constant[:, None]])
         solved = np.linalg.solve(inertia, right) if self._has_mass else right
         A, Bu, E, constant = solved[:, :n], solved[:, n : n + nw], solved[:, n + nw : -1], solved[:, -1]
@@ -311,6 +312,10 @@ class Structure:
         D[:, nw] += output_offset
         sense = np.hstack([P[:, :n] + P[:, n:] @ Ux, P[:, n:] @ Uw])
         return Matrices(A, B, E, C, D, G, sense)
+
+    def adjusted_rates(self, A: NDArray[Any], theta: NDArray[Any]) -> NDArray[Any]:
+        """State matrix before masses are divided by: a place for rules that tie its entries together."""
+        return A
 
     @property
     def _has_mass(self) -> bool:

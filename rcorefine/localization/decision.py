@@ -1,0 +1,324 @@
+"""Which candidates are needed: elimination with refits, then what else could explain the record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from ..systems.linear import Array
+from .estimate import Joint
+
+__all__ = ["Candidate", "Decision", "collinear_groups", "decide", "two_sided"]
+
+_COLLINEAR = 0.01  # eigenvalue of the unit-diagonal information below which a direction is one group
+_MEMBER = 0.3  # share of such a direction above which a candidate belongs to it
+_RIVAL = 9.2  # twice the log-likelihood: odds of 100 to 1
+_ALIKE = 0.7  # correlation of sensitivities above which a swap is tried
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A change that is looked for: its column, and what counts as 100 percent."""
+
+    column: int
+    kind: str
+    place: str
+    name: str
+    nominal: float
+    unit: str
+    tolerated: float
+    floor: float
+
+    @property
+    def label(self) -> str:
+        """Kind and place."""
+        return f"{self.kind} at {self.place}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Decision:
+    """Outcome of the elimination.
+
+    Attributes
+    ----------
+    named : tuple of int
+        Candidates that are significant and needed.
+    rivals : dict
+        For a named candidate those that explain the record about as well in its place.
+    joint, joint_std : ndarray, shape (m,)
+        Estimates with every candidate free.
+    joint_covariance : ndarray, shape (m, m)
+        Their covariance.
+    change, std : ndarray, shape (m,)
+        Estimates of the named ones, and of each other one beside them.
+    p_value : ndarray, shape (m,)
+        Two-sided, of `change`, not corrected for multiplicity.
+    groups : tuple of tuple of int
+        Candidates whose sensitivities are nearly collinear.
+    """
+
+    named: tuple[int, ...]
+    rivals: dict[int, tuple[int, ...]]
+    joint: Array
+    joint_std: Array
+    joint_covariance: Array
+    change: Array
+    std: Array
+    p_value: Array
+    groups: tuple[tuple[int, ...], ...]
+
+
+def two_sided(z: Array) -> Array:
+    """Two-sided p-value of a normal deviate."""
+    return np.asarray(2.0 * norm.sf(np.abs(z)))
+
+
+def decide(joint: Joint, candidates: list[Candidate], significance: float) -> Decision:
+    """Joint estimate, backward elimination with refits, then additions and swaps.
+
+    A candidate is dropped as long as the least significant one fails Holm's level
+    ``significance / (m - r + 1)`` (r left of m), so the survivors are significant with
+    multiplicity allowed for, and each is needed beside the others.
+
+    Parameters
+    ----------
+    joint : Joint
+        Started estimate.
+    candidates : list of Candidate
+        What may be named.
+    significance : float
+        Probability of naming anything where nothing has changed.
+
+    Returns
+    -------
+    Decision
+    """
+    m = len(candidates)
+    where = np.array([c.column for c in candidates], dtype=np.int64)
+    floor = np.array([c.floor for c in candidates])
+    tolerated = np.array([c.tolerated for c in candidates])
+    active = np.ones(joint.structure.n_parameters, dtype=bool)
+    joint.fit(active, reweigh=True)
+    estimate, spread, covariance = _estimates(joint, where, active)
+    groups = collinear_groups(joint, where)
+
+    kept = list(range(m))
+    while kept:
+        value, std, _ = _estimates(joint, where[kept], active)
+        p = two_sided(_deviate(value, std, tolerated[kept]))
+        p = np.where(np.abs(value) < floor[kept], np.maximum(p, 0.5), p)
+        # where none is seen on its own, the one that the others explain best goes first
+        order = np.lexsort((np.abs(value) / np.maximum(floor[kept], 1e-300), -p))
+        weakest = int(order[0])
+        if p[weakest] <= significance / (m - len(kept) + 1):
+            break
+        _hold(joint, where[kept.pop(weakest)], active)
+    _improve(joint, where, active, kept, floor, tolerated, significance)
+    joint.fit(active, reweigh=True)
+    rivals = _swap(joint, where, active, kept)
+    joint.fit(active, reweigh=True)
+
+    change, std = np.zeros(m), np.zeros(m)
+    for i in range(m):
+        if i in kept:
+            values, spreads, _ = _estimates(joint, where[[i]], active)
+            change[i], std[i] = values[0], spreads[0]
+        else:
+            change[i], std[i] = _beside(joint, where[i], active)
+    return Decision(
+        tuple(sorted(kept)),
+        {i: tuple(others) for i, others in rivals.items() if others},
+        estimate,
+        spread,
+        covariance,
+        change,
+        std,
+        two_sided(_deviate(change, std, tolerated)),
+        groups,
+    )
+
+
+def _deviate(value: Array, std: Array, tolerated: Array) -> Array:
+    total = np.sqrt(std**2 + tolerated**2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        z = np.where(np.isfinite(total), value / np.where(total > 0, total, 1e-300), 0.0)
+    return np.asarray(z)
+
+
+def _estimates(
+    joint: Joint, where: NDArray[np.int64], active: NDArray[np.bool_]
+) -> tuple[Array, Array, Array]:
+    """Value, standard deviation and covariance of some active columns."""
+    columns = joint.columns(active)
+    covariance = joint.information().covariance(columns)
+    rows = np.array([int(np.flatnonzero(columns == c)[0]) for c in where], dtype=np.int64)
+    part = covariance[np.ix_(rows, rows)]
+    return joint.theta[where], np.sqrt(np.maximum(np.diag(part), 0.0)), part
+
+
+def _beside(joint: Joint, column: int, active: NDArray[np.bool_]) -> tuple[float, float]:
+    """What one more candidate would come to beside the active ones: one Gauss-Newton step."""
+    wider = active.copy()
+    wider[column] = True
+    columns = joint.columns(wider)
+    row = int(np.flatnonzero(columns == column)[0])
+    information = joint.information()
+    variance = information.covariance(columns)[row, row]
+    if not np.isfinite(variance):
+        return 0.0, np.inf
+    return float(information.step(columns)[row]), float(np.sqrt(variance))
+
+
+def _hold(joint: Joint, column: int, active: NDArray[np.bool_]) -> float:
+    """Put one candidate back to zero and fit the others."""
+    point = joint.point.copy()
+    step = -point[column]
+    # the others move along first, as their correlation says
+    active[column] = False
+    columns = joint.columns(active)
+    normal = joint.information().normal
+    block = normal[np.ix_(columns, columns)]
+    size = np.sqrt(np.diag(block))
+    size[size == 0] = 1.0
+    unit = block / np.outer(size, size) + 1e-12 * np.eye(columns.size)
+    point[columns] -= np.linalg.solve(unit, normal[columns, column] * step / size) / size
+    point[column] = 0.0
+    plain = joint.point.copy()
+    plain[column] = 0.0
+    guesses = [joint.problem.inside(guess) for guess in (point, plain)]
+    joint.point = min(guesses, key=joint.problem.cost)
+    return joint.fit(active)
+
+
+def _improve(
+    joint: Joint,
+    where: NDArray[np.int64],
+    active: NDArray[np.bool_],
+    kept: list[int],
+    floor: Array,
+    tolerated: Array,
+    significance: float,
+) -> None:
+    """Take back what turns out to be significant beside the survivors."""
+    m = where.size
+    for _ in range(m):
+        left = [i for i in range(m) if i not in kept]
+        if not left:
+            return
+        found = np.array([_beside(joint, where[i], active) for i in left])
+        p = two_sided(_deviate(found[:, 0], found[:, 1], tolerated[left]))
+        p = np.where(np.abs(found[:, 0]) < floor[left], 1.0, p)
+        best = int(np.argmin(p))
+        if p[best] > significance / len(left):
+            return
+        kept.append(left[best])
+        active[where[left[best]]] = True
+        joint.fit(active)
+
+
+def _swap(
+    joint: Joint, where: NDArray[np.int64], active: NDArray[np.bool_], kept: list[int]
+) -> dict[int, list[int]]:
+    """Put each similar candidate in the place of a named one: better takes over, equal is a rival."""
+    rivals: dict[int, list[int]] = {}
+    for _ in range(where.size):
+        similar = _similarity(joint, where)
+        rivals = {i: [] for i in kept}
+        level = joint.fit(active)
+        scale = 2.0 * level / joint.problem.n_points
+        reference, better = joint.point.copy(), None
+        for i in kept:
+            for j in range(where.size):
+                if j in kept or similar[i, j] < _ALIKE:
+                    continue
+                trial = active.copy()
+                trial[where[i]], trial[where[j]] = False, True
+                ratio = np.sqrt(
+                    joint.information().normal[where[i], where[i]]
+                    / max(joint.information().normal[where[j], where[j]], 1e-300)
+                )
+                joint.point = reference.copy()
+                joint.point[where[j]] = (
+                    joint.point[where[i]] * ratio * np.sign(similar_sign(joint, where, i, j))
+                )
+                joint.point[where[i]] = 0.0
+                cost = joint.fit(trial)
+                gain = 2.0 * (level - cost) / scale
+                if gain > -_RIVAL:
+                    rivals[i].append(j)
+                if gain > 1e-6 and (better is None or gain > better[0]):
+                    better = (gain, i, j, joint.point.copy())
+                joint.point = reference.copy()
+                joint.information()
+        joint.point = reference
+        joint.fit(active)
+        if better is None:
+            return rivals
+        _, i, j, joint.point = better
+        active[where[i]], active[where[j]] = False, True
+        kept.remove(i)
+        kept.append(j)
+    return rivals
+
+
+def similar_sign(joint: Joint, where: NDArray[np.int64], i: int, j: int) -> float:
+    """Sign of the correlation of two sensitivities."""
+    return float(joint.information().normal[where[i], where[j]])
+
+
+def _projected(joint: Joint, where: NDArray[np.int64]) -> Array:
+    """Information of the candidates, offsets, damping ratio and initial states projected off."""
+    normal = joint.information().normal
+    rest = np.setdiff1d(np.arange(normal.shape[0]), where)
+    inner = normal[np.ix_(where, where)]
+    if rest.size:
+        block = normal[np.ix_(rest, rest)]
+        size = np.sqrt(np.diag(block))
+        size[size == 0] = 1.0
+        cross = normal[np.ix_(rest, where)] / size[:, None]
+        inner = (
+            inner
+            - cross.T @ np.linalg.pinv(block / np.outer(size, size), rcond=1e-12, hermitian=True) @ cross
+        )
+    size = np.sqrt(np.maximum(np.diag(inner), 0.0))
+    size[size <= 1e-9 * np.sqrt(np.diag(normal)[where])] = np.inf
+    unit = inner / np.outer(size, size)
+    np.fill_diagonal(unit, np.where(np.isfinite(size), 1.0, 0.0))
+    return np.asarray(unit)
+
+
+def _similarity(joint: Joint, where: NDArray[np.int64]) -> Array:
+    return np.asarray(np.abs(_projected(joint, where)))
+
+
+def collinear_groups(joint: Joint, where: NDArray[np.int64]) -> tuple[tuple[int, ...], ...]:
+    """Candidates that the record sees only together.
+
+    Parameters
+    ----------
+    joint : Joint
+        Estimate.
+    where : ndarray of int
+        Columns of the candidates.
+
+    Returns
+    -------
+    tuple of tuple of int
+        Groups of two or more.
+    """
+    unit = _projected(joint, where)
+    seen = np.flatnonzero(np.diag(unit) > 0)
+    values, vectors = np.linalg.eigh(unit[np.ix_(seen, seen)])
+    owner = list(range(where.size))
+    for value, vector in zip(values, vectors.T, strict=True):
+        if value >= _COLLINEAR:
+            break
+        members = [int(seen[k]) for k in np.flatnonzero(np.abs(vector) > _MEMBER * np.abs(vector).max())]
+        target = min(owner[i] for i in members)
+        merged = {owner[i] for i in members}
+        owner = [target if group in merged else group for group in owner]
+    groups = [tuple(i for i in range(where.size) if owner[i] == k) for k in sorted(set(owner))]
+    return tuple(group for group in groups if len(group) > 1)

@@ -1,0 +1,320 @@
+"""Joint estimate with some candidates held at zero, on exact sensitivities."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from ..measurement import Measurement
+from ..physics.observer import observer_gain
+from ..physics.structure import Structure
+from ..refinement.outcome import output_weights
+from ..refinement.problem import Problem, residual_blocks
+from ..refinement.search import search, starting_states
+from ..refinement.starts import estimated_motion
+from ..refinement.uncertainty import autoregression
+from ..systems.linear import Array
+from .spectrum import spectral_starts
+
+__all__ = ["Information", "Joint", "log_likelihood"]
+
+_RATIOS = (1.0, 0.1, 0.01)  # observer gains of the first pass, high to low
+_SHORT = 4000  # samples of the first pass
+_WHITE = 0.6  # innovation over residual power above which a free run has found its valley
+_EXACT = 1e-6  # residual over signal power that needs no further search
+_MOST_STEPS = 25
+_SETTLED = 1e-3  # of a standard deviation
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Information:
+    """What the record knows at a point, all candidates included.
+
+    Attributes
+    ----------
+    gradient : ndarray, shape (p,)
+        J' r.
+    normal : ndarray, shape (p, p)
+        J' J with the priors.
+    middle : ndarray, shape (p, p)
+        Covariance of the gradient under the colour of the residual.
+    """
+
+    gradient: Array
+    normal: Array
+    middle: Array
+
+    def covariance(self, columns: NDArray[np.int64]) -> Array:
+        """Covariance of an estimate of these columns; infinite where nothing is seen."""
+        B, middle = self.normal[np.ix_(columns, columns)], self.middle[np.ix_(columns, columns)]
+        size = np.sqrt(np.diag(B))
+        size[size == 0] = 1.0
+        values, vectors = np.linalg.eigh(B / np.outer(size, size))
+        seen = values > 1e-12 * values[-1]
+        inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
+        covariance = inverse @ (middle / np.outer(size, size)) @ inverse / np.outer(size, size)
+        lost = np.any(np.abs(vectors[:, ~seen]) > 1e-3, axis=1)
+        covariance[lost, lost] = np.inf
+        return np.asarray(covariance)
+
+    def step(self, columns: NDArray[np.int64]) -> Array:
+        """Gauss-Newton step in these columns."""
+        B = self.normal[np.ix_(columns, columns)]
+        size = np.sqrt(np.diag(B))
+        size[size == 0] = 1.0
+        values, vectors = np.linalg.eigh(B / np.outer(size, size))
+        seen = values > 1e-12 * values[-1]
+        inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
+        return -inverse @ (self.gradient[columns] / size) / size
+
+
+class Joint:
+    """All candidates and nuisances on the records; some of them held at zero.
+
+    Parameters
+    ----------
+    structure : Structure
+        Model with every candidate and nuisance.
+    records : sequence of Measurement
+        Segments, each with an initial state of its own.
+    noise : float or sequence of float, optional
+        Declared sensor noise; estimated where None.
+    initial : ndarray of shape (n,), optional
+        Known initial state.
+    prior_mean, prior_sd : ndarray, shape (p,)
+        Gaussian priors, sd = inf for none.
+    substeps : int
+        Substeps per sample, 1 for a linear model.
+    """
+
+    def __init__(
+        self,
+        structure: Structure,
+        records: Sequence[Measurement],
+        *,
+        noise: float | Sequence[float] | None,
+        initial: Array | None,
+        prior_mean: Array,
+        prior_sd: Array,
+        substeps: int = 1,
+    ) -> None:
+        self.substeps = substeps
+        self.structure, self.records, self.noise, self.initial = structure, list(records), noise, initial
+        self.prior_mean, self.prior_sd = prior_mean, prior_sd
+        self.weights = output_weights(self.records, noise)
+        self.problem = self._build(self.records)
+        self.point = np.zeros(self.problem.size)
+        self.converged = False
+        self._information: Information | None = None
+
+    def _build(self, records: Sequence[Measurement], substeps: int | None = None) -> Problem:
+        return Problem(
+            self.structure,
+            records,
+            self.weights,
+            prior_mean=self.prior_mean,
+            prior_sd=self.prior_sd,
+            substeps=substeps or self.substeps,
+            initial=self.initial,
+        )
+
+    @property
+    def theta(self) -> Array:
+        """Coefficients at the present point."""
+        return self.problem.unpack(self.point)[0]
+
+    def columns(self, active: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Columns of the point that move: active coefficients and all initial states."""
+        rest = np.arange(self.structure.n_parameters, self.problem.size)
+        return np.concatenate([np.flatnonzero(active), rest])
+
+    # ------------------------------------------------------------------ estimates
+    def start(self) -> None:
+        """Find the valley on the first samples, all coefficients free.
+
+        Observer-held fits from high to low gain, each polished as a free run; then starts
+        from the measured frequency response; last the general search, which scans over
+        decades. The first that leaves a white residual ends the search.
+        """
+        short = [self.records[0]._part(slice(0, _SHORT)), *self.records[1:2]]
+        trial = self._build(short)
+        level = 0.5 * sum(float(np.sum((trial.weights[:, None] * r.outputs) ** 2)) for r in short)
+        columns = np.arange(trial.size)
+        best: tuple[float, Array] | None = None
+        for theta in self._starts(trial, short):
+            free = trial.inside(trial.pack(theta, starting_states(trial, theta)))
+            point, cost, _ = _descend(trial, free, columns, _MOST_STEPS)
+            if best is None or cost < best[0]:
+                best = cost, point
+                if cost < _EXACT * level or _whiteness(trial, point) > _WHITE:
+                    break
+        assert best is not None
+        theta = best[1][: trial.n_theta]
+        self.point = self.problem.pack(theta, starting_states(self.problem, theta))
+
+    def _starts(self, trial: Problem, short: list[Measurement]) -> Iterator[Array]:
+        """Coefficients to descend from, each found only when the ones before have failed."""
+        start = self.structure.start()
+        yield start
+        yield from self._held(trial, start, _RATIOS)
+        for far in spectral_starts(self.structure, start, self.records[0]):
+            yield far
+            yield from self._held(trial, far, _RATIOS[1:])
+        motion = estimated_motion(Structure(self.structure.model), np.zeros(0), short[0])
+        yield search(self._build, self.structure, short, motion, self.substeps)[: trial.n_theta]
+
+    def _held(self, trial: Problem, theta: Array, ratios: Sequence[float]) -> Iterator[Array]:
+        """Fits of the innovations of an observer, gain after gain."""
+        held = trial.inside(trial.pack(theta, np.zeros((len(trial.records), trial.n_states))))
+        for ratio in ratios:
+            gain = observer_gain(self.structure, held[: trial.n_theta], trial.records[0], ratio)
+            if np.isfinite(gain).all():
+                held = trial.minimize(held, max_nfev=12, tol=1e-6, gain=gain).x
+                yield held[: trial.n_theta]
+
+    def fit(self, active: NDArray[np.bool_], *, reweigh: bool = False) -> float:
+        """Minimize over the active coefficients and the initial states.
+
+        Parameters
+        ----------
+        active : ndarray of bool, shape (p,)
+            Coefficients that move; the others stay where they are.
+        reweigh : bool
+            Whether to take the noise levels from the residual, and fit once more.
+
+        Returns
+        -------
+        float
+            Cost, half the weighted sum of squares.
+        """
+        columns = self.columns(active)
+        for _ in range(3 if reweigh and self.noise is None else 1):
+            self.point, cost, self.converged = _descend(self.problem, self.point, columns, _MOST_STEPS)
+            self._information = None
+            if not reweigh or self.noise is not None:
+                break
+            before = self.weights
+            self.weights = output_weights(self.records, None, self.problem, self.point)
+            self.problem = self._build(self.records)
+            if np.allclose(before, self.weights, rtol=0.02):
+                break
+        return cost
+
+    def information(self) -> Information:
+        """What the record knows at the present point about every coefficient."""
+        if self._information is None:
+            blocks = residual_blocks(self.problem, self.point)
+            residuals, jacobians = [r for r, _ in blocks], [j for _, j in blocks]
+            held = np.isfinite(self.prior_sd)
+            precision = np.zeros(self.problem.size)
+            precision[: self.problem.n_theta][held] = 1.0 / self.prior_sd[held] ** 2
+            evaluation = self.problem.evaluate(self.point)
+            normal = evaluation.jacobian.T @ evaluation.jacobian
+            self._information = Information(
+                evaluation.jacobian.T @ evaluation.residual,
+                normal,
+                _gradient_covariance(residuals, jacobians, precision),
+            )
+        return self._information
+
+    @property
+    def residual(self) -> Array:
+        """Model minus record in units of the outputs, records joined, shape (n_y, N)."""
+        blocks = residual_blocks(self.problem, self.point)
+        return np.concatenate([r for r, _ in blocks], axis=1) / self.problem.weights[:, None]
+
+    @property
+    def orders(self) -> tuple[int, ...]:
+        """Order of the autoregressive model of each output's residual (0: white)."""
+        return tuple(autoregression(row)[0].size - 1 for row in self.residual)
+
+
+def log_likelihood(residual: Array) -> tuple[float, int]:
+    """Gaussian log-likelihood of a residual, whitened by an autoregression per output.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (n_y, N)
+        Residual of a free run.
+
+    Returns
+    -------
+    value : float
+        Log-likelihood up to a constant.
+    count : int
+        Coefficients that the autoregressions took.
+    """
+    value, count = 0.0, 0
+    for row in residual:
+        a, variance = autoregression(row)
+        value -= 0.5 * row.size * np.log(max(variance, 1e-300))
+        count += a.size - 1
+    return value, count
+
+
+def _gradient_covariance(residuals: Sequence[Array], jacobians: Sequence[Array], precision: Array) -> Array:
+    """Covariance of J' r, the residual of each output coloured as an autoregression sees it."""
+    middle = np.diag(precision)
+    for i in range(residuals[0].shape[0]):
+        a, variance = autoregression(np.concatenate([r[i] for r in residuals]))
+        for jacobian in jacobians:
+            J = jacobian[i]
+            coloured = J if a.size == 1 else lfilter([1.0], a, J[::-1], axis=0)
+            middle = middle + variance * (coloured.T @ coloured)
+    return np.asarray(middle)
+
+
+def _descend(
+    problem: Problem, point: Array, columns: NDArray[np.int64], iterations: int
+) -> tuple[Array, float, bool]:
+    """Levenberg-Marquardt in some columns: normal equations with unit columns."""
+    point = problem.inside(point)
+    lower, upper = problem.bounds()
+    evaluation = problem.evaluate(point)
+    cost = 0.5 * float(evaluation.residual @ evaluation.residual)
+    damping = 0.0
+    for _ in range(iterations):
+        J = evaluation.jacobian[:, columns]
+        gradient, H = J.T @ evaluation.residual, J.T @ J
+        size = np.sqrt(np.diag(H))
+        size[size == 0] = 1.0
+        unit, slope = H / np.outer(size, size), gradient / size
+        at_bound = ((point[columns] <= lower[columns] + 1e-9) & (slope > 0)) | (
+            (point[columns] >= upper[columns] - 1e-9) & (slope < 0)
+        )
+        slope = np.where(at_bound, 0.0, slope)
+        for _ in range(8):
+            ridge = max(damping, 1e-13)
+            step = -np.linalg.solve(unit + ridge * np.eye(columns.size), slope)
+            trial = point.copy()
+            trial[columns] += step / size
+            trial = problem.inside(trial)
+            after = problem.evaluate(trial)
+            reached = 0.5 * float(after.residual @ after.residual)
+            if after.finite and reached <= cost:
+                break
+            damping = max(10.0 * damping, 1e-4)
+        else:
+            return point, cost, float(slope @ step) > -1e-3 * cost / problem.n_points
+        small = float(step @ unit @ step) < _SETTLED**2 * 2.0 * reached / problem.n_points
+        stalled = cost - reached <= 1e-12 * cost and damping == 0.0
+        point, cost, evaluation = trial, reached, after
+        damping *= 0.1 if damping > 1e-6 else 0.0
+        if small or stalled:
+            return point, cost, True
+    return point, cost, False
+
+
+def _whiteness(problem: Problem, point: Array) -> float:
+    """Innovation over residual power, the least over the outputs: 1 for a white residual."""
+    blocks = residual_blocks(problem, point)
+    share = 1.0
+    for row in np.concatenate([r for r, _ in blocks], axis=1):
+        power = float(np.mean(row**2))
+        if power > 0:
+            share = min(share, autoregression(row)[1] / power)
+    return share
