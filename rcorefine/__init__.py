@@ -34,7 +34,7 @@ from .physics import (
     thermal_network,
     two_tanks,
 )
-from .physics.simulation import simulate
+from .physics.simulation import Simulation, simulate
 from .rco import RCORefiner
 from .refinement import EstimatedParameter, Refinement, refine
 from .systems import d2c
@@ -60,6 +60,7 @@ __all__ = [
     "RCORefiner",
     "RCOWarning",
     "Refinement",
+    "Simulation",
     "compare",
     "d2c",
     "dc_motor",
