@@ -393,7 +393,7 @@ def test_history_needs_to_be_asked_for(data: rco.Measurement) -> None:
 
 
 def test_history_shapes_and_plot(data: rco.Measurement) -> None:
-    refiner = RCORefiner(two_by_two(), dt=DT, history=True, **SETTINGS).run(data)
+    refiner = RCORefiner(two_by_two(), dt=DT, history=True, static_average=1, **SETTINGS).run(data)
     h = refiner.history
     assert h.z1.shape == h.z2.shape == h.y.shape == (2, 3000)
     assert h.theta1.shape == (2, 4 * 6 + 3 * 2, 3000)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -180,7 +181,8 @@ class Example:
         for key, true in self.true_parameters.items():
             initial, unit = self.initial_parameters[key], self.parameter_units[key]
             lines.append(f"{key:{width}}  {initial:>10.6g}  {true:>10.6g}  {unit}")
-        lines.append("settings: " + ", ".join(f"{key} {value:g}" for key, value in self.settings.items()))
+        settings = "settings: " + ", ".join(f"{key} {value:g}" for key, value in self.settings.items())
+        lines += textwrap.wrap(settings, 80)
         return "\n".join(lines)
 
 

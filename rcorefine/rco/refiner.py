@@ -66,9 +66,9 @@ class RCORefiner:
         alpha of stage 2; default that of stage 1.
     static_average : int, optional
         The refined model takes the mean of the static coefficients over that
-        many of the last samples. The paper takes the last ones (1), which
-        see one window only: with noise, or where the correction cannot be
-        exact, 5 to 10 windows scatter several times less.
+        many of the last samples, default two windows. The paper takes the
+        last ones (1), which see one window only: with noise, or where the
+        correction cannot be exact, 5 to 10 windows scatter several times less.
     correction_input : array_like of shape (n,) or (n, l_u), optional
         B_u, where the correction acts on the state (in continuous time for a
         continuous model). Default: B of the model.
@@ -155,7 +155,7 @@ class RCORefiner:
         static_window: int | None = None,
         static_markov: int | None = None,
         static_learning_rate: float | None = None,
-        static_average: int = 1,
+        static_average: int | None = None,
         correction_input: ArrayLike | None = None,
         correction_feedthrough: ArrayLike | None = None,
         use_estimated_states: bool = True,
@@ -188,6 +188,8 @@ class RCORefiner:
             static_markov,
             static_learning_rate,
         )
+        if static_average is None:
+            static_average = 2 * (window if static_window is None else static_window)
         average = as_size(static_average, "static_average", 1, "samples to average over")
         estimated = as_flag(use_estimated_states, "use_estimated_states")
         self._keep = as_flag(history, "history")
