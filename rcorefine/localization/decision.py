@@ -58,6 +58,8 @@ class Decision:
         Two-sided, of `change`, not corrected for multiplicity.
     groups : tuple of tuple of int
         Candidates whose sensitivities are nearly collinear.
+    other_valley : bool
+        Whether more changes, elsewhere, would explain the record as well.
     """
 
     named: tuple[int, ...]
@@ -69,6 +71,7 @@ class Decision:
     std: Array
     p_value: Array
     groups: tuple[tuple[int, ...], ...]
+    other_valley: bool
 
 
 def two_sided(z: Array) -> Array:
@@ -102,24 +105,29 @@ def decide(joint: Joint, candidates: list[Candidate], significance: float) -> De
     tolerated = np.array([c.tolerated for c in candidates])
     active = np.ones(joint.structure.n_parameters, dtype=bool)
     joint.fit(active, reweigh=True)
-    estimate, spread, covariance = _estimates(joint, where, active)
-    groups = collinear_groups(joint, where)
-
-    kept = list(range(m))
-    while kept:
-        value, std, _ = _estimates(joint, where[kept], active)
-        p = two_sided(_deviate(value, std, tolerated[kept]))
-        p = np.where(np.abs(value) < floor[kept], np.maximum(p, 0.5), p)
-        # where none is seen on its own, the one that the others explain best goes first
-        order = np.lexsort((np.abs(value) / np.maximum(floor[kept], 1e-300), -p))
-        weakest = int(order[0])
-        if p[weakest] <= significance / (m - len(kept) + 1):
-            break
-        _hold(joint, where[kept.pop(weakest)], active)
+    dense = joint.point.copy()
+    kept = _eliminate(joint, where, active, floor, tolerated, significance)
+    elsewhere = False
+    if len(kept) > 1 and joint.sparser(active, len(kept)) is not None:
+        # the same response with fewer changes: decide there
+        elsewhere = True
+        active[:] = True
+        joint.fit(active, reweigh=True)
+        dense = joint.point.copy()
+        kept = _eliminate(joint, where, active, floor, tolerated, significance)
     _improve(joint, where, active, kept, floor, tolerated, significance)
     joint.fit(active, reweigh=True)
     rivals = _swap(joint, where, active, kept)
     joint.fit(active, reweigh=True)
+
+    final = joint.point
+    everything = np.ones_like(active)
+    joint.point = dense
+    joint.fit(everything)
+    estimate, spread, covariance = _estimates(joint, where, everything)
+    groups = collinear_groups(joint, where)
+    joint.point = final
+    joint.fit(active)
 
     change, std = np.zeros(m), np.zeros(m)
     for i in range(m):
@@ -138,7 +146,32 @@ def decide(joint: Joint, candidates: list[Candidate], significance: float) -> De
         std,
         two_sided(_deviate(change, std, tolerated)),
         groups,
+        elsewhere,
     )
+
+
+def _eliminate(
+    joint: Joint,
+    where: NDArray[np.int64],
+    active: NDArray[np.bool_],
+    floor: Array,
+    tolerated: Array,
+    significance: float,
+) -> list[int]:
+    """Drop the least significant candidate as long as it fails Holm's level."""
+    m = where.size
+    kept = list(range(m))
+    while kept:
+        value, std, _ = _estimates(joint, where[kept], active)
+        p = two_sided(_deviate(value, std, tolerated[kept]))
+        p = np.where(np.abs(value) < floor[kept], np.maximum(p, 0.5), p)
+        # where none is seen on its own, the smallest share goes first
+        order = np.lexsort((np.abs(value) / np.maximum(floor[kept], 1e-300), -p))
+        weakest = int(order[0])
+        if p[weakest] <= significance / (m - len(kept) + 1):
+            break
+        _hold(joint, where[kept.pop(weakest)], active)
+    return kept
 
 
 def _deviate(value: Array, std: Array, tolerated: Array) -> Array:

@@ -18,13 +18,14 @@ from ..refinement.search import search, starting_states
 from ..refinement.starts import estimated_motion
 from ..refinement.uncertainty import autoregression
 from ..systems.linear import Array
-from .spectrum import spectral_starts
+from .spectrum import sparse_starts, spectral_starts
 
 __all__ = ["Information", "Joint", "log_likelihood"]
 
 _RATIOS = (1.0, 0.1, 0.01)  # observer gains of the first pass, high to low
 _SHORT = 4000  # samples of the first pass
 _WHITE = 0.6  # innovation over residual power above which a free run has found its valley
+_HOPELESS = 0.5  # whiteness against that of the present fit
 _EXACT = 1e-6  # residual over signal power that needs no further search
 _MOST_STEPS = 25
 _SETTLED = 1e-3  # of a standard deviation
@@ -89,6 +90,8 @@ class Joint:
         Gaussian priors, sd = inf for none.
     substeps : int
         Substeps per sample, 1 for a linear model.
+    n_changes : int
+        The first so many effects are candidates, the others nuisances.
     """
 
     def __init__(
@@ -101,8 +104,9 @@ class Joint:
         prior_mean: Array,
         prior_sd: Array,
         substeps: int = 1,
+        n_changes: int = 0,
     ) -> None:
-        self.substeps = substeps
+        self.substeps, self.n_changes = substeps, n_changes
         self.structure, self.records, self.noise, self.initial = structure, list(records), noise, initial
         self.prior_mean, self.prior_sd = prior_mean, prior_sd
         self.weights = output_weights(self.records, noise)
@@ -175,6 +179,49 @@ class Joint:
             if np.isfinite(gain).all():
                 held = trial.minimize(held, max_nfev=12, tol=1e-6, gain=gain).x
                 yield held[: trial.n_theta]
+
+    def sparser(self, active: NDArray[np.bool_], size: int) -> NDArray[np.bool_] | None:
+        """Look for fewer changes, far from the present point, that explain the record as well.
+
+        Parameters
+        ----------
+        active : ndarray of bool, shape (p,)
+            Present coefficients.
+        size : int
+            Candidates among them; fewer are looked for.
+
+        Returns
+        -------
+        ndarray of bool, or None
+            The sparser set, to which the point has moved; None where there is none.
+        """
+        reference = self.point.copy()
+        cost = self.fit(active)
+        scale = 2.0 * cost / self.problem.n_points
+        start = self.structure.start()
+        short = [self.records[0]._part(slice(0, _SHORT)), *self.records[1:2]]
+        trial = self._build(short)
+        for members, theta in sparse_starts(self.structure, start, self.records[0], size - 1):
+            few = np.ones(active.size, dtype=bool)
+            few[[i for i, q in enumerate(self.structure.parameters) if self._is_change(q.effect)]] = False
+            few[list(members)] = True
+            columns = np.concatenate([np.flatnonzero(few), np.arange(trial.n_theta, trial.size)])
+            free = trial.inside(trial.pack(theta, starting_states(trial, theta)))
+            point, _, _ = _descend(trial, free, columns, 12)
+            if _whiteness(trial, point) < _HOPELESS * _whiteness(self.problem, reference):
+                continue
+            theta = point[: trial.n_theta]
+            self.point = self.problem.pack(theta, starting_states(self.problem, theta))
+            reached = self.fit(few)
+            price = (size - len(members)) * np.log(self.problem.n_points)
+            if 2.0 * (reached - cost) / scale < price:
+                return few
+        self.point = reference
+        self._information = None
+        return None
+
+    def _is_change(self, effect: int) -> bool:
+        return effect < self.n_changes
 
     def fit(self, active: NDArray[np.bool_], *, reweigh: bool = False) -> float:
         """Minimize over the active coefficients and the initial states.

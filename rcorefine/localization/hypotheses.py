@@ -77,6 +77,7 @@ class Setting:
             prior_mean=mean,
             prior_sd=sd,
             substeps=self.substeps,
+            n_changes=len(effects),
         )
 
     def _start(self, structure: Structure) -> Array:

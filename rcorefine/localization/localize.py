@@ -31,6 +31,10 @@ from .hypotheses import Setting, rank_hypotheses
 
 __all__ = ["localize_damage"]
 
+_OTHER_VALLEY = (
+    "Another set of changes, at more places, would explain the record about as well (few sensors); the "
+    "sparser one is given."
+)
 _RULES = ("links", "ratio", "fixed")
 
 
@@ -252,8 +256,8 @@ def _candidates(
             effects += [Effect("damping", place) for place in dampers or springs]
     if not effects:
         raise ModelError(
-            f"model {physical.name!r} has no stiffness at any link: use a builder such as mass_spring_damper, "
-            "states in displacements and velocities, or candidates="
+            f"model {physical.name!r} has no stiffness at any link: use a builder such as "
+            "mass_spring_damper, states in displacements and velocities, or candidates="
         )
     return effects
 
@@ -361,6 +365,7 @@ def _package(
             part
             for part in (
                 "Converged." if joint.converged else "Not converged; the figures may be off.",
+                _OTHER_VALLEY if decision.other_valley else "",
                 note,
             )
             if part

@@ -12,9 +12,8 @@ from ..exceptions import DataError
 from ..measurement import Measurement
 from ..physics.structure import Structure
 from ..systems.linear import Array
-from ..systems.response import frequency_response
 
-__all__ = ["spectral_starts"]
+__all__ = ["sparse_starts", "spectral_starts"]
 
 _POINTS = 250
 _WIDTHS = (4.0, 1.5)  # of the smoothing along the frequencies, wide to narrow
@@ -22,6 +21,7 @@ _SINGLE = (-0.2, -0.4, -0.6, -0.75, -0.9)
 _DOUBLE = (-0.35, -0.7)
 _MOST_PAIRS = 600
 _BEST = 6  # of the grid are descended from
+_BEAM = 5  # sets of each size that grow on
 _LEAST_COHERENCE = 0.1
 
 
@@ -42,18 +42,26 @@ class _Spectrum:
         seen = np.clip(measured.coherence[:, usable], 0.0, 0.999)
         self.weight = np.sqrt(seen)[:, None, :]
 
-    def misfit(self, scaled: Array, width: float) -> Array:
-        """Weighted difference at the stiffness ``nominal * exp(scaled)``."""
+    def moved(self, scaled: Array) -> Array:
+        """Coefficients at the stiffness ``nominal * exp(scaled)``."""
         theta = self.theta.copy()
         for u, (column, size) in zip(scaled, self.columns, strict=True):
             theta[int(column)] = size * np.expm1(u)
+        return theta
+
+    def misfit(self, scaled: Array, width: float) -> Array:
+        """Weighted difference at the stiffness ``nominal * exp(scaled)``."""
+        theta = self.moved(scaled)
         matrices = self.structure.matrices(theta)
         nw = self.structure.n_inputs
-        model = self.structure.linear_model.with_arrays(
-            A=matrices.A, B=matrices.B[:, :nw], C=matrices.C, D=matrices.D[:, :nw],
-            state_labels=tuple(self.structure.state_labels()),
-        )  # fmt: skip
-        level = np.log(np.abs(frequency_response(model, self.omega)) + 1e-300)
+        # modal form: one eigenvalue problem for all frequencies
+        poles, right = np.linalg.eig(matrices.A)
+        try:
+            drive = np.linalg.solve(right, matrices.B[:, :nw].astype(complex))
+        except np.linalg.LinAlgError:
+            return np.full(self.log.size, 12.0)
+        gains = np.einsum("ym,mw,mk->ywk", matrices.C @ right, drive, 1.0 / (1j * self.omega - poles[:, None]))
+        level = np.log(np.abs(gains + matrices.D[:, :nw, None]) + 1e-300)
         difference = self.weight * np.clip(level - self.log, -12.0, 12.0)
         smooth = gaussian_filter1d(difference, width, axis=2, mode="nearest")
         return np.asarray(smooth).ravel()
@@ -81,21 +89,10 @@ def spectral_starts(structure: Structure, theta: Array, record: Measurement, mos
     list of ndarray
         The best first; empty where the record gives no frequency response.
     """
-    nominal = {(q.kind, q.place): q.value for q in structure.model.parameters}
-    columns = []
-    for i, parameter in enumerate(structure.parameters):
-        effect = structure.effects[parameter.effect]
-        size = nominal.get((effect.kind, effect.place), 0.0)
-        if effect.kind == "stiffness" and size > 0:
-            columns.append((i, size))
-    if not columns:
+    spectrum = _spectrum(structure, theta, record)
+    if spectrum is None:
         return []
-    try:
-        spectrum = _Spectrum(structure, theta, np.array(columns), record)
-    except DataError:
-        return []
-    if spectrum.omega.size < 4 * len(columns):
-        return []
+    columns = spectrum.columns
     grid = [np.zeros(len(columns))]
     for i, loss in product(range(len(columns)), _SINGLE):
         grid.append(np.zeros(len(columns)))
@@ -120,8 +117,97 @@ def spectral_starts(structure: Structure, theta: Array, record: Measurement, mos
     for _, u in reached:
         if len(kept) < most and all(np.abs(u - other).max() > 0.02 for other in kept):
             kept.append(u)
-            start = theta.copy()
-            for value, (column, size) in zip(u, columns, strict=True):
-                start[column] = size * np.expm1(value)
-            starts.append(start)
+            starts.append(spectrum.moved(u))
     return starts
+
+
+def sparse_starts(
+    structure: Structure, theta: Array, record: Measurement, largest: int, most: int = 4
+) -> list[tuple[tuple[int, ...], Array]]:
+    """Few stiffness changes that explain the measured frequency response, fewest first.
+
+    With few sensors several structures can have the same response (all the natural
+    frequencies of a chain determine its stiffnesses only up to a finite choice);
+    among them the one with the fewest changes is the natural reading.
+
+    Parameters
+    ----------
+    structure : Structure
+        Model with candidates.
+    theta : ndarray, shape (p,)
+        Coefficients to start from; only stiffness moves.
+    record : Measurement
+        Record.
+    largest : int
+        Changes at most.
+    most : int
+        Number of sets of each size to return.
+
+    Returns
+    -------
+    list of (tuple of int, ndarray)
+        Columns of theta that moved, and the coefficients.
+    """
+    spectrum = _spectrum(structure, theta, record)
+    if spectrum is None:
+        return []
+    n = len(spectrum.columns)
+    found: list[tuple[tuple[int, ...], Array]] = []
+    beam: list[tuple[float, tuple[int, ...], Array]] = [(np.inf, (), np.zeros(n))]
+    for _ in range(min(largest, n)):
+        wider: dict[tuple[int, ...], tuple[float, tuple[int, ...], Array]] = {}
+        for _, members, u in beam:
+            for i in range(n):
+                group = tuple(sorted((*members, i)))
+                if i in members:
+                    continue
+                level, reached = _descent(spectrum, u, i, group)
+                if group not in wider or level < wider[group][0]:
+                    wider[group] = level, group, reached
+        beam = sorted(wider.values(), key=lambda entry: entry[0])[:_BEAM]
+        for _, members, u in beam[:most]:
+            columns = tuple(int(spectrum.columns[i][0]) for i in members)
+            found.append((columns, spectrum.moved(u)))
+    return found
+
+
+def _descent(spectrum: _Spectrum, u: Array, added: int, group: tuple[int, ...]) -> tuple[float, Array]:
+    """Descend in the members of a group, the added one from several losses."""
+    free = np.array(group)
+
+    def misfit(part: Array, width: float) -> Array:
+        point = np.zeros_like(u)
+        point[free] = part
+        return spectrum.misfit(point, width)
+
+    trials = []
+    for loss in (0.0, *_DOUBLE):
+        point = u.copy()
+        point[added] = np.log1p(loss)
+        trials.append((float(np.sum(misfit(point[free], _WIDTHS[0]) ** 2)), point[free]))
+    part = min(trials, key=lambda pair: pair[0])[1]
+    cost = np.inf
+    for width in _WIDTHS:
+        result = least_squares(misfit, part, args=(width,), bounds=(-6.0, 3.0), max_nfev=8, x_scale=0.3)
+        part, cost = result.x, float(result.cost)
+    reached = np.zeros_like(u)
+    reached[free] = part
+    return cost, reached
+
+
+def _spectrum(structure: Structure, theta: Array, record: Measurement) -> _Spectrum | None:
+    """Spectra of the record and the model, None where the record or the model has none."""
+    nominal = {(q.kind, q.place): q.value for q in structure.model.parameters}
+    columns = []
+    for i, parameter in enumerate(structure.parameters):
+        effect = structure.effects[parameter.effect]
+        size = nominal.get((effect.kind, effect.place), 0.0)
+        if effect.kind == "stiffness" and parameter.name == "stiffness" and size > 0:
+            columns.append((i, size))
+    if not columns or not structure.is_linear:
+        return None
+    try:
+        spectrum = _Spectrum(structure, theta, np.array(columns), record)
+    except DataError:
+        return None
+    return spectrum if spectrum.omega.size >= 4 * len(columns) else None
