@@ -9,9 +9,9 @@ import numpy as np
 from ..physics.effects import Effect
 from ..refinement.starts import Motion
 from ..systems.linear import Array
-from .columns import Candidate, force_responses, generic_forces, slow_forces
-from .state import Fitted, evaluated
-from .whitening import FTest, Whitener, f_test, rank_basis
+from .columns import Candidate, force_responses, generic_forces, parameter_columns, slow_forces
+from .state import Fitted
+from .whitening import FTest, Whitener, f_test, project, projected_test, rank_basis
 
 __all__ = ["Battery", "run_battery"]
 
@@ -39,10 +39,25 @@ class Battery:
         self.whitener = whitener or Whitener.fit([r for r, _ in blocks])
         self.residual = self.whitener.apply([r for r, _ in blocks])
         self.basis = rank_basis(self.whitener.apply([j for _, j in blocks]))
+        self.left = project(self.residual, self.basis)
 
     def test(self, name: str, blocks: Sequence[Array]) -> FTest:
         """F-test of columns given as blocks (n_y, N, k) per record."""
-        return f_test(name, self.residual, self.whitener.apply(blocks), self.basis)
+        return f_test(name, self.left, self.whitener.apply(blocks), self.basis)
+
+    def each(self, candidates: Sequence[Candidate]) -> list[FTest]:
+        """F-test of each candidate on its own."""
+        columns = [c.columns[self.ratio] for c in candidates]
+        joined = [np.concatenate(parts, axis=2) for parts in zip(*columns, strict=True)]
+        white = self.whitener.apply(joined)
+        size = np.linalg.norm(white, axis=0)
+        left = project(white, self.basis)
+        tests, first = [], 0
+        for candidate, parts in zip(candidates, columns, strict=True):
+            mine = slice(first, first + parts[0].shape[2])
+            tests.append(projected_test(candidate.effect.label, self.left, left[:, mine], size[mine], self.basis))
+            first = mine.stop
+        return tests
 
     @property
     def log_likelihood(self) -> float:
@@ -88,11 +103,7 @@ def run_battery(battery: Battery, candidates: Sequence[Candidate], motions: Sequ
 
 
 def _library(battery: Battery, candidates: Sequence[Candidate]) -> FTest:
-    tests = [
-        battery.test(c.effect.label, c.columns[battery.ratio])
-        for c in candidates
-        if battery.ratio in c.columns
-    ]
+    tests = battery.each([c for c in candidates if battery.ratio in c.columns]) if candidates else []
     tests = [t for t in tests if t.dof]
     if not tests:
         return FTest("library", 0.0, 0, 1.0, 0.0)
@@ -115,10 +126,7 @@ def _parameters(battery: Battery, motion: Motion) -> FTest:
     ]
     if not effects:
         return FTest("parameters", 0.0, 0, 1.0, 0.0)
-    problem, point = fitted.extended(effects, motion)
-    blocks = evaluated(problem, point, fitted.gain(battery.ratio))
-    p = fitted.structure.n_parameters
-    return battery.test("parameters", [j[:, :, p : p + len(effects)] for _, j in blocks])
+    return battery.test("parameters", parameter_columns(fitted, effects, motion, battery.ratio))
 
 
 def _lagged(w: Array, n_outputs: int, powers: dict[int, int]) -> Array:

@@ -7,35 +7,75 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..jit import compiled
 from ..physics.effects import Effect
+from ..physics.engine import Engine
 from ..physics.structure import Structure
 from ..refinement.problem import Problem
-from ..refinement.starts import Motion, shape_starts
+from ..refinement.starts import Motion, law_widths, shape_starts
 from ..systems.discretization import discretize
 from ..systems.linear import Array
+from .forces import unit_forces
 from .state import Fitted, evaluated
 
-__all__ = ["Candidate", "candidate_columns", "force_responses", "generic_forces", "slow_forces"]
+__all__ = [
+    "Candidate",
+    "candidate_columns",
+    "force_responses",
+    "generic_forces",
+    "parameter_columns",
+    "port_motion",
+    "slow_forces",
+]
 
 # Kinds whose start is not "absent": their effect is the difference that they make there.
 _SECANT = frozenset({"hidden_mode", "input_saturation", "output_saturation", "input_lag", "output_lag"})
+_LINEAR = frozenset({"stiffness", "damping", "mass", "coefficient"})  # ride along in one simulation
+_SHAPING = frozenset({"gap", "threshold", "velocity", "displacement"})
 
 
 @dataclass(eq=False)
 class Candidate:
-    """An effect, its problem, and the point at which it is absent."""
+    """An effect, what it would do to the residual, and (made when asked for) its problem."""
 
     effect: Effect
-    problem: Problem
-    starts: list[Array]
     columns: dict[float, list[Array]]  # by observer ratio: blocks (n_y, N, k) per record
-    best_start: Array | None = None
+    fitted: Fitted
+    motion: Motion
+    _made: tuple[Problem, list[Array]] | None = None
+
+    def _make(self) -> tuple[Problem, list[Array]]:
+        if self._made is None:
+            problem, point = self.fitted.extended([self.effect], self.motion)
+            theta = problem.unpack(point)[0]
+            p = self.fitted.structure.n_parameters
+            starts = []
+            for shape in shape_starts(problem.structure, theta, self.motion):
+                shifted = point.copy()
+                shifted[p : theta.size] = shape[p:]
+                starts.append(problem.inside(shifted))
+            self._made = problem, starts
+        return self._made
+
+    @property
+    def problem(self) -> Problem:
+        """Estimation problem with the effect added."""
+        return self._make()[0]
+
+    @property
+    def starts(self) -> list[Array]:
+        """Points to start from: the effect absent, in each shape worth trying."""
+        return self._make()[1]
 
 
 def candidate_columns(
     fitted: Fitted, effects: Sequence[Effect], motion: Motion, ratios: Sequence[float]
 ) -> list[Candidate]:
     """Sensitivity of the residual to each candidate about the fitted model.
+
+    Linear candidates ride along in one simulation, each absent yet with its derivative
+    carried; the forces of nonlinear laws are taken along the motion and sent through the
+    linearized model; what sits in the signal path has a simulation of its own.
 
     Parameters
     ----------
@@ -52,32 +92,124 @@ def candidate_columns(
     -------
     list of Candidate
     """
-    found = []
-    p = fitted.structure.n_parameters
-    for effect in effects:
-        problem, point = fitted.extended([effect], motion)
-        theta = problem.unpack(point)[0]
-        shapes = shape_starts(problem.structure, theta, motion)
-        starts = []
-        for shape in shapes:
-            shifted = point.copy()
-            shifted[p : theta.size] = shape[p:]
-            starts.append(problem.inside(shifted))
-        columns: dict[float, list[Array]] = {}
+    found = [Candidate(effect, {}, fitted, motion) for effect in effects]
+    riders: list[int] = []
+    laws: list[tuple[int, list[dict[str, float]]]] = []
+    for i, candidate in enumerate(found):
+        effect = candidate.effect
+        if effect.kind in _SECANT or effect.kind.startswith(("input_", "output_")):
+            for ratio in ratios:
+                candidate.columns[ratio] = _own_columns(candidate, ratio)
+        elif effect.kind in _LINEAR:
+            riders.append(i)
+        else:
+            laws.append((i, _shapes(candidate)))
+    if riders:
         for ratio in ratios:
-            gain = fitted.gain(ratio)
-            wide: list[list[Array]] = [[] for _ in problem.records]
-            for start in starts:
-                K = None if gain is None else np.pad(gain, ((0, problem.n_states - gain.shape[0]), (0, 0)))
-                blocks = evaluated(problem, start, K)
-                for i, (residual, jacobian) in enumerate(blocks):
-                    if effect.kind in _SECANT:
-                        wide[i].append((residual - fitted.blocks(ratio)[i][0])[:, :, None])
-                    else:
-                        wide[i].append(jacobian[:, :, p : theta.size])
-            columns[ratio] = [np.nan_to_num(np.concatenate(parts, axis=2)) for parts in wide]
-        found.append(Candidate(effect, problem, starts, columns))
+            blocks = parameter_columns(fitted, [found[i].effect for i in riders], motion, ratio)
+            for j, i in enumerate(riders):
+                found[i].columns[ratio] = [block[:, :, j : j + 1] for block in blocks]
+    for ratio in ratios:
+        _law_columns(fitted, found, laws, ratio)
     return found
+
+
+def _law_columns(
+    fitted: Fitted, found: list[Candidate], laws: list[tuple[int, list[dict[str, float]]]], ratio: float
+) -> None:
+    """Columns of nonlinear laws at ports: the outputs that their forces along the motion would add."""
+    gain = fitted.gain(ratio)
+    parts: dict[int, list[Array]] = {i: [] for i, _ in laws}
+    for record in range(len(fitted.problem.records)):
+        states = fitted.states(ratio)[record]
+        forces: list[tuple[str, Array]] = []
+        owners: list[int] = []
+        for i, shapes in laws:
+            effect = found[i].effect
+            d, v = port_motion(fitted, effect.place, states, record)
+            columns = unit_forces(effect, d, v, shapes)
+            if columns is None:
+                found[i].columns[ratio] = _own_columns(found[i], ratio)
+                continue
+            forces += [(effect.place, column) for column in columns]
+            owners += [i] * len(columns)
+        if not forces:
+            continue
+        out = force_responses(fitted, record, forces, gain)
+        for i in dict.fromkeys(owners):
+            parts[i].append(out[:, :, np.array(owners) == i])
+    for i, blocks in parts.items():
+        if blocks:
+            found[i].columns[ratio] = blocks
+
+
+def port_motion(fitted: Fitted, place: str, states: Array, record: int) -> tuple[Array, Array]:
+    """Displacement and velocity at a port along given states (n, N)."""
+    port = fitted.structure.model.port(place)
+    x, w = states[: port.act.size], fitted.problem.records[record].inputs
+    return port.position @ x + port.position_input @ w, port.velocity @ x + port.velocity_input @ w
+
+
+def _shapes(candidate: Candidate) -> list[dict[str, float]]:
+    """Values of the coefficients that shape the law, each set worth trying."""
+    effect = candidate.effect
+    structure = Structure(candidate.fitted.structure.model, [effect])
+    sets: list[dict[str, float]] = []
+    for theta in shape_starts(structure, structure.start(), candidate.motion):
+        shape = {q.name: float(theta[i]) for i, q in enumerate(structure.parameters) if q.name in _SHAPING}
+        if shape not in sets:
+            sets.append(shape)
+    return sets
+
+
+def parameter_columns(
+    fitted: Fitted, effects: Sequence[Effect], motion: Motion, ratio: float
+) -> list[Array]:
+    """Columns (n_y, N, k) per record of changes of the model's own parameters."""
+    structure, theta, engines = _carrier(fitted, effects, motion)
+    p = fitted.structure.n_parameters
+    return [b[:, :, p:] for b in _sensitivities(fitted, structure, theta, engines, fitted.gain(ratio))]
+
+
+def _carrier(
+    fitted: Fitted, effects: Sequence[Effect], motion: Motion
+) -> tuple[Structure, Array, list[Engine]]:
+    old = fitted.refinement
+    base = Structure(old.physical_model, [*old.effects, *effects])
+    widths = law_widths(base, motion)
+    widths.update(old.constants)
+    structure = Structure(old.physical_model, base.effects, constants=widths)
+    theta = np.concatenate([fitted.theta, structure.start()[fitted.theta.size :]])
+    steps = max(old.substeps, 1 if structure.is_linear else 2)
+    return structure, theta, [Engine(structure, r, substeps=steps) for r in fitted.problem.records]
+
+
+def _sensitivities(
+    fitted: Fitted, structure: Structure, theta: Array, engines: Sequence[Engine], gain: Array | None
+) -> list[Array]:
+    starts = fitted.problem.unpack(fitted.point)[1]
+    blocks = []
+    for engine, start in zip(engines, starts, strict=True):
+        x0 = np.pad(start, (0, structure.n_states - start.size))
+        K = None if gain is None else np.pad(gain, ((0, structure.n_states - gain.shape[0]), (0, 0)))
+        run = engine.run(theta, x0, gain=K, check=False)
+        blocks.append(np.nan_to_num(run.sensitivity) * fitted.problem.weights[:, None, None])
+    return blocks
+
+
+def _own_columns(candidate: Candidate, ratio: float) -> list[Array]:
+    fitted, problem = candidate.fitted, candidate.problem
+    p = fitted.structure.n_parameters
+    gain = fitted.gain(ratio)
+    K = None if gain is None else np.pad(gain, ((0, problem.n_states - gain.shape[0]), (0, 0)))
+    wide: list[list[Array]] = [[] for _ in problem.records]
+    for start in candidate.starts:
+        for i, (residual, jacobian) in enumerate(evaluated(problem, start, K)):
+            if candidate.effect.kind in _SECANT:
+                wide[i].append((residual - fitted.blocks(ratio)[i][0])[:, :, None])
+            else:
+                wide[i].append(jacobian[:, :, p : problem.n_theta])
+    return [np.nan_to_num(np.concatenate(parts, axis=2)) for parts in wide]
 
 
 def generic_forces(structure: Structure, motion: Motion) -> list[tuple[str, Array]]:
@@ -113,7 +245,7 @@ def force_responses(
 ) -> Array:
     """Outputs that small forces at ports would add, linearized: (n_y, N, k), in units of the noise."""
     structure = fitted.structure
-    matrices = structure.matrices(fitted.theta)
+    A, C0 = fitted.linearized()
     n, n0 = structure.n_states, structure.linear_model.n_states
     data = fitted.problem.records[record]
     acts = np.zeros((n, len(forces)))
@@ -124,17 +256,34 @@ def force_responses(
     rate = np.zeros((structure.n_outputs, n0))
     rate[:, :] = structure.model.output_rate
     through = rate @ unique[:n0]
-    Phi, G0, G1 = discretize(matrices.A, unique, data.dt, "foh")
+    Phi, G0, G1 = discretize(A, unique, data.dt, "foh")
     where = np.array([ports.index(name) for name, _ in forces])
-    F = np.array([force for _, force in forces]).T  # (N, k)
-    drive0, drive1 = G0[:, where], G1[:, where]
+    F = np.ascontiguousarray(np.array([force for _, force in forces]).T)  # (N, k)
+    K = np.zeros((n, structure.n_outputs)) if gain is None else np.ascontiguousarray(gain)
     out = np.zeros((data.n_samples, structure.n_outputs, len(forces)))
-    x = np.zeros((n, len(forces)))
-    C, D = matrices.C, through[:, where]
-    for k in range(data.n_samples):
-        out[k] = C @ x + D * F[k]
-        if gain is not None:
-            x = x - gain @ out[k]
-        if k + 1 < data.n_samples:
-            x = Phi @ x + drive0 * F[k] + drive1 * F[k + 1]
+    _march_forces(
+        np.ascontiguousarray(Phi), np.ascontiguousarray(G0[:, where]), np.ascontiguousarray(G1[:, where]),
+        np.ascontiguousarray(C0), np.ascontiguousarray(through[:, where]), K, F, out,
+    )  # fmt: skip
     return np.asarray(np.moveaxis(out, 0, 1) * fitted.problem.weights[:, None, None])
+
+
+@compiled
+def _march_forces(  # type: ignore[no-untyped-def]
+    Phi,  # (n, n)
+    drive0,  # (n, k)  of a force that falls from one to zero over the sample
+    drive1,  # (n, k)  of one that rises
+    C,  # (n_y, n)
+    D,  # (n_y, k)
+    K,  # (n, n_y)     observer gain, zero for the free run
+    F,  # (N, k)
+    out,  # (N, n_y, k)
+):
+    N, ny, k = out.shape
+    x = np.zeros((Phi.shape[0], k))
+    for step in range(N):
+        y = C @ x + D * F[step]
+        out[step] = y
+        x = x - K @ y
+        if step + 1 < N:
+            x = Phi @ x + drive0 * F[step] + drive1 * F[step + 1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import control as ct
@@ -15,21 +16,20 @@ from ..measurement import Measurement
 from ..physics.effects import Effect
 from ..physics.library import effect_library
 from ..physics.simulation import simulate
-from ..refinement.refine import refine
 from ..refinement.refinement import Refinement
 from ..refinement.starts import Motion
 from ..refinement.windows import as_records, windows
 from .battery import Battery, run_battery
 from .columns import Candidate, candidate_columns
 from .result import Detectable, Diagnosis, RankedEffect
-from .rivals import Rival, log_likelihoods, refit, shortlist
-from .state import Fitted, fitted_from
+from .rivals import Race, run_race, shortlist
+from .state import Fitted, base_fit, fitted_from
 from .whitening import FTest, project
 
 __all__ = ["diagnose"]
 
 _OBSERVERS = (1.0, 0.1)  # a high gain follows the record, a low one tells rivals apart
-_FORCES = (0.003, 0.01, 0.03, 0.1, 0.3)  # unmeasured force over the measured one
+_FORCES = (0.003, 0.01, 0.03, 0.1)  # unmeasured force over the measured one
 _FORCE_GAIN = 15.0  # log-likelihood that an unmeasured force must earn
 _NOISE_EXCESS = 1.2  # residual over declared noise beyond which coloured noise is no excuse
 _AMBIGUOUS = 9.2  # twice the log-likelihood within which rivals stay rivals
@@ -112,7 +112,7 @@ def diagnose(
     records = as_records(data)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", IdentifiabilityWarning)
-        base = refine(model, records, free=free, tolerance=tolerance, offset=offset, noise=noise)
+        base = base_fit(model, records, free=free, tolerance=tolerance, offset=offset, noise=noise)
     physical = base.physical_model
     ordered = [record_for(r, match_channels(physical.linear, r)) for r in records]
     segments, _ = windows(physical, ordered, None)
@@ -144,37 +144,104 @@ def diagnose(
         return _adequate(free_run, scored, tests, about)
     ratio = _unmeasured_force(fitted, free_run) if loud <= _NOISE_EXCESS else 0.0
     if ratio:
-        led_columns = candidate_columns(fitted, library, motions[0], (ratio,))
-        for candidate, more in zip(scored, led_columns, strict=True):
-            candidate.columns.update(more.columns)
+        _add_columns(scored, fitted, motions[0], ratio)
         led = Battery(fitted, ratio)
         led_tests = run_battery(led, scored, motions)
         if _overall(led_tests) >= significance:
             return _adequate(led, scored, led_tests, about)
 
+    mapper: Any = map if executor is None else executor.map
     batteries = [free_run, *(Battery(fitted, r) for r in _OBSERVERS)]
     chosen, scores = shortlist(scored, batteries)
-    rivals = _refit_all(fitted, [scored[i] for i in chosen], physical, executor, progress)
-    index = {id(scored[i].effect): i for i in chosen}
-    if not rivals:
+    race = run_race(fitted, [scored[i] for i in chosen], mapper=mapper)
+    if race is None:
         return Diagnosis("unexplained", (), (), tuple(tests), (), (), force_ratio=0.0, **about)
-    _, likelihoods, _ = log_likelihoods(fitted, rivals)
-    order = np.argsort(-likelihoods)
-    rivals = [rivals[i] for i in order]
-    likelihoods = likelihoods[order]
+    judged = _judge(race, library, motions, significance, noise)
+    if not judged.passed:
+        judged = _second_chance(judged, scored, chosen, library, motions, significance, noise, mapper)
+    race = judged.race
+    likelihoods = np.array([r.log_likelihood for r in race.rivals])
     weights = np.exp(likelihoods - likelihoods[0])
-    probabilities = weights / weights.sum()
-    p_values = [scores[index[id(rival.effect)]].p_value for rival in rivals]
-    ranking = _rows(rivals, p_values, probabilities, base, validation)
-    winner = rivals[0]
-    winner_tests, passed = _judge_winner(winner, library, motions, significance, noise)
+    by_effect = {id(c): test for c, test in zip(scored, scores, strict=True)}
+    p_values = [by_effect[id(rival.candidate)].p_value for rival in race.rivals]
+    ranking = _rows(race, p_values, weights / weights.sum(), base, validation)
     alike = tuple(
         rival.effect
-        for rival, value in zip(rivals, likelihoods, strict=True)
+        for rival, value in zip(race.rivals, likelihoods, strict=True)
         if 2 * (likelihoods[0] - value) <= _AMBIGUOUS
     )
-    verdict = "unexplained" if not passed else "effect" if len(alike) == 1 else "ambiguous"
-    return Diagnosis(verdict, ranking, alike, tuple(tests), tuple(winner_tests), (), force_ratio=0.0, **about)
+    verdict = "unexplained" if not judged.passed else "effect" if len(alike) == 1 else "ambiguous"
+    return Diagnosis(
+        verdict, ranking, alike, tuple(tests), tuple(judged.tests), (), force_ratio=race.ratio, **about
+    )
+
+
+@dataclass(eq=False)
+class _Judged:
+    """A race, and the battery on its winner."""
+
+    race: Race
+    tests: list[FTest]
+    passed: bool
+
+
+def _judge(
+    race: Race, library: Sequence[Effect], motions: Sequence[Motion], significance: float, noise: Any
+) -> _Judged:
+    """The winner's residual through the same battery."""
+    fitted = race.model()
+    held = {(effect.kind, effect.place) for effect in fitted.structure.effects}
+    rest = [effect for effect in library if (effect.kind, effect.place) not in held]
+    moved = [Motion(fitted.structure, fitted.theta, motion.data) for motion in motions]
+    scored = candidate_columns(fitted, rest, moved[0], (race.ratio,))
+    battery = Battery(fitted, race.ratio)
+    tests = run_battery(battery, scored, moved)
+    passed = _overall(tests) >= significance and _excess(fitted, noise) <= _NOISE_EXCESS
+    return _Judged(race, tests, passed)
+
+
+def _second_chance(
+    first: _Judged,
+    scored: Sequence[Candidate],
+    chosen: Sequence[int],
+    library: Sequence[Effect],
+    motions: Sequence[Motion],
+    significance: float,
+    noise: Any,
+    mapper: Any,
+) -> _Judged:
+    """What may be wrong when the winner fails: an unmeasured force, a stuck fit, a name left out."""
+    race = first.race
+    fitted = race.fitted
+    winner = race.model()
+    ratio = _unmeasured_force(winner, Battery(winner))
+    if ratio and _excess(winner, noise) <= _NOISE_EXCESS:
+        again = run_race(fitted, [], ratio, entered=race.rivals)
+        if again is not None:
+            judged = _judge(again, library, motions, significance, noise)
+            if judged.passed:
+                return judged
+    rest = [c for i, c in enumerate(scored) if i not in set(chosen)]
+    again = run_race(fitted, rest, entered=race.rivals, mapper=mapper)
+    if again is not None and again.rivals[0].effect != race.rivals[0].effect:
+        judged = _judge(again, library, motions, significance, noise)
+        if judged.passed:
+            return judged
+        first = judged
+        race = again
+    stuck = [r.candidate for r in race.rivals[:3]]
+    again = run_race(fitted, stuck, entered=race.rivals, thorough=True, mapper=mapper)
+    if again is not None and again.rivals[0].log_likelihood > race.rivals[0].log_likelihood + 1.0:
+        judged = _judge(again, library, motions, significance, noise)
+        if judged.passed:
+            return judged
+    return first
+
+
+def _add_columns(scored: Sequence[Candidate], fitted: Fitted, motion: Motion, ratio: float) -> None:
+    more = candidate_columns(fitted, [c.effect for c in scored], motion, (ratio,))
+    for candidate, extra in zip(scored, more, strict=True):
+        candidate.columns.update(extra.columns)
 
 
 def _adequate(
@@ -212,38 +279,8 @@ def _unmeasured_force(fitted: Fitted, free_run: Battery) -> float:
     return chosen
 
 
-def _refit_all(
-    fitted: Fitted, candidates: list[Candidate], physical: Any, executor: Any, progress: bool
-) -> list[Rival]:
-    if executor is not None:
-        parts = [[candidate] for candidate in candidates]
-        found = executor.map(refit, [fitted] * len(parts), parts, [physical] * len(parts))
-        return [rival for part in found for rival in part]
-    if progress:
-        from tqdm import tqdm
-
-        candidates = list(tqdm(candidates, desc="refit", leave=False))
-    return refit(fitted, candidates, physical)
-
-
-def _judge_winner(
-    winner: Rival, library: Sequence[Effect], motions: Sequence[Motion], significance: float, noise: Any
-) -> tuple[list[FTest], bool]:
-    """The winner's residual through the same battery; then allowing for an unmeasured force."""
-    fitted = winner.fitted
-    held = {(effect.kind, effect.place) for effect in fitted.structure.effects}
-    rest = [effect for effect in library if (effect.kind, effect.place) not in held]
-    moved = [Motion(fitted.structure, fitted.theta, motion.data) for motion in motions]
-    scored = candidate_columns(fitted, rest, moved[0], (0.0,))
-    battery = Battery(fitted)
-    tests = run_battery(battery, scored, moved)
-    if _overall(tests) >= significance and _excess(fitted, noise) <= _NOISE_EXCESS:
-        return tests, True
-    return tests, False
-
-
 def _rows(
-    rivals: Sequence[Rival],
+    race: Race,
     p_values: Sequence[float],
     probabilities: Any,
     base: Refinement,
@@ -251,8 +288,8 @@ def _rows(
 ) -> tuple[RankedEffect, ...]:
     before = _validated(base, validation)
     rows = []
-    for i, (rival, p, probability) in enumerate(zip(rivals, p_values, probabilities, strict=True)):
-        refinement = rival.fitted.refinement
+    for i, (rival, p, probability) in enumerate(zip(race.rivals, p_values, probabilities, strict=True)):
+        refinement = race.model(i).refinement
         own = [
             row
             for row in refinement.parameters
@@ -268,6 +305,7 @@ def _rows(
                 fit_after=_validated(refinement, validation if i < 8 else None),
                 p_value=float(p),
                 probability=float(probability),
+                log_likelihood_gain=rival.log_likelihood - race.base_log_likelihood,
                 refinement=refinement,
             )
         )

@@ -35,6 +35,9 @@ class RankedEffect:
         Of its score, if nothing were missing.
     probability : float
         Among the candidates, given that exactly one of them is missing.
+    log_likelihood_gain : float
+        Over the model as it is, less half the log of the number of samples for each
+        coefficient beyond the first.
     refinement : Refinement
         Model with this effect, refitted.
     """
@@ -46,6 +49,7 @@ class RankedEffect:
     fit_after: float
     p_value: float
     probability: float
+    log_likelihood_gain: float
     refinement: Refinement
 
 

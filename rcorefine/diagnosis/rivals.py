@@ -1,42 +1,79 @@
-"""The race: shortlist by score, refit, likelihood under one common whitening."""
+"""The race: shortlist by score, laps, likelihood under one common whitening."""
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..exceptions import IdentifiabilityWarning
 from ..physics.effects import Effect
-from ..physics.observer import observer_gain
-from ..refinement.outcome import package
+from ..refinement.outcome import _fit, _rows
+from ..refinement.problem import Problem
 from ..refinement.refinement import Refinement
 from ..systems.linear import Array
 from .battery import Battery
 from .columns import Candidate
-from .state import Fitted
+from .descent import Descent, descend
+from .state import Fitted, evaluated
 from .whitening import FTest, Whitener
 
-__all__ = ["Rival", "log_likelihoods", "refit", "shortlist"]
+__all__ = ["Race", "Rival", "run_race", "shortlist"]
 
 _SHORT = 5  # best of each score
 _OBSERVERS = (1.0, 0.1)
-_IN_THE_RACE = 60.0  # 2 log-likelihood behind the best, after the first laps
+_SHAPES = 3  # starts of a law that has a shape
+_FIRST_LAP = (60.0, 0.25)  # twice the log-likelihood behind the best, plus that per sample
+_SECOND_LAP = (60.0, 0.02)
 
 
 @dataclass(eq=False)
 class Rival:
-    """A candidate that was refitted."""
+    """A candidate in the race, at its best point so far."""
 
-    effect: Effect
+    candidate: Candidate
+    descent: Descent
+    log_likelihood: float = -np.inf
+
+    @property
+    def effect(self) -> Effect:
+        """Its effect."""
+        return self.candidate.effect
+
+    @property
+    def n_coefficients(self) -> int:
+        """Coefficients that it adds."""
+        return self.candidate.problem.n_theta - self.candidate.fitted.problem.n_theta
+
+
+@dataclass(eq=False)
+class Race:
+    """Rivals in order of likelihood under one filter.
+
+    Attributes
+    ----------
+    rivals : list of Rival
+        The most likely first.
+    ratio : float
+        Unmeasured force that was allowed for.
+    whitener : Whitener
+        Filter of the best.
+    base_log_likelihood : float
+        Of the model without any of them, in the same metric.
+    """
+
     fitted: Fitted
-    result: Any
-    n_coefficients: int
-    cost: float
+    rivals: list[Rival]
+    ratio: float
+    whitener: Whitener
+    base_log_likelihood: float
+    _models: dict[int, Fitted] = field(default_factory=dict)
+
+    def model(self, index: int = 0) -> Fitted:
+        """The fitted model of one rival."""
+        if index not in self._models:
+            self._models[index] = _model(self.fitted, self.rivals[index], self.whitener, self.ratio)
+        return self._models[index]
 
 
 def shortlist(candidates: Sequence[Candidate], batteries: Sequence[Battery]) -> tuple[list[int], list[FTest]]:
@@ -49,14 +86,12 @@ def shortlist(candidates: Sequence[Candidate], batteries: Sequence[Battery]) -> 
     scores = []
     chosen: list[int] = []
     for battery in batteries:
-        tests = [battery.test(c.effect.label, c.columns[battery.ratio]) for c in candidates]
+        tests = battery.each(candidates)
         scores.append(tests)
-        order = sorted(range(len(tests)), key=lambda i: (tests[i].p_value, -tests[i].statistic))
+        order = sorted(range(len(tests)), key=lambda i: _rank(tests[i]))
         chosen += order[:_SHORT]
-    places = {
-        candidates[scores[b].index(min(scores[b], key=_rank))].effect.place for b in range(len(batteries))
-    }
-    chosen += [i for i, c in enumerate(candidates) if c.effect.place in places]
+        place = candidates[order[0]].effect.place
+        chosen += [i for i, c in enumerate(candidates) if c.effect.place == place]
     return list(dict.fromkeys(chosen)), scores[0]
 
 
@@ -64,87 +99,241 @@ def _rank(test: FTest) -> tuple[float, float]:
     return test.p_value, -test.statistic
 
 
-def refit(fitted: Fitted, candidates: Sequence[Candidate], physical: Any) -> list[Rival]:
-    """Output-error refit of candidates, all with the parameters of the fitted model.
+def run_race(
+    fitted: Fitted,
+    candidates: Sequence[Candidate],
+    ratio: float = 0.0,
+    *,
+    entered: Sequence[Rival] = (),
+    thorough: bool = False,
+    mapper: Callable[..., object] = map,
+) -> Race | None:
+    """Refit candidates, all with the parameters of the fitted model.
 
     Each starts from the model as it is and from where an observer-led fit takes it; those
-    that fall far behind after the first laps are not polished.
+    that fall far behind after a lap are not polished. The others are polished in the
+    metric of the best one's residual, in which their likelihoods are compared.
+
+    Parameters
+    ----------
+    fitted : Fitted
+        Model without them.
+    candidates : sequence of Candidate
+        New in the race.
+    ratio : float
+        Unmeasured force to allow for.
+    entered : sequence of Rival
+        From an earlier race, continued from where they stand.
+    thorough : bool
+        More laps and more starts: for when nothing fits.
+    mapper : callable
+        As the built-in `map`.
+
+    Returns
+    -------
+    Race or None
+        None where nothing could be refitted.
     """
-    rivals = []
-    for candidate in candidates:
-        outcome = _laps(fitted, candidate)
-        if outcome is not None:
-            rivals.append(outcome)
+    tasks = [(fitted, c, ratio, thorough) for c in candidates]
+    new = [r for r in mapper(_laps, tasks) if r is not None]  # type: ignore[attr-defined]
+    old = [Rival(r.candidate, _continued(fitted, r, ratio, None, 4)) for r in entered]
+    rivals = [r for r in [*new, *old] if np.isfinite(r.descent.cost)]
     if not rivals:
-        return []
-    n = fitted.problem.n_points
-    best = min(cost for _, _, cost in rivals)
-    finished = []
-    for candidate, point, cost in rivals:
-        if n * np.log(cost / best) > _IN_THE_RACE + 0.02 * n:
-            tail = candidate.problem.minimize(point, max_nfev=3)
-        else:
-            tail = candidate.problem.minimize(point, max_nfev=40, tol=1e-10)
-        finished.append(_rival(fitted, candidate, tail, physical))
-    return finished
-
-
-def _laps(fitted: Fitted, candidate: Candidate) -> tuple[Candidate, Array, float] | None:
-    problem = candidate.problem
-    outcomes = []
-    for start in candidate.starts[:3]:
-        result = problem.minimize(start, max_nfev=8, tol=1e-4)
-        outcomes.append((float(result.cost), result.x))
-        point = start
-        for ratio in _OBSERVERS:
-            gain = observer_gain(problem.structure, problem.unpack(point)[0], problem.records[0], ratio)
-            if not np.isfinite(gain).all():
-                continue
-            point = problem.minimize(point, max_nfev=6, tol=1e-4, gain=gain).x
-        theta = problem.unpack(point)[0]
-        start = problem.pack(theta, problem.unpack(start)[1])
-        result = problem.minimize(problem.inside(start), max_nfev=8, tol=1e-4)
-        outcomes.append((float(result.cost), result.x))
-    outcomes = [pair for pair in outcomes if np.isfinite(pair[0])]
-    if not outcomes:
         return None
-    cost, point = min(outcomes, key=lambda pair: pair[0])
-    return candidate, point, cost
+    n = fitted.problem.n_points
+    for (constant, share), laps in ((_FIRST_LAP, 4), (_SECOND_LAP, 6)):
+        best = min(r.descent.cost for r in rivals)
+        for rival in rivals:
+            behind = n * np.log(max(rival.descent.cost, 1e-300) / max(best, 1e-300))
+            if behind <= constant + share * n and not rival.descent.converged:
+                rival.descent = _continued(fitted, rival, ratio, None, laps)
+    whitener = _whitener_of(min(rivals, key=lambda r: r.descent.cost))
+    best = min(r.descent.cost for r in rivals)
+    near = best * np.exp(_SECOND_LAP[0] / n + _SECOND_LAP[1])
+    polished = [r for r in rivals if r.descent.cost <= near]
+    for evaluations in (10, 6):
+        for rival in polished:
+            rival.descent = _continued(fitted, rival, ratio, whitener, evaluations, 1e-7)
+        leader = min(polished, key=lambda r: r.descent.cost)
+        previous, whitener = whitener, _whitener_of(leader)
+        if previous.orders == whitener.orders and np.allclose(previous.scales, whitener.scales, rtol=2e-3):
+            break
+    for rival in rivals:
+        rival.log_likelihood = _log_likelihood(rival, whitener)
+    rivals.sort(key=lambda r: -r.log_likelihood)
+    white = whitener.apply(fitted.residuals(ratio))
+    return Race(fitted, rivals, ratio, whitener, -0.5 * (float(white @ white) + _prior(fitted.problem, fitted.point)))
 
 
-def _rival(fitted: Fitted, candidate: Candidate, result: Any, physical: Any) -> Rival:
+def _gain(fitted: Fitted, candidate: Candidate, ratio: float) -> Array | None:
+    """One gain for all, so that all are compared in the same metric."""
+    gain = fitted.gain(ratio)
+    if gain is None:
+        return None
+    return np.pad(gain, ((0, candidate.problem.n_states - gain.shape[0]), (0, 0)))
+
+
+def _laps(task: tuple[Fitted, Candidate, float, bool]) -> Rival | None:
+    """First laps of one candidate: from absent, and from where an observer takes it."""
+    fitted, candidate, ratio, thorough = task
     problem = candidate.problem
-    roles = [*fitted.refinement.roles, "effect"]
-    steps = problem.engines[0].substeps
-    shell = SimpleNamespace(
-        structure=problem.structure, problem=problem, result=result, roles=roles, steps=steps
-    )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", IdentifiabilityWarning)  # ties are reported as such
-        refinement: Refinement = package(shell, physical, "", fitted.tolerance)
-    extended = Fitted(refinement, problem, result.x, fitted.tolerance)
-    free = problem.structure.n_parameters - fitted.structure.n_parameters
-    return Rival(candidate.effect, extended, result, free, float(result.cost))
+    gain = _gain(fitted, candidate, ratio)
+    starts = candidate.starts[: 6 if thorough else _SHAPES]
+    if thorough:
+        points = [*starts, *(_observed(fitted, candidate, start, ratio) for start in starts)]
+        runs = [descend(problem, point, gain=gain, evaluations=12) for point in points]
+    else:
+        points = list(starts)
+        if len(starts) == 1:
+            points += _regressed(fitted, candidate)
+        else:
+            points += [_observed(fitted, candidate, start, ratio) for start in starts[:2]]
+        costs = [_plain_cost(problem, point, gain) for point in points]
+        order = np.argsort(costs)[: 1 if len(starts) == 1 else 2]
+        runs = [descend(problem, points[i], gain=gain, evaluations=4) for i in order]
+    best = min(runs, key=lambda run: run.cost)
+    return Rival(candidate, best) if np.isfinite(best.cost) else None
 
 
-def log_likelihoods(
-    base: Fitted, rivals: Sequence[Rival], ratio: float = 0.0
-) -> tuple[float, Array, Whitener]:
-    """Log-likelihood of the base and of each rival under the whitening of the best one.
-
-    Each coefficient beyond the first costs half the log of the number of samples.
-    """
-    first = [Whitener.fit(r.fitted.residuals(ratio)) for r in rivals]
-    powers = [float(np.sum(np.log(w.scales))) for w in first]
-    whitener = first[int(np.argmin(powers))]
-
-    def of(fitted: Fitted, coefficients: int) -> float:
-        white = whitener.apply(fitted.residuals(ratio))
-        theta = fitted.theta
-        problem = fitted.problem
+def _regressed(fitted: Fitted, candidate: Candidate) -> list[Array]:
+    """One linear step per observer: right where the law is linear in its coefficients."""
+    problem, start = candidate.problem, candidate.starts[0]
+    p, q = fitted.problem.n_theta, problem.n_theta
+    points = []
+    for observer in _OBSERVERS:
+        columns = candidate.columns.get(observer)
+        if columns is None or columns[0].shape[2] != q - p:
+            continue
+        blocks = fitted.blocks(observer)
+        r = np.concatenate([block.ravel() for block, _ in blocks])
+        J = np.concatenate(
+            [
+                np.concatenate([jacobian[:, :, :p], column], axis=2).reshape(block.size, q)
+                for (block, jacobian), column in zip(blocks, columns, strict=True)
+            ]
+        )
         held = np.isfinite(problem.prior_sd)
-        prior = float(np.sum(((theta[held] - problem.prior_mean[held]) / problem.prior_sd[held]) ** 2))
-        penalty = max(coefficients - 1, 0) * np.log(white.size)
-        return -0.5 * (float(white @ white) + prior + penalty)
+        rows = np.diag(1.0 / problem.prior_sd[held])
+        J = np.vstack([J, np.pad(rows, ((0, 0), (0, 0))) @ np.eye(q)[held]]) if held.any() else J
+        theta = problem.unpack(start)[0]
+        pull = (theta[held] - problem.prior_mean[held]) / problem.prior_sd[held]
+        size = np.linalg.norm(J, axis=0)
+        size[size == 0] = 1.0
+        step = np.linalg.lstsq(
+            (J / size).T @ (J / size), -(J / size).T @ np.append(r, pull), rcond=1e-10
+        )[0] / size
+        point = start.copy()
+        point[:q] += step
+        points.append(problem.inside(point))
+    return points
 
-    return of(base, 0), np.array([of(r.fitted, r.n_coefficients) for r in rivals]), whitener
+
+def _observed(fitted: Fitted, candidate: Candidate, start: Array, ratio: float) -> Array:
+    """Where observer-led fits of falling gain take a start."""
+    problem, point = candidate.problem, start
+    for observer in _OBSERVERS:
+        if observer > ratio:
+            gain = _gain(fitted, candidate, observer)
+            point = descend(problem, point, gain=gain, evaluations=4, tolerance=1e-2).point
+    return problem.pack(problem.unpack(point)[0], problem.unpack(start)[1])
+
+
+def _plain_cost(problem: Problem, point: Array, gain: Array | None) -> float:
+    """Half the sum of squares, without derivatives; inf where the simulation blows up."""
+    theta, starts = problem.unpack(problem.inside(point))
+    total = 0.0
+    for engine, start in zip(problem.engines, starts, strict=True):
+        run = engine.run(theta, start, sensitivity=False, gain=gain, check=False)
+        error = problem.weights[:, None] * (run.outputs - engine.data.outputs)
+        if run.blew_up >= 0 or not np.isfinite(error).all():
+            return np.inf
+        total += 0.5 * float(np.sum(error**2))
+    return total
+
+
+def _continued(
+    fitted: Fitted,
+    rival: Rival,
+    ratio: float,
+    whitener: Whitener | None,
+    evaluations: int,
+    tolerance: float = 1e-4,
+) -> Descent:
+    return descend(
+        rival.candidate.problem,
+        rival.descent.point,
+        gain=_gain(fitted, rival.candidate, ratio),
+        whitener=whitener,
+        evaluations=evaluations,
+        tolerance=tolerance,
+    )
+
+
+def _blocks(rival: Rival) -> list[tuple[Array, Array]]:
+    return rival.descent.blocks(rival.candidate.problem)
+
+
+def _whitener_of(rival: Rival) -> Whitener:
+    return Whitener.fit([r for r, _ in _blocks(rival)])
+
+
+def _prior(problem: Problem, point: Array) -> float:
+    theta = problem.unpack(point)[0]
+    mean, sd = problem.prior_mean, problem.prior_sd
+    held = np.isfinite(sd)
+    return float(np.sum(((theta[held] - mean[held]) / sd[held]) ** 2))
+
+
+def _log_likelihood(rival: Rival, whitener: Whitener) -> float:
+    """Each coefficient beyond the first costs half the log of the number of samples."""
+    white = whitener.apply([r for r, _ in _blocks(rival)])
+    penalty = max(rival.n_coefficients - 1, 0) * np.log(white.size)
+    return -0.5 * (float(white @ white) + _prior(rival.candidate.problem, rival.descent.point) + penalty)
+
+
+def _model(fitted: Fitted, rival: Rival, whitener: Whitener, ratio: float) -> Fitted:
+    """The rival as a refinement; its covariance is that of generalized least squares."""
+    problem, point = rival.candidate.problem, rival.descent.point
+    gain = _gain(fitted, rival.candidate, ratio)
+    blocks = _blocks(rival)
+    white = whitener.apply([r for r, _ in blocks])
+    J = whitener.apply([j for _, j in blocks])
+    held = np.isfinite(problem.prior_sd) & (problem.prior_sd > 0)
+    prior = np.zeros(problem.size)
+    prior[: problem.n_theta][held] = problem.prior_sd[held] ** -2.0
+    size = np.linalg.norm(J, axis=0)
+    size[size == 0] = 1.0
+    information = (J / size).T @ (J / size) + np.diag(prior / size**2)
+    freedom = max(white.size - problem.size, 1)
+    scale = float(white @ white) / freedom
+    covariance = scale * np.linalg.pinv(information, rcond=1e-12, hermitian=True) / np.outer(size, size)
+    p = problem.n_theta
+    spread = np.sqrt(np.maximum(np.diag(covariance)[:p], 0.0))
+    old = fitted.refinement
+    theta, starts = problem.unpack(point)
+    free = [r for r, _ in (blocks if ratio == 0 else evaluated(problem, point))]
+    error = np.concatenate([r / problem.weights[:, None] for r in free], axis=1)
+    measured = np.concatenate([r.outputs for r in problem.records], axis=1)
+    roles = [*old.roles, "effect"]
+    refinement: Refinement = replace(
+        old,
+        effects=problem.structure.effects,
+        roles=tuple(roles),
+        constants=dict(problem.structure.constants),
+        theta=theta.copy(),
+        parameters=_rows(problem.structure, roles, theta, spread),
+        covariance=covariance[:p, :p],
+        fit=_fit(measured, error),
+        rmse=np.sqrt(np.mean(error**2, axis=1)),
+        initial_states=starts.copy(),
+        substeps=problem.engines[0].substeps,
+        residual_orders=whitener.orders,
+        success=rival.descent.converged,
+        message="Converged." if rival.descent.converged else "Not polished: far behind the best candidate.",
+        warnings=(),
+    )
+    extended = Fitted(refinement, problem, point, fitted.tolerance)
+    extended._blocks[ratio] = blocks
+    if gain is not None:
+        extended._gains[ratio] = gain
+    return extended

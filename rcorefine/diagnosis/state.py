@@ -13,13 +13,18 @@ from ..measurement import Measurement
 from ..physics.effects import Effect
 from ..physics.observer import observer_gain
 from ..physics.structure import Structure
-from ..refinement.assembly import priors
+from ..physics.simulation import check_channels
+from ..refinement.assembly import assemble, offset_variants, priors, unfold
+from ..refinement.outcome import output_weights, package
 from ..refinement.problem import Problem, residual_blocks
+from ..refinement.refine import Fit, refine
 from ..refinement.refinement import Refinement
+from ..refinement.search import starting_states
 from ..refinement.starts import Motion, law_widths
+from ..refinement.windows import windows
 from ..systems.linear import Array
 
-__all__ = ["Fitted", "fitted_from"]
+__all__ = ["Fitted", "base_fit", "evaluated", "fitted_from"]
 
 
 @dataclass(eq=False)
@@ -44,6 +49,7 @@ class Fitted:
     tolerance: float
     _blocks: dict[float, list[tuple[Array, Array]]] = field(default_factory=dict)
     _gains: dict[float, Array] = field(default_factory=dict)
+    _states: dict[float, list[Array]] = field(default_factory=dict)
 
     @property
     def structure(self) -> Structure:
@@ -73,6 +79,45 @@ class Fitted:
         """Residuals of the records, in units of the noise."""
         return [r for r, _ in self.blocks(ratio)]
 
+    def states(self, ratio: float = 0.0) -> list[Array]:
+        """States (n, N) of each record, free run or observer-led."""
+        if ratio not in self._states:
+            theta, starts = self.problem.unpack(self.point)
+            self._states[ratio] = [
+                np.nan_to_num(
+                    engine.run(
+                        theta, start, sensitivity=False, gain=self.gain(ratio), histories=True, check=False
+                    ).states
+                )
+                for engine, start in zip(self.problem.engines, starts, strict=True)
+            ]
+        return self._states[ratio]
+
+    def linearized(self) -> tuple[Array, Array]:
+        """A and C with each nonlinear force replaced by its best linear fit along the motion."""
+        structure = self.structure
+        matrices = structure.matrices(self.theta)
+        A, C = matrices.A.astype(float), matrices.C.astype(float)
+        if structure.n_ports == 0:
+            return A, C
+        theta, starts = self.problem.unpack(self.point)
+        run = self.problem.engines[0].run(theta, starts[0], sensitivity=False, histories=True, check=False)
+        m, n = structure.n_ports, structure.n_states
+        forces, x = np.nan_to_num(run.forces), np.nan_to_num(run.states)
+        w = self.problem.records[0].inputs
+        drive = np.vstack([x, w, np.ones((1, x.shape[1]))])
+        for i in range(m):
+            rows = matrices.P[[i, m + i]].astype(float)
+            motion = (rows @ drive[: rows.shape[1]]).T
+            motion = motion - motion.mean(axis=0)
+            size = np.sqrt(np.mean(motion**2, axis=0))
+            unit = motion / np.where(size > 0, size, 1.0)
+            slopes = np.linalg.lstsq(unit, forces[i] - forces[i].mean(), rcond=1e-8)[0]
+            slopes = np.where(size > 0, slopes / np.where(size > 0, size, 1.0), 0.0)
+            A = A + np.outer(matrices.E[:, i].astype(float), slopes @ rows[:, :n])
+            C = C + np.outer(matrices.G[:, i].astype(float), slopes @ rows[:, :n])
+        return A, C
+
     def extended(self, effects: Sequence[Effect], motion: Motion) -> tuple[Problem, Array]:
         """Problem with effects added, and its point at which they are absent (shapes at their start)."""
         old = self.refinement
@@ -98,6 +143,46 @@ class Fitted:
         full = np.concatenate([theta, structure.start()[theta.size :]])
         added = structure.n_states - starts.shape[1]
         return problem, problem.pack(full, np.pad(starts, ((0, 0), (0, added))))
+
+
+def base_fit(
+    model: Any,
+    records: Sequence[Measurement],
+    *,
+    free: Any,
+    tolerance: float,
+    offset: bool,
+    noise: Any,
+) -> Refinement:
+    """The model fitted as far as it is declared to be free.
+
+    Where its numbers are trusted, the minimum is next to them and no search is needed.
+    """
+    if len(free) and tolerance == 0:
+        return refine(model, records, free=free, tolerance=tolerance, offset=offset, noise=noise)
+    physical, kept = unfold(model)
+    ordered = [record_for(r, match_channels(physical.linear, r)) for r in records]
+    for record in ordered:
+        check_channels(physical.linear, record)
+        record.check_excitation("diagnose", stacklevel=3)
+    segments, note = windows(physical, ordered, None)
+    chosen = assemble(physical, kept, (), free, tolerance, offset_variants(physical, ordered[0], offset)[0])
+    constants = dict(getattr(model, "constants", {}))
+    structure = Structure(physical, [e for e, _ in chosen], constants=constants)
+    fit = Fit(structure, [role for _, role in chosen], segments, noise, None, tolerance)
+    fit.steps = int(getattr(model, "substeps", 1))
+    fit.problem = fit.build(segments, fit.steps)
+    theta = structure.start()
+    fit.result = fit.problem.minimize(
+        fit.problem.pack(theta, starting_states(fit.problem, theta)), max_nfev=30, tol=1e-8
+    )
+    for _ in range(2):  # noise levels from the residual, then the weight of the priors
+        fit.weights = output_weights(segments, noise, fit.problem, fit.result.x)
+        fit.problem = fit.build(segments, fit.steps)
+        fit.result = fit.problem.minimize(fit.result.x, max_nfev=30, tol=1e-10)
+        if noise is not None or (structure.n_outputs == 1 and tolerance == 0):
+            break
+    return package(fit, physical, note)
 
 
 def evaluated(problem: Problem, point: Array, gain: Array | None = None) -> list[tuple[Array, Array]]:

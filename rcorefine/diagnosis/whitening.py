@@ -12,9 +12,9 @@ from scipy.signal import lfilter
 from ..refinement.uncertainty import autoregression
 from ..systems.linear import Array
 
-__all__ = ["FTest", "Whitener", "f_test", "project", "rank_basis"]
+__all__ = ["FTest", "Whitener", "f_test", "project", "projected_test", "rank_basis"]
 
-_RANK = 1e-7  # singular value, relative, below which a direction is none
+_RANK = 3e-7  # singular value, relative, below which a direction is none
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,8 +95,12 @@ def rank_basis(columns: Array) -> Array:
     if columns.shape[1] == 0:
         return columns
     columns = columns / np.linalg.norm(columns, axis=0)
-    u, s, _ = np.linalg.svd(columns, full_matrices=False)
-    return np.asarray(u[:, s > _RANK * s[0]])
+    values, vectors = np.linalg.eigh(columns.T @ columns)
+    keep = values > _RANK**2 * values[-1]
+    basis = columns @ (vectors[:, keep] / np.sqrt(values[keep]))
+    # once more: the small directions come out of the Gram matrix only nearly orthogonal
+    lower = np.linalg.cholesky(basis.T @ basis)
+    return np.asarray(np.linalg.solve(lower, basis.T).T)
 
 
 def project(values: Array, basis: Array) -> Array:
@@ -112,27 +116,32 @@ def f_test(name: str, residual: Array, columns: Array, basis: Array) -> FTest:
     name : str
         What is tested.
     residual : ndarray, shape (N,)
-        Whitened residual.
+        Whitened residual, the basis already projected off.
     columns : ndarray, shape (N, k)
         Whitened columns.
     basis : ndarray, shape (N, b)
-        Orthonormal basis of what was fitted already; projected off both.
+        Orthonormal basis of what was fitted already; projected off the columns.
 
     Returns
     -------
     FTest
         p_value 1 where the columns lie in what was fitted.
     """
-    r = project(residual, basis)
-    c = project(columns, basis)
-    keep = np.linalg.norm(c, axis=0) > 1e-6 * np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    q = rank_basis(c[:, keep])
+    return projected_test(name, residual, project(columns, basis), np.linalg.norm(columns, axis=0), basis)
+
+
+def projected_test(name: str, residual: Array, left: Array, size: Array, basis: Array) -> FTest:
+    """F-test of columns off which the basis was projected already; `size` is their norm before."""
+    norms = np.linalg.norm(left, axis=0)
+    keep = norms > 1e-6 * np.maximum(size, 1e-300)
+    c = left[:, keep]
+    q = c / norms[keep] if c.shape[1] == 1 else rank_basis(c)
     k = q.shape[1]
     free = residual.size - basis.shape[1] - k
     if k == 0 or free < 10:
         return FTest(name, 0.0, 0, 1.0, 0.0)
-    along = q.T @ r
+    along = q.T @ residual
     gain = float(along @ along)
-    left = max(float(r @ r) - gain, 1e-300)
-    statistic = gain / k / (left / free)
+    rest = max(float(residual @ residual) - gain, 1e-300)
+    statistic = gain / k / (rest / free)
     return FTest(name, float(statistic), k, float(stats.f.sf(statistic, k, free)), gain)

@@ -1,0 +1,147 @@
+"""A short damped Gauss-Newton descent: the laps of the race need neither scipy's bookkeeping nor its guards."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..refinement.problem import Problem
+from ..systems.linear import Array
+from .whitening import Whitener
+
+__all__ = ["Descent", "descend"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Descent:
+    """Where a descent ended.
+
+    Attributes
+    ----------
+    point : ndarray
+        Best point.
+    cost : float
+        Half the sum of squares there, inf where the simulation blows up.
+    residual : ndarray
+        Plain weighted residual there, priors included.
+    slopes : ndarray
+        Its derivatives.
+    converged : bool
+        Whether the last step changed the cost by less than the tolerance.
+    """
+
+    point: Array
+    cost: float
+    residual: Array
+    slopes: Array
+    converged: bool
+
+    def blocks(self, problem: Problem) -> list[tuple[Array, Array]]:
+        """Residual (n_y, N) and Jacobian (n_y, N, p) of each record."""
+        return _split(problem, self.residual, self.slopes)
+
+
+def descend(
+    problem: Problem,
+    point: Array,
+    *,
+    gain: Array | None = None,
+    whitener: Whitener | None = None,
+    evaluations: int = 6,
+    tolerance: float = 1e-4,
+) -> Descent:
+    """Lower the cost from a point by damped Gauss-Newton steps.
+
+    Parameters
+    ----------
+    problem : Problem
+        Estimation problem.
+    point : ndarray
+        Start; moved inside the bounds.
+    gain : ndarray, shape (n, n_y), optional
+        Observer gain; the free run without it.
+    whitener : Whitener, optional
+        Metric: generalized least squares with this filter.
+    evaluations : int
+        Simulations at most.
+    tolerance : float
+        Relative decrease of the cost below which the descent ends.
+
+    Returns
+    -------
+    Descent
+    """
+    lower, upper = problem.bounds()
+    low = np.where(np.isfinite(lower), lower + 1e-9 * np.abs(np.nan_to_num(lower)), -np.inf)
+    high = np.where(np.isfinite(upper), upper - 1e-9 * np.abs(np.nan_to_num(upper)), np.inf)
+    x = problem.inside(point)
+    cost, r, J, plain = _rows(problem, x, gain, whitener)
+    damping, converged = 1e-6, False
+    if not np.isfinite(cost):
+        return Descent(x, cost, *plain, False)
+    for _ in range(evaluations - 1):
+        slope = J.T @ r
+        stuck = ((x <= low) & (slope > 0)) | ((x >= high) & (slope < 0))
+        step = _step(J, r, damping, ~stuck)
+        predicted = float(-(slope @ step) - 0.5 * np.sum((J @ step) ** 2))
+        if predicted <= tolerance * max(cost, 1e-300) and damping <= 1e-3:
+            converged = True
+            if predicted <= 0.01 * tolerance * max(cost, 1e-300):
+                break
+        trial = problem.inside(x + step)
+        new_cost, new_r, new_J, new_plain = _rows(problem, trial, gain, whitener)
+        if new_cost < cost:
+            x, cost, r, J, plain = trial, new_cost, new_r, new_J, new_plain
+            damping = max(0.1 * damping, 1e-9)
+            if converged:
+                break
+        else:
+            if converged:
+                break
+            damping = max(30 * damping, 1e-3)
+    return Descent(x, cost, *plain, converged)
+
+
+def _step(J: Array, r: Array, damping: float, active: Array) -> Array:
+    size = np.linalg.norm(J, axis=0)
+    keep = active & (size > 1e-12 * max(float(size.max(initial=0.0)), 1e-300))
+    step = np.zeros(J.shape[1])
+    if not keep.any():
+        return step
+    unit = J[:, keep] / size[keep]
+    values, vectors = np.linalg.eigh(unit.T @ unit)
+    seen = values > 1e-12 * values[-1]
+    along = vectors[:, seen].T @ (unit.T @ r)
+    step[keep] = -(vectors[:, seen] @ (along / (values[seen] + damping))) / size[keep]
+    return step
+
+
+def _rows(
+    problem: Problem, x: Array, gain: Array | None, whitener: Whitener | None
+) -> tuple[float, Array, Array, tuple[Array, Array]]:
+    problem.gain, problem._cache = gain, None
+    try:
+        evaluation = problem.evaluate(x)
+    finally:
+        problem.gain, problem._cache = None, None
+    r, J = evaluation.residual, evaluation.jacobian
+    plain = r, J
+    if not evaluation.finite or not np.isfinite(r).all():
+        return np.inf, r, J, plain
+    if whitener is not None:
+        blocks = _split(problem, r, J)
+        row = problem.n_points
+        r = np.concatenate([whitener.apply([b for b, _ in blocks]), r[row:]])
+        J = np.concatenate([whitener.apply([b for _, b in blocks]), J[row:]])
+    return 0.5 * float(r @ r), r, J, plain
+
+
+def _split(problem: Problem, r: Array, J: Array) -> list[tuple[Array, Array]]:
+    blocks, row = [], 0
+    for record in problem.records:
+        count, shape = record.outputs.size, record.outputs.shape
+        part = slice(row, row + count)
+        blocks.append((r[part].reshape(shape), J[part].reshape(*shape, -1)))
+        row += count
+    return blocks
