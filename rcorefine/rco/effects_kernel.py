@@ -120,7 +120,7 @@ def _learn(
 @compiled
 def _correct(
     y, use, theta, delta, S, Pt, x, Pb, Q, K, FK, T, F, H, h, g, yhat, level, floor, count, limits,
-    forgetting, frozen, counters, cost, innovation,
+    forgetting, frozen, counters, cost, predicted,
 ):  # fmt: skip
     """Correct with all outputs of a sample that are there."""
     n = x.shape[0]
@@ -128,11 +128,11 @@ def _correct(
     uncertain = counters[1] > 0
     settled = True
     seen = False
+    predicted[:] = yhat
     for i in range(ny):
-        e = y[i] - yhat[i]
-        innovation[i] = e if use[i] else np.nan
         if not use[i]:
             continue
+        e = y[i] - yhat[i]
         if frozen:
             R = floor[i]
         else:

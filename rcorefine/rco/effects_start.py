@@ -1,0 +1,282 @@
+"""The first samples, gone over again about the model as it improves.
+
+Errors of phase grow with time, so a short stretch has one valley where a long one has many:
+the stretch doubles, each time started where the shorter one ended (Gauss-Newton, damped).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..systems.linear import Array
+from .effects_memory import EffectsMemory
+from .effects_setup import EffectsSetup, compile_kernel, engine_on, floor_at
+
+__all__ = ["go_over", "milestone"]
+
+_FIRST = 50  # samples of the first stretch, at least
+_PASSES = 15
+_LOOSE = 2.0  # prior standard deviation over the nominal value
+_WIDE = 30.0  # ... over the size whose effect on the outputs is that of the signals
+_MOST_STARTS = 6
+_FEW = 4  # passes that a rival gets
+_RIVALS = 4
+_SCENARIOS = 3  # times that the loss of each single parameter is tried
+_LOSSES = (0.35, 0.7)
+
+
+def milestone(setup: EffectsSetup, rounds: int) -> int:
+    """Samples after which the stretch is gone over for the next time, -1 for never again."""
+    lay = setup.layout
+    first = min(max(_FIRST, 3 * (lay.n + lay.p) // max(1, lay.ny) + lay.n), setup.start_samples)
+    lengths = [first]
+    while lengths[-1] < setup.start_samples:
+        lengths.append(min(2 * lengths[-1], setup.start_samples))
+    return lengths[rounds] if rounds < len(lengths) else -1
+
+
+def last_milestone(setup: EffectsSetup) -> int:
+    """Samples after which the first stretch is no longer needed."""
+    return setup.start_samples
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pass:
+    """One run over the stretch about fixed coefficients."""
+
+    memory: EffectsMemory
+    step: Array
+    power: Array
+    cost: float
+
+
+def go_over(setup: EffectsSetup, memory: EffectsMemory) -> EffectsMemory:
+    """Memory after the stretch, as if the best coefficients had been known from its first sample."""
+    memory = _sized(setup, memory)
+    initial = _initial_state(setup, memory)
+    found: list[_Pass] = []
+    main, far = _starts(setup, memory)
+    for start in main + _promising(setup, memory, initial, far):
+        descent = _descend(setup, memory, initial, start, _PASSES if not found else _FEW)
+        if descent is not None and not any(_same(setup, descent, other) for other in found):
+            found.append(descent)
+    if not found:  # not even the initial model stays bounded: leave it to the guard
+        return replace(memory, rounds=memory.rounds + 1)
+    found.sort(key=lambda one: one.cost)
+    best = _descend(setup, memory, initial, found[0].memory.centre, _PASSES) or found[0]
+    rivals = np.array([one.memory.centre for one in found[1 : 1 + _RIVALS]]).reshape(-1, setup.layout.p)
+    return replace(_adopted(setup, best, memory), rivals=rivals)
+
+
+def _promising(
+    setup: EffectsSetup, memory: EffectsMemory, initial: tuple[Array, Array], starts: list[Array]
+) -> list[Array]:
+    """The few of many starts whose first pass is best."""
+    lower, upper = setup.bounds
+    R = np.maximum(memory.sizes[-setup.layout.ny :] ** 2, 1e-300)
+    tried = [(_over(setup, memory, initial, np.clip(s, lower, upper), R), s) for s in starts]
+    costs = [(one.cost, i) for i, (one, _) in enumerate(tried) if one is not None]
+    return [starts[i] for _, i in sorted(costs)[:_RIVALS]]
+
+
+def _same(setup: EffectsSetup, one: _Pass, other: _Pass) -> bool:
+    """Whether two descents ended in one valley."""
+    spread = np.sqrt(np.diag(setup.layout.view(other.memory.packed, "Pt")))
+    return bool(np.all(np.abs(one.memory.centre - other.memory.centre) < 3.0 * spread))
+
+
+def _descend(
+    setup: EffectsSetup, memory: EffectsMemory, initial: tuple[Array, Array], start: Array, passes: int
+) -> _Pass | None:
+    lower, upper = setup.bounds
+    ny = setup.layout.ny
+    R = np.maximum(memory.sizes[-ny:] ** 2, 1e-300)
+    best = _over(setup, memory, initial, np.clip(start, lower, upper), R)
+    if best is None:
+        return None
+    best = _over(setup, memory, initial, best.memory.centre, best.power) or best
+    damping = 1.0
+    for _ in range(passes):
+        aim = np.clip(best.memory.centre + damping * best.step, lower, upper)
+        trial = _over(setup, memory, initial, aim, best.power)
+        if trial is None or trial.cost >= best.cost:
+            spread = np.sqrt(np.diag(setup.layout.view(best.memory.packed, "Pt")))
+            if damping < 0.02 or np.all(np.abs(damping * best.step) < 1e-2 * spread):
+                break
+            damping *= 0.3
+            continue
+        gained = best.cost - trial.cost
+        best, damping = trial, min(1.0, 2.0 * damping)
+        if gained < 1e-3:
+            break
+    return best
+
+
+def _over(
+    setup: EffectsSetup, memory: EffectsMemory, initial: tuple[Array, Array], theta: Array, R: Array
+) -> _Pass | None:
+    """Run over the stretch about `theta`; None where that leaves all bounds."""
+    lay = setup.layout
+    packed = np.zeros(lay.size)
+    lay.view(packed, "theta")[:] = theta
+    lay.view(packed, "delta")[:] = memory.origin - theta
+    lay.view(packed, "x")[:], lay.view(packed, "Pb")[:] = initial
+    lay.view(packed, "Pt")[:] = np.diag(memory.spread**2)
+    counters = np.array([0, 10 * lay.n + 10, int(setup.disturbance > 0)], dtype=np.int64)
+    about = replace(memory, packed=packed, counters=counters, centre=theta.copy())
+    kernel = compile_kernel(setup, about)
+    if not np.isfinite(kernel.fixed).all() and not np.isfinite(kernel.fixed[4 * lay.p :]).all():
+        return None
+    fixed = kernel.fixed.copy()
+    floor = np.maximum(kernel.floor, R)
+    fixed[floor_at(kernel, lay)] = floor
+    none = np.zeros((0, lay.p)), np.zeros((0, lay.ny)), np.zeros((0, lay.n))
+    W = np.column_stack([memory.inputs, np.ones(len(memory.inputs))])
+    done, _ = kernel.run(
+        kernel.sizes, fixed, packed, counters, W, memory.known, memory.outputs, memory.use, True, *none,
+        *kernel.rest,
+    )  # fmt: skip
+    if done < W.shape[0] or not np.isfinite(packed).all():
+        return None
+    cost, count = lay.view(packed, "cost")
+    power = np.where(count > 0, cost / np.maximum(count, 1.0), R)
+    total = float(np.sum(count * np.log(np.maximum(power, kernel.floor) + 1e-300)))
+    away = (theta - memory.origin) / memory.spread
+    step = lay.view(packed, "delta").copy()
+    about = replace(about, discretized=memory.discretized + 1, kernel=kernel)
+    return _Pass(about, step, power, total + float(away @ away))
+
+
+def _adopted(setup: EffectsSetup, best: _Pass, memory: EffectsMemory) -> EffectsMemory:
+    """Memory after the best pass, its last step taken."""
+    lay = setup.layout
+    lower, upper = setup.bounds
+    found = best.memory
+    packed = found.packed
+    theta = lay.view(packed, "theta")
+    step = np.clip(theta + best.step, lower, upper) - theta
+    if np.all(np.abs(step) < 3.0 * np.sqrt(np.diag(lay.view(packed, "Pt"))) + 1e-300):
+        theta += step
+        lay.view(packed, "x")[:] += step @ lay.view(packed, "S")
+    lay.view(packed, "delta")[:] = 0.0
+    lay.view(packed, "level")[:] = best.power
+    lay.view(packed, "count")[:] = lay.view(packed, "cost")[1]
+    found = replace(found, centre=theta.copy(), rounds=memory.rounds + 1)
+    return replace(found, kernel=compile_kernel(setup, found), discretized=found.discretized + 1)
+
+
+def _sized(setup: EffectsSetup, memory: EffectsMemory) -> EffectsMemory:
+    """Sizes of signals, widths of laws and priors, from the samples so far."""
+    inputs, outputs = memory.inputs, np.where(memory.use, memory.outputs, np.nan)
+    with np.errstate(invalid="ignore"):
+        count = np.maximum(memory.use.sum(axis=0), 1)
+        y_size = np.sqrt(np.nansum(outputs**2, axis=0) / count)
+    w_size = np.sqrt(np.mean(inputs**2, axis=0))
+    sizes = np.concatenate([w_size, np.where(y_size > 0, y_size, 1.0)])
+    memory = replace(memory, sizes=sizes)
+    memory = replace(memory, widths=_widths(setup, memory))
+    if memory.spread.size:
+        return memory
+    return replace(memory, spread=_prior(setup, memory))
+
+
+def _motion(setup: EffectsSetup, memory: EffectsMemory) -> object:
+    from ..measurement import Measurement
+    from ..physics.structure import Structure
+    from ..refinement.starts import estimated_motion
+
+    data = Measurement(
+        memory.inputs.T, _filled(memory).T, dt=setup.dt, hold="zoh" if setup.hold == "zoh" else "foh"
+    )
+    return estimated_motion(Structure(setup.physical), np.zeros(0), data)
+
+
+def _filled(memory: EffectsMemory) -> Array:
+    """Outputs with gaps bridged by straight lines, for sizes only."""
+    outputs = memory.outputs.copy()
+    grid = np.arange(len(outputs))
+    for i in range(outputs.shape[1]):
+        there = memory.use[:, i] > 0
+        outputs[:, i] = np.interp(grid, grid[there], outputs[there, i]) if there.any() else 0.0
+    return outputs
+
+
+def _widths(setup: EffectsSetup, memory: EffectsMemory) -> Array:
+    from ..physics.laws import NEEDS_WIDTH
+    from ..refinement.starts import law_widths
+
+    widths = np.full(len(setup.effects), np.nan)
+    if any(effect.kind in NEEDS_WIDTH for effect in setup.effects):
+        for index, width in law_widths(setup.bare, _motion(setup, memory)).items():  # type: ignore[arg-type]
+            widths[index] = width
+    return widths
+
+
+def _prior(setup: EffectsSetup, memory: EffectsMemory) -> Array:
+    """Standard deviation of every coefficient: declared, by its nominal value, or by its trace in the outputs."""
+    structure = setup.structure(memory.widths)
+    spread = _LOOSE * setup.nominal
+    engine = engine_on(setup, structure, memory.inputs, memory.outputs)
+    run = engine.run(memory.origin, check=False)
+    with np.errstate(all="ignore"):
+        weights = 1.0 / memory.sizes[-setup.layout.ny :]
+        trace = np.sqrt(np.mean((weights[:, None, None] * run.sensitivity) ** 2, axis=(0, 1)))
+    for i, q in enumerate(structure.parameters):
+        effect = structure.effects[q.effect]
+        if q.name in effect.prior:
+            spread[i] = effect.prior[q.name]
+        elif spread[i] == 0.0:
+            seen = np.isfinite(trace[i]) and trace[i] > 0
+            spread[i] = _WIDE / trace[i] if seen else max(10.0 * abs(memory.origin[i]), 1.0)
+    return spread
+
+
+def _initial_state(setup: EffectsSetup, memory: EffectsMemory) -> tuple[Array, Array]:
+    """Mean and covariance of the state at the first sample."""
+    lay = setup.layout
+    structure = setup.structure(memory.widths)
+    engine = engine_on(setup, structure, memory.inputs, memory.outputs)
+    calm = memory.origin.copy()
+    if structure.port_columns.size:
+        calm[structure.port_columns] = 0.0
+    run = engine.run(calm, sensitivity=False, initial_state=True, histories=True, check=False)
+    y_size = memory.sizes[-lay.ny :]
+    with np.errstate(all="ignore"):
+        moving = np.sqrt(np.nanmean(run.states**2, axis=1))
+        C = structure.matrices(calm).C
+        read = np.abs(np.linalg.pinv(C)) @ y_size
+        shown = np.sqrt(np.mean((run.sensitivity / y_size[:, None, None]) ** 2, axis=(0, 1)))
+    size = np.hypot(np.where(np.isfinite(moving), moving, 0.0), read)
+    reach = np.where(np.isfinite(shown) & (shown > 0), 1.0 / np.where(shown > 0, shown, 1.0), 0.0)
+    size = np.where(size > 0, 3.0 * size, 3.0 * reach)
+    return np.zeros(lay.n), np.diag(size**2)
+
+
+def _starts(setup: EffectsSetup, memory: EffectsMemory) -> tuple[list[Array], list[Array]]:
+    """Starts to descend from: present coefficients and rivals; and far ones, of which only the best."""
+    from ..refinement.starts import shape_starts
+
+    starts = [setup.layout.view(memory.packed, "theta").copy(), *memory.rivals]
+    if memory.rounds:
+        starts.append(memory.origin.copy())
+    far: list[Array] = []
+    if memory.rounds < _SCENARIOS:
+        for i in np.flatnonzero(setup.nominal):
+            for loss in _LOSSES:
+                start = memory.origin.copy()
+                start[i] -= loss * setup.nominal[i]
+                far.append(start)
+    shaped = [e for e in setup.effects if any(_needs_start(e, name) for name in e.free)]
+    if shaped and memory.rounds < 4:
+        motion = _motion(setup, memory)
+        far += shape_starts(setup.structure(memory.widths), memory.origin, motion)[:_MOST_STARTS]  # type: ignore[arg-type]
+    return starts, far
+
+
+def _needs_start(effect: object, name: str) -> bool:
+    start = getattr(effect, "start", {})
+    if name in start or getattr(effect, "kind", "") == "custom":
+        return False
+    return effect.start_of(name) is None  # type: ignore[attr-defined,no-any-return]
