@@ -42,6 +42,11 @@ def square_root(X: NDArray[Any]) -> NDArray[Any]:
     >>> bool(np.allclose(square_root(np.array([[4.0, 1.0], [0.0, 9.0]])), [[2.0, 0.2], [0.0, 3.0]]))
     True
     """
+    if not np.iscomplexobj(X):
+        values, vectors = np.linalg.eig(X)
+        root = (vectors * np.sqrt(values.astype(complex))) @ np.linalg.inv(vectors)
+        if np.abs(root.imag).max() <= 1e-9 * np.abs(root.real).max():
+            return np.asarray(root.real)
     scale = float(np.abs(np.trace(X.real))) / X.shape[0] or 1.0
     Y, Z = X / scale, np.eye(X.shape[0], dtype=X.dtype)
     for _ in range(_ITERATIONS):

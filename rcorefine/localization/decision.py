@@ -16,7 +16,7 @@ __all__ = ["Candidate", "Decision", "collinear_groups", "decide", "two_sided"]
 _COLLINEAR = 0.01  # eigenvalue of the unit-diagonal information below which a direction is one group
 _MEMBER = 0.3  # share of such a direction above which a candidate belongs to it
 _RIVAL = 9.2  # twice the log-likelihood: odds of 100 to 1
-_ALIKE = 0.7  # correlation of sensitivities above which a swap is tried
+_APART = 15.0  # deviates by which a swap would worsen the fit, to first order, above which it is not tried
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,13 +259,15 @@ def _swap(
     rivals: dict[int, list[int]] = {}
     for _ in range(where.size):
         similar = _similarity(joint, where)
+        value, std, _ = _estimates(joint, where[kept], active)
+        apart = dict(zip(kept, np.abs(_deviate(value, std, np.zeros(len(kept)))), strict=True))
         rivals = {i: [] for i in kept}
         level = joint.fit(active)
         scale = 2.0 * level / joint.problem.n_points
         reference, better = joint.point.copy(), None
         for i in kept:
             for j in range(where.size):
-                if j in kept or similar[i, j] < _ALIKE:
+                if j in kept or apart[i] * np.sqrt(max(1 - similar[i, j] ** 2, 0.0)) > _APART:
                     continue
                 trial = active.copy()
                 trial[where[i]], trial[where[j]] = False, True

@@ -157,8 +157,18 @@ class Joint:
                 if cost < _EXACT * level or _whiteness(trial, point) > _WHITE:
                     break
         assert best is not None
-        theta = best[1][: trial.n_theta]
-        self.point = self.problem.pack(theta, starting_states(self.problem, theta))
+        self.point = self._lengthened(trial, best[1])
+
+    def _lengthened(self, trial: Problem, point: Array) -> Array:
+        """Point on the whole records: the initial states of the first ones are those of the short ones."""
+        theta, known = trial.unpack(point)
+        if not trial.free_start:
+            return np.array(theta)
+        if len(self.records) > len(known):
+            states = starting_states(self.problem, theta)
+            states[: len(known)] = known
+            return self.problem.pack(theta, states)
+        return self.problem.pack(theta, known)
 
     def _starts(self, trial: Problem, short: list[Measurement]) -> Iterator[Array]:
         """Coefficients to descend from, each found only when the ones before have failed."""
@@ -210,8 +220,7 @@ class Joint:
             point, _, _ = _descend(trial, free, columns, 12)
             if _whiteness(trial, point) < _HOPELESS * _whiteness(self.problem, reference):
                 continue
-            theta = point[: trial.n_theta]
-            self.point = self.problem.pack(theta, starting_states(self.problem, theta))
+            self.point = self._lengthened(trial, point)
             reached = self.fit(few)
             price = (size - len(members)) * np.log(self.problem.n_points)
             if 2.0 * (reached - cost) / scale < price:
@@ -334,9 +343,11 @@ def _descend(
             (point[columns] >= upper[columns] - 1e-9) & (slope < 0)
         )
         slope = np.where(at_bound, 0.0, slope)
-        for _ in range(8):
-            ridge = max(damping, 1e-13)
-            step = -np.linalg.solve(unit + ridge * np.eye(columns.size), slope)
+        noise = 2.0 * cost / problem.n_points
+        for attempt in range(8):
+            step = -np.linalg.solve(unit + max(damping, 1e-13) * np.eye(columns.size), slope)
+            if attempt == 0 and float(step @ unit @ step) < _SETTLED**2 * noise:
+                return point, cost, True
             trial = point.copy()
             trial[columns] += step / size
             trial = problem.inside(trial)
@@ -344,15 +355,13 @@ def _descend(
             reached = 0.5 * float(after.residual @ after.residual)
             if after.finite and reached <= cost:
                 break
+            if -float(slope @ step) < 1e-10 * cost:
+                return point, cost, True  # less than rounding is left to gain
             damping = max(10.0 * damping, 1e-4)
         else:
-            return point, cost, float(slope @ step) > -1e-3 * cost / problem.n_points
-        small = float(step @ unit @ step) < _SETTLED**2 * 2.0 * reached / problem.n_points
-        stalled = cost - reached <= 1e-12 * cost and damping == 0.0
+            return point, cost, False
         point, cost, evaluation = trial, reached, after
         damping *= 0.1 if damping > 1e-6 else 0.0
-        if small or stalled:
-            return point, cost, True
     return point, cost, False
 
 

@@ -60,7 +60,9 @@ class _Spectrum:
             drive = np.linalg.solve(right, matrices.B[:, :nw].astype(complex))
         except np.linalg.LinAlgError:
             return np.full(self.log.size, 12.0)
-        gains = np.einsum("ym,mw,mk->ywk", matrices.C @ right, drive, 1.0 / (1j * self.omega - poles[:, None]))
+        gains = np.einsum(
+            "ym,mw,mk->ywk", matrices.C @ right, drive, 1.0 / (1j * self.omega - poles[:, None])
+        )
         level = np.log(np.abs(gains + matrices.D[:, :nw, None]) + 1e-300)
         difference = self.weight * np.clip(level - self.log, -12.0, 12.0)
         smooth = gaussian_filter1d(difference, width, axis=2, mode="nearest")
