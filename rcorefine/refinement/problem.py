@@ -16,6 +16,7 @@ from ..systems.linear import Array
 
 __all__ = ["Evaluation", "Problem", "residual_blocks"]
 
+_LARGEST = 1e60
 _FAILED = 1e8  # residual level of a simulation that blew up: worse than anything, yet finite
 
 
@@ -62,7 +63,7 @@ class Problem:
     ) -> None:
         self.structure, self.records, self.weights = structure, list(records), weights
         self.prior_mean, self.prior_sd = prior_mean, prior_sd
-        self.initial = initial
+        self.initial, self.substeps = initial, substeps
         self.engines = [Engine(structure, record, substeps=substeps) for record in records]
         self.n_theta, self.n_states = structure.n_parameters, structure.n_states
         self.free_start = initial is None
@@ -95,7 +96,7 @@ class Problem:
         rows, blocks, finite = [], [], True
         for i, engine in enumerate(self.engines):
             run = engine.run(theta, starts[i], initial_state=self.free_start, gain=self.gain, check=False)
-            ok = run.blew_up < 0 and bool(np.isfinite(run.sensitivity).all())
+            ok = run.blew_up < 0 and _bounded(run.outputs) and _bounded(run.sensitivity)
             finite &= ok
             width = run.sensitivity.shape[2]
             block = np.zeros((engine.data.outputs.size, self.size))
@@ -168,17 +169,21 @@ class Problem:
         fun: Callable[[Array], Array] = lambda q: self.evaluate(q * scale).residual  # noqa: E731
         jac: Callable[[Array], Array] = lambda q: self.evaluate(q * scale).jacobian * scale  # noqa: E731
         lower, upper = self.bounds()
-        result = least_squares(
-            fun,
-            self.inside(point) / scale,
-            jac=jac,
-            bounds=(lower / scale, upper / scale),
-            max_nfev=max_nfev,
-            ftol=tol,
-            xtol=tol,
-            gtol=1e-14,
-            x_scale="jac",
-        )
+        options: dict[str, Any] = {
+            "jac": jac,
+            "bounds": (lower / scale, upper / scale),
+            "max_nfev": max_nfev,
+            "ftol": tol,
+            "xtol": tol,
+            "gtol": 1e-14,
+            "x_scale": "jac",
+        }
+        start = self.inside(point) / scale
+        try:
+            result = least_squares(fun, start, **options)
+        except np.linalg.LinAlgError:
+            # LAPACK's SVD can fail on many like windows (equal singular values): iterate instead
+            result = least_squares(fun, start, tr_solver="lsmr", **options)
         result.x = result.x * scale
         result.jac = result.jac / scale
         self.gain, self._cache = None, None
@@ -193,6 +198,11 @@ class Problem:
         columns = np.where(np.isfinite(columns) & (columns > 1e-12 * top.max()), columns, np.nan)
         level = np.sqrt(self.n_points)
         return np.where(np.isnan(columns), np.maximum(np.abs(point), 1.0), level / columns)
+
+
+def _bounded(values: Array) -> bool:
+    """Whether squares of the values are numbers; False where any is NaN."""
+    return not values.size or bool(np.abs(values).max() < _LARGEST)
 
 
 def residual_blocks(problem: Problem, point: Array) -> list[tuple[Array, Array]]:

@@ -1,0 +1,375 @@
+"""Add what is missing, one effect after the other, and watch the error fall."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from ..comparison.channels import match_channels, record_for
+from ..comparison.compare import compare
+from ..exceptions import DataError, DivergenceError, IdentifiabilityWarning
+from ..measurement import Measurement
+from ..physics.effects import Effect
+from ..physics.library import effect_library
+from ..refinement.refine import refine
+from ..refinement.refinement import Refinement
+from ..refinement.windows import as_records, integrates, windows
+from ..systems.linear import Array
+from .diagnose import diagnose
+from .ledger import Improvement, Step
+from .result import Diagnosis, RankedEffect
+from .state import fitted_from
+from .whitening import Whitener
+
+__all__ = ["improve"]
+
+_FIT, _CHOOSE = 0.6, 0.2  # shares of the record; the rest judges
+_BETTER = 4.6  # log-likelihood by which a rival must win to be swapped in
+_GAIN = 0.05  # log of the held-out error that each coefficient must earn
+_PAIRS_FROM = 4  # effects of which pairs are tried where none helps alone
+
+
+@dataclass(frozen=True, slots=True)
+class _Parts:
+    fit: list[Measurement]
+    choose: list[Measurement]
+    judge: list[Measurement]
+
+
+def improve(
+    model: Any,
+    data: Measurement | Sequence[Measurement],
+    *,
+    validation: Measurement | None = None,
+    max_effects: int = 4,
+    candidates: Sequence[Effect] | None = None,
+    free: str | Sequence[Any] = (),
+    tolerance: float = 0.0,
+    offset: bool = True,
+    noise: float | Sequence[float] | None = None,
+    significance: float = 0.01,
+    executor: Any = None,
+    progress: bool = False,
+) -> Improvement:
+    """Diagnose, add the effect, fit all together, test again, until nothing earns its place.
+
+    The record is split in three: effects are fitted on the first part, chosen on the
+    second, and the error that is reported comes from the third, which took part in
+    nothing. An effect that is no longer needed is dropped; where no effect helps alone,
+    pairs are tried.
+
+    Parameters
+    ----------
+    model : StateSpace, PhysicalModel or Refinement
+        Initial model, continuous time.
+    data : Measurement or list of Measurement
+        Record, or several of the same system.
+    validation : Measurement, optional
+        Record that judges; by default the last fifth of `data`.
+    max_effects : int
+        Effects at most.
+    candidates : sequence of Effect, optional
+        What could be missing, default `effect_library(model)`.
+    free, tolerance, offset, noise
+        As in `refine`.
+    significance : float
+        Level of the gate of `diagnose`.
+    executor : concurrent.futures.Executor, optional
+        Refits candidates in parallel.
+    progress : bool
+        Show a progress bar on standard error.
+
+    Returns
+    -------
+    Improvement
+        The steps, the last model, the picture.
+
+    Raises
+    ------
+    DataError
+        If the record is too short to split.
+
+    Notes
+    -----
+    An effect is accepted where the model with it passes every test, or where it lowers
+    the log error of the free run on the second part by at least 5 % per coefficient.
+    One that only stands out by its likelihood is taken on trust, and goes again if the
+    ladder does not end in a model that passes every test.
+
+    Examples
+    --------
+    >>> import numpy as np, rcorefine as rco
+    >>> model = rco.mass_spring_damper([1.0], [0.4], [100.0], sensors="displacement")
+    >>> true = rco.mass_spring_damper([1.0], [0.4], [80.0], sensors="displacement")
+    >>> rng = np.random.default_rng(0)
+    >>> force = 10 * rng.standard_normal(3000)
+    >>> y = rco.simulate(true, rco.Measurement(force, np.zeros(3000), dt=0.02), "zero").outputs[0]
+    >>> data = rco.Measurement(force, y + 0.03 * y.std() * rng.standard_normal(3000), dt=0.02)
+    >>> laws = [rco.Effect(kind, "link1") for kind in ("stiffness", "damping", "cubic_stiffness")]
+    >>> ladder = rco.improve(model, data, candidates=laws)
+    >>> [step.effect.kind for step in ladder.steps[1:]], ladder.verdict
+    (['stiffness'], 'adequate')
+    """
+    if isinstance(max_effects, bool) or not isinstance(max_effects, (int, np.integer)) or max_effects < 0:
+        raise ct.ControlArgument(f"max_effects must be a whole number >= 0, not {max_effects!r}")
+    parts = _split(as_records(data), validation)
+    settings = {"tolerance": tolerance, "offset": offset, "noise": noise}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", IdentifiabilityWarning)  # ties are in the ledger
+        ladder = _Ladder(model, parts, free, settings)
+        library = list(effect_library(ladder.start.physical_model) if candidates is None else candidates)
+        options = {"significance": significance, "executor": executor, "progress": progress, "free": free}
+        verdict, message = ladder.climb(library, max_effects, {**settings, **options})
+    linear = ladder.start.physical_model.linear
+    units = tuple(parts.fit[0].output_units)
+    return Improvement(tuple(ladder.steps), verdict, message, linear.output_labels, units)
+
+
+class _Ladder:
+    """The state of the climb: the present model and the steps that led to it."""
+
+    def __init__(self, model: Any, parts: _Parts, free: Any, settings: dict[str, Any]) -> None:
+        self.model, self.parts, self.free, self.settings = model, parts, free, settings
+        self.start = refine(model, parts.fit, free=free, **settings)
+        self.current = self.start
+        self.effects: list[Effect] = []
+        self._trust: list[bool] = []
+        self.steps = [self._step(None, "start", self.start, "", ())]
+
+    # --------------------------------------------------------------------- climbing
+    def climb(self, library: list[Effect], most: int, options: dict[str, Any]) -> tuple[str, str]:
+        """Add, swap, drop; what was added on trust goes again unless it leads to an adequate model."""
+        verdict, message = self._forward(library, most, options)
+        if len(self.effects) > 1:
+            self._swap(library, options)
+            self._drop(library)
+            if verdict != "adequate" and len(self.steps) > 1:
+                verdict, message = self._forward(library, most, options)
+        if verdict != "adequate":
+            self._return_trust()
+        return verdict, message
+
+    def _forward(self, library: list[Effect], most: int, options: dict[str, Any]) -> tuple[str, str]:
+        while True:
+            rest = [e for e in library if not any(_same(e, held) for held in self.current.effects)]
+            if not rest:
+                return "unexplained", "No candidate is left."
+            found = diagnose(self.current, self.parts.fit, candidates=rest, **options)
+            if found.verdict == "adequate":
+                return "adequate", "Every test passes: nothing is missing that this record could show."
+            if len(self.effects) >= most:
+                return found.verdict, f"Stopped at max_effects = {most}; the residual still speaks."
+            row, trusted = self._earned(found, len(rest))
+            if row is not None:
+                self._add([row.effect], "add", found, trusted)
+                continue
+            pair = self._pair(found)
+            if pair is None:
+                return (
+                    found.verdict,
+                    "No effect, and no pair of them, lowers the held-out error enough to earn a place.",
+                )
+            self._add(pair, "pair", found, True)
+
+    def _earned(self, found: Diagnosis, choices: int) -> tuple[RankedEffect | None, bool]:
+        """The row to add, and whether it earned its place for good.
+
+        The most probable where the tests pass with it; else the best per coefficient on the
+        second part; else, on trust, the most probable if its likelihood stands out.
+        """
+        if not found.ranking:
+            return None, False
+        if found.verdict in ("effect", "ambiguous"):
+            return found.ranking[0], True
+        before = _log_error(self.current, self.parts.choose)
+        best, gained = None, _GAIN
+        for row in found.ranking[:8]:
+            share = (before - _log_error(row.refinement, self.parts.choose)) / max(len(row.coefficients), 1)
+            if share > gained:
+                best, gained = row, share
+        if best is not None:
+            return best, True
+        top = found.ranking[0]
+        if 2 * self._gain(top.refinement, self.current) > self._price(choices) * len(top.coefficients):
+            return top, False
+        return None, False
+
+    def _price(self, choices: int) -> float:
+        """Twice the log-likelihood that one coefficient must earn: BIC plus the choice among many."""
+        samples = sum(record.n_samples for record in self.parts.fit)
+        return float(np.log(samples) + 2 * np.log(max(choices, 1)))
+
+    def _gain(self, one: Refinement, two: Refinement) -> float:
+        """Log-likelihood of one model over another, under the whitening of the closer one.
+
+        Each under its own whitening would not do: a filter of sixteen coefficients hides a
+        missing effect.
+        """
+        both = []
+        for refinement in (one, two):
+            segments, _ = windows(refinement.physical_model, self.parts.fit, None)
+            tolerance = self.settings["tolerance"]
+            both.append(fitted_from(refinement, segments, tolerance=tolerance, noise=1.0).residuals())
+        closer = min(both, key=lambda blocks: sum(float(np.sum(r**2)) for r in blocks))
+        whitener = Whitener.fit(closer)
+        first, second = (whitener.apply(blocks) for blocks in both)
+        return 0.5 * float(second @ second - first @ first)
+
+    def _add(self, effects: Sequence[Effect], action: str, found: Diagnosis, earned: bool) -> None:
+        starts = {(r.effect.kind, r.effect.place): r.coefficients for r in found.ranking}
+        new = [e.replace(start=starts.get((e.kind, e.place), dict(e.start))) for e in effects]
+        self.current = refine(self.current, self.parts.fit, new, **self.settings)
+        self.effects += list(effects)
+        self._trust += [earned] * len(effects)
+        rivals = tuple(e for e in found.ambiguous if not any(_same(e, own) for own in effects))
+        for effect in effects:
+            self.steps.append(self._step(effect, action, self.current, found.verdict, rivals))
+
+    def _return_trust(self) -> None:
+        """Take back the last steps as long as they were taken on trust."""
+        while self._trust and not self._trust[-1] and self.steps[-1].action == "add":
+            self._trust.pop()
+            self.effects.pop()
+            self.steps.pop()
+            self.current = self.steps[-1].refinement
+
+    def _swap(self, library: list[Effect], options: dict[str, Any]) -> None:
+        """Whether another effect in the place of an older one explains the record better."""
+        for position, effect in enumerate(self.effects[:-1]):
+            without = self._without(effect)
+            if without is None:
+                continue
+            rest = [e for e in library if not any(_same(e, held) for held in without.effects)]
+            found = diagnose(without, self.parts.fit, candidates=rest, **options)
+            if not found.ranking or _same(found.ranking[0].effect, effect):
+                continue
+            row = found.ranking[0]
+            if self._gain(row.refinement, self.current) > _BETTER:
+                self.effects[position] = row.effect
+                self.current = row.refinement
+                self.steps.append(self._step(row.effect, "swap", self.current, found.verdict, (effect,)))
+
+    def _drop(self, library: list[Effect]) -> None:
+        """Backward step: effects whose absence costs less than their price go."""
+        for effect in list(self.effects):
+            if len(self.effects) < 2:
+                return
+            without = self._without(effect)
+            if without is None:
+                continue
+            loss = 2 * self._gain(self.current, without)
+            if loss < self._price(len(library)) * len(effect.coefficients):
+                index = next(i for i, held in enumerate(self.effects) if _same(held, effect))
+                self.effects.pop(index)
+                self._trust.pop(index)
+                self.current = without
+                self.steps.append(self._step(effect, "drop", without, "", ()))
+
+    def _without(self, effect: Effect) -> Refinement | None:
+        structure, theta, _ = self.current.simulation_structure()
+        kept = []
+        for index, (held, role) in enumerate(zip(self.current.effects, self.current.roles, strict=True)):
+            if role != "effect" or _same(held, effect):
+                continue
+            names = [n for n in held.coefficients if structure.position(index, n) >= 0]
+            kept.append(held.replace(start={n: float(structure.value(theta, index, n)) for n in names}))
+        try:
+            return refine(self.model, self.parts.fit, kept, free=self.free, **self.settings)
+        except DivergenceError:
+            return None
+
+    def _pair(self, found: Diagnosis) -> list[Effect] | None:
+        """Two effects that help only together."""
+        before = _log_error(self.current, self.parts.choose)
+        best, gained = None, _GAIN
+        for one, two in combinations([row.effect for row in found.ranking[:_PAIRS_FROM]], 2):
+            try:
+                both = refine(self.current, self.parts.fit, [one, two], **self.settings)
+            except DivergenceError:
+                continue
+            size = len(one.coefficients) + len(two.coefficients)
+            share = (before - _log_error(both, self.parts.choose)) / size
+            if share > gained:
+                best, gained = [one, two], share
+        return best
+
+    # ---------------------------------------------------------------------- ledger
+    def _step(
+        self,
+        effect: Effect | None,
+        action: str,
+        refinement: Refinement,
+        verdict: str,
+        rivals: tuple[Effect, ...],
+    ) -> Step:
+        own = [
+            row
+            for row in refinement.parameters
+            if effect is not None and row.kind == effect.kind and row.place == effect.place
+        ]
+        names: list[str] = []
+        if effect is not None and own:
+            names = [n for n in effect.coefficients if n not in effect.fixed]
+        return Step(
+            effect=effect,
+            action=action,
+            train_rmse=_rmse(refinement, self.parts.fit),
+            choice_rmse=_rmse(refinement, self.parts.choose),
+            validation_rmse=_rmse(refinement, self.parts.judge),
+            coefficients={n: row.coefficient for n, row in zip(names, own, strict=True)},
+            std={n: row.std for n, row in zip(names, own, strict=True)},
+            verdict=verdict,
+            rivals=rivals,
+            refinement=refinement,
+        )
+
+
+def _same(one: Effect, two: Effect) -> bool:
+    return one.kind == two.kind and one.place == two.place
+
+
+def _split(records: list[Measurement], validation: Measurement | None) -> _Parts:
+    """Fit, choose, judge: in the order of time, each record for itself."""
+    fit, choose, judge = [], [], []
+    for record in records:
+        if record.n_samples < 100:
+            raise DataError(f"a record of {record.n_samples} samples is too short to be split in three")
+        if validation is None:
+            first, rest = record.split(_FIT)
+            second, third = rest.split(_CHOOSE / (1 - _FIT))
+            judge.append(third)
+        else:
+            first, second = record.split(_FIT / (_FIT + _CHOOSE))
+        fit.append(first)
+        choose.append(second)
+    return _Parts(fit, choose, [validation] if validation is not None else judge)
+
+
+def _errors(refinement: Refinement, records: Sequence[Measurement]) -> Array:
+    """Free-run residual on all records, (n_y, N); in windows where the model integrates."""
+    linear = refinement.physical_model.linear
+    found = []
+    for record in records:
+        ordered = record_for(record, match_channels(linear, record))
+        horizon = ordered.duration / 10 if integrates(linear, ordered) else None
+        try:
+            residual = compare(refinement, ordered, horizon=horizon).residual
+        except DivergenceError:
+            return np.full((linear.n_outputs, 1), np.inf)
+        found.append(np.atleast_2d(residual))
+    return np.concatenate(found, axis=1)
+
+
+def _rmse(refinement: Refinement, records: Sequence[Measurement]) -> Array:
+    return np.asarray(np.sqrt(np.mean(_errors(refinement, records) ** 2, axis=1)))
+
+
+def _log_error(refinement: Refinement, records: Sequence[Measurement]) -> float:
+    """Mean over the outputs of the log error."""
+    return float(np.mean(np.log(_rmse(refinement, records) + 1e-300)))

@@ -1,0 +1,108 @@
+"""The staircase: held-out error after each effect."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import control as ct
+import matplotlib.pyplot as plt
+import numpy as np
+
+if TYPE_CHECKING:
+    from ..diagnosis.ledger import Improvement
+
+__all__ = ["staircase_plot"]
+
+
+def staircase_plot(
+    improvement: Improvement,
+    *,
+    ax: Any = None,
+    label: str | None = None,
+    title: str | None = None,
+    legend_loc: str | None = "upper right",
+    rcParams: dict[str, Any] | None = None,
+    show_legend: bool | None = None,
+) -> ct.ControlPlot:
+    """Error after each step on the three parts of the record, the effect's name on each step.
+
+    Parameters
+    ----------
+    improvement : Improvement
+        Result of `improve`.
+    ax : Axes, optional
+        Where to draw.
+    label : str, optional
+        Label of the held-out line.
+    title : str, optional
+        Title.
+    legend_loc : str, optional
+        Place of the legend.
+    rcParams : dict, optional
+        Matplotlib settings for this plot.
+    show_legend : bool, optional
+        Whether to show a legend; default True.
+
+    Returns
+    -------
+    ControlPlot
+    """
+    settings: Any = {**ct.rcParams, **(rcParams or {})}
+    with plt.rc_context(settings):
+        if ax is None:
+            _, ax = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
+        steps = improvement.steps
+        base = np.array([np.sqrt(np.mean(steps[0].validation_rmse ** 2))])
+        position = np.arange(len(steps) + 1) - 0.5
+        lines = []
+        styles = (
+            ("train_rmse", "fitted", "0.65", ":", 1.5),
+            ("choice_rmse", "chosen on", "0.45", "--", 1.5),
+            ("validation_rmse", label or "held out", "C0", "-", 2.5),
+        )
+        for attribute, name, color, line, width in styles:
+            values = [float(np.sqrt(np.mean(getattr(step, attribute) ** 2))) for step in steps]
+            lines += ax.step(
+                position,
+                [values[0], *values],
+                where="pre",
+                color=color,
+                linestyle=line,
+                linewidth=width,
+                label=name,
+            )
+        held = [float(np.sqrt(np.mean(step.validation_rmse**2))) for step in steps]
+        for i, (step, value) in enumerate(zip(steps, held, strict=True)):
+            name = (
+                "initial model" if step.effect is None else _two_lines(f"{step.action} {step.effect.label}")
+            )
+            ax.annotate(
+                f"{name}\n{value:.3g}",
+                (i, value),
+                xytext=(0, 6),
+                textcoords="offset points",
+                ha="center",
+                va="bottom",
+                fontsize="small",
+            )
+        if min(held) > 0 and base[0] / min(held) > 5:
+            ax.set_yscale("log")
+            ax.set_ylim(top=max(held) * 3)
+        else:
+            ax.set_ylim(0, max(held) * 1.35)
+        ax.set_xlim(-0.5, len(steps) - 0.5)
+        ax.set_xticks(range(len(steps)))
+        ax.set_xlabel("Effects added")
+        unit = improvement.output_units[0] if len(improvement.output_units) == 1 else ""
+        ax.set_ylabel(f"RMS error [{unit}]" if unit else "RMS error")
+        ax.set_title(title or f"The error falls: {improvement.verdict} after {len(steps) - 1} step(s)")
+        ax.grid(True, axis="y", alpha=0.4)
+        legend = ax.legend(loc=legend_loc) if show_legend in (None, True) else None
+    out = np.empty((1, 1), dtype=object)
+    out[0, 0] = lines
+    return ct.ControlPlot(out, np.array([[ax]]), ax.figure, legend)
+
+
+def _two_lines(name: str) -> str:
+    """Break a label before its place."""
+    return name.replace(" at ", "\nat ")

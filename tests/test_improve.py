@@ -1,0 +1,112 @@
+"""improve: the ladder on records with hidden effects whose number and kind are known."""
+
+from __future__ import annotations
+
+import pickle
+
+import control as ct
+import numpy as np
+import pytest
+
+import rcorefine as rco
+from rcorefine.diagnosis.improve import improve
+
+DT = 0.01
+
+
+def chain():
+    return rco.mass_spring_damper(
+        [1.0, 1.2], [0.3, 0.2, 0.2], [200.0, 150.0, 120.0], force=1, sensors=[("velocity", 1)]
+    )
+
+
+def record(effects, seed, noise=0.03, n=4000):
+    """Truth by scipy's solve_ivp on equations written out here."""
+    from scipy.integrate import solve_ivp
+
+    rng = np.random.default_rng(seed)
+    w = 10 * rng.standard_normal(n)
+    M, C, K = (
+        np.diag([1.0, 1.2]),
+        np.array([[0.5, -0.2], [-0.2, 0.4]]),
+        np.array([[350.0, -150], [-150, 270]]),
+    )
+    inverse = np.linalg.inv(M)
+    times = np.arange(n) * DT
+
+    def rate(t, x, force):
+        q, v = x[:2], x[2:]
+        pull = np.zeros(2)
+        stretch = {"link1": (q[0], v[0]), "link2": (q[1] - q[0], v[1] - v[0]), "link3": (q[1], v[1])}
+        for kind, link, value in effects:
+            d, s = stretch[link]
+            f = value * {"cubic_stiffness": d**3, "quadratic_damping": s * abs(s), "stiffness": d}[kind]
+            pull += (
+                f * {"link1": np.array([-1, 0]), "link2": np.array([1, -1]), "link3": np.array([0, -1])}[link]
+            )
+        a = inverse @ (np.array([force, 0.0]) - C @ v - K @ q + pull)
+        return np.concatenate([v, a])
+
+    x, states = np.zeros(4), []
+    for k in range(n):
+        states.append(x)
+        x = solve_ivp(rate, (times[k], times[k] + DT), x, args=(w[k],), rtol=1e-7, atol=1e-9).y[:, -1]
+    y = np.array(states)[:, 2]
+    return rco.Measurement(w, y + noise * y.std() * rng.standard_normal(n), dt=DT)
+
+
+LAWS = [
+    rco.Effect(kind, f"link{i}")
+    for i in (1, 2, 3)
+    for kind in ("stiffness", "damping", "cubic_stiffness", "quadratic_damping", "coulomb_friction")
+]
+
+
+@pytest.mark.slow
+def test_two_effects_are_found_and_the_held_out_error_falls_to_the_noise():
+    hidden = [("cubic_stiffness", "link2", 400.0), ("quadratic_damping", "link1", 0.4)]
+    data = record(hidden, seed=1)
+    ladder = improve(chain(), data, candidates=LAWS)
+    assert {(e.kind, e.place) for e in ladder.effects} == {(k, p) for k, p, _ in hidden}
+    assert ladder.verdict == "adequate"
+    noise = 0.03 * np.std(data.outputs)
+    assert ladder.steps[-1].validation_rmse[0] == pytest.approx(noise, rel=0.1)
+    assert ladder.steps[0].validation_rmse[0] > 2 * noise
+    for kind, place, value in hidden:
+        row = ladder.refinement.parameter(kind, place)
+        assert abs(row.coefficient - value) < 4 * row.std
+    text = str(ladder)
+    assert max(map(len, text.splitlines())) <= 80
+    assert "held out" in text
+    again = pickle.loads(pickle.dumps(ladder))
+    assert again.effects == ladder.effects
+    assert "<table" in ladder._repr_html_()
+    assert isinstance(ladder.plot(), ct.ControlPlot)
+
+
+def test_no_step_where_nothing_is_missing():
+    ladder = improve(chain(), record([], seed=2, n=2500), candidates=LAWS)
+    assert len(ladder.steps) == 1
+    assert ladder.verdict == "adequate"
+    assert ladder.steps[0].effect is None
+
+
+def test_validation_record_judges_and_max_effects_stops():
+    data = record([("stiffness", "link2", -30.0)], seed=3, n=2500)
+    other = record([("stiffness", "link2", -30.0)], seed=4, n=1500)
+    ladder = improve(chain(), data, validation=other, candidates=LAWS)
+    assert [(e.kind, e.place) for e in ladder.effects] == [("stiffness", "link2")]
+    assert ladder.steps[-1].validation_rmse[0] < ladder.steps[0].validation_rmse[0]
+    stopped = improve(chain(), data, candidates=LAWS, max_effects=0)
+    assert len(stopped.steps) == 1
+    assert stopped.verdict != "adequate"
+
+
+def test_bad_input():
+    data = record([], seed=5, n=60)
+    with pytest.raises(rco.DataError, match="too short"):
+        improve(chain(), data)
+    with pytest.raises(ct.ControlArgument, match="max_effects"):
+        improve(chain(), data, max_effects=-1)
+    with pytest.raises(TypeError):
+        improve(chain(), data, nonsense=1)
