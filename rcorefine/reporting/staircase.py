@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 if TYPE_CHECKING:
-    from ..diagnosis.ledger import Improvement
+    from ..diagnosis.ledger import Improvement, Step
 
 __all__ = ["staircase_plot"]
 
@@ -72,27 +72,23 @@ def staircase_plot(
                 label=name,
             )
         held = [float(np.sqrt(np.mean(step.validation_rmse**2))) for step in steps]
-        for i, (step, value) in enumerate(zip(steps, held, strict=True)):
-            name = (
-                "initial model" if step.effect is None else _two_lines(f"{step.action} {step.effect.label}")
-            )
+        for i, value in enumerate(held):
             ax.annotate(
-                f"{name}\n{value:.3g}",
+                f"{value:.3g}",
                 (i, value),
-                xytext=(0, 6),
+                xytext=(0, -5),
                 textcoords="offset points",
                 ha="center",
-                va="bottom",
+                va="top",
                 fontsize="small",
             )
         if min(held) > 0 and base[0] / min(held) > 5:
             ax.set_yscale("log")
-            ax.set_ylim(top=max(held) * 3)
+            ax.set_ylim(bottom=min(held) / 2)
         else:
             ax.set_ylim(0, max(held) * 1.35)
         ax.set_xlim(-0.5, len(steps) - 0.5)
-        ax.set_xticks(range(len(steps)))
-        ax.set_xlabel("Effects added")
+        ax.set_xticks(range(len(steps)), [_name(step) for step in steps], rotation=25, ha="right")
         unit = improvement.output_units[0] if len(improvement.output_units) == 1 else ""
         ax.set_ylabel(f"RMS error [{unit}]" if unit else "RMS error")
         ax.set_title(title or f"The error falls: {improvement.verdict} after {len(steps) - 1} step(s)")
@@ -103,6 +99,6 @@ def staircase_plot(
     return ct.ControlPlot(out, np.array([[ax]]), ax.figure, legend)
 
 
-def _two_lines(name: str) -> str:
-    """Break a label before its place."""
-    return name.replace(" at ", "\nat ")
+def _name(step: Step) -> str:
+    """What a step did, for the axis."""
+    return "initial model" if step.effect is None else f"{step.action} {step.effect.label}"
