@@ -6,6 +6,7 @@ out. The estimator is retrospective cost model refinement (D'Amato et al.).
 
 from . import examples
 from .comparison import Comparison, compare
+from .diagnosis import Diagnosis, diagnose
 from .exceptions import (
     ConversionWarning,
     DataError,
@@ -45,6 +46,7 @@ __all__ = [
     "Comparison",
     "ConversionWarning",
     "DataError",
+    "Diagnosis",
     "DivergenceError",
     "Effect",
     "EstimatedParameter",

@@ -90,9 +90,8 @@ def run_battery(battery: Battery, candidates: Sequence[Candidate], motions: Sequ
     gain = fitted.gain(ratio)
     for name, make in (("other laws", generic_forces), ("changes with time", slow_forces)):
         blocks = []
-        for i, motion in enumerate(motions):
-            forces = make(fitted.structure, motion)
-            blocks.append(force_responses(fitted, i, forces, gain))
+        for i in range(len(records)):
+            blocks.append(force_responses(fitted, i, make(fitted, ratio, i), gain))
         tests.append(battery.test(name, blocks))
     tests.append(_parameters(battery, motions[0]))
     tests.append(battery.test("input", [_lagged(r.inputs, r.n_outputs, {1: _LAGS}) for r in records]))

@@ -24,7 +24,6 @@ __all__ = [
     "force_responses",
     "generic_forces",
     "parameter_columns",
-    "port_motion",
     "slow_forces",
 ]
 
@@ -121,12 +120,11 @@ def _law_columns(
     gain = fitted.gain(ratio)
     parts: dict[int, list[Array]] = {i: [] for i, _ in laws}
     for record in range(len(fitted.problem.records)):
-        states = fitted.states(ratio)[record]
         forces: list[tuple[str, Array]] = []
         owners: list[int] = []
         for i, shapes in laws:
             effect = found[i].effect
-            d, v = port_motion(fitted, effect.place, states, record)
+            d, v = fitted.port(effect.place, ratio, record)
             columns = unit_forces(effect, d, v, shapes)
             if columns is None:
                 found[i].columns[ratio] = _own_columns(found[i], ratio)
@@ -141,13 +139,6 @@ def _law_columns(
     for i, blocks in parts.items():
         if blocks:
             found[i].columns[ratio] = blocks
-
-
-def port_motion(fitted: Fitted, place: str, states: Array, record: int) -> tuple[Array, Array]:
-    """Displacement and velocity at a port along given states (n, N)."""
-    port = fitted.structure.model.port(place)
-    x, w = states[: port.act.size], fitted.problem.records[record].inputs
-    return port.position @ x + port.position_input @ w, port.velocity @ x + port.velocity_input @ w
 
 
 def _shapes(candidate: Candidate) -> list[dict[str, float]]:
@@ -212,11 +203,11 @@ def _own_columns(candidate: Candidate, ratio: float) -> list[Array]:
     return [np.nan_to_num(np.concatenate(parts, axis=2)) for parts in wide]
 
 
-def generic_forces(structure: Structure, motion: Motion) -> list[tuple[str, Array]]:
+def generic_forces(fitted: Fitted, ratio: float, record: int) -> list[tuple[str, Array]]:
     """Forces of laws that are in no library, at every port: (port, force of shape (N,))."""
     forces = []
-    for port in structure.model.ports:
-        d, v = motion.port(port.name)
+    for port in fitted.structure.model.ports:
+        d, v = fitted.port(port.name, ratio, record)
         rms_d, rms_v = (float(np.sqrt(np.mean(s**2))) or 1.0 for s in (d, v))
         d, v = d / rms_d, v / rms_v
         laws = [v, np.sign(v), v * np.abs(v), v**3, np.abs(v)]
@@ -226,14 +217,14 @@ def generic_forces(structure: Structure, motion: Motion) -> list[tuple[str, Arra
     return forces
 
 
-def slow_forces(structure: Structure, motion: Motion) -> list[tuple[str, Array]]:
+def slow_forces(fitted: Fitted, ratio: float, record: int) -> list[tuple[str, Array]]:
     """Forces of stiffness and damping that change over the record."""
-    n = motion.data.n_samples
+    n = fitted.problem.records[record].n_samples
     t = np.linspace(-1.0, 1.0, n)
     shapes = [t, t * t, np.sin(2 * np.pi * t), np.cos(2 * np.pi * t)]
     forces = []
-    for port in structure.model.ports:
-        d, v = motion.port(port.name)
+    for port in fitted.structure.model.ports:
+        d, v = fitted.port(port.name, ratio, record)
         for signal in (d, v):
             if np.any(signal):
                 forces += [(port.name, signal * shape) for shape in shapes]

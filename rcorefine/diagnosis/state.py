@@ -80,18 +80,29 @@ class Fitted:
         return [r for r, _ in self.blocks(ratio)]
 
     def states(self, ratio: float = 0.0) -> list[Array]:
-        """States (n, N) of each record, free run or observer-led."""
+        """States (n, N) of each record, free run or observer-led.
+
+        Those before the correction by the sample's own measurement: what they say about
+        a sample must not contain the noise of that sample.
+        """
         if ratio not in self._states:
             theta, starts = self.problem.unpack(self.point)
-            self._states[ratio] = [
-                np.nan_to_num(
-                    engine.run(
-                        theta, start, sensitivity=False, gain=self.gain(ratio), histories=True, check=False
-                    ).states
-                )
-                for engine, start in zip(self.problem.engines, starts, strict=True)
-            ]
+            gain = self.gain(ratio)
+            found = []
+            for i, (engine, start) in enumerate(zip(self.problem.engines, starts, strict=True)):
+                run = engine.run(theta, start, sensitivity=False, gain=gain, histories=True, check=False)
+                states = np.nan_to_num(run.states)
+                if gain is not None:
+                    states = states + gain @ (self.residuals(ratio)[i] / self.problem.weights[:, None])
+                found.append(states)
+            self._states[ratio] = found
         return self._states[ratio]
+
+    def port(self, name: str, ratio: float, record: int) -> tuple[Array, Array]:
+        """Displacement and velocity (N,) at a port."""
+        port = self.structure.model.port(name)
+        x, w = self.states(ratio)[record][: port.act.size], self.problem.records[record].inputs
+        return port.position @ x + port.position_input @ w, port.velocity @ x + port.velocity_input @ w
 
     def linearized(self) -> tuple[Array, Array]:
         """A and C with each nonlinear force replaced by its best linear fit along the motion."""

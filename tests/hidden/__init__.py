@@ -1,0 +1,1 @@
+"""Records with a hidden effect, made without any code of the estimator."""

@@ -1,0 +1,294 @@
+"""A record of a plant with a hidden effect, by `scipy.integrate.solve_ivp` with steps below the sample."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.signal import StateSpace, lfilter, lsim
+
+import rcorefine as rco
+
+from .plants import PLANTS, Array, Place, Plant
+
+SECOND_ORDER = {
+    "stiffness": lambda d, v, e: d,
+    "damping": lambda d, v, e: v,
+    "cubic_stiffness": lambda d, v, e: d**3,
+    "quadratic_stiffness": lambda d, v, e: d * d,
+    "bilinear_stiffness": lambda d, v, e: max(d, 0.0),
+    "coulomb_friction": lambda d, v, e: np.tanh(v / e),
+    "quadratic_damping": lambda d, v, e: v * abs(v),
+    "cubic_damping": lambda d, v, e: v**3,
+}
+FIRST_ORDER = {
+    kind: SECOND_ORDER[kind] for kind in ("damping", "coulomb_friction", "quadratic_damping", "cubic_damping")
+}
+OUTSIDE = ("clearance", "jenkins", "bouc-wen", "dahl", "hidden mass", "input saturation", "ramp")
+NOISES = ("white", "ar", "resonant", "t3")
+
+
+@dataclass
+class Hidden:
+    """A record, what hides in it, and what the estimator may be offered."""
+
+    plant: Plant
+    data: rco.Measurement
+    kind: str | None
+    place: str | None
+    strength: float
+    loss: float
+    noise: float
+    coefficient: float  # of the law, in the model's units
+
+    @property
+    def candidates(self) -> list[rco.Effect]:
+        """All laws at all places."""
+        found = []
+        for place in self.plant.places:
+            laws = place.laws or tuple(SECOND_ORDER if place.d is not None else FIRST_ORDER)
+            found += [rco.Effect(kind, place.name) for kind in laws]
+        return found
+
+
+def linear_states(plant: Plant, w: Array) -> Array:
+    """States (n, N) of the plant alone."""
+    n = plant.A.shape[0]
+    t = np.arange(w.shape[1]) * plant.dt
+    whole = StateSpace(plant.A, plant.B, np.eye(n), np.zeros((n, w.shape[0])))
+    return lsim(whole, w.T, t)[2].reshape(t.size, n).T
+
+
+def integrate(
+    plant: Plant, w: Array, law: Callable[..., tuple[float, list[float]]], place: Place, memory: int = 0
+) -> Array:
+    """States (n + memory, N) for inputs (n_w, N) that are linear between samples."""
+    A, dt = plant.A, plant.dt
+    n, N = A.shape[0], w.shape[1]
+    steer = np.ascontiguousarray((plant.B @ w).T)
+    slopes = np.vstack([np.diff(steer, axis=0), np.zeros((1, n))])
+    act, sense_v = place.act, place.v
+    sense_d = place.d if place.d is not None else np.zeros(n)
+
+    def rhs(t: float, x: Array) -> Array:
+        at = t / dt
+        k = min(int(at), N - 2)
+        state = x[:n] if memory else x
+        force, inner = law(t, float(sense_d @ state), float(sense_v @ state), x[n:])
+        rate = A @ state + steer[k] + (at - k) * slopes[k] + act * force
+        return np.concatenate([rate, inner]) if memory else rate
+
+    t = np.arange(N) * dt
+    answer = solve_ivp(
+        rhs, (0, t[-1]), np.zeros(n + memory), method="RK45", t_eval=t, max_step=dt, rtol=1e-4, atol=1e-7 * _size(plant, w)
+    )
+    if not answer.success or answer.y.shape[1] != N or not np.isfinite(answer.y).all():
+        raise FloatingPointError("the plant with this effect runs away")
+    return answer.y
+
+
+def _size(plant: Plant, w: Array) -> float:
+    return float(np.abs(plant.B).max() * np.abs(w).max() * plant.dt)
+
+
+def outputs(plant: Plant, x: Array, w: Array, force: Array | None, place: Place | None) -> Array:
+    """Sensors, the accelerometers' share of the force included."""
+    n = plant.A.shape[0]
+    y = plant.C @ x[:n] + plant.D @ w
+    if plant.rates.any():
+        rate = plant.A @ x[:n] + plant.B @ w
+        if force is not None and place is not None:
+            rate = rate + np.outer(place.act, force)
+        y = y + plant.rates @ rate
+    return y
+
+
+def excitation(rng: np.random.Generator, plant: Plant, N: int) -> Array:
+    """Broadband up to a quarter of the sampling rate, in steps that no sample misses."""
+    w = lfilter([1.0], [1.0, -0.6], rng.standard_normal((plant.B.shape[1], N)))
+    return plant.amplitude[:, None] * (w / w.std(axis=1, keepdims=True) + plant.lift)
+
+
+def coloured(rng: np.random.Generator, what: str, shape: tuple[int, int]) -> Array:
+    """Unit-variance sensor noise."""
+    e = rng.standard_normal(shape)
+    if what == "ar":
+        e = lfilter([1.0], [1.0, -0.9], e)
+    elif what == "resonant":
+        e = lfilter([1.0], [1.0, -1.85, 0.95], e)
+        drift = np.cumsum(rng.standard_normal(shape), axis=1)
+        e = e / e.std(axis=1, keepdims=True) + 0.5 * drift / drift.std(axis=1, keepdims=True)
+    elif what == "t3":
+        e = rng.standard_t(3, shape)
+    return e / e.std(axis=1, keepdims=True)
+
+
+def hidden_record(
+    seed: int,
+    *,
+    plant: str = "chain",
+    effect: str | None = "any",
+    loss: float = 0.05,
+    noise: float = 0.03,
+    noise_kind: str = "white",
+    sensors: int = 1,
+    samples: int = 2000,
+    unmeasured: float = 0.0,
+    detuned: float = 0.0,
+    scale: float = 1.0,
+) -> Hidden:
+    """A record with one hidden effect.
+
+    Parameters
+    ----------
+    seed : int
+        Draws plant, place, law, input and noise.
+    plant : str
+        Key of `PLANTS`.
+    effect : str or None
+        "any" for one of the library, a kind, one of `OUTSIDE`, or None for nothing.
+    loss : float
+        Free-run loss of the nominal model that the strength is set to, over the output.
+    noise, noise_kind : float, str
+        Sensor noise over the rms of the output; one of `NOISES`.
+    sensors, samples : int
+        Outputs and length.
+    unmeasured : float
+        Rms of an unmeasured force over that of the input, at the input's place.
+    detuned : float
+        Relative sd of the plant's A entries about the model's (places scaled).
+    scale : float
+        Factor on the input, for a second record of the same plant.
+    """
+    rng = np.random.default_rng([seed, 77])
+    made = PLANTS[plant](rng, sensors)
+    if detuned:
+        made = _detuned(made, rng, detuned)
+    place = made.places[int(rng.integers(len(made.places)))]
+    laws = place.laws or tuple(SECOND_ORDER if place.d is not None else FIRST_ORDER)
+    kind = str(rng.choice(laws)) if effect == "any" else effect
+    w = scale * excitation(rng, made, samples)
+    quiet = w if not unmeasured else w + unmeasured * np.std(w) * rng.standard_normal(w.shape)
+    x0 = linear_states(made, w)
+    y0 = outputs(made, x0, w, None, None)
+    spread = np.linalg.norm(y0 - y0.mean(axis=1, keepdims=True))
+    truth, strength, reached, where = outputs(made, linear_states(made, quiet), quiet, None, None), 0.0, 0.0, None
+    if kind is not None:
+        where = None if kind == "input saturation" else place
+        strength, truth = _calibrated(made, quiet, kind, place, x0, y0, loss)
+        reached = float(np.linalg.norm(truth - y0) / spread)
+    coefficient = _unit(made, place, x0, kind) * strength if kind in SECOND_ORDER else np.nan
+    level = truth.std(axis=1, keepdims=True)
+    measured = truth + noise * level * coloured(rng, noise_kind, truth.shape)
+    data = rco.Measurement(w, measured, dt=made.dt, hold="foh")
+    return Hidden(made, data, kind, None if where is None else where.name, strength, reached, noise, coefficient)
+
+
+def _detuned(plant: Plant, rng: np.random.Generator, share: float) -> Plant:
+    """Stiffness and damping of every place off by a draw; the model keeps its numbers."""
+    n = plant.A.shape[0] // 2
+    senses = [(p.act, s) for p in plant.places if p.d is not None for s in (p.d, p.v)]
+    basis = np.array([np.outer(act, sense).ravel() for act, sense in senses]).T
+    target = plant.A.copy()
+    target[:n] = 0
+    sizes = np.linalg.lstsq(basis, target.ravel(), rcond=None)[0]
+    change = basis @ (share * rng.standard_normal(sizes.size) * sizes)
+    return replace(plant, A=plant.A + change.reshape(plant.A.shape))
+
+
+def _calibrated(
+    plant: Plant, w: Array, kind: str, place: Place, x0: Array, y0: Array, goal: float
+) -> tuple[float, Array]:
+    """Strength at which the nominal model loses the goal, tried on a short part first."""
+    strength, N = 0.05, w.shape[1]
+    sizes = [min(400, N)] * 6 + [N] * 4
+    i = 0
+    while i < len(sizes):
+        part = slice(0, sizes[i])
+        try:
+            y = _with(plant, w[:, part], kind, place, strength, x0)
+        except FloatingPointError:
+            strength, i = 0.3 * strength, i + 1
+            continue
+        about = np.linalg.norm(y0[:, part] - y0[:, part].mean(axis=1, keepdims=True))
+        loss = float(np.linalg.norm(y - y0[:, part]) / about)
+        close = 0.8 < loss / goal < 1.25
+        if close and part.stop == N:
+            return strength, y
+        if not close:
+            strength *= float(np.clip((goal / max(loss, 1e-9)) ** 0.9, 0.05, 20))
+        i = 6 if close and i < 6 else i + 1
+    return strength, _with(plant, w, kind, place, strength, x0)
+
+
+def _motion(plant: Plant, place: Place, x0: Array) -> tuple[float, float, float]:
+    """Rms displacement and velocity at a place, and the force that moves it as it moves."""
+    n = plant.A.shape[0]
+    v = place.v @ x0[:n]
+    d_rms = float(np.std(place.d @ x0[:n])) if place.d is not None else 1.0
+    return d_rms, float(np.std(v)), float(np.std(np.gradient(v, plant.dt))) / abs(float(place.v @ place.act))
+
+
+def _unit(plant: Plant, place: Place, x0: Array, kind: str) -> float:
+    d_rms, v_rms, unit = _motion(plant, place, x0)
+    return unit / (abs(SECOND_ORDER[kind](d_rms, v_rms, 1e-3 * v_rms)) or 1.0)
+
+
+def _with(plant: Plant, w: Array, kind: str, place: Place, strength: float, x0: Array) -> Array:
+    """Outputs with the effect; strength is relative to the force that the plant itself has there."""
+    n = plant.A.shape[0]
+    d_rms, v_rms, unit = _motion(plant, place, x0)
+    inertia = 1 / abs(float(place.v @ place.act))
+    law, memory = _law(kind, strength * unit, d_rms, v_rms, w.shape[1] * plant.dt)
+    if kind == "input saturation":
+        limit = np.quantile(np.abs(w), 1 - min(0.9 * strength, 0.9))
+        cut = np.clip(w, -limit, limit)
+        return outputs(plant, linear_states(plant, cut), cut, None, None)
+    if kind == "hidden mass":
+        law, memory = _hidden_mass(strength, inertia, v_rms, plant)
+    x = integrate(plant, w, law, place, memory)
+    t = np.arange(w.shape[1]) * plant.dt
+    d = place.d @ x[:n] if place.d is not None else np.zeros(t.size)
+    force = np.array([law(t[k], d[k], float(place.v @ x[:n, k]), x[n:, k])[0] for k in range(t.size)])
+    return outputs(plant, x, w, force, place)
+
+
+def _law(kind: str, level: float, d_rms: float, v_rms: float, duration: float) -> tuple[Callable[..., tuple[float, list[float]]], int]:
+    if kind in SECOND_ORDER:
+        shape = SECOND_ORDER[kind]
+        at = abs(shape(d_rms, v_rms, 1e-3 * v_rms)) or 1.0
+        return (lambda t, d, v, z: (level / at * shape(d, v, 0.003 * v_rms), [])), 0
+    if kind == "clearance":
+        return (lambda t, d, v, z: (level / d_rms * np.sign(d) * max(abs(d) - 0.7 * d_rms, 0.0), [])), 0
+    if kind == "ramp":
+        return (lambda t, d, v, z: (level / d_rms * d * t / duration, [])), 0
+    slip = 0.5 * d_rms
+    if kind == "jenkins":
+        return (
+            lambda t, d, v, z: (level * z[0] / slip, [0.0 if abs(z[0]) >= slip and z[0] * v > 0 else v])
+        ), 1
+    if kind == "bouc-wen":
+        return (lambda t, d, v, z: (level * z[0] / slip, [v - (0.6 * abs(v) * z[0] + 0.4 * v * abs(z[0])) / slip])), 1
+    if kind == "dahl":
+        return (lambda t, d, v, z: (level * z[0] / slip, [v - abs(v) * z[0] / slip])), 1
+    if kind in ("hidden mass", "input saturation"):
+        return (lambda t, d, v, z: (0.0, [])), 0
+    raise ValueError(kind)
+
+
+def _hidden_mass(
+    strength: float, inertia: float, v_rms: float, plant: Plant
+) -> tuple[Callable[..., tuple[float, list[float]]], int]:
+    """A mass on a spring and damper attached to the place, tuned to a mode of the plant."""
+    m = 0.5 * strength * inertia
+    modes = np.abs(np.linalg.eigvals(plant.A))
+    omega = float(np.sort(modes)[modes.size // 2])
+    k, c = m * omega**2, 2 * 0.03 * m * omega
+
+    def law(t: float, d: float, v: float, z: Array) -> tuple[float, list[float]]:
+        force = k * (d - z[0]) + c * (v - z[1])
+        return force, [z[1], force / m]
+
+    return law, 2
