@@ -131,7 +131,7 @@ class RatioStructure(Structure):
         X = -base[self._stiff]
         if np.min(np.linalg.eigvals(X).real) <= 1e-12 * np.abs(X).max():
             raise ModelError(
-                "damping='ratio': the model moves freely as a rigid body, so its modal damping ratios are not "
+                "damping='ratio': the model moves freely as a rigid body, so its damping ratios are not "
                 "defined; use damping='links' or 'fixed'"
             )
         self._ratio: Array = self._nominal @ np.linalg.inv(square_root(X))

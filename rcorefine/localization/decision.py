@@ -14,6 +14,7 @@ from .estimate import Joint
 __all__ = ["Candidate", "Decision", "collinear_groups", "decide", "two_sided"]
 
 _COLLINEAR = 0.01  # eigenvalue of the unit-diagonal information below which a direction is one group
+_BLURRED = 0.01  # joint standard deviation over nominal above which a member cannot be told apart
 _MEMBER = 0.3  # share of such a direction above which a candidate belongs to it
 _RIVAL = 9.2  # twice the log-likelihood: odds of 100 to 1
 _APART = 15.0  # deviates by which a swap would worsen the fit, to first order, above which it is not tried
@@ -125,7 +126,8 @@ def decide(joint: Joint, candidates: list[Candidate], significance: float) -> De
     joint.point = dense
     joint.fit(everything)
     estimate, spread, covariance = _estimates(joint, where, everything)
-    groups = collinear_groups(joint, where)
+    size = np.array([abs(c.nominal) for c in candidates])
+    groups = collinear_groups(joint, where, spread > _BLURRED * size)
     joint.point = final
     joint.fit(active)
 
@@ -329,7 +331,9 @@ def _similarity(joint: Joint, where: NDArray[np.int64]) -> Array:
     return np.asarray(np.abs(_projected(joint, where)))
 
 
-def collinear_groups(joint: Joint, where: NDArray[np.int64]) -> tuple[tuple[int, ...], ...]:
+def collinear_groups(
+    joint: Joint, where: NDArray[np.int64], blurred: NDArray[np.bool_]
+) -> tuple[tuple[int, ...], ...]:
     """Candidates that the record sees only together.
 
     Parameters
@@ -338,6 +342,8 @@ def collinear_groups(joint: Joint, where: NDArray[np.int64]) -> tuple[tuple[int,
         Estimate.
     where : ndarray of int
         Columns of the candidates.
+    blurred : ndarray of bool
+        Candidates that the joint estimate leaves too unsure to matter on their own.
 
     Returns
     -------
@@ -352,6 +358,9 @@ def collinear_groups(joint: Joint, where: NDArray[np.int64]) -> tuple[tuple[int,
         if value >= _COLLINEAR:
             break
         members = [int(seen[k]) for k in np.flatnonzero(np.abs(vector) > _MEMBER * np.abs(vector).max())]
+        members = [i for i in members if blurred[i]]
+        if len(members) < 2:
+            continue
         target = min(owner[i] for i in members)
         merged = {owner[i] for i in members}
         owner = [target if group in merged else group for group in owner]

@@ -14,8 +14,8 @@ from ..physics.observer import observer_gain
 from ..physics.structure import Structure
 from ..refinement.outcome import output_weights
 from ..refinement.problem import Problem, residual_blocks
-from ..refinement.search import search, starting_states
-from ..refinement.starts import estimated_motion
+from ..refinement.search import starting_states
+from ..refinement.starts import far_starts
 from ..refinement.uncertainty import autoregression
 from ..systems.linear import Array
 from .spectrum import sparse_starts, spectral_starts
@@ -141,8 +141,8 @@ class Joint:
         """Find the valley on the first samples, all coefficients free.
 
         Observer-held fits from high to low gain, each polished as a free run; then starts
-        from the measured frequency response; last the general search, which scans over
-        decades. The first that leaves a white residual ends the search.
+        from the measured frequency response; last scans over decades.
+        The first that leaves a white residual ends the search.
         """
         short = [self.records[0]._part(slice(0, _SHORT)), *self.records[1:2]]
         trial = self._build(short)
@@ -178,8 +178,7 @@ class Joint:
         for far in spectral_starts(self.structure, start, self.records[0]):
             yield far
             yield from self._held(trial, far, _RATIOS[1:])
-        motion = estimated_motion(Structure(self.structure.model), np.zeros(0), short[0])
-        yield search(self._build, self.structure, short, motion, self.substeps)[: trial.n_theta]
+        yield from far_starts(trial, self.structure, start)
 
     def _held(self, trial: Problem, theta: Array, ratios: Sequence[float]) -> Iterator[Array]:
         """Fits of the innovations of an observer, gain after gain."""

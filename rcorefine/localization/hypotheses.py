@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import control as ct
@@ -154,20 +154,7 @@ def rank_hypotheses(setting: Setting, hypotheses: Any) -> tuple[HypothesisRow, .
     weight /= weight.sum()
     ranked = []
     for i in np.argsort(criterion, kind="stable"):
-        row = rows[int(i)]
-        ranked.append(
-            HypothesisRow(
-                row.name,
-                row.effects,
-                row.changes,
-                row.std,
-                row.percent,
-                row.fit,
-                row.log_likelihood,
-                row.bic,
-                float(weight[i]),
-            )  # fmt: skip
-        )
+        ranked.append(replace(rows[int(i)], probability=float(weight[i])))
     return tuple(ranked)
 
 

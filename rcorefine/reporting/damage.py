@@ -1,0 +1,230 @@
+"""Table and bar chart of a `DamageMap`."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import control as ct
+import numpy as np
+
+from ..exceptions import ModelError
+from .figures import curve_labels, finish, make_axes, settings, unit_text
+from .tables import html_table, number, text_table
+
+if TYPE_CHECKING:
+    from ..localization.damage_map import DamageMap, DamageRow
+
+__all__ = ["damage_html", "damage_text", "plot_damage"]
+
+_CHANGED, _UNCHANGED = "0.25", "0.85"
+
+
+def _value(row: DamageRow, figure: float, share: float) -> str:
+    if row.nominal == 0:
+        return number(figure, 3)
+    return f"{share:.3g}" if abs(share) < 1e-3 else f"{share:.3f}" if abs(share) < 10 else f"{share:.2f}"
+
+
+def _change_cells(result: DamageMap) -> tuple[list[str], list[list[str]]]:
+    headers = ["what", "place", "model", "unit", "change", "95 % +/-", "limit", "p", ""]
+    rows = []
+    for row in result.rows:
+        verdict = ("LOST" if row.change < 0 else "GAINED") if row.named else ""
+        rows.append(
+            [
+                row.kind,
+                row.place,
+                number(row.nominal, 4) if row.nominal else "-",
+                row.unit,
+                _value(row, row.change, row.percent),
+                _value(row, 1.96 * row.std, 1.96 * row.percent_std),
+                _value(row, row.limit, row.limit_percent) if np.isfinite(row.limit) else "none",
+                f"{row.p_value:.1g}" if row.p_value > 1e-99 else "0",
+                verdict,
+            ]
+        )
+    return headers, rows
+
+
+def _ranking_cells(result: DamageMap) -> tuple[list[str], list[list[str]]]:
+    headers = ["scenario", "changes [%]", "fit [%]", "BIC - best", "probability"]
+    best = result.ranking[0].bic if result.ranking else 0.0
+    rows = []
+    for row in result.ranking:
+        parts = [
+            f"{row.percent[label]:.2f}" if label in row.percent else number(change, 3)
+            for label, change in row.changes.items()
+        ]
+        rows.append(
+            [
+                row.name,
+                ", ".join(parts) or "-",
+                f"{min(row.fit):.4g}",
+                f"{row.bic - best:.1f}",
+                f"{row.probability:.3g}",
+            ]
+        )
+    return headers, rows
+
+
+def _sentences(result: DamageMap) -> list[str]:
+    lines = [_verdict(result)]
+    if any(row.nominal for row in result.rows):
+        lines.append(
+            "change, 95 % interval and limit are in percent of the model's value"
+            + ("" if all(row.nominal for row in result.rows) else ", or in the unit where it has none")
+            + "; for a place that is not named the change is what it would come to beside the named ones."
+        )
+    lines.append(
+        f"limit: the smallest change that this record would have shown with probability {result.power:g}; "
+        "none: the record does not see it."
+    )
+    lines.append(
+        f"p: probability of as large a change where there is none; places are named at significance "
+        f"{result.significance:g} for all together (Holm), and only where the others cannot explain it."
+    )
+    for row in result.named:
+        if row.rivals:
+            lines.append(f"{row.label} explains the record hardly better than {' or '.join(row.rivals)}.")
+    for group in result.groups:
+        lines.append(f"The record sees only together: {', '.join(group)}.")
+    if result.damping == "ratio":
+        lines += [
+            f"{row.name[0].upper()}{row.name[1:]}: {number(row.value)} +/- {number(1.96 * row.std, 2)}."
+            for row in result.nuisances[-2:]
+        ]
+    fits = ", ".join(
+        f"{before:.4g} -> {after:.4g}" for before, after in zip(result.initial_fit, result.fit, strict=True)
+    )
+    lines.append(f"Fit of the free run, model as it was -> with the named changes: {fits} %.")
+    lines.append(result.message)
+    return lines
+
+
+def _verdict(result: DamageMap) -> str:
+    if not result.named:
+        return "No place has changed as far as this record can tell."
+    parts = []
+    for row in result.named:
+        word = "lost" if row.change < 0 else "gained"
+        if row.nominal:
+            size = f"{abs(row.percent):.4g} +/- {1.96 * row.percent_std:.2g} %"
+            parts.append(f"{row.place} {word} {size} of its {row.kind}")
+        else:
+            parts.append(f"{row.place} {word} {number(abs(row.change), 3)} {row.unit} of {row.kind}")
+    text = "; ".join(parts)
+    return f"{text[0].upper()}{text[1:]}."
+
+
+def _title(result: DamageMap) -> str:
+    return f"Damage in {result.name!r}: {result.n_samples} samples, {number(result.duration)} s"
+
+
+def damage_text(result: DamageMap) -> str:
+    """Tables of places and scenarios, at most 80 columns."""
+    headers, rows = _change_cells(result)
+    parts = [text_table(headers, rows, title=_title(result), left=2)]
+    if result.ranking:
+        headers, rows = _ranking_cells(result)
+        parts.append("\n" + text_table(headers, rows, left=2))
+    parts += [line for note in _sentences(result) for line in textwrap.wrap(note, 80, subsequent_indent="  ")]
+    return "\n".join(parts)
+
+
+def damage_html(result: DamageMap) -> str:
+    """The same in HTML."""
+    headers, rows = _change_cells(result)
+    first = html_table(headers, rows, title=_title(result), notes=_sentences(result), left=2)
+    if not result.ranking:
+        return first
+    headers, rows = _ranking_cells(result)
+    return first + html_table(headers, rows, title="Scenarios, the most probable first", left=2)
+
+
+def plot_damage(
+    result: DamageMap,
+    *,
+    kind: str | None = None,
+    ax: Any = None,
+    label: str | Sequence[str] | None = None,
+    title: str | None = None,
+    legend_loc: str | bool | None = None,
+    rcParams: dict[str, Any] | None = None,
+    show_legend: bool | None = None,
+) -> ct.ControlPlot:
+    """Bar chart along the structure; see `DamageMap.plot`."""
+    kinds = list(dict.fromkeys(row.kind for row in result.rows))
+    if kind is not None:
+        if kind not in kinds:
+            raise ModelError(f"kind {kind!r} is none of the candidates': {', '.join(kinds)}")
+        kinds = [kind]
+    with settings(rcParams):
+        figure, axes = make_axes(ax, [1.9] * len(kinds), 1)
+        lines = np.empty(axes.shape, dtype=object)
+        for panel, name in zip(axes[:, 0], kinds, strict=True):
+            rows = [row for row in result.rows if row.kind == name]
+            relative = all(row.nominal for row in rows)
+            lines[kinds.index(name), 0] = _bars(panel, rows, relative)
+            panel.set_xticks(range(len(rows)))
+            panel.set_xticklabels(curve_labels(label, [row.place for row in rows]))
+            panel.tick_params(axis="x", labelbottom=True)
+            panel.set_ylabel(unit_text(f"change of {name}", "%" if relative else rows[0].unit))
+            panel.set_xlim(-0.6, len(rows) - 0.4)
+        if title is None:
+            title = f"Changes in {result.name}: dark bars are named"
+        return finish(
+            figure,
+            axes,
+            lines,
+            title=title.replace("$", r"\$"),
+            legends=[axes[0, 0]],
+            legend_loc=legend_loc,
+            show_legend=show_legend,
+        )
+
+
+def _bars(panel: Any, rows: Sequence[DamageRow], relative: bool) -> list[Any]:
+    values = np.array([row.percent if relative else row.change for row in rows])
+    spread = 1.96 * np.array([row.percent_std if relative else row.std for row in rows])
+    limits = np.array([row.limit_percent if relative else row.limit for row in rows])
+    where = np.arange(len(rows))
+    top = float(np.max(np.abs(values) + np.where(np.isfinite(spread), spread, 0.0), initial=0.0))
+    seen = limits[np.isfinite(limits)]
+    if not any(row.named for row in rows):
+        top = max(top, float(seen.max(initial=0.0)))
+    top = 1.25 * top or 1.0
+    panel.axhline(0.0, color="black", linewidth=0.8)
+    # the band inside which a change would have stayed unseen
+    band = np.where(np.isfinite(limits), np.minimum(limits, top), top)
+    for x, half, row in zip(where, band, rows, strict=True):
+        panel.plot([x - 0.45, x + 0.45], [half, half], color="black", linewidth=1.0, linestyle=":")
+        panel.plot(
+            [x - 0.45, x + 0.45], [-half, -half], color="black", linewidth=1.0, linestyle=":",
+            label="detection limit" if row is rows[0] else None,
+        )  # fmt: skip
+    drawn = []
+    for named, shade, text in ((True, _CHANGED, "named"), (False, _UNCHANGED, "not named")):
+        chosen = np.array([i for i, row in enumerate(rows) if row.named == named], dtype=int)
+        if chosen.size:
+            drawn += list(
+                panel.bar(where[chosen], values[chosen], 0.6, color=shade, edgecolor="black", label=text)
+            )
+    finite = np.isfinite(spread)
+    panel.errorbar(
+        where[finite], values[finite], spread[finite], fmt="none", ecolor="black", elinewidth=1.2, capsize=5,
+        label="95 % interval",
+    )  # fmt: skip
+    for x, value, half, row in zip(where, values, spread, rows, strict=True):
+        if row.named:
+            offset = -4 if value < 0 else 4
+            panel.annotate(
+                f"{value:.3g}", (x, value - half if value < 0 else value + half), xytext=(0, offset),
+                textcoords="offset points", ha="center", va="top" if value < 0 else "bottom",
+            )  # fmt: skip
+    panel.set_ylim(
+        -top if values.min(initial=0.0) < 0 or seen.size else 0.0,
+        max(0.25 * top, 1.2 * values.max(initial=0.0), 0.0),
+    )
+    return drawn
