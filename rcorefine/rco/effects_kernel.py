@@ -213,11 +213,8 @@ def advance(sizes, fixed, memory, counters, W, known, Y, use, frozen, TH, E, X):
     at = 0
     centre = fixed[at : at + p]
     at += p
-    lower = fixed[at : at + p]
-    at += p
-    upper = fixed[at : at + p]
-    limits = fixed[at - p : at + p].reshape(2, p)
-    at += p
+    limits = fixed[at : at + 2 * p].reshape(2, p)
+    at += 2 * p
     least = fixed[at : at + p]
     at += p
     floor = fixed[at : at + ny]

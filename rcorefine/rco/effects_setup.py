@@ -10,6 +10,7 @@ from typing import Any
 
 import control as ct
 import numpy as np
+from numpy.typing import NDArray
 
 from ..exceptions import ModelError
 from ..physics.effects import Effect
@@ -133,7 +134,7 @@ class Kernel:
     """A discretized model, ready for the loop over samples."""
 
     run: Callable[..., tuple[int, int]]
-    sizes: Array
+    sizes: NDArray[np.int64]
     fixed: Array
     rest: tuple[Any, ...]
     floor: Array
@@ -144,7 +145,7 @@ def compile_kernel(setup: EffectsSetup, memory: EffectsMemory) -> Kernel:
     lay, s = setup.layout, setup.structure(memory.widths)
     step = setup.dt / setup.substeps
     disc = s.discretize(memory.centre, step)
-    n, nu, m = lay.n, lay.nu, lay.m
+    n, nu = lay.n, lay.nu
     lower, upper = setup.bounds
     y_size = memory.sizes[nu - 1 :]
     floor = np.maximum(setup.noise**2, 1e-26 * y_size**2)
@@ -264,7 +265,7 @@ def make_effects_setup(
         )
     if dt is None:
         raise ModelError(
-            f"model {physical.linear.name!r} is continuous: give dt, the sampling time of the record in seconds"
+            f"model {physical.linear.name!r} is continuous: give dt, the sampling time in seconds"
         )
     if hold not in ("zoh", "foh"):
         raise ct.ControlArgument(
@@ -283,20 +284,23 @@ def make_effects_setup(
         raise ModelError(f"disturbance must be a finite number >= 0, not {disturbance!r}")
     if not 0.5 <= forgetting <= 1.0:
         raise ModelError(f"forgetting must lie in [0.5, 1] (1 forgets nothing), not {forgetting!r}")
-    setup = EffectsSetup(
-        physical, tuple(effects), check_sampling_time(dt), hold, levels, float(disturbance), float(forgetting),
-        1, int(start_samples),
-    )  # fmt: skip
-    if setup.bare.n_parameters == 0:
+    bare = Structure(physical, effects)
+    if bare.n_parameters == 0:
         raise ModelError("every coefficient of the effects is fixed; leave at least one free")
-    default = 1 if setup.fast else 4
-    steps = default if substeps is None else int(substeps)
+    steps = 4 if substeps is None else int(substeps)
     if steps < 1:
         raise ModelError(f"substeps must be at least 1, not {substeps}")
     return EffectsSetup(
-        physical, tuple(effects), setup.dt, hold, levels, setup.disturbance, setup.forgetting,
-        1 if setup.fast else steps, int(start_samples),
-    )  # fmt: skip
+        physical=physical,
+        effects=tuple(effects),
+        dt=check_sampling_time(dt),
+        hold=hold,
+        noise=levels,
+        disturbance=float(disturbance),
+        forgetting=float(forgetting),
+        substeps=1 if bare.is_linear else steps,
+        start_samples=int(start_samples),
+    )
 
 
 def engine_on(setup: EffectsSetup, structure: Structure, inputs: Array, outputs: Array) -> Engine:

@@ -7,9 +7,11 @@ the stretch doubles, each time started where the shorter one ended (Gauss-Newton
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from ..physics.effects import Effect
 from ..systems.linear import Array
 from .effects_memory import EffectsMemory
 from .effects_setup import EffectsSetup, compile_kernel, engine_on, floor_at
@@ -182,7 +184,7 @@ def _sized(setup: EffectsSetup, memory: EffectsMemory) -> EffectsMemory:
     return replace(memory, spread=_prior(setup, memory))
 
 
-def _motion(setup: EffectsSetup, memory: EffectsMemory) -> object:
+def _motion(setup: EffectsSetup, memory: EffectsMemory) -> Any:
     from ..measurement import Measurement
     from ..physics.structure import Structure
     from ..refinement.starts import estimated_motion
@@ -209,13 +211,13 @@ def _widths(setup: EffectsSetup, memory: EffectsMemory) -> Array:
 
     widths = np.full(len(setup.effects), np.nan)
     if any(effect.kind in NEEDS_WIDTH for effect in setup.effects):
-        for index, width in law_widths(setup.bare, _motion(setup, memory)).items():  # type: ignore[arg-type]
+        for index, width in law_widths(setup.bare, _motion(setup, memory)).items():
             widths[index] = width
     return widths
 
 
 def _prior(setup: EffectsSetup, memory: EffectsMemory) -> Array:
-    """Standard deviation of every coefficient: declared, by its nominal value, or by its trace in the outputs."""
+    """Standard deviation of every coefficient: declared, or by its nominal value, or by its trace."""
     structure = setup.structure(memory.widths)
     spread = _LOOSE * setup.nominal
     engine = engine_on(setup, structure, memory.inputs, memory.outputs)
@@ -271,12 +273,11 @@ def _starts(setup: EffectsSetup, memory: EffectsMemory) -> tuple[list[Array], li
     shaped = [e for e in setup.effects if any(_needs_start(e, name) for name in e.free)]
     if shaped and memory.rounds < 4:
         motion = _motion(setup, memory)
-        far += shape_starts(setup.structure(memory.widths), memory.origin, motion)[:_MOST_STARTS]  # type: ignore[arg-type]
+        far += shape_starts(setup.structure(memory.widths), memory.origin, motion)[:_MOST_STARTS]
     return starts, far
 
 
-def _needs_start(effect: object, name: str) -> bool:
-    start = getattr(effect, "start", {})
-    if name in start or getattr(effect, "kind", "") == "custom":
+def _needs_start(effect: Effect, name: str) -> bool:
+    if name in effect.start or effect.kind == "custom":
         return False
-    return effect.start_of(name) is None  # type: ignore[attr-defined,no-any-return]
+    return effect.start_of(name) is None

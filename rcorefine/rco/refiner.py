@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import control as ct
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..exceptions import ModelError, RCOError
+from ..exceptions import DataError, ModelError, RCOError
 from ..measurement import Measurement
 from ..systems.conversion import d2c
 from ..systems.linear import Array, LinearModel
 from . import summary
 from .checks import as_flag, as_samples, as_size, check_samples
+from .effects_history import EffectsHistory
+from .effects_setup import make_effects_setup
+from .gaps import Block, as_missing, block_with_gaps, take_over_gaps
 from .history import History
 from .kernels import Record
 from .memory import Memory, begin
+from .persistence import read_file, write_file
+from .physical_part import PhysicalPart, joined
 from .realization import refined
 from .samples import checked_block, checked_record
 from .scaling import Scales
@@ -28,6 +34,12 @@ from .stream import Diverged, take, take_until
 __all__ = ["RCORefiner"]
 
 _CHUNK = 1000
+_SETTINGS = (
+    "model", "dt", "order", "window", "markov", "learning_rate", "static_order", "static_window",
+    "static_markov", "static_learning_rate", "static_average", "correction_input",
+    "correction_feedthrough", "use_estimated_states", "scale", "missing", "effects", "noise", "hold",
+    "disturbance", "forgetting", "substeps",
+)  # fmt: skip
 
 
 class RCORefiner:
@@ -85,6 +97,26 @@ class RCORefiner:
         With "auto" they are the rms values of the first samples, see Notes.
     history : bool, optional
         Keep z, theta and x of every sample; otherwise memory is constant.
+    missing : {"raise", "hold-out"}, optional
+        With "hold-out" samples that are NaN or masked are predicted over and
+        not learned from; one of several sensors may drop out.
+    effects : sequence of Effect, optional
+        Physical effects for the static stage, estimated in continuous time
+        from a continuous model; see Notes. The settings below are theirs.
+    noise : float or array_like of shape (n_y,), optional
+        Sensor noise (standard deviation, units of the outputs); estimated from
+        the innovations where it is not declared.
+    hold : {"zoh", "foh"}, optional
+        The input between samples: held, or linear.
+    disturbance : float, optional
+        Unknown force on the model over the measured input, rms. With 0 all
+        that is not sensor noise is explained by the effects.
+    forgetting : float, optional
+        Share of its information that a sample leaves standing, along the
+        direction that it informs about; 1 forgets nothing, 0.999 follows
+        changes over about 1000 samples.
+    substeps : int, optional
+        Steps per sample for nonlinear effects, default 4 (second order).
 
     Attributes
     ----------
@@ -120,6 +152,16 @@ class RCORefiner:
     *Order of coefficients.* psi = [x(k) ... x(k-n_c), w(k) ... w(k-n_c),
     u(k-1) ... u(k-n_c)]; w also reaches the model through B, so theta = 0 is
     the initial model.
+
+    *Effects.* The static stage then is a Kalman filter for state and
+    coefficients jointly, linearized about the present refined model, which
+    is discretized anew where a coefficient has moved by half its standard
+    deviation. Its gain falls as the model improves. The first 2048 samples
+    are kept, and gone over again each time that their number has doubled,
+    since a wrong start spoils what is learned from them; later samples are
+    seen once. Stage 1 runs beside it (not with
+    ``use_estimated_states=False``); where it diverges it stops, which
+    `str` says and does no harm to the effects.
 
     *What to expect.* The static correction is exact only where the
     uncertainty is matched, i.e. lies in the columns of B_u.
@@ -161,6 +203,13 @@ class RCORefiner:
         use_estimated_states: bool = True,
         scale: str | Mapping[str, Any] = "auto",
         history: bool = False,
+        missing: str = "raise",
+        effects: Sequence[Any] | None = None,
+        noise: ArrayLike | None = None,
+        hold: str = "zoh",
+        disturbance: float = 0.0,
+        forgetting: float = 1.0,
+        substeps: int | None = None,
     ) -> None:
         self.model = model
         self.dt = dt
@@ -177,6 +226,13 @@ class RCORefiner:
         self.correction_feedthrough = correction_feedthrough
         self.use_estimated_states = use_estimated_states
         self.scale = scale
+        self.missing = as_missing(missing)
+        self.effects = effects if effects is None else tuple(np.atleast_1d(np.array(effects, dtype=object)))
+        self.noise = noise
+        self.hold = hold
+        self.disturbance = disturbance
+        self.forgetting = forgetting
+        self.substeps = substeps
 
         settings = as_settings(
             order,
@@ -196,7 +252,35 @@ class RCORefiner:
         self._setup = make_setup(
             model, dt, settings, correction_input, correction_feedthrough, estimated, average, scale
         )
+        self._physical = self._physical_part()
         self.reset()
+
+    def _physical_part(self) -> PhysicalPart | None:
+        given = {
+            "noise": self.noise is not None,
+            "hold": self.hold != "zoh",
+            "disturbance": self.disturbance != 0.0,
+            "forgetting": self.forgetting != 1.0,
+            "substeps": self.substeps is not None,
+        }
+        if self.effects is None:
+            unused = [name for name, is_given in given.items() if is_given]
+            if unused:
+                raise ct.ControlArgument(
+                    f"{unused[0]} is a setting of physical effects; give effects=[...], or leave it out"
+                )
+            return None
+        setup = make_effects_setup(
+            self.model,
+            self.effects,
+            self._setup.step,
+            hold=self.hold,
+            noise=self.noise,
+            disturbance=self.disturbance,
+            forgetting=self.forgetting,
+            substeps=self.substeps,
+        )
+        return PhysicalPart(setup, self._keep)
 
     # -- streaming ---------------------------------------------------------------------------------
 
@@ -226,8 +310,20 @@ class RCORefiner:
         -----
         A call that raises changes nothing.
         """
-        inputs, outputs = checked_block(self._setup, w, y, self.n_samples)
-        self._commit(self._taken(inputs, outputs))
+        if self.missing == "raise":
+            inputs, outputs = checked_block(self._setup, w, y, self.n_samples)
+            if self._physical is None:
+                self._commit(self._taken(inputs, outputs))
+                return
+            block = Block(
+                inputs,
+                outputs,
+                np.ones(inputs.shape[0], dtype=np.uint8),
+                np.ones(outputs.shape, dtype=np.uint8),
+            )
+        else:
+            block = block_with_gaps(self._setup, w, y, self.n_samples, self._latest)
+        self._take_block(block)
 
     def run(self, data: Measurement, progress: bool = False) -> RCORefiner:
         """Learn from a whole record.
@@ -267,6 +363,13 @@ class RCORefiner:
         """
         inputs, outputs = checked_record(self._setup, data)
         show = as_flag(progress, "progress")
+        if self._physical is not None:
+            known, use = np.ones(inputs.shape[0], np.uint8), np.ones(outputs.shape, np.uint8)
+            for first in _chunks(inputs.shape[0], show):
+                part = slice(first, first + _CHUNK)
+                self._take_block(Block(inputs[part], outputs[part], known[part], use[part]))
+            self._physical.finish()
+            return self
         for first in _chunks(inputs.shape[0], show):
             self._take_while_bounded(inputs[first : first + _CHUNK], outputs[first : first + _CHUNK])
         if self._memory.tuned is None:
@@ -297,6 +400,9 @@ class RCORefiner:
         """
         inputs = as_samples(w, "inputs", self._setup.initial.n_inputs)
         check_samples(inputs, self._setup.initial.input_labels, "input", self.n_samples, self._setup.step)
+        if self._physical is not None:
+            outputs = self._physical.predict(np.ascontiguousarray(inputs.T))
+            return outputs[0] if outputs.shape[0] == 1 else outputs
         model, x = self._refined(), self._present_state()
         outputs = np.empty((model.n_outputs, inputs.shape[1]))
         with np.errstate(over="ignore", invalid="ignore"):
@@ -315,17 +421,102 @@ class RCORefiner:
             self._setup.scales,
         )
         self._records: list[tuple[Record, Array]] = []
+        self._latest = np.zeros(self._setup.initial.n_inputs)
+        self._stopped = ""
+        if self._physical is not None:
+            self._physical.reset()
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write settings and memory to one file, to go on from later.
+
+        Parameters
+        ----------
+        path : path-like
+            File, by custom ``*.npz``. It is replaced in one step: a crash leaves
+            the old file or the new one.
+
+        Raises
+        ------
+        ModelError
+            If the model is neither a `StateSpace` nor a `PhysicalModel`.
+        OSError
+            If the file cannot be written.
+
+        See Also
+        --------
+        load
+        """
+        part = self._physical
+        content = {
+            "settings": {name: getattr(self, name) for name in _SETTINGS} | {"history": self._keep},
+            "memory": self._memory,
+            "records": self._records,
+            "latest": self._latest,
+            "stopped": self._stopped,
+            "physical": None if part is None else [part.memory, part.records],
+        }
+        write_file(path, content)
+
+    @classmethod
+    def load(
+        cls, path: str | os.PathLike[str], *, laws: Mapping[str, Callable[..., Any]] | None = None
+    ) -> RCORefiner:
+        """Read a refiner that `save` wrote; it goes on as if it had never stopped, bit by bit.
+
+        Parameters
+        ----------
+        path : path-like
+            File.
+        laws : mapping of str to callable, optional
+            Functions of custom effects by their label, since no file holds a function.
+
+        Returns
+        -------
+        RCORefiner
+            The refiner, its history included.
+
+        Raises
+        ------
+        DataError
+            If the file is damaged, none of a refiner, or of another version.
+        ModelError
+            If the law of a custom effect is not given.
+
+        Examples
+        --------
+        >>> import tempfile, pathlib
+        >>> example = rco.examples.rlc()
+        >>> data = example.record()
+        >>> refiner = rco.RCORefiner(example.initial, dt=example.dt)
+        >>> refiner.update(data.inputs[:, :500], data.outputs[:, :500])
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     refiner.save(pathlib.Path(folder) / "state.npz")
+        ...     again = rco.RCORefiner.load(pathlib.Path(folder) / "state.npz")
+        >>> again.n_samples
+        500
+        """
+        content = read_file(path, laws)
+        refiner = cls(**content["settings"])
+        refiner._memory = content["memory"]
+        refiner._records = content["records"]
+        refiner._latest = content["latest"]
+        refiner._stopped = content["stopped"]
+        if refiner._physical is not None:
+            refiner._physical.memory, refiner._physical.records = content["physical"]
+        return refiner
 
     # -- results -----------------------------------------------------------------------------------
 
     @property
     def n_samples(self) -> int:
         """Number of samples taken."""
-        return self._memory.n_samples
+        return self._memory.n_samples if self._physical is None else self._physical.memory.n_samples
 
     @property
     def n_learned(self) -> int:
         """Number of samples learned from: 0 while the first are held back for the scales."""
+        if self._physical is not None:
+            return self.n_samples if self._physical.memory.rounds else 0
         return self._memory.n_samples - len(self._memory.inputs)
 
     @property
@@ -342,14 +533,51 @@ class RCORefiner:
     def static_theta(self) -> Array:
         """Static coefficients [theta_x, theta_w], shape (l_u, n + n_w), in the units of the signals.
 
+        With effects their coefficients, shape (1, p).
+
         Those of the refined model: the mean over the last `static_average`
         samples. `history.theta2` has those of each sample.
         """
-        return self._theta(1)
+        return self._theta(1) if self._physical is None else self._physical.theta[None]
+
+    @property
+    def parameters(self) -> tuple[Any, ...]:
+        """With effects: one row per coefficient, with its standard deviation at this sample.
+
+        Rows have the fields name, kind, place, initial, value, coefficient,
+        std, unit, role and interval (95 %); std is infinite before anything is learned.
+
+        Raises
+        ------
+        RCOError
+            Without effects: the paper's coefficients are no physical parameters.
+        """
+        return self._effects_only("parameters").parameters
+
+    @property
+    def covariance(self) -> Array:
+        """With effects: covariance of the coefficients at this sample, shape (p, p).
+
+        Raises
+        ------
+        RCOError
+            Without effects.
+        """
+        return self._effects_only("covariance").covariance
+
+    def _effects_only(self, what: str) -> PhysicalPart:
+        if self._physical is None:
+            raise RCOError(
+                f"{what} belong to physical effects; build the refiner with effects=[...] "
+                "(static_theta has the paper's coefficients)"
+            )
+        return self._physical
 
     @property
     def discrete_system(self) -> ct.StateSpace:
         """Refined model in discrete time, labels kept."""
+        if self._physical is not None:
+            return self._physical.discrete_system(self._name())
         return self._refined().to_statespace()
 
     @property
@@ -362,6 +590,8 @@ class RCORefiner:
             If the refined discrete model has no continuous counterpart (yet),
             as with a pole at zero; `discrete_system` is there nevertheless.
         """
+        if self._physical is not None:
+            return self._physical.system(self._name())
         if not self._setup.initial.is_continuous:
             return self.discrete_system
         if not self._theta(1).any():
@@ -369,8 +599,8 @@ class RCORefiner:
         return d2c(self.discrete_system)
 
     @property
-    def history(self) -> History:
-        """Course of both stages, sample by sample.
+    def history(self) -> History | EffectsHistory:
+        """Course of both stages, sample by sample; with effects, of their coefficients.
 
         Raises
         ------
@@ -382,6 +612,8 @@ class RCORefiner:
                 "no history was kept: build the refiner with RCORefiner(..., history=True) and run it again "
                 "(it is off by default so that a stream of any length takes constant memory)"
             )
+        if self._physical is not None:
+            return self._effects_history(self._physical)
         return summary.assemble_history(
             self._records, self._setup.initial, self._setup.step, self._setup.theta_shapes
         )
@@ -440,7 +672,7 @@ class RCORefiner:
         )
 
     def __str__(self) -> str:
-        return summary.text(self._summary())
+        return summary.text(self._summary(), left=3 if self._physical else 1)
 
     def _repr_html_(self) -> str:
         return summary.html(self._summary())
@@ -465,6 +697,52 @@ class RCORefiner:
         self._memory, record, outputs = taken
         if self._keep and record is not None:
             self._records.append((record, outputs.copy()))
+
+    def _take_block(self, block: Block) -> None:
+        """Take a block that may have gaps; all of it or nothing."""
+        part = self._physical
+        latest = block.inputs[-1].copy()
+        if part is None:
+            memory, records = take_over_gaps(self._setup, self._memory, block, keep=self._keep)
+            self._memory, self._latest = memory, latest
+            self._records += records
+            return
+        beside = self._setup.estimated and not self._stopped
+        taken = part.taken(block.inputs, block.known, block.outputs, block.use, beside and not block.whole)
+        if beside:
+            outputs = block.outputs
+            if not block.whole:
+                ahead = taken[1].predicted
+                outputs = np.where(block.use, outputs, np.where(np.isfinite(ahead), ahead, 0.0))
+            try:
+                self._commit(self._taken(block.inputs, outputs))
+            except (Diverged, DataError) as error:
+                self._stopped = f"Stage 1 stopped by sample {self.n_samples + len(outputs)}: {error}"
+        part.commit(taken, block.outputs, block.use)
+        self._latest = latest
+
+    def _effects_history(self, part: PhysicalPart) -> EffectsHistory:
+        setup, lay = part.setup, part.setup.layout
+        model = self._setup.initial
+        coefficients = joined([r.theta for r, _ in part.records], lay.p)
+        y = joined([y for _, y in part.records], lay.ny)
+        beside = summary.assemble_history(self._records, model, setup.dt, self._setup.theta_shapes)
+        n_samples = y.shape[1]
+
+        def padded(values: Array) -> Array:
+            return np.pad(values, ((0, 0), (0, n_samples - values.shape[1])), constant_values=np.nan)
+
+        return EffectsHistory(
+            timepts=np.arange(n_samples, dtype=np.float64) * setup.dt,
+            coefficients=coefficients,
+            z1=padded(beside.z1),
+            z2=joined([r.predicted for r, _ in part.records], lay.ny) - y,
+            x_D=padded(beside.x),
+            x=joined([r.x for r, _ in part.records], lay.n),
+            y=y,
+            names=tuple(q.label for q in setup.bare.parameters),
+            output_labels=model.output_labels,
+        )
 
     def _take_while_bounded(self, inputs: Array, outputs: Array, last: bool = False) -> None:
         """Take a chunk of a record; where it diverges, keep what was learned before."""
@@ -522,6 +800,8 @@ class RCORefiner:
         return np.concatenate([x, psi[: order * n], psi[first_w : first_w + order * n_w], past_u])
 
     def _summary(self) -> summary.Summary:
+        if self._physical is not None:
+            return summary.summarize_effects(self._setup.initial, self._physical, self._stopped)
         return summary.summarize(
             self._setup.initial,
             self._setup.step,

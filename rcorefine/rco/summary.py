@@ -11,6 +11,7 @@ from ..systems.linear import Array, LinearModel
 from .history import History
 from .kernels import Record
 from .memory import Memory, Settings
+from .physical_part import PhysicalPart
 
 __all__ = ["Summary", "assemble_history", "html", "summarize", "text"]
 
@@ -122,11 +123,35 @@ def _notes(
     return notes
 
 
-def text(summary: Summary) -> str:
+def summarize_effects(model: LinearModel, part: PhysicalPart, stopped: str) -> Summary:
+    """Collect what `str(refiner)` shows with physical effects."""
+    setup, learned = part.setup, part.memory.rounds > 0
+    title = f"RCORefiner of {model.name!r} with {len(setup.effects)} effect(s), dt = {setup.dt:g} s"
+    notes = [
+        f"{part.memory.n_samples} samples taken; the model was discretized {part.memory.discretized} times."
+    ]
+    if learned:
+        levels = ", ".join(
+            f"{label} {level:.3g}" for label, level in zip(model.output_labels, part.noise, strict=True)
+        )
+        notes.append(
+            "std is the standard deviation of the value at this sample, for white innovations. "
+            f"Missed one sample ahead (rms): {levels}."
+        )
+    else:
+        notes.append("The first samples are held back until they tell the size of the signals.")
+    notes += part.cautions()
+    if stopped:
+        notes.append(stopped.split(";")[0] + "; the physical stage does not need it.")
+    headers = ["parameter", "effect", "place", "initial", "value", "std", "unit"]
+    return Summary(title, headers, part.rows(), notes)
+
+
+def text(summary: Summary, left: int = 1) -> str:
     """Table of at most 80 columns."""
     from ..reporting.tables import text_table
 
-    return text_table(summary.headers, summary.rows, title=summary.title, notes=summary.notes)
+    return text_table(summary.headers, summary.rows, title=summary.title, notes=summary.notes, left=left)
 
 
 def html(summary: Summary) -> str:

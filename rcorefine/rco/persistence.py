@@ -1,0 +1,161 @@
+"""A refiner in one file: plain arrays and JSON, written whole or not at all, nothing executed on reading."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from ..exceptions import DataError, ModelError
+from ..physics.effects import Effect
+from ..physics.physical_model import NominalParameter, PhysicalModel
+from ..physics.ports import Port
+from ..systems.linear import LinearModel
+from .effects_memory import EffectsMemory
+from .effects_stage import EffectsRecord
+from .kernels import Design, Plant, Record, Stage
+from .memory import Memory, Tuned
+from .scaling import Scales
+
+__all__ = ["SCHEMA", "read_file", "write_file"]
+
+SCHEMA = 1  # of the file; raised when an older reader could misread it
+_META = "meta"
+_KINDS: dict[str, Any] = {
+    kind.__name__: kind
+    for kind in (
+        LinearModel, PhysicalModel, NominalParameter, Port, EffectsMemory, EffectsRecord,
+        Design, Plant, Record, Stage, Memory, Tuned, Scales,
+    )
+}  # fmt: skip
+_NOT_STORED = {"kernel"}  # made anew from the other fields
+
+
+def write_file(path: str | os.PathLike[str], content: Any) -> None:
+    """Write a tree of arrays, numbers, text and known classes.
+
+    Parameters
+    ----------
+    path : path-like
+        File to write; replaced in one step, so that a reader sees the old one or the new one.
+    content : object
+        Tree to write.
+    """
+    arrays: dict[str, np.ndarray[Any, Any]] = {}
+    meta = json.dumps({"schema": SCHEMA, "content": _encoded(content, arrays)})
+    target = Path(path)
+    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".tmp")
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            np.savez(stream, allow_pickle=False, **{_META: np.array(meta)}, **arrays)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(name, target)
+    except BaseException:
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(name)
+        raise
+
+
+def read_file(path: str | os.PathLike[str], laws: Mapping[str, Callable[..., Any]] | None = None) -> Any:
+    """Read what `write_file` wrote.
+
+    Raises
+    ------
+    DataError
+        If the file is none of a refiner, is damaged, or comes from a newer version.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            arrays = {key: stored[key] for key in stored.files}
+        meta = json.loads(str(arrays.pop(_META)))
+    except FileNotFoundError:
+        raise
+    except Exception as error:
+        raise DataError(f"{os.fspath(path)!r} is not a saved refiner, or it is damaged: {error}") from error
+    schema = meta.get("schema") if isinstance(meta, dict) else None
+    if schema != SCHEMA:
+        raise DataError(
+            f"{os.fspath(path)!r} has schema version {schema!r}, this version reads {SCHEMA}; "
+            "load it with the version of rcorefine that wrote it"
+        )
+    try:
+        return _decoded(meta["content"], arrays, laws or {})
+    except (KeyError, TypeError, IndexError) as error:
+        raise DataError(f"{os.fspath(path)!r} is damaged: {error!r}") from error
+
+
+def _encoded(value: Any, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray):
+        key = f"a{len(arrays)}"
+        arrays[key] = value
+        return {"array": key}
+    if isinstance(value, ct.StateSpace):
+        return {"statespace": _encoded(LinearModel.from_statespace(value), arrays)}
+    if isinstance(value, Effect):
+        return {"effect": _encoded(_arguments(value), arrays), "port": value._port_kind}
+    kind = type(value).__name__
+    if _KINDS.get(kind) is type(value):
+        names = value._fields if hasattr(value, "_fields") else [f.name for f in fields(value)]
+        parts = {n: _encoded(getattr(value, n), arrays) for n in names if n not in _NOT_STORED}
+        return {"kind": kind, "fields": parts}
+    if isinstance(value, list | tuple):
+        return {"tuple" if isinstance(value, tuple) else "list": [_encoded(item, arrays) for item in value]}
+    if isinstance(value, Mapping):
+        return {"map": [[_encoded(k, arrays), _encoded(v, arrays)] for k, v in value.items()]}
+    if hasattr(value, "physical_model"):
+        return _encoded(value.physical_model, arrays)
+    raise ModelError(f"a {type(value).__name__} cannot be saved; hand over a StateSpace or a PhysicalModel")
+
+
+def _arguments(effect: Effect) -> dict[str, Any]:
+    return {
+        "kind": effect.kind,
+        "place": effect.place,
+        "start": effect.start,
+        "fixed": effect.fixed,
+        "prior": effect.prior,
+        "name": effect.name,
+    }
+
+
+def _decoded(tree: Any, arrays: dict[str, Any], laws: Mapping[str, Callable[..., Any]]) -> Any:
+    if not isinstance(tree, dict):
+        return tree
+    if "array" in tree:
+        return arrays[tree["array"]]
+    if "statespace" in tree:
+        return _decoded(tree["statespace"], arrays, laws).to_statespace()
+    if "effect" in tree:
+        arguments = _decoded(tree["effect"], arrays, laws)
+        if arguments["kind"] == "custom":
+            label = arguments["name"] or f"custom at {arguments['place']}"
+            if label not in laws:
+                raise ModelError(
+                    f"the law of {label!r} is a function, which no file holds; "
+                    f"pass laws={{{label!r}: function}}"
+                )
+            arguments["law"] = laws[label]
+        return Effect(**arguments).at_port(tree["port"])
+    if "kind" in tree:
+        kind = _KINDS[tree["kind"]]
+        parts = {name: _decoded(part, arrays, laws) for name, part in tree["fields"].items()}
+        assert is_dataclass(kind) or hasattr(kind, "_fields")
+        return kind(**parts)
+    if "tuple" in tree:
+        return tuple(_decoded(item, arrays, laws) for item in tree["tuple"])
+    if "list" in tree:
+        return [_decoded(item, arrays, laws) for item in tree["list"]]
+    return {_decoded(k, arrays, laws): _decoded(v, arrays, laws) for k, v in tree["map"]}
