@@ -143,12 +143,13 @@ def diagnose(
     if gate >= significance and loud <= _NOISE_EXCESS:
         return _adequate(free_run, scored, tests, about)
     ratio = _unmeasured_force(fitted, free_run) if loud <= _NOISE_EXCESS else 0.0
+    forced: tuple[Battery, list[FTest]] | None = None
     if ratio:
         _add_columns(scored, fitted, motions[0], ratio)
         led = Battery(fitted, ratio)
         led_tests = run_battery(led, scored, motions)
         if _overall(led_tests) >= significance:
-            return _adequate(led, scored, led_tests, about)
+            forced = led, led_tests
 
     mapper: Any = map if executor is None else executor.map
     batteries = [free_run, *(Battery(fitted, r) for r in _OBSERVERS)]
@@ -157,6 +158,10 @@ def diagnose(
     if race is None:
         return Diagnosis("unexplained", (), (), tuple(tests), (), (), force_ratio=0.0, **about)
     judged = _judge(race, library, motions, significance, noise)
+    if forced is not None:
+        # an unmeasured force alone explains the residual too: the likelier of the two
+        if not judged.passed or Battery(race.model()).log_likelihood < forced[0].log_likelihood:
+            return _adequate(forced[0], scored, forced[1], about)
     if not judged.passed:
         judged = _second_chance(judged, scored, chosen, library, motions, significance, noise, mapper)
     race = judged.race

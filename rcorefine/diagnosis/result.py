@@ -85,12 +85,14 @@ class Diagnosis:
         Where the verdict is "adequate": what the record would have shown.
     base : Refinement
         Model before anything is added, its free parameters fitted.
-    data : Measurement or None
-        First record.
+    records : tuple of Measurement
+        What it rests on.
     significance : float
         Level of the gate.
     force_ratio : float
         Unmeasured force over the measured one that the residual speaks of, 0 for none.
+    settings : dict
+        Options of `diagnose`.
     notes : tuple of str
         What else was noticed.
     """
@@ -128,6 +130,13 @@ class Diagnosis:
         given = {name: value for name, value in self.best.coefficients.items()}
         settings = {k: self.settings[k] for k in ("tolerance", "offset", "noise") if k in self.settings}
         return refine(self.base, list(self.records), [self.best.effect.replace(start=given)], **settings)
+
+    def ordered_records(self) -> list[Measurement]:
+        """The records, channels in the order of the model."""
+        from ..comparison.channels import match_channels, record_for
+
+        linear = self.base.physical_model.linear
+        return [record_for(r, match_channels(linear, r)) for r in self.records]
 
     # ------------------------------------------------------------------ in words
     def sentences(self) -> list[str]:

@@ -82,7 +82,7 @@ def integrate(
 
     t = np.arange(N) * dt
     answer = solve_ivp(
-        rhs, (0, t[-1]), np.zeros(n + memory), method="RK45", t_eval=t, max_step=dt, rtol=1e-4, atol=1e-7 * _size(plant, w)
+        rhs, (0, t[-1]), np.zeros(n + memory), method="RK45", t_eval=t, max_step=dt, rtol=1e-6, atol=1e-9 * _size(plant, w)
     )
     if not answer.success or answer.y.shape[1] != N or not np.isfinite(answer.y).all():
         raise FloatingPointError("the plant with this effect runs away")
