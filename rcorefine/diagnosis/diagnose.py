@@ -21,6 +21,7 @@ from ..refinement.starts import Motion
 from ..refinement.windows import as_records, windows
 from .battery import Battery, run_battery
 from .columns import Candidate, candidate_columns
+from .remarks import amplitude_test, remarks
 from .result import Detectable, Diagnosis, RankedEffect
 from .rivals import Race, run_race, shortlist
 from .state import Fitted, base_fit, fitted_from
@@ -34,6 +35,8 @@ _FORCE_GAIN = 15.0  # log-likelihood that an unmeasured force must earn
 _NOISE_EXCESS = 1.2  # residual over declared noise beyond which coloured noise is no excuse
 _AMBIGUOUS = 9.2  # twice the log-likelihood within which rivals stay rivals
 _POWER = 1.645  # 95 %
+_DISAGREE = 0.005  # p-value below which two amplitudes refute a law
+_PAIRS = 3  # seconds that are tried for a hint
 
 
 def diagnose(
@@ -175,10 +178,46 @@ def diagnose(
         for rival, value in zip(race.rivals, likelihoods, strict=True)
         if 2 * (likelihoods[0] - value) <= _AMBIGUOUS
     )
-    verdict = "unexplained" if not judged.passed else "effect" if len(alike) == 1 else "ambiguous"
+    notes = remarks(race, scored, batteries)
+    agreement, sentence = amplitude_test(race) if judged.passed else (1.0, "")
+    notes += [sentence] if sentence else []
+    verdict = "effect" if len(alike) == 1 else "ambiguous"
+    if not judged.passed or agreement < _DISAGREE:
+        verdict = "unexplained"
+        notes += _pair_hint(judged, scored, motions, significance, noise)
     return Diagnosis(
-        verdict, ranking, alike, tuple(tests), tuple(judged.tests), (), force_ratio=race.ratio, **about
+        verdict,
+        ranking,
+        alike,
+        tuple(tests),
+        tuple(judged.tests),
+        (),
+        force_ratio=race.ratio,
+        notes=tuple(notes),
+        **about,
     )
+
+
+def _pair_hint(
+    judged: _Judged, scored: Sequence[Candidate], motions: Sequence[Motion], significance: float, noise: Any
+) -> list[str]:
+    """Whether the winner and one effect more would pass: flexible, so a hint and no verdict."""
+    race = judged.race
+    fitted = race.model()
+    first = race.rivals[0].effect
+    rest = [c.effect for c in scored if (c.effect.kind, c.effect.place) != (first.kind, first.place)]
+    if not rest:
+        return []
+    second = candidate_columns(fitted, rest, motions[0], (0.0, *_OBSERVERS))
+    tests = Battery(fitted).each(second)
+    order = np.argsort([t.p_value for t in tests], kind="stable")[:_PAIRS]
+    pair = run_race(fitted, [second[i] for i in order], race.ratio)
+    if pair is None or not _judge(pair, rest, motions, significance, noise).passed:
+        return []
+    return [
+        f"A pair would pass every test: {first.label} with {pair.rivals[0].effect.label}. Pairs are flexible "
+        "enough to mimic what they are not; a record at another amplitude would tell."
+    ]
 
 
 @dataclass(eq=False)

@@ -1,0 +1,126 @@
+"""What else a diagnosis noticed: amplitudes that disagree, gains that disagree, motion without reversal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import stats
+
+from ..refinement.problem import Problem
+from ..systems.linear import Array
+from .battery import Battery
+from .columns import Candidate
+from .descent import descend
+from .rivals import Race
+from .state import Fitted
+from .whitening import Whitener
+
+__all__ = ["amplitude_test", "remarks"]
+
+_OTHER_AMPLITUDE = 1.3  # rms of the inputs over that of another record
+_LAWS_OF_DIRECTION = frozenset({"coulomb_friction", "asymmetric_friction", "stribeck_friction", "hysteresis"})
+
+
+def amplitude_test(race: Race) -> tuple[float, str]:
+    """Whether records of different amplitude agree on the coefficients of the winner.
+
+    A law that only mimics the true one needs other coefficients at another amplitude.
+
+    Parameters
+    ----------
+    race : Race
+        Race on several records.
+
+    Returns
+    -------
+    p_value : float
+        Of the Wald test; 1 where there are no two amplitudes.
+    sentence : str
+        What was compared, empty where nothing was.
+    """
+    problem = race.rivals[0].candidate.problem
+    levels = [float(np.sqrt(np.mean(r.inputs**2))) for r in problem.records]
+    low, high = int(np.argmin(levels)), int(np.argmax(levels))
+    if levels[high] <= _OTHER_AMPLITUDE * max(levels[low], 1e-300):
+        return 1.0, ""
+    fitted = race.model()
+    p = race.fitted.structure.n_parameters
+    estimates = [_alone(fitted, i) for i in (low, high)]
+    own = slice(p, fitted.structure.n_parameters)
+    difference = estimates[0][0][own] - estimates[1][0][own]
+    covariance = estimates[0][1][own, own] + estimates[1][1][own, own]
+    statistic = float(difference @ np.linalg.pinv(covariance, hermitian=True) @ difference)
+    p_value = float(stats.chi2.sf(statistic, difference.size))
+    values = " and ".join(f"{e[0][p]:.4g} +/- {np.sqrt(e[1][p, p]):.2g}" for e in estimates)
+    name = race.rivals[0].effect.label
+    sentence = (
+        f"Fitted alone at the smallest and the largest amplitude, {name} is {values} "
+        f"({'they disagree' if p_value < 0.005 else 'they agree'}, p = {p_value:.2g})."
+    )
+    return p_value, sentence
+
+
+def _alone(fitted: Fitted, record: int) -> tuple[Array, Array]:
+    """Coefficients and covariance from one record only."""
+    whole = fitted.problem
+    theta, starts = whole.unpack(fitted.point)
+    problem = Problem(
+        whole.structure,
+        [whole.records[record]],
+        whole.weights,
+        prior_mean=whole.prior_mean,
+        prior_sd=whole.prior_sd,
+        substeps=whole.engines[0].substeps,
+        initial=whole.initial,
+    )
+    whitener = Whitener.fit([fitted.residuals()[record]])
+    run = descend(
+        problem, problem.pack(theta, starts[record : record + 1]), whitener=whitener, evaluations=15, tolerance=1e-8
+    )
+    J = whitener.apply([j for _, j in run.blocks(problem)])
+    prior = np.zeros(problem.size)
+    held = np.isfinite(problem.prior_sd) & (problem.prior_sd > 0)
+    prior[: problem.n_theta][held] = problem.prior_sd[held] ** -2.0
+    size = np.linalg.norm(J, axis=0)
+    size[size == 0] = 1.0
+    information = (J / size).T @ (J / size) + np.diag(prior / size**2)
+    covariance = np.linalg.pinv(information, rcond=1e-12, hermitian=True) / np.outer(size, size)
+    p = problem.n_theta
+    return problem.unpack(run.point)[0].copy(), covariance[:p, :p]
+
+
+def remarks(race: Race, scored: Sequence[Candidate], batteries: Sequence[Battery]) -> list[str]:
+    """Sentences on what should make the reader careful, or confident."""
+    said = []
+    tops = []
+    for battery in batteries[1:]:
+        tests = battery.each(scored)
+        tops.append(min(tests, key=lambda t: (t.p_value, -t.statistic)).name)
+    if len(set(tops)) > 1:
+        said.append(
+            f"On the estimated motion alone two observers prefer {' and '.join(dict.fromkeys(tops))}; "
+            "the refitted free run decided."
+        )
+    best = race.rivals[0].effect
+    fitted = race.model()
+    ports = {port.name for port in fitted.structure.model.ports}
+    if best.kind in _LAWS_OF_DIRECTION and best.place in ports:
+        v = np.concatenate([fitted.port(best.place, 0.0, i)[1] for i in range(len(fitted.problem.records))])
+        if v.min() >= 0 or v.max() <= 0:
+            said.append(
+                f"The motion at {best.place} never changes direction: friction there cannot be told from a "
+                "constant force."
+            )
+    base = {(r.kind, r.place): r for r in race.fitted.refinement.parameters if r.role == "linear"}
+    home = []
+    for row in fitted.refinement.parameters:
+        before = base.get((row.kind, row.place))
+        if before is None or not row.initial or row.role != "linear":
+            continue
+        off = [abs(r.value - r.initial) / abs(r.initial) for r in (before, row)]
+        if off[0] > 0.02 and off[1] < 0.5 * off[0]:
+            home.append(f"{row.name} (off by {100 * off[0]:.2g} % before, {100 * off[1]:.2g} % now)")
+    if home:
+        said.append(f"With {best.label} the parameters come home to the model's: {', '.join(home[:4])}.")
+    return said
