@@ -107,6 +107,19 @@ class EffectsSetup:
             upper = np.where(np.isfinite(upper), upper - _MARGIN * np.abs(upper), upper)
         return lower, upper
 
+    def bounds_about(self, origin: Array) -> tuple[Array, Array]:
+        """Bounds of the coefficients; those that shape a law stay positive."""
+        lower, upper = self.bounds
+        shapes = np.array([self.is_shape(i) for i in range(lower.size)], dtype=bool)
+        floor = np.where(shapes & (lower >= 0) & (origin > 0), 1e-3 * origin, -np.inf)
+        return np.maximum(lower, floor), upper
+
+    def is_shape(self, column: int) -> bool:
+        """Whether a coefficient has no value at which its effect is absent, so that data tell a start."""
+        q = self.bare.parameters[column]
+        effect = self.effects[q.effect]
+        return effect.kind != "custom" and effect.start_of(q.name) is None
+
     @cached_property
     def nominal(self) -> Array:
         """Size of the physical parameter that each coefficient changes, 0 where there is none."""
@@ -146,7 +159,7 @@ def compile_kernel(setup: EffectsSetup, memory: EffectsMemory) -> Kernel:
     step = setup.dt / setup.substeps
     disc = s.discretize(memory.centre, step)
     n, nu = lay.n, lay.nu
-    lower, upper = setup.bounds
+    lower, upper = setup.bounds_about(memory.origin)
     y_size = memory.sizes[nu - 1 :]
     floor = np.maximum(setup.noise**2, 1e-26 * y_size**2)
     scale = np.where(memory.spread > 0, memory.spread, 1.0) if memory.spread.size else np.ones(lay.p)

@@ -61,7 +61,6 @@ def take_effects(
     use: NDArray[np.uint8],
     *,
     keep: bool = False,
-    last: bool = False,
 ) -> tuple[EffectsMemory, EffectsRecord]:
     """Memory after some samples; the one given stays as it is.
 
@@ -75,8 +74,6 @@ def take_effects(
         Which inputs (as a whole) and which outputs were measured.
     keep : bool
         Whether to record every sample.
-    last : bool
-        Whether the record ends here: what was held back is learned from, however short.
     """
     memory = memory.copied()
     lay = setup.layout
@@ -109,8 +106,6 @@ def take_effects(
         position = stop
         if target >= 0 and memory.n_samples == target:
             memory = _gone_over(setup, memory)
-    if last and memory.rounds == 0 and memory.inputs.shape[0] > lay.n + 2:
-        memory = replace(_gone_over(setup, memory), rounds=memory.rounds)
     return memory, record
 
 

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from ..physics.effects import Effect
 from ..systems.linear import Array
 from .effects_memory import EffectsMemory
 from .effects_setup import EffectsSetup, compile_kernel, engine_on, floor_at
@@ -22,8 +21,8 @@ _FIRST = 50  # samples of the first stretch, at least
 _PASSES = 15
 _LOOSE = 2.0  # prior standard deviation over the nominal value
 _WIDE = 30.0  # ... over the size whose effect on the outputs is that of the signals
-_MOST_STARTS = 6
-_FEW = 4  # passes that a rival gets
+_MOST_STARTS = 8
+_FEW = 6  # passes that a rival gets
 _RIVALS = 4
 _SCENARIOS = 3  # times that the loss of each single parameter is tried
 _LOSSES = (0.35, 0.7)
@@ -75,12 +74,21 @@ def go_over(setup: EffectsSetup, memory: EffectsMemory) -> EffectsMemory:
 def _promising(
     setup: EffectsSetup, memory: EffectsMemory, initial: tuple[Array, Array], starts: list[Array]
 ) -> list[Array]:
-    """The few of many starts whose first pass is best."""
-    lower, upper = setup.bounds
+    """The few of many starts that are best one step further."""
+    lower, upper = setup.bounds_about(memory.origin)
     R = np.maximum(memory.sizes[-setup.layout.ny :] ** 2, 1e-300)
-    tried = [(_over(setup, memory, initial, np.clip(s, lower, upper), R), s) for s in starts]
-    costs = [(one.cost, i) for i, (one, _) in enumerate(tried) if one is not None]
-    return [starts[i] for _, i in sorted(costs)[:_RIVALS]]
+    found: list[tuple[float, int, Array]] = []
+    for i, start in enumerate(starts):
+        one = _over(setup, memory, initial, np.clip(start, lower, upper), R)
+        if one is None:
+            continue
+        aim = np.clip(one.memory.centre + one.step, lower, upper)
+        further = _over(setup, memory, initial, aim, one.power)
+        if further is not None and further.cost < one.cost:
+            found.append((further.cost, i, aim))
+        else:
+            found.append((one.cost, i, one.memory.centre))
+    return [point for _, _, point in sorted(found, key=lambda entry: entry[:2])[:_RIVALS]]
 
 
 def _same(setup: EffectsSetup, one: _Pass, other: _Pass) -> bool:
@@ -92,7 +100,7 @@ def _same(setup: EffectsSetup, one: _Pass, other: _Pass) -> bool:
 def _descend(
     setup: EffectsSetup, memory: EffectsMemory, initial: tuple[Array, Array], start: Array, passes: int
 ) -> _Pass | None:
-    lower, upper = setup.bounds
+    lower, upper = setup.bounds_about(memory.origin)
     ny = setup.layout.ny
     R = np.maximum(memory.sizes[-ny:] ** 2, 1e-300)
     best = _over(setup, memory, initial, np.clip(start, lower, upper), R)
@@ -154,7 +162,7 @@ def _over(
 def _adopted(setup: EffectsSetup, best: _Pass, memory: EffectsMemory) -> EffectsMemory:
     """Memory after the best pass, its last step taken."""
     lay = setup.layout
-    lower, upper = setup.bounds
+    lower, upper = setup.bounds_about(memory.origin)
     found = best.memory
     packed = found.packed
     theta = lay.view(packed, "theta")
@@ -181,7 +189,28 @@ def _sized(setup: EffectsSetup, memory: EffectsMemory) -> EffectsMemory:
     memory = replace(memory, widths=_widths(setup, memory))
     if memory.spread.size:
         return memory
+    memory = _shaped(setup, memory)
     return replace(memory, spread=_prior(setup, memory))
+
+
+def _shaped(setup: EffectsSetup, memory: EffectsMemory) -> EffectsMemory:
+    """Memory whose first coefficients shape their laws as the motion suggests."""
+    from ..refinement.starts import shape_starts
+
+    shapes = [i for i in range(setup.layout.p) if setup.is_shape(i)]
+    if not shapes:
+        return memory
+    origin = memory.origin.copy()
+    start = shape_starts(setup.structure(memory.widths), origin, _motion(setup, memory))[0]
+    # a level that goes with a shape (friction) starts with it, or the shape has no gradient
+    origin[:] = start
+    return replace(memory, origin=origin, packed=_with_theta(setup, memory.packed, origin))
+
+
+def _with_theta(setup: EffectsSetup, packed: Array, theta: Array) -> Array:
+    changed = packed.copy()
+    setup.layout.view(changed, "theta")[:] = theta
+    return changed
 
 
 def _motion(setup: EffectsSetup, memory: EffectsMemory) -> Any:
@@ -229,6 +258,8 @@ def _prior(setup: EffectsSetup, memory: EffectsMemory) -> Array:
         effect = structure.effects[q.effect]
         if q.name in effect.prior:
             spread[i] = effect.prior[q.name]
+        elif setup.is_shape(i) and memory.origin[i] != 0:
+            spread[i] = _WIDE * abs(memory.origin[i])
         elif spread[i] == 0.0:
             seen = np.isfinite(trace[i]) and trace[i] > 0
             spread[i] = _WIDE / trace[i] if seen else max(10.0 * abs(memory.origin[i]), 1.0)
@@ -246,7 +277,7 @@ def _initial_state(setup: EffectsSetup, memory: EffectsMemory) -> tuple[Array, A
     run = engine.run(calm, sensitivity=False, initial_state=True, histories=True, check=False)
     y_size = memory.sizes[-lay.ny :]
     with np.errstate(all="ignore"):
-        moving = np.sqrt(np.nanmean(run.states**2, axis=1))
+        moving = np.sqrt(np.mean(np.nan_to_num(run.states) ** 2, axis=1))
         C = structure.matrices(calm).C
         read = np.abs(np.linalg.pinv(C)) @ y_size
         shown = np.sqrt(np.mean((run.sensitivity / y_size[:, None, None]) ** 2, axis=(0, 1)))
@@ -270,14 +301,8 @@ def _starts(setup: EffectsSetup, memory: EffectsMemory) -> tuple[list[Array], li
                 start = memory.origin.copy()
                 start[i] -= loss * setup.nominal[i]
                 far.append(start)
-    shaped = [e for e in setup.effects if any(_needs_start(e, name) for name in e.free)]
-    if shaped and memory.rounds < 4:
+    if any(setup.is_shape(i) for i in range(setup.layout.p)):
+        far.append(setup.bare.start())  # where gap or threshold is zero the law is smooth
         motion = _motion(setup, memory)
         far += shape_starts(setup.structure(memory.widths), memory.origin, motion)[:_MOST_STARTS]
     return starts, far
-
-
-def _needs_start(effect: Effect, name: str) -> bool:
-    if name in effect.start or effect.kind == "custom":
-        return False
-    return effect.start_of(name) is None

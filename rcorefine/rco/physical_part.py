@@ -10,6 +10,7 @@ import control as ct
 import numpy as np
 from numpy.typing import NDArray
 
+from ..physics.structure import Structure
 from ..systems.conversion import to_discrete
 from ..systems.linear import Array, LinearModel
 from .effects_guard import cautions
@@ -59,7 +60,7 @@ class PhysicalPart:
         """Learn from what is still held back, however short."""
         memory = self.memory
         if memory.rounds == 0 and memory.inputs.shape[0] > self.setup.layout.n + 2:
-            self.memory = replace(go_over(self.setup, memory), rounds=0)
+            self.memory = go_over(self.setup, memory)
 
     # -- results -----------------------------------------------------------------------------------
 
@@ -91,6 +92,8 @@ class PhysicalPart:
 
     def system(self, name: str) -> ct.StateSpace:
         """Refined linear model in continuous time."""
+        if self.memory.rounds == 0:
+            return self.setup.model.with_arrays(name=name).to_statespace()
         return self.setup.structure(self.memory.widths).system(self.theta, name)
 
     def discrete_system(self, name: str) -> ct.StateSpace:
@@ -104,8 +107,9 @@ class PhysicalPart:
         outputs = np.zeros((total, setup.layout.ny))
         if memory.rounds == 0:  # still the initial model, from rest
             drive = np.vstack([memory.inputs, inputs])
-            engine = engine_on(setup, setup.bare, drive, np.zeros((drive.shape[0], setup.layout.ny)))
-            return engine.run(self.theta, sensitivity=False).outputs[:, -total:]
+            initial = Structure(setup.physical)
+            engine = engine_on(setup, initial, drive, np.zeros((drive.shape[0], setup.layout.ny)))
+            return engine.run(np.zeros(0), sensitivity=False).outputs[:, -total:]
         memory = replace(
             memory, rounds=1 << 30, inputs=memory.inputs[:0], outputs=memory.outputs[:0], rivals=memory.rivals
         )
