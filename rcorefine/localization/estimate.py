@@ -25,6 +25,7 @@ __all__ = ["Information", "Joint", "log_likelihood"]
 _RATIOS = (1.0, 0.1, 0.01)  # observer gains of the first pass, high to low
 _SHORT = 4000  # samples of the first pass
 _WHITE = 0.6  # innovation over residual power above which a free run has found its valley
+_ROUNDING = 1e-22  # residual over signal power that is rounding
 _HOPELESS = 0.5  # whiteness against that of the present fit
 _EXACT = 1e-6  # residual over signal power that needs no further search
 _MOST_STEPS = 25
@@ -70,7 +71,7 @@ class Information:
         values, vectors = np.linalg.eigh(B / np.outer(size, size))
         seen = values > 1e-12 * values[-1]
         inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
-        return -inverse @ (self.gradient[columns] / size) / size
+        return np.asarray(-inverse @ (self.gradient[columns] / size) / size)
 
 
 class Joint:
@@ -332,7 +333,10 @@ def _descend(
     evaluation = problem.evaluate(point)
     cost = 0.5 * float(evaluation.residual @ evaluation.residual)
     damping = 0.0
+    level = sum(float(np.sum((problem.weights[:, None] * r.outputs) ** 2)) for r in problem.records)
     for _ in range(iterations):
+        if cost < _ROUNDING * level:
+            return point, cost, True
         J = evaluation.jacobian[:, columns]
         gradient, H = J.T @ evaluation.residual, J.T @ J
         size = np.sqrt(np.diag(H))
@@ -358,7 +362,7 @@ def _descend(
                 return point, cost, True  # less than rounding is left to gain
             damping = max(10.0 * damping, 1e-4)
         else:
-            return point, cost, False
+            return point, cost, cost < 1e-16 * level
         point, cost, evaluation = trial, reached, after
         damping *= 0.1 if damping > 1e-6 else 0.0
     return point, cost, False

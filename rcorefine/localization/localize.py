@@ -312,7 +312,7 @@ def _package(
     rows = []
     for i, c in enumerate(candidates):
         share = 100.0 / c.nominal if c.nominal else np.nan
-        limit = max(reach * float(np.hypot(decision.std[i], c.tolerated)), c.floor)
+        limit = float(max(reach * np.hypot(decision.std[i], c.tolerated), c.floor))
         rows.append(
             DamageRow(
                 c.name,
@@ -328,7 +328,7 @@ def _package(
                 float(decision.std[i] * abs(share)),
                 float(decision.p_value[i]),
                 limit,
-                limit * abs(share),
+                float(limit * abs(share)),
                 i in decision.named,
                 tuple(candidates[j].label for j in decision.rivals.get(i, ())),
             )

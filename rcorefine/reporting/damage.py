@@ -219,8 +219,9 @@ def _bars(panel: Any, rows: Sequence[DamageRow], relative: bool) -> list[Any]:
     for x, value, half, row in zip(where, values, spread, rows, strict=True):
         if row.named:
             offset = -4 if value < 0 else 4
+            shown = f"{value:.1f}" if abs(value) >= 10 else f"{value:.3g}"
             panel.annotate(
-                f"{value:.3g}", (x, value - half if value < 0 else value + half), xytext=(0, offset),
+                shown, (x, value - half if value < 0 else value + half), xytext=(0, offset),
                 textcoords="offset points", ha="center", va="top" if value < 0 else "bottom",
             )  # fmt: skip
     panel.set_ylim(
