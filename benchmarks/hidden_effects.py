@@ -47,9 +47,7 @@ ROWS: dict[str, list[tuple[str, dict[str, object], dict[str, object]]]] = {
         for plant in ("motor", "quarter car", "RLC", "tanks", "thermal")
         for loss in (5, 20)
     ],
-    "outside": [
-        (f"outside: {kind}, 15 % at 3 %", {"effect": kind, "loss": 0.15}, {}) for kind in OUTSIDE
-    ],
+    "outside": [(f"outside: {kind}, 15 % at 3 %", {"effect": kind, "loss": 0.15}, {}) for kind in OUTSIDE],
 }
 
 
@@ -119,7 +117,12 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=5000)
     parser.add_argument("--verbose", action="store_true")
     given = parser.parse_args()
-    rows = [row for group, some in ROWS.items() for row in some if group in given.rows or any(g in row[0] for g in given.rows)]
+    rows = [
+        row
+        for group, some in ROWS.items()
+        for row in some
+        if group in given.rows or any(g in row[0] for g in given.rows)
+    ]
     print(  # noqa: T201
         f"{'row':36} {'n':>4} {'adequate':>9} {'right':>6} {'with truth':>10} {'wrong':>6} {'without':>8} "
         f"{'unexplained':>11} {'link':>5} {'s':>5} {'z sd':>5} {'cover':>6}  interval of the figure wanted"
@@ -128,7 +131,13 @@ def main() -> None:
         result = run_row(given.first, given.seeds, record, settings, given.verbose)
         counts = result["counts"]
         n = sum(counts.values()) - counts["no record"]
-        wanted = "adequate" if record.get("effect", "any") is None else "unexplained" if "outside" in name else "right"
+        wanted = (
+            "adequate"
+            if record.get("effect", "any") is None
+            else "unexplained"
+            if "outside" in name
+            else "right"
+        )
         low, high = interval(counts[wanted], n)
         z = np.array(result["deviations"])
         link = result["link"]

@@ -55,7 +55,9 @@ class Battery:
         tests, first = [], 0
         for candidate, parts in zip(candidates, columns, strict=True):
             mine = slice(first, first + parts[0].shape[2])
-            tests.append(projected_test(candidate.effect.label, self.left, left[:, mine], size[mine], self.basis))
+            tests.append(
+                projected_test(candidate.effect.label, self.left, left[:, mine], size[mine], self.basis)
+            )
             first = mine.stop
         return tests
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -55,6 +55,23 @@ class Candidate:
                 starts.append(problem.inside(shifted))
             self._made = problem, starts
         return self._made
+
+    def at(self, substeps: int) -> Problem:
+        """The same problem at another number of substeps."""
+        old = self.problem
+        return Problem(
+            old.structure,
+            old.records,
+            old.weights,
+            prior_mean=old.prior_mean,
+            prior_sd=old.prior_sd,
+            substeps=substeps,
+            initial=old.initial,
+        )
+
+    def finer(self, substeps: int) -> Candidate:
+        """This candidate at another number of substeps."""
+        return replace(self, _made=(self.at(substeps), self.starts))
 
     @property
     def problem(self) -> Problem:
@@ -153,9 +170,7 @@ def _shapes(candidate: Candidate) -> list[dict[str, float]]:
     return sets
 
 
-def parameter_columns(
-    fitted: Fitted, effects: Sequence[Effect], motion: Motion, ratio: float
-) -> list[Array]:
+def parameter_columns(fitted: Fitted, effects: Sequence[Effect], motion: Motion, ratio: float) -> list[Array]:
     """Columns (n_y, N, k) per record of changes of the model's own parameters."""
     structure, theta, engines = _carrier(fitted, effects, motion)
     p = fitted.structure.n_parameters

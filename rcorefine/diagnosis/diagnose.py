@@ -30,8 +30,9 @@ from .whitening import FTest, project
 __all__ = ["diagnose"]
 
 _OBSERVERS = (1.0, 0.1)  # a high gain follows the record, a low one tells rivals apart
-_FORCES = (0.003, 0.01, 0.03, 0.1)  # unmeasured force over the measured one
+_FORCES = (0.003, 0.01, 0.03, 0.09)  # unmeasured force over the measured one
 _FORCE_GAIN = 15.0  # log-likelihood that an unmeasured force must earn
+_FORCE_BESIDE = 3.0  # the same beside an effect that fails without it: the battery decides
 _NOISE_EXCESS = 1.2  # residual over declared noise beyond which coloured noise is no excuse
 _AMBIGUOUS = 9.2  # twice the log-likelihood within which rivals stay rivals
 _POWER = 1.645  # 95 %
@@ -170,8 +171,8 @@ def diagnose(
     race = judged.race
     likelihoods = np.array([r.log_likelihood for r in race.rivals])
     weights = np.exp(likelihoods - likelihoods[0])
-    by_effect = {id(c): test for c, test in zip(scored, scores, strict=True)}
-    p_values = [by_effect[id(rival.candidate)].p_value for rival in race.rivals]
+    by_effect = {c.effect: test for c, test in zip(scored, scores, strict=True)}
+    p_values = [by_effect[rival.effect].p_value for rival in race.rivals]
     ranking = _rows(race, p_values, weights / weights.sum(), base, validation)
     alike = tuple(
         rival.effect
@@ -258,9 +259,10 @@ def _second_chance(
     race = first.race
     fitted = race.fitted
     winner = race.model()
-    ratio = _unmeasured_force(winner, Battery(winner))
-    if ratio and _excess(winner, noise) <= _NOISE_EXCESS:
-        again = run_race(fitted, [], ratio, entered=race.rivals)
+    ratio = _unmeasured_force(winner, Battery(winner), _FORCE_BESIDE)
+    louder = [r for r in _FORCES if ratio and r >= ratio][:2]
+    for allowed in louder if _excess(winner, noise) <= _NOISE_EXCESS else []:
+        again = run_race(fitted, [], allowed, entered=race.rivals)
         if again is not None:
             judged = _judge(again, library, motions, significance, noise)
             if judged.passed:
@@ -310,9 +312,9 @@ def _excess(fitted: Fitted, noise: Any) -> float:
     return float(np.sqrt(np.mean(residual**2, axis=1)).max())
 
 
-def _unmeasured_force(fitted: Fitted, free_run: Battery) -> float:
+def _unmeasured_force(fitted: Fitted, free_run: Battery, least: float = _FORCE_GAIN) -> float:
     """Ratio of an unmeasured force that the residual speaks of, 0 where it does not."""
-    best, chosen = free_run.log_likelihood + _FORCE_GAIN, 0.0
+    best, chosen = free_run.log_likelihood + least, 0.0
     for ratio in _FORCES:
         try:
             value = Battery(fitted, ratio).log_likelihood

@@ -76,7 +76,11 @@ def _alone(fitted: Fitted, record: int) -> tuple[Array, Array]:
     )
     whitener = Whitener.fit([fitted.residuals()[record]])
     run = descend(
-        problem, problem.pack(theta, starts[record : record + 1]), whitener=whitener, evaluations=15, tolerance=1e-8
+        problem,
+        problem.pack(theta, starts[record : record + 1]),
+        whitener=whitener,
+        evaluations=15,
+        tolerance=1e-8,
     )
     J = whitener.apply([j for _, j in run.blocks(problem)])
     prior = np.zeros(problem.size)

@@ -11,6 +11,7 @@ from ..physics.effects import Effect
 from ..refinement.outcome import _fit, _rows
 from ..refinement.problem import Problem
 from ..refinement.refinement import Refinement
+from ..refinement.search import step_matters
 from ..systems.linear import Array
 from .battery import Battery
 from .columns import Candidate
@@ -25,6 +26,9 @@ _OBSERVERS = (1.0, 0.1)
 _SHAPES = 3  # starts of a law that has a shape
 _FIRST_LAP = (60.0, 0.25)  # twice the log-likelihood behind the best, plus that per sample
 _SECOND_LAP = (60.0, 0.02)
+_NEAR = 60.0  # twice the log-likelihood behind the leader within which rivals get its substeps
+_STEP_SHARE = 0.25  # of a standard deviation that halving the substep may shift a coefficient
+_MOST_HALVINGS = 4
 
 
 @dataclass(eq=False)
@@ -158,11 +162,33 @@ def run_race(
         previous, whitener = whitener, _whitener_of(leader)
         if previous.orders == whitener.orders and np.allclose(previous.scales, whitener.scales, rtol=2e-3):
             break
+    whitener = _settle_substeps(fitted, polished, ratio, whitener)
     for rival in rivals:
         rival.log_likelihood = _log_likelihood(rival, whitener)
     rivals.sort(key=lambda r: -r.log_likelihood)
     white = whitener.apply(fitted.residuals(ratio))
-    return Race(fitted, rivals, ratio, whitener, -0.5 * (float(white @ white) + _prior(fitted.problem, fitted.point)))
+    return Race(
+        fitted, rivals, ratio, whitener, -0.5 * (float(white @ white) + _prior(fitted.problem, fitted.point))
+    )
+
+
+def _settle_substeps(fitted: Fitted, rivals: Sequence[Rival], ratio: float, whitener: Whitener) -> Whitener:
+    """Finer substeps for the leader and those near it, until they no longer matter."""
+    for _ in range(_MOST_HALVINGS):
+        leader = min(rivals, key=lambda r: r.descent.cost)
+        problem = leader.candidate.problem
+        if problem.structure.is_linear:
+            break
+        steps = 2 * problem.engines[0].substeps
+        if step_matters(problem, leader.candidate.at(steps), leader.descent.point) < _STEP_SHARE:
+            break
+        for rival in rivals:
+            near = 2 * (rival.descent.cost - leader.descent.cost) <= _NEAR
+            if near and not rival.candidate.problem.structure.is_linear:
+                rival.candidate = rival.candidate.finer(steps)
+                rival.descent = _continued(fitted, rival, ratio, whitener, 6, 1e-7)
+        whitener = _whitener_of(min(rivals, key=lambda r: r.descent.cost))
+    return whitener
 
 
 def _gain(fitted: Fitted, candidate: Candidate, ratio: float) -> Array | None:
@@ -219,9 +245,10 @@ def _regressed(fitted: Fitted, candidate: Candidate) -> list[Array]:
         pull = (theta[held] - problem.prior_mean[held]) / problem.prior_sd[held]
         size = np.linalg.norm(J, axis=0)
         size[size == 0] = 1.0
-        step = np.linalg.lstsq(
-            (J / size).T @ (J / size), -(J / size).T @ np.append(r, pull), rcond=1e-10
-        )[0] / size
+        step = (
+            np.linalg.lstsq((J / size).T @ (J / size), -(J / size).T @ np.append(r, pull), rcond=1e-10)[0]
+            / size
+        )
         point = start.copy()
         point[:q] += step
         points.append(problem.inside(point))

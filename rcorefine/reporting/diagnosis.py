@@ -100,7 +100,12 @@ def _ranking(ax: Any, found: Diagnosis) -> list[Any]:
     line = ax.axvline(before, color=style(0).color, ls="--", lw=1.4, label="model as it is")
     for y, row, value in zip(where, rows, loss, strict=True):
         ax.annotate(
-            f"P = {row.probability:.2f}", (value, y), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8
+            f"P = {row.probability:.2f}",
+            (value, y),
+            xytext=(4, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=8,
         )
     ax.set_yticks(where, [_wrapped(row.effect.label) for row in rows], fontsize=8)
     ax.set_xlim(0, 1.25 * max(before, *loss))
@@ -116,7 +121,9 @@ def _wrapped(label: str) -> str:
 def _tests(ax: Any, found: Diagnosis) -> list[Any]:
     tests = [t for t in found.tests if t.dof][::-1]
     where = np.arange(len(tests))
-    bars = ax.barh(where, [-np.log10(max(t.p_value, 1e-300)) for t in tests], color="0.75", edgecolor="0.3", height=0.65)
+    bars = ax.barh(
+        where, [-np.log10(max(t.p_value, 1e-300)) for t in tests], color="0.75", edgecolor="0.3", height=0.65
+    )
     level = -np.log10(found.significance / max(len(tests), 1))
     line = ax.axvline(level, color=style(1).color, ls="--", lw=1.4, label="level at which a test fires")
     ax.set_yticks(where, [t.name.split(" (")[0] for t in tests], fontsize=8)
@@ -132,7 +139,9 @@ def _force(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
     if best is not None:
         port = next((p for p in best.refinement.physical_model.ports if p.name == best.effect.place), None)
     if best is None or port is None:
-        said = "nothing is missing" if best is None else f"{best.effect.label}\nis in the signal path: no force"
+        said = (
+            "nothing is missing" if best is None else f"{best.effect.label}\nis in the signal path: no force"
+        )
         ax.text(0.5, 0.5, said, ha="center", va="center", transform=ax.transAxes)
         ax.set_axis_off()
         return []
@@ -148,7 +157,13 @@ def _force(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
     # a constant force passes for the offset: the estimate has none, the law's is put in its place
     force = force - force[inner].mean() + (0.0 if law is None else float(np.mean(law[1])))
     points = ax.plot(
-        motion[inner], force[inner], ".", color="0.55", ms=2, alpha=0.5, label="estimated from the record, no law assumed"
+        motion[inner],
+        force[inner],
+        ".",
+        color="0.55",
+        ms=2,
+        alpha=0.5,
+        label="estimated from the record, no law assumed",
     )
     edges = np.quantile(motion[inner], np.linspace(0.005, 0.995, 25))
     which = np.digitize(motion[inner], edges)
@@ -162,7 +177,12 @@ def _force(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
         x, y = law
         look = style(1)
         points += ax.plot(x, y, color=look.color, ls=look.linestyle, lw=2, label=best.effect.label)
-    ax.set_xlabel(unit_text(f"{'displacement' if along_d else 'motion' if port.kind == 'first_order' else 'velocity'} at {port.name}", unit))
+    ax.set_xlabel(
+        unit_text(
+            f"{'displacement' if along_d else 'motion' if port.kind == 'first_order' else 'velocity'} at {port.name}",
+            unit,
+        )
+    )
     ax.set_ylabel(unit_text("hidden resisting force", port.force_unit))
     ax.set_title("What the record says about the force")
     return list(points)
@@ -178,7 +198,11 @@ def _law(found: Diagnosis, d: Array, v: Array, motion: Array) -> tuple[Array, Ar
         return motion[order], values[effect.kind] * motion[order]
     shape = {**values, **effect.fixed}
     columns = unit_forces(effect, d, v, [shape])
-    levels = [values.get(n, effect.fixed.get(n, 0.0)) for n in effect.coefficients if n not in ("gap", "threshold", "velocity", "displacement")]
+    levels = [
+        values.get(n, effect.fixed.get(n, 0.0))
+        for n in effect.coefficients
+        if n not in ("gap", "threshold", "velocity", "displacement")
+    ]
     if columns is None or len(columns) != len(levels):
         return None
     force = np.sum([level * column for level, column in zip(levels, columns, strict=True)], axis=0)
@@ -199,9 +223,13 @@ def _residuals(axes: Any, found: Diagnosis, record: Measurement) -> tuple[list[A
         look = style(i)
         in_time += axes[0].plot(record.timepts, error, color=look.color, lw=0.7, label=name)
         f, power = welch(error, fs=1 / record.dt, nperseg=min(512, record.n_samples))
-        in_frequency += axes[1].loglog(f[1:], np.sqrt(power[1:]), color=look.color, ls=look.linestyle, lw=1.4, label=name)
+        in_frequency += axes[1].loglog(
+            f[1:], np.sqrt(power[1:]), color=look.color, ls=look.linestyle, lw=1.4, label=name
+        )
     f, power = welch(record.outputs[main], fs=1 / record.dt, nperseg=min(512, record.n_samples))
-    in_frequency += axes[1].loglog(f[1:], np.sqrt(power[1:]), color=MEASURED, lw=0.9, alpha=0.6, label="measured output")
+    in_frequency += axes[1].loglog(
+        f[1:], np.sqrt(power[1:]), color=MEASURED, lw=0.9, alpha=0.6, label="measured output"
+    )
     label, unit = record.output_labels[main], record.output_units[main]
     axes[0].set_xlabel("time [s]")
     axes[0].set_ylabel(unit_text(f"residual of {label}", unit))

@@ -43,6 +43,21 @@ class Hidden:
     noise: float
     coefficient: float  # of the law, in the model's units
 
+    def at_scale(self, factor: float, seed: int = 0) -> Array:
+        """Outputs of the same plant with the same law under a scaled input, fresh noise."""
+        plant, w = self.plant, factor * self.data.inputs
+        place = next(p for p in plant.places if p.name == self.place)
+        shape = SECOND_ORDER[str(self.kind)]
+        width = 0.003 * float(np.std(place.v @ linear_states(plant, self.data.inputs)))
+        law = lambda t, d, v, z: (self.coefficient * shape(d, v, width), [])  # noqa: E731
+        x = integrate(plant, w, law, place)
+        n = plant.A.shape[0]
+        d = place.d @ x[:n] if place.d is not None else np.zeros(w.shape[1])
+        force = np.array([law(0.0, d[k], float(place.v @ x[:n, k]), [])[0] for k in range(w.shape[1])])
+        y = outputs(plant, x, w, force, place)
+        rng = np.random.default_rng([seed, 78])
+        return y + self.noise * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
+
     @property
     def candidates(self) -> list[rco.Effect]:
         """All laws at all places."""
@@ -82,7 +97,14 @@ def integrate(
 
     t = np.arange(N) * dt
     answer = solve_ivp(
-        rhs, (0, t[-1]), np.zeros(n + memory), method="RK45", t_eval=t, max_step=dt, rtol=1e-6, atol=1e-9 * _size(plant, w)
+        rhs,
+        (0, t[-1]),
+        np.zeros(n + memory),
+        method="RK45",
+        t_eval=t,
+        max_step=dt,
+        rtol=1e-6,
+        atol=1e-9 * _size(plant, w),
     )
     if not answer.success or answer.y.shape[1] != N or not np.isfinite(answer.y).all():
         raise FloatingPointError("the plant with this effect runs away")
@@ -174,7 +196,12 @@ def hidden_record(
     x0 = linear_states(made, w)
     y0 = outputs(made, x0, w, None, None)
     spread = np.linalg.norm(y0 - y0.mean(axis=1, keepdims=True))
-    truth, strength, reached, where = outputs(made, linear_states(made, quiet), quiet, None, None), 0.0, 0.0, None
+    truth, strength, reached, where = (
+        outputs(made, linear_states(made, quiet), quiet, None, None),
+        0.0,
+        0.0,
+        None,
+    )
     if kind is not None:
         where = None if kind == "input saturation" else place
         strength, truth = _calibrated(made, quiet, kind, place, x0, y0, loss)
@@ -183,7 +210,9 @@ def hidden_record(
     level = truth.std(axis=1, keepdims=True)
     measured = truth + noise * level * coloured(rng, noise_kind, truth.shape)
     data = rco.Measurement(w, measured, dt=made.dt, hold="foh")
-    return Hidden(made, data, kind, None if where is None else where.name, strength, reached, noise, coefficient)
+    return Hidden(
+        made, data, kind, None if where is None else where.name, strength, reached, noise, coefficient
+    )
 
 
 def _detuned(plant: Plant, rng: np.random.Generator, share: float) -> Plant:
@@ -255,7 +284,9 @@ def _with(plant: Plant, w: Array, kind: str, place: Place, strength: float, x0: 
     return outputs(plant, x, w, force, place)
 
 
-def _law(kind: str, level: float, d_rms: float, v_rms: float, duration: float) -> tuple[Callable[..., tuple[float, list[float]]], int]:
+def _law(
+    kind: str, level: float, d_rms: float, v_rms: float, duration: float
+) -> tuple[Callable[..., tuple[float, list[float]]], int]:
     if kind in SECOND_ORDER:
         shape = SECOND_ORDER[kind]
         at = abs(shape(d_rms, v_rms, 1e-3 * v_rms)) or 1.0
@@ -270,7 +301,9 @@ def _law(kind: str, level: float, d_rms: float, v_rms: float, duration: float) -
             lambda t, d, v, z: (level * z[0] / slip, [0.0 if abs(z[0]) >= slip and z[0] * v > 0 else v])
         ), 1
     if kind == "bouc-wen":
-        return (lambda t, d, v, z: (level * z[0] / slip, [v - (0.6 * abs(v) * z[0] + 0.4 * v * abs(z[0])) / slip])), 1
+        return (
+            lambda t, d, v, z: (level * z[0] / slip, [v - (0.6 * abs(v) * z[0] + 0.4 * v * abs(z[0])) / slip])
+        ), 1
     if kind == "dahl":
         return (lambda t, d, v, z: (level * z[0] / slip, [v - abs(v) * z[0] / slip])), 1
     if kind in ("hidden mass", "input saturation"):

@@ -74,7 +74,12 @@ def chain(rng: np.random.Generator, sensors: int = 1, masses: int | None = None)
         Cd += c[i] * np.outer(e, e)
         zero = np.zeros(n)
         places.append(
-            Place(f"link{i + 1}", np.concatenate([e, zero]), np.concatenate([zero, e]), np.concatenate([zero, -e / m]))
+            Place(
+                f"link{i + 1}",
+                np.concatenate([e, zero]),
+                np.concatenate([zero, e]),
+                np.concatenate([zero, -e / m]),
+            )
         )
     A = np.block([[np.zeros((n, n)), np.eye(n)], [-K / m[:, None], -Cd / m[:, None]]])
     B = np.zeros((2 * n, 1))
@@ -88,7 +93,9 @@ def chain(rng: np.random.Generator, sensors: int = 1, masses: int | None = None)
     fast = np.abs(np.linalg.eigvals(A)).max() / (2 * np.pi)
     C = np.array([r[0] for r in rows])
     R = np.array([r[1] for r in rows])
-    return Plant(f"chain{n}", model, A, B, C, np.zeros((len(rows), 1)), R, places, 1 / (12 * fast), np.array([10.0]))
+    return Plant(
+        f"chain{n}", model, A, B, C, np.zeros((len(rows), 1)), R, places, 1 / (12 * fast), np.array([10.0])
+    )
 
 
 def motor(rng: np.random.Generator, sensors: int = 1) -> Plant:
@@ -100,7 +107,9 @@ def motor(rng: np.random.Generator, sensors: int = 1) -> Plant:
     B = np.array([[0.0], [1 / L]])
     places = [Place("shaft", None, np.array([1.0, 0]), np.array([-1 / J, 0]))]
     C = np.eye(2)[:sensors]
-    return Plant("motor", model, A, B, C, np.zeros((sensors, 1)), 0 * C, places, 1.5e-3, np.array([6.0]), False)
+    return Plant(
+        "motor", model, A, B, C, np.zeros((sensors, 1)), 0 * C, places, 1.5e-3, np.array([6.0]), False
+    )
 
 
 def quarter_car(rng: np.random.Generator, sensors: int = 1) -> Plant:
@@ -118,10 +127,19 @@ def quarter_car(rng: np.random.Generator, sensors: int = 1) -> Plant:
         ]
     )
     B = np.array([[0.0], [-1], [0], [0]])
-    places = [Place("suspension", np.array([1.0, 0, 0, 0]), np.array([0, 0, 1.0, -1]), np.array([0, 0, -1 / mb, 1 / mw]))]
+    places = [
+        Place(
+            "suspension",
+            np.array([1.0, 0, 0, 0]),
+            np.array([0, 0, 1.0, -1]),
+            np.array([0, 0, -1 / mb, 1 / mw]),
+        )
+    ]
     C = np.array([[0.0, 0, 0, 0], [1, 0, 0, 0]])[:sensors]
     rates = np.array([[0.0, 0, 1, 0], [0, 0, 0, 0]])[:sensors]
-    return Plant("quarter car", model, A, B, C, np.zeros((sensors, 1)), rates, places, 0.006, np.array([0.3]), False)
+    return Plant(
+        "quarter car", model, A, B, C, np.zeros((sensors, 1)), rates, places, 0.006, np.array([0.3]), False
+    )
 
 
 def rlc(rng: np.random.Generator, sensors: int = 1) -> Plant:
@@ -132,11 +150,35 @@ def rlc(rng: np.random.Generator, sensors: int = 1) -> Plant:
     B = np.array([[0.0], [1 / L]])
     charge, current, act = np.array([1.0, 0]), np.array([0, 1.0]), np.array([0, -1 / L])
     places = [
-        Place("capacitor", charge, current, act, ("stiffness", "cubic_stiffness", "quadratic_stiffness", "bilinear_stiffness")),
-        Place("resistor", charge, current, act, ("damping", "coulomb_friction", "quadratic_damping", "cubic_damping")),
+        Place(
+            "capacitor",
+            charge,
+            current,
+            act,
+            ("stiffness", "cubic_stiffness", "quadratic_stiffness", "bilinear_stiffness"),
+        ),
+        Place(
+            "resistor",
+            charge,
+            current,
+            act,
+            ("damping", "coulomb_friction", "quadratic_damping", "cubic_damping"),
+        ),
     ]
     out = np.array([[0, 1.0], [1 / C, 0]])[:sensors]
-    return Plant("RLC", model, A, B, out, np.zeros((sensors, 1)), 0 * out, places, 8e-5 * np.sqrt(L * C / 1e-6), np.array([10.0]), False)
+    return Plant(
+        "RLC",
+        model,
+        A,
+        B,
+        out,
+        np.zeros((sensors, 1)),
+        0 * out,
+        places,
+        8e-5 * np.sqrt(L * C / 1e-6),
+        np.array([10.0]),
+        False,
+    )
 
 
 def tanks(rng: np.random.Generator, sensors: int = 1) -> Plant:
@@ -150,13 +192,17 @@ def tanks(rng: np.random.Generator, sensors: int = 1) -> Plant:
         Place("tank2", None, np.array([0, 1.0]), np.array([0, -1 / area[1]])),
     ]
     C = np.array([[0, 1.0], [1.0, 0]])[:sensors]
-    return Plant("tanks", model, A, B, C, np.zeros((sensors, 1)), 0 * C, places, 0.35, np.array([1.0]), False, 4.0)
+    return Plant(
+        "tanks", model, A, B, C, np.zeros((sensors, 1)), 0 * C, places, 0.35, np.array([1.0]), False, 4.0
+    )
 
 
 def thermal(rng: np.random.Generator, sensors: int = 1) -> Plant:
     """Two bodies, heat into the first, the second against the surroundings."""
     c1, c2, r12, r20 = rng.uniform([8, 15, 0.4, 1.5], [15, 30, 0.8, 3])
-    model = rco.thermal_network([c1, c2], {(1, 2): r12, (2, 0): r20}, ambient_input=False, sensors=[2, 1][:sensors])
+    model = rco.thermal_network(
+        [c1, c2], {(1, 2): r12, (2, 0): r20}, ambient_input=False, sensors=[2, 1][:sensors]
+    )
     A = np.array([[-1 / (r12 * c1), 1 / (r12 * c1)], [1 / (r12 * c2), -1 / (r12 * c2) - 1 / (r20 * c2)]])
     B = np.array([[1 / c1], [0.0]])
     places = [
@@ -165,7 +211,9 @@ def thermal(rng: np.random.Generator, sensors: int = 1) -> Plant:
         Place("T1-T2", None, np.array([1.0, -1.0]), np.array([-1 / c1, 1 / c2])),
     ]
     C = np.array([[0, 1.0], [1.0, 0]])[:sensors]
-    return Plant("thermal", model, A, B, C, np.zeros((sensors, 1)), 0 * C, places, 0.8, np.array([50.0]), False)
+    return Plant(
+        "thermal", model, A, B, C, np.zeros((sensors, 1)), 0 * C, places, 0.8, np.array([50.0]), False
+    )
 
 
 PLANTS: dict[str, Callable[..., Plant]] = {

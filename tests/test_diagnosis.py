@@ -1,0 +1,159 @@
+"""diagnose on records whose hidden effect is known: verdict, coefficient, words, picture, options."""
+
+from __future__ import annotations
+
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+
+import control as ct
+import numpy as np
+import pytest
+from hidden.generator import OUTSIDE, hidden_record
+from scipy import stats
+
+import rcorefine as rco
+
+
+def diagnosed(seed, *, settings=None, **record):
+    hidden = hidden_record(seed, **record)
+    return hidden, rco.diagnose(
+        hidden.plant.model, hidden.data, candidates=hidden.candidates, **(settings or {})
+    )
+
+
+@pytest.fixture(scope="module")
+def friction():
+    return diagnosed(31, effect="coulomb_friction", loss=0.2, plant="quarter car")
+
+
+@pytest.fixture(scope="module")
+def nothing():
+    return diagnosed(32, effect=None, samples=1200)
+
+
+def least_of(n, rate, level=1e-3):
+    """Hits of n below which the rate is refuted at the level."""
+    return int(stats.binom.ppf(level, n, rate))
+
+
+def test_names_the_effect_and_its_coefficient(friction):
+    hidden, found = friction
+    assert found.verdict == "effect"
+    assert (found.best.effect.kind, found.best.effect.place) == (hidden.kind, hidden.place)
+    (value,), (std,) = found.best.coefficients.values(), found.best.std.values()
+    assert abs(value - hidden.coefficient) < 4 * std
+    assert found.best.fit_before < 85 < 96 < found.best.fit_after
+    assert found.best.probability > 0.99
+
+
+def test_adequate_says_what_would_have_shown(nothing):
+    hidden, found = nothing
+    assert found.verdict == "adequate"
+    assert found.best is None
+    assert found.detectable
+    assert all(d.smallest > 0 for d in found.detectable)
+    assert "would have shown" in str(found)
+
+
+def test_words_fit_the_page_and_the_result_can_be_kept(friction, nothing):
+    for _, found in (friction, nothing):
+        text = str(found)
+        assert max(map(len, text.splitlines())) <= 80
+        assert found.verdict.upper() in text
+        assert found.verdict in found._repr_html_()
+        again = pickle.loads(pickle.dumps(found))
+        assert str(again) == text
+
+
+def test_picture_shows_the_force_without_a_law():
+    from rcorefine.reporting.diagnosis import estimated_force
+
+    hidden, found = diagnosed(304, effect="cubic_stiffness", loss=0.2)
+    plot = found.plot()
+    assert isinstance(plot, ct.ControlPlot)
+    assert plot.axes.shape == (2, 2)
+    port = hidden.plant.model.port(hidden.place)
+    force, states = estimated_force(found, port, found.ordered_records()[0])
+    d = port.position @ states + port.position_input @ hidden.data.inputs
+    # no law went in, yet the force follows the cube of the displacement
+    inner = slice(100, -100)
+    slope = np.polyfit(d[inner] ** 3, force[inner], 1)[0]
+    assert np.corrcoef(d[inner] ** 3, force[inner])[0, 1] > 0.9
+    assert slope == pytest.approx(hidden.coefficient, rel=0.25)
+
+
+def test_refine_continues_from_the_diagnosis(friction):
+    hidden, found = friction
+    better = found.refine()
+    assert float(better.fit[0]) == pytest.approx(found.best.fit_after, abs=0.2)
+
+
+def test_threads_change_nothing(friction):
+    hidden, found = friction
+    with ThreadPoolExecutor(2) as pool:
+        again = rco.diagnose(hidden.plant.model, hidden.data, candidates=hidden.candidates, executor=pool)
+    assert [row.effect for row in again.ranking] == [row.effect for row in found.ranking]
+    assert again.best.coefficients == found.best.coefficients
+
+
+def test_two_amplitudes_agree_on_a_true_law():
+    hidden = hidden_record(33, plant="quarter car", effect="quadratic_damping", loss=0.2)
+    half = rco.Measurement(0.3 * hidden.data.inputs, hidden.at_scale(0.3), dt=hidden.data.dt, hold="foh")
+    found = rco.diagnose(hidden.plant.model, [hidden.data, half], candidates=hidden.candidates)
+    assert found.verdict in ("effect", "ambiguous")
+    assert any("they agree" in note for note in found.notes)
+
+
+def test_two_amplitudes_refute_a_law_that_only_mimics():
+    hidden = hidden_record(34, plant="quarter car", effect="coulomb_friction", loss=0.2)
+    half = rco.Measurement(0.3 * hidden.data.inputs, hidden.at_scale(0.3), dt=hidden.data.dt, hold="foh")
+    mimic = [rco.Effect("damping", hidden.place)]
+    found = rco.diagnose(hidden.plant.model, [hidden.data, half], candidates=mimic)
+    assert found.verdict == "unexplained"
+
+
+@pytest.mark.parametrize(
+    ("settings", "error"), [({"significance": 2.0}, ct.ControlArgument), ({"nonsense": 1}, TypeError)]
+)
+def test_bad_options_are_refused(nothing, settings, error):
+    hidden, _ = nothing
+    with pytest.raises(error):
+        rco.diagnose(hidden.plant.model, hidden.data, candidates=hidden.candidates, **settings)
+
+
+def test_short_record_is_refused(nothing):
+    hidden, _ = nothing
+    short = rco.Measurement(
+        hidden.data.inputs[:, :100], hidden.data.outputs[:, :100], dt=hidden.data.dt, hold="foh"
+    )
+    with pytest.raises(rco.DataError, match="too short"):
+        rco.diagnose(hidden.plant.model, short, candidates=hidden.candidates)
+
+
+@pytest.mark.parametrize("kind", ["white", "ar", "resonant", "t3"])
+def test_no_alarm_where_nothing_is_missing(kind):
+    n = 6
+    verdicts = [diagnosed(900 + i, effect=None, noise_kind=kind, samples=1000)[1].verdict for i in range(n)]
+    assert verdicts.count("adequate") >= least_of(n, 0.95)
+
+
+@pytest.mark.parametrize("plant", ["chain", "motor", "quarter car", "RLC", "thermal"])
+def test_hidden_effects_are_named(plant):
+    n = 3
+    right = wrong = 0
+    for i in range(n):
+        hidden, found = diagnosed(950 + i, plant=plant, loss=0.2, samples=1200)
+        truth = (hidden.kind, hidden.place)
+        names = [(e.kind, e.place) for e in found.ambiguous]
+        right += found.verdict != "unexplained" and truth in names
+        wrong += found.verdict == "effect" and truth not in names
+    assert right >= least_of(n, 0.95)
+    assert wrong == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", OUTSIDE)
+def test_what_no_candidate_explains_is_said_to_be_unexplained(kind):
+    n = 6
+    verdicts = [diagnosed(970 + i, effect=kind, loss=0.15)[1].verdict for i in range(n)]
+    assert verdicts.count("unexplained") >= least_of(n, 0.95)
