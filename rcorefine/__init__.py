@@ -7,6 +7,7 @@ out. The estimator is retrospective cost model refinement (D'Amato et al.).
 from . import examples
 from .comparison import Comparison, compare
 from .diagnosis import Diagnosis, diagnose
+from .diagnosis.improve import Improvement, improve
 from .exceptions import (
     ConversionWarning,
     DataError,
@@ -18,6 +19,7 @@ from .exceptions import (
     RCOError,
     RCOWarning,
 )
+from .localization import DamageMap, localize_damage
 from .measurement import Measurement
 from .physics import (
     Effect,
@@ -45,6 +47,7 @@ __version__ = "0.1.0"
 __all__ = [
     "Comparison",
     "ConversionWarning",
+    "DamageMap",
     "DataError",
     "Diagnosis",
     "DivergenceError",
@@ -52,6 +55,7 @@ __all__ = [
     "EstimatedParameter",
     "ExcitationWarning",
     "IdentifiabilityWarning",
+    "Improvement",
     "Measurement",
     "MissingExtraError",
     "ModelError",
@@ -67,8 +71,11 @@ __all__ = [
     "d2c",
     "dc_motor",
     "describe_effects",
+    "diagnose",
     "effect_library",
     "examples",
+    "improve",
+    "localize_damage",
     "mass_spring_damper",
     "mechanical",
     "ports",
