@@ -21,7 +21,7 @@ from scipy.stats import beta
 import rcorefine as rco
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-from hidden.generator import OUTSIDE, Hidden, hidden_record  # noqa: E402
+from hidden.generator import OUTSIDE, Hidden, hidden_record
 
 ROWS: dict[str, list[tuple[str, dict[str, object], dict[str, object]]]] = {
     "null": [
@@ -101,8 +101,9 @@ def run_row(first: int, seeds: int, record: dict, settings: dict, verbose: bool)
             worst = min(tests, key=lambda t: t.p_value)
             name = best.effect.label if best else ""
             ratio = found.force_ratio
-            print(  # noqa: T201
-                f"    {seed} {hidden.plant.name} {hidden.kind} at {hidden.place} loss {hidden.loss:.3f}: {word} "
+            print(
+                f"    {seed} {hidden.plant.name} {hidden.kind} at {hidden.place} "
+                f"loss {hidden.loss:.3f}: {word} "
                 f"{name} [{worst.name} {worst.p_value:.1e}] {ratio:g}",
                 flush=True,
             )
@@ -123,7 +124,7 @@ def main() -> None:
         for row in some
         if group in given.rows or any(g in row[0] for g in given.rows)
     ]
-    print(  # noqa: T201
+    print(
         f"{'row':36} {'n':>4} {'adequate':>9} {'right':>6} {'with truth':>10} {'wrong':>6} {'without':>8} "
         f"{'unexplained':>11} {'link':>5} {'s':>5} {'z sd':>5} {'cover':>6}  interval of the figure wanted"
     )
@@ -141,9 +142,10 @@ def main() -> None:
         low, high = interval(counts[wanted], n)
         z = np.array(result["deviations"])
         link = result["link"]
-        print(  # noqa: T201
-            f"{name:36} {n:4d} {counts['adequate']:9d} {counts['right']:6d} {counts['with truth']:10d} {counts['wrong']:6d} "
-            f"{counts['without']:8d} {counts['unexplained']:11d} {100 * np.mean(link) if link else np.nan:5.0f} "
+        print(
+            f"{name:36} {n:4d} {counts['adequate']:9d} {counts['right']:6d} {counts['with truth']:10d} "
+            f"{counts['wrong']:6d} {counts['without']:8d} {counts['unexplained']:11d} "
+            f"{100 * np.mean(link) if link else np.nan:5.0f} "
             f"{np.median(result['times']):5.2f} {np.std(z) if z.size else np.nan:5.2f} "
             f"{100 * np.mean(np.abs(z) < 1.96) if z.size else np.nan:6.0f}  {wanted} {low:.0f}-{high:.0f} %"
             f"; claims >= .95: {sum(result['claims'])}/{len(result['claims'])}",

@@ -47,7 +47,7 @@ def test_names_the_effect_and_its_coefficient(friction):
 
 
 def test_adequate_says_what_would_have_shown(nothing):
-    hidden, found = nothing
+    _hidden, found = nothing
     assert found.verdict == "adequate"
     assert found.best is None
     assert found.detectable
@@ -83,7 +83,7 @@ def test_picture_shows_the_force_without_a_law():
 
 
 def test_refine_continues_from_the_diagnosis(friction):
-    hidden, found = friction
+    _hidden, found = friction
     better = found.refine()
     assert float(better.fit[0]) == pytest.approx(found.best.fit_after, abs=0.2)
 

@@ -70,7 +70,7 @@ class Candidate:
         )
 
     def finer(self, substeps: int) -> Candidate:
-        """This candidate at another number of substeps."""
+        """The candidate at another number of substeps."""
         return replace(self, _made=(self.at(substeps), self.starts))
 
     @property
@@ -285,7 +285,7 @@ def _march_forces(  # type: ignore[no-untyped-def]
     F,  # (N, k)
     out,  # (N, n_y, k)
 ):
-    N, ny, k = out.shape
+    N, _ny, k = out.shape
     x = np.zeros((Phi.shape[0], k))
     for step in range(N):
         y = C @ x + D * F[step]

@@ -1,10 +1,11 @@
-"""A short damped Gauss-Newton descent: the laps of the race need neither scipy's bookkeeping nor its guards."""
+"""A short damped Gauss-Newton descent, for the laps of the race."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..refinement.problem import Problem
 from ..systems.linear import Array
@@ -103,7 +104,7 @@ def descend(
     return Descent(x, cost, *plain, converged)
 
 
-def _step(J: Array, r: Array, damping: float, active: Array) -> Array:
+def _step(J: Array, r: Array, damping: float, active: NDArray[np.bool_]) -> Array:
     size = np.linalg.norm(J, axis=0)
     keep = active & (size > 1e-12 * max(float(size.max(initial=0.0)), 1e-300))
     step = np.zeros(J.shape[1])

@@ -315,7 +315,8 @@ def _log_likelihood(rival: Rival, whitener: Whitener) -> float:
     """Each coefficient beyond the first costs half the log of the number of samples."""
     white = whitener.apply([r for r, _ in _blocks(rival)])
     penalty = max(rival.n_coefficients - 1, 0) * np.log(white.size)
-    return -0.5 * (float(white @ white) + _prior(rival.candidate.problem, rival.descent.point) + penalty)
+    prior = _prior(rival.candidate.problem, rival.descent.point)
+    return -0.5 * (float(white @ white) + prior + float(penalty))
 
 
 def _model(fitted: Fitted, rival: Rival, whitener: Whitener, ratio: float) -> Fitted:

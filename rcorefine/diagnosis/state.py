@@ -12,8 +12,8 @@ from ..comparison.channels import match_channels, record_for
 from ..measurement import Measurement
 from ..physics.effects import Effect
 from ..physics.observer import observer_gain
-from ..physics.structure import Structure
 from ..physics.simulation import check_channels
+from ..physics.structure import Structure
 from ..refinement.assembly import assemble, offset_variants, priors, unfold
 from ..refinement.outcome import output_weights, package
 from ..refinement.problem import Problem, residual_blocks

@@ -151,6 +151,7 @@ def _force(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
     along_d = best.effect.kind in _ALONG_D
     motion = d if along_d else v
     unit = port.position_unit if along_d else port.velocity_unit
+    what = "displacement" if along_d else "motion" if port.kind == "first_order" else "velocity"
     skip = max(record.n_samples // 50, 1)
     inner = slice(skip, -skip)
     law = _law(found, d, v, motion)
@@ -179,7 +180,7 @@ def _force(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
         points += ax.plot(x, y, color=look.color, ls=look.linestyle, lw=2, label=best.effect.label)
     ax.set_xlabel(
         unit_text(
-            f"{'displacement' if along_d else 'motion' if port.kind == 'first_order' else 'velocity'} at {port.name}",
+            f"{what} at {port.name}",
             unit,
         )
     )

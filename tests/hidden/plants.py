@@ -217,5 +217,6 @@ def thermal(rng: np.random.Generator, sensors: int = 1) -> Plant:
 
 
 PLANTS: dict[str, Callable[..., Plant]] = {
-    "chain": chain, "motor": motor, "quarter car": quarter_car, "RLC": rlc, "tanks": tanks, "thermal": thermal,
+    "chain": chain, "motor": motor, "quarter car": quarter_car,
+    "RLC": rlc, "tanks": tanks, "thermal": thermal,
 }  # fmt: skip
