@@ -37,7 +37,7 @@ def _learn(
     e,  # its innovation
     R,
     theta, delta, S, Pt, x, Pb, K, FK, F, H, h, g, yhat,
-    lower, upper, forgetting, frozen, uncertain,
+    lower, upper, frozen, uncertain,
 ):  # fmt: skip
     """Correct with one output; return its innovation variance relative to the noise."""
     n = x.shape[0]
@@ -105,22 +105,45 @@ def _learn(
         for a in range(n):
             for b in range(n):
                 Pb[a, b] -= s * K[a] * K[b]
-    # forgetting only along what this sample saw (Kulhavy): without excitation nothing is forgotten
-    down = 1.0 / st
-    if forgetting < 1.0 and spread > 0.0:
-        ratio = spread / s
-        kept = forgetting - (1.0 - forgetting) / ratio
-        down = kept / (s * (1.0 + kept * ratio))
     for a in range(p):
+        before = Pt[a, a]
         for b in range(p):
-            Pt[a, b] -= down * g[a] * g[b]
+            Pt[a, b] -= g[a] * g[b] / st
+        # rounding must not make it negative where one sample teaches almost everything
+        if Pt[a, a] < 1e-13 * before:
+            Pt[a, a] = 1e-13 * before
     return s / R
+
+
+@compiled
+def _forget(kept, least, Pt, S, Pb):
+    """Coefficients may have changed just now: less certain, but never less than at the start.
+
+    What they explained of the state since the start is from now on uncertain by itself.
+    """
+    p = S.shape[0]
+    n = S.shape[1]
+    for c in range(p):
+        for d in range(p):
+            weight = (1.0 - kept) * Pt[c, d]
+            for a in range(n):
+                for b in range(n):
+                    Pb[a, b] += weight * S[c, a] * S[d, b]
+    for c in range(p):
+        prior = (1e6 * least[c]) ** 2
+        more = min(1.0 / kept, max(1.0, prior / max(Pt[c, c], 1e-300)))
+        root = np.sqrt(more)
+        for d in range(p):
+            Pt[c, d] *= root
+            Pt[d, c] *= root
+        for b in range(n):
+            S[c, b] /= more
 
 
 @compiled
 def _correct(
     y, use, theta, delta, S, Pt, x, Pb, Q, K, FK, T, F, H, h, g, yhat, level, floor, count, limits,
-    forgetting, frozen, counters, cost, predicted,
+    least, forgetting, frozen, counters, cost, predicted,
 ):  # fmt: skip
     """Correct with all outputs of a sample that are there."""
     n = x.shape[0]
@@ -128,6 +151,7 @@ def _correct(
     uncertain = counters[1] > 0
     settled = True
     seen = False
+    informed = False
     predicted[:] = yhat
     for i in range(ny):
         if not use[i]:
@@ -138,17 +162,26 @@ def _correct(
         else:
             count[i] += 1.0
             level[0, i] += _SHORT * (e * e - level[0, i])
-            level[1, i] += max(_LONG, 1.0 / count[i]) * (e * e - level[1, i])
+            level[1, i] += max(_LONG, 1.0 - forgetting, 1.0 / count[i]) * (e * e - level[1, i])
             R = _noise(level, floor, i)
+        power = 0.0
+        for a in range(theta.shape[0]):
+            power += (h[i, a] * 1e6 * least[a]) ** 2
+        if power > R:
+            informed = True
         excess = _learn(
             i, e, R, theta, delta, S, Pt, x, Pb, K, FK, F, H, h, g, yhat, limits[0], limits[1],
-            forgetting, frozen, uncertain,
+            frozen, uncertain,
         )  # fmt: skip
         cost[0, i] += e * e / excess
         cost[1, i] += 1.0
         seen = True
         if excess - 1.0 > _SETTLED:
             settled = False
+    if forgetting < 1.0 and informed and not frozen:
+        forgotten = True
+    else:
+        forgotten = False
     if uncertain:
         for a in range(n):
             for b in range(n):
@@ -164,6 +197,8 @@ def _correct(
                 Pb[a, b] = total
                 Pb[b, a] = total
         # several samples in a row without a trace of it: the initial state is forgotten
+        if forgotten:
+            _forget(forgetting, least, Pt, S, Pb)
         if counters[2] > 0 or not settled:
             counters[1] = 10 * n + 10
         elif seen:
@@ -339,7 +374,7 @@ def advance(sizes, fixed, memory, counters, W, known, Y, use, frozen, TH, E, X):
                         H[i, b] = total
             _correct(
                 Y[k], use[k], theta, delta, S, Pt, x, Pb, Q, K, FK, T, Mc, H, h, g, yhat, level, floor,
-                count, limits, forgetting, frozen, counters, cost, e,
+                count, limits, least, forgetting, frozen, counters, cost, e,
             )  # fmt: skip
             for i in range(n):
                 if not abs(x[i]) < limit:
@@ -608,7 +643,7 @@ def advance_general(
                     Pb += Qw
             _correct(
                 Y[k], use[k], theta, delta, S, Pt, x, Pb, Q, K, FK, T, F, H, h, g, yhat, level, floor,
-                count, limits, forgetting, frozen, counters, cost, e,
+                count, limits, least, forgetting, frozen, counters, cost, e,
             )  # fmt: skip
             for i in range(n):
                 if not abs(x[i]) < limit:

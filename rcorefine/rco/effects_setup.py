@@ -89,6 +89,11 @@ class EffectsSetup:
         return self.bare.is_linear
 
     @property
+    def loose(self) -> bool:
+        """Whether the state never becomes certain: unknown forces act, or coefficients may change."""
+        return self.disturbance > 0 or self.forgetting < 1
+
+    @property
     def model(self) -> LinearModel:
         """Linear part of the initial model."""
         return self.physical.linear
@@ -161,7 +166,7 @@ def compile_kernel(setup: EffectsSetup, memory: EffectsMemory) -> Kernel:
     n, nu = lay.n, lay.nu
     lower, upper = setup.bounds_about(memory.origin)
     y_size = memory.sizes[nu - 1 :]
-    floor = np.maximum(setup.noise**2, 1e-26 * y_size**2)
+    floor = np.maximum(setup.noise**2, 1e-16 * y_size**2)
     scale = np.where(memory.spread > 0, memory.spread, 1.0) if memory.spread.size else np.ones(lay.p)
     limit = 1e12 * (1.0 + float(memory.sizes.max(initial=0.0)))
     q_known, q_unknown = _disturbances(setup, s, memory)
@@ -270,12 +275,13 @@ def make_effects_setup(
         if (effect.kind, effect.place) in seen:
             raise ModelError(f"{effect.label} is named twice; give each effect once")
         seen.add((effect.kind, effect.place))
-    physical = as_physical(model)
-    if not physical.linear.is_continuous:
+    given = getattr(model, "system", model)
+    if isinstance(given, ct.StateSpace) and given.dt != 0:
         raise ModelError(
-            f"model {physical.linear.name!r} is discrete, and physical effects live in continuous time; "
+            f"model {given.name!r} is discrete, and physical effects live in continuous time; "
             "give the continuous model, or convert it with rcorefine.d2c"
         )
+    physical = as_physical(model)
     if dt is None:
         raise ModelError(
             f"model {physical.linear.name!r} is continuous: give dt, the sampling time in seconds"

@@ -36,7 +36,7 @@ def begin_effects(setup: EffectsSetup) -> EffectsMemory:
     lay.view(packed, "theta")[:] = origin
     return EffectsMemory(
         packed=packed,
-        counters=np.array([0, 10 * lay.n + 10, int(setup.disturbance > 0)], dtype=np.int64),
+        counters=np.array([0, 10 * lay.n + 10, int(setup.loose)], dtype=np.int64),
         centre=origin.copy(),
         origin=origin,
         spread=np.zeros(0),

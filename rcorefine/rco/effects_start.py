@@ -134,7 +134,7 @@ def _over(
     lay.view(packed, "delta")[:] = memory.origin - theta
     lay.view(packed, "x")[:], lay.view(packed, "Pb")[:] = initial
     lay.view(packed, "Pt")[:] = np.diag(memory.spread**2)
-    counters = np.array([0, 10 * lay.n + 10, int(setup.disturbance > 0)], dtype=np.int64)
+    counters = np.array([0, 10 * lay.n + 10, int(setup.loose)], dtype=np.int64)
     about = replace(memory, packed=packed, counters=counters, centre=theta.copy())
     kernel = compile_kernel(setup, about)
     if not np.isfinite(kernel.fixed).all() and not np.isfinite(kernel.fixed[4 * lay.p :]).all():

@@ -112,9 +112,10 @@ class RCORefiner:
         Unknown force on the model over the measured input, rms. With 0 all
         that is not sensor noise is explained by the effects.
     forgetting : float, optional
-        Share of its information that a sample leaves standing, along the
-        direction that it informs about; 1 forgets nothing, 0.999 follows
-        changes over about 1000 samples.
+        Share of what is known that a sample leaves standing; 1 forgets nothing,
+        0.999 follows changes over about 1000 samples. Samples that could teach
+        nothing (no excitation) make nothing forgotten, and no coefficient gets
+        less certain than it was at the start.
     substeps : int, optional
         Steps per sample for nonlinear effects, default 4 (second order).
 

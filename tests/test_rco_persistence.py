@@ -1,0 +1,164 @@
+"""Save, load, go on: bit by bit as if it had never stopped; a damaged file is said to be one."""
+
+from __future__ import annotations
+
+import json
+import os
+
+import numpy as np
+import pytest
+from test_rco_effects import DAMPING, STIFFNESS, chain, sampled
+
+import rcorefine as rco
+from rcorefine import Effect, RCORefiner
+
+
+def cube(d, v):
+    return d**3
+
+
+def cases():
+    physical = {"model": chain(), "dt": 0.02, "effects": STIFFNESS}
+    nonlinear = [Effect("cubic_stiffness", "link2"), Effect("input_delay", "force")]
+    return {
+        "paper": {"model": chain().system, "dt": 0.02, "order": 2, "window": 40},
+        "effects": physical,
+        "effects with history and gaps": {**physical, "history": True, "missing": "hold-out"},
+        "nonlinear with a delay": {**physical, "effects": nonlinear, "use_estimated_states": False},
+        "forgetting, plain model": {
+            **physical,
+            "model": rco.mass_spring_damper([1, 1, 1], DAMPING, [10, 8, 6]).system,
+            "effects": [Effect("damping", "q1")],
+            "forgetting": 0.999,
+            "use_estimated_states": False,
+        },
+    }
+
+
+def stream(case, n_samples=600):
+    w, y, _ = sampled(chain((10, 5.6, 6)), 0.02, n_samples, 0.05, 1)
+    if "plain" in case:
+        y = np.vstack([y, y[:1]])
+    if "gaps" in case:
+        y = y.copy()
+        y[np.random.default_rng(0).random(y.shape) < 0.1] = np.nan
+        y[:, 0] = 0.0
+    return w, y
+
+
+def same(one, other):
+    assert one.n_samples == other.n_samples
+    np.testing.assert_array_equal(one.static_theta, other.static_theta)
+    np.testing.assert_array_equal(one.theta, other.theta)
+    if one.effects is not None:
+        np.testing.assert_array_equal(one.covariance, other.covariance)
+        np.testing.assert_array_equal(one._physical.memory.packed, other._physical.memory.packed)
+    assert str(one) == str(other)
+
+
+@pytest.mark.parametrize("case", cases())
+def test_going_on_after_twenty_random_cuts_is_bitwise_the_same(case, tmp_path):
+    settings, (w, y) = cases()[case], stream(case)
+    whole, cut = RCORefiner(**settings), RCORefiner(**settings)
+    cuts = np.sort(np.random.default_rng(2).choice(np.arange(1, w.shape[1]), 20, replace=False))
+    for part in np.split(np.arange(w.shape[1]), cuts):
+        whole.update(w[:, part], y[:, part])
+        cut.update(w[:, part], y[:, part])
+        cut.save(tmp_path / "state.npz")
+        del cut
+        cut = RCORefiner.load(tmp_path / "state.npz")
+        same(whole, cut)
+    if settings.get("history"):
+        np.testing.assert_array_equal(whole.history.coefficients, cut.history.coefficients)
+        np.testing.assert_array_equal(whole.history.z2, cut.history.z2)
+        np.testing.assert_array_equal(whole.history.x_D, cut.history.x_D)
+
+
+def test_hundred_kills_at_random_samples(tmp_path):
+    """Each time the process dies after a save and starts again from the file; the rest comes in one block."""
+    w, y = stream("effects")
+    settings = cases()["effects"]
+    whole = RCORefiner(**settings)
+    whole.update(w, y)
+    running, path = RCORefiner(**settings), tmp_path / "state.npz"
+    cuts = np.sort(np.random.default_rng(3).choice(np.arange(1, w.shape[1]), 100, replace=False))
+    begin = 0
+    for end in cuts:
+        running.update(w[:, begin:end], y[:, begin:end])
+        running.save(path)
+        running = RCORefiner.load(path)
+        begin = end
+    running.update(w[:, begin:], y[:, begin:])
+    np.testing.assert_array_equal(running.static_theta, whole.static_theta)
+    np.testing.assert_array_equal(running.covariance, whole.covariance)
+
+
+def test_a_failed_save_leaves_the_old_file(tmp_path, monkeypatch):
+    w, y = stream("effects")
+    refiner, path = RCORefiner(**cases()["effects"]), tmp_path / "state.npz"
+    refiner.update(w[:, :300], y[:, :300])
+    refiner.save(path)
+    before = path.read_bytes()
+    refiner.update(w[:, 300:], y[:, 300:])
+
+    def broken(*_):
+        raise OSError("disk full")
+
+    monkeypatch.setattr(os, "replace", broken)
+    with pytest.raises(OSError, match="disk full"):
+        refiner.save(path)
+    assert path.read_bytes() == before
+    assert [item.name for item in tmp_path.iterdir()] == ["state.npz"]
+
+
+def test_files_that_are_none_are_refused(tmp_path):
+    path = tmp_path / "state.npz"
+    with pytest.raises(FileNotFoundError):
+        RCORefiner.load(path)
+    path.write_bytes(b"no archive")
+    with pytest.raises(rco.DataError, match="damaged"):
+        RCORefiner.load(path)
+    np.savez(path, meta=np.array({"schema": 1}, dtype=object))
+    with pytest.raises(rco.DataError, match="damaged"):  # a pickle is never opened
+        RCORefiner.load(path)
+    np.savez(path, meta=np.array(json.dumps({"schema": 99, "content": None})))
+    with pytest.raises(rco.DataError, match="schema version 99"):
+        RCORefiner.load(path)
+
+
+def test_nothing_is_pickled(tmp_path):
+    w, y = stream("effects")
+    refiner, path = RCORefiner(**cases()["effects"]), tmp_path / "state.npz"
+    refiner.update(w, y)
+    refiner.save(path)
+    with np.load(path, allow_pickle=False) as stored:
+        assert all(stored[key].dtype != object for key in stored.files)
+
+
+def test_custom_laws_are_handed_over_again(tmp_path):
+    w, y = stream("effects", 200)
+    effects = [Effect("custom", "link2", law=cube)]
+    refiner, path = (
+        RCORefiner(chain(), dt=0.02, effects=effects, use_estimated_states=False),
+        tmp_path / "x.npz",
+    )
+    refiner.update(w[:, :20], y[:, :20])
+    refiner.save(path)
+    with pytest.raises(rco.ModelError, match="laws="):
+        RCORefiner.load(path)
+    again = RCORefiner.load(path, laws={"custom at link2": cube})
+    for one in (refiner, again):
+        one.update(w[:, 20:120], y[:, 20:120])
+    np.testing.assert_array_equal(refiner.static_theta, again.static_theta)
+
+
+def test_memory_and_file_stay_the_same_size(tmp_path):
+    w, y, _ = sampled(chain((10, 5.6, 6)), 0.02, 6000, 0.05, 1)
+    refiner, path = RCORefiner(chain(), dt=0.02, effects=STIFFNESS), tmp_path / "state.npz"
+    sizes = []
+    for begin in (0, 2500, 4000):
+        end = {0: 2500, 2500: 4000, 4000: 6000}[begin]
+        refiner.update(w[:, begin:end], y[:, begin:end])
+        refiner.save(path)
+        sizes.append(path.stat().st_size)
+    assert max(sizes) - min(sizes) < 200  # digits of counters
