@@ -46,6 +46,8 @@ def assemble(
     offsets: Sequence[Effect],
 ) -> list[tuple[Effect, str]]:
     """Effects with their roles: asked for, linear parameters, offsets."""
+    if isinstance(tolerance, bool) or not isinstance(tolerance, (int, float, np.number)):
+        raise ct.ControlArgument(f"tolerance must be a number, not {tolerance!r}")
     if not (np.isfinite(tolerance) and tolerance >= 0):
         raise ct.ControlArgument(f"tolerance must be a finite number >= 0, not {tolerance!r}")
     if isinstance(effects, Effect):
@@ -86,6 +88,10 @@ def _linear_effects(physical: PhysicalModel, free: Any, tolerance: float) -> lis
         if free != "linear":
             raise ct.ControlArgument(f"free must be 'linear' or a list, not {free!r}")
         return everything
+    if isinstance(free, Effect):
+        free = [free]
+    if not isinstance(free, Sequence):
+        raise ct.ControlArgument(f"free must be 'linear' or a list of names or effects, not {free!r}")
     if not len(free):
         return everything if tolerance > 0 else []
     found = []
@@ -93,7 +99,7 @@ def _linear_effects(physical: PhysicalModel, free: Any, tolerance: float) -> lis
     for entry in free:
         if isinstance(entry, Effect):
             found.append(entry)
-        elif entry in by_name:
+        elif isinstance(entry, str) and entry in by_name:
             found.append(by_name[entry])
         else:
             raise ct.ControlArgument(

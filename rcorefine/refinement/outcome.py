@@ -29,11 +29,20 @@ def output_weights(
     """One over the noise of each output: declared, or from the residual."""
     ny = records[0].outputs.shape[0]
     if noise is not None:
-        level = np.broadcast_to(np.asarray(noise, dtype=float), (ny,))
+        try:
+            level = np.atleast_1d(np.asarray(noise, dtype=float))
+        except (TypeError, ValueError):
+            raise ct.ControlArgument(f"noise must hold standard deviations, not {noise!r}") from None
         if not (np.isfinite(level).all() and (level > 0).all()):
             raise ct.ControlArgument(
                 f"noise must be positive standard deviations, one per output, not {noise!r}"
             )
+        if level.shape not in ((1,), (ny,)):
+            raise ct.ControlDimension(
+                f"noise has shape {level.shape}; give one standard deviation, or one for each of the "
+                f"{ny} outputs"
+            )
+        level = np.broadcast_to(level, (ny,))
         return 1.0 / level
     spread = np.concatenate([record.outputs for record in records], axis=1).std(axis=1)
     spread = np.where(spread > 0, spread, 1.0)
@@ -44,17 +53,14 @@ def output_weights(
     return 1.0 / np.maximum(level, 1e-12 * spread)
 
 
-def package(fit: Any, physical: PhysicalModel, note: str, tolerance: float) -> Refinement:
+def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
     """The `Refinement` of a finished fit."""
     structure, problem, result, roles = fit.structure, fit.problem, fit.result, fit.roles
     point = result.x
     theta, starts = problem.unpack(point)
     blocks = residual_blocks(problem, point)
     precision = np.zeros(problem.size)
-    loose = np.array(
-        [roles[q.effect] == "linear" and tolerance == 0 for q in structure.parameters], dtype=bool
-    )
-    held = np.isfinite(problem.prior_sd) & ~loose
+    held = np.isfinite(problem.prior_sd) & ~fit.loose
     precision[: problem.n_theta][held] = 1.0 / problem.prior_sd[held] ** 2
     unsure = parameter_uncertainty([r for r, _ in blocks], [j for _, j in blocks], precision)
     p = structure.n_parameters

@@ -19,14 +19,13 @@ from .assembly import assemble, offset_variants, priors, unfold
 from .outcome import output_weights, package
 from .problem import Problem, residual_blocks
 from .refinement import Refinement
-from .search import search, starting_states, step_matters
+from .search import search, sufficient_steps
 from .starts import Motion, estimated_motion, law_widths
 from .windows import as_records, windows
 
 __all__ = ["refine"]
 
-_STEP_SHARE = 0.5  # of a standard deviation that halving the substep may shift a coefficient
-_MOST_HALVINGS = 7
+_ROUGHLY, _EXACTLY = 1e-7, 1e-12  # tolerances of a polish before and after the substep is settled
 
 
 def refine(
@@ -70,9 +69,9 @@ def refine(
     noise : float or sequence of float, optional
         Known sensor noise (standard deviation per output); estimated by default.
     horizon : float, optional
-        Length in seconds of the free runs: the record is cut into windows with an initial
-        state each. Default: the whole record; one tenth of it where the model
-        integrates, because a free run then drifts without bound.
+        Length in seconds of the free runs: the record is cut into windows with an estimated
+        initial state each (so it excludes a given `x0`). Default: the whole record; one tenth
+        of it where the model integrates, because a free run then drifts without bound.
     substeps : int, optional
         Substeps per sample for nonlinear effects; by default as many as shift no
         coefficient by a third of its standard deviation when they are doubled.
@@ -88,6 +87,8 @@ def refine(
         If a place does not exist or an effect is named twice.
     control.ControlDimension
         If the record's channels are not the model's.
+    control.ControlArgument
+        If an argument is of the wrong kind or out of its range.
     DataError
         If the record is too short for the number of unknowns.
 
@@ -118,8 +119,12 @@ def refine(
     for record in records:
         check_channels(physical.linear, record)
         record.check_excitation("refine", stacklevel=2)
-    segments, note = windows(physical, records, horizon)
     initial = _given_state(x0)
+    if substeps is not None and (
+        isinstance(substeps, bool) or not isinstance(substeps, (int, np.integer)) or substeps < 1
+    ):
+        raise ct.ControlArgument(f"substeps must be a whole number >= 1, not {substeps!r}")
+    segments, note = windows(physical, records, horizon, known_start=initial is not None)
     bare = Structure(physical)
     motion = estimated_motion(bare, np.zeros(0), records[0])
     best: Fit | None = None
@@ -132,11 +137,11 @@ def refine(
         ):
             continue  # behind a linear model all offsets are the same
         fit = Fit(structure, [role for _, role in chosen], segments, noise, initial, tolerance)
-        fit.run(motion, substeps, start=None if best is None else best.theta)
+        fit.run(motion, substeps, rival=best)
         if best is None or fit.cost < best.cost:
             best = fit
     assert best is not None
-    return package(best, physical, note, tolerance)
+    return package(best, physical, note)
 
 
 class Fit:
@@ -154,6 +159,10 @@ class Fit:
         self.structure, self.roles, self.segments, self.noise = structure, roles, segments, noise
         self.initial = None if initial is None else _resized(initial, structure.n_states)
         self.mean, self.sd = priors(structure, roles, tolerance)
+        # a prior so wide that it only settles what the record cannot; no part of the error bars
+        self.loose = np.array(
+            [roles[q.effect] == "linear" and tolerance == 0 for q in structure.parameters], dtype=bool
+        )
         self.weights = output_weights(segments, noise)
         self.steps = 1
         self.problem: Problem
@@ -166,7 +175,7 @@ class Fit:
                 "give a longer record or fewer effects"
             )
 
-    def build(self, segments: Sequence[Measurement], steps: int) -> Problem:
+    def build(self, segments: Sequence[Measurement], steps: int, unknown_start: bool = False) -> Problem:
         """The problem on some segments at the present noise levels."""
         return Problem(
             self.structure,
@@ -175,38 +184,42 @@ class Fit:
             prior_mean=self.mean,
             prior_sd=self.sd,
             substeps=steps,
-            initial=self.initial,
+            initial=None if unknown_start else self.initial,
         )
 
-    def run(self, motion: Motion, substeps: int | None, start: Array | None = None) -> None:
-        """Search (unless a start is given), polish, halve the substep until it no longer matters."""
-        self.steps = substeps or (1 if self.structure.is_linear else 2)
-        self.problem = self.build(self.segments, self.steps)
-        if start is None:
-            point = search(self.build, self.structure, self.segments, motion, self.steps)
+    def run(self, motion: Motion, substeps: int | None, rival: Fit | None = None) -> None:
+        """Search (or start from a rival's minimum), polish, refine the substep until it no longer matters."""
+        if rival is not None:
+            self.steps = rival.steps
+            self.problem = self.build(self.segments, self.steps)
+            point = self.problem.pack(*rival.problem.unpack(rival.result.x))
         else:
-            point = self.problem.pack(start, starting_states(self.problem, start))
-        self._polish(point)
-        for _ in range(_MOST_HALVINGS):
+            self.steps = substeps or (1 if self.structure.is_linear else 2)
+            point, found = search(self.build, self.structure, self.segments, motion, self.steps)
+            self.steps = substeps or found
+            self.problem = self.build(self.segments, self.steps)
+        self._polish(point, _ROUGHLY)
+        while True:
             self._reweigh()
-            if self.structure.is_linear or substeps:
+            finer = sufficient_steps(self.build, self.segments, self.problem, self.result.x)
+            if substeps or finer == self.steps:
                 break
-            finer = self.build(self.segments, 2 * self.steps)
-            if step_matters(self.problem, finer, self.result.x) < _STEP_SHARE:
-                break
-            self.steps *= 2
-            self.problem = finer
-            self._polish(self.result.x)
+            self.steps = finer
+            self.problem = self.build(self.segments, self.steps)
+            self._polish(self.result.x, _ROUGHLY)
+        self._polish(self.result.x, _EXACTLY)
 
-    def _polish(self, point: Array) -> None:
-        self.result = self.problem.minimize(point, max_nfev=60)
+    def _polish(self, point: Array, tolerance: float) -> None:
+        self.result = self.problem.minimize(point, max_nfev=60, tol=tolerance)
 
     def _reweigh(self) -> None:
-        """Noise levels from the residual, and once more at these."""
-        if self.noise is None:
-            self.weights = output_weights(self.segments, None, self.problem, self.result.x)
+        """Noise levels from the residual, and once more at these where that moves the minimum."""
+        if self.noise is not None:
+            return
+        self.weights = output_weights(self.segments, None, self.problem, self.result.x)
         self.problem = self.build(self.segments, self.steps)
-        self._polish(self.result.x)
+        if self.weights.size > 1 or np.isfinite(self.sd[~self.loose]).any():
+            self._polish(self.result.x, _ROUGHLY)
 
     @property
     def theta(self) -> Array:
@@ -226,7 +239,13 @@ def _given_state(x0: str | Array) -> Array | None:
         if x0 not in ("estimate", "zero"):
             raise ct.ControlArgument(f"x0 must be 'estimate', 'zero' or an array, not {x0!r}")
         return None if x0 == "estimate" else np.zeros(0)
-    return np.asarray(x0, dtype=float)
+    try:
+        start = np.asarray(x0, dtype=float)
+    except (TypeError, ValueError):
+        raise ct.ControlArgument(f"x0 must be 'estimate', 'zero' or an array, not {x0!r}") from None
+    if not np.isfinite(start).all():
+        raise DataError(f"x0 holds a value that is not finite: {start}")
+    return start
 
 
 def _resized(initial: Array, n: int) -> Array:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 import numpy as np
 
 from ..measurement import Measurement
+from ..physics.engine import Engine
 from ..physics.observer import observer_gain
 from ..physics.simulation import estimate_initial_state
 from ..physics.structure import Structure
@@ -15,24 +17,30 @@ from .problem import Problem, residual_blocks
 from .starts import Motion, far_starts, shape_starts
 from .uncertainty import parameter_uncertainty
 
-__all__ = ["search", "starting_states", "step_matters"]
+__all__ = ["search", "starting_states", "step_matters", "sufficient_steps"]
 
 _RATIOS = (1.0, 0.1, 0.01)  # observer gains of the first pass, high to low
 _START_SAMPLES = 4000  # the first pass needs no more
 _POLISHED = 3  # starts that are polished
+_FAIR, _POOR = 1e-3, 0.02  # cost over that of no model: above, other starts are tried
+_FIRST_WINDOWS = 32  # free runs that the record is cut into where it is hard
+_SHORTEST_WINDOW = 60  # samples
+_STEP_SHARE = 0.5  # of a standard deviation that halving the substep may shift a coefficient
+_MOST_SUBSTEPS = 256
 
-ProblemOf = Callable[[Sequence[Measurement], int], Problem]
+ProblemOf = Callable[..., Problem]
 
 
 def search(
     problem: ProblemOf, structure: Structure, windows: Sequence[Measurement], motion: Motion, steps: int
-) -> Array:
+) -> tuple[Array, int]:
     """Point from which to polish.
 
     Parameters
     ----------
     problem : callable
-        ``problem(segments, substeps)`` builds the estimation problem.
+        ``problem(segments, substeps, unknown_start=False)`` builds the estimation problem;
+        unknown_start: estimate initial states even where the record's first one is known.
     structure : Structure
         Model with the effects.
     windows : sequence of Measurement
@@ -44,8 +52,10 @@ def search(
 
     Returns
     -------
-    ndarray
+    point : ndarray
         Point of ``problem(windows, steps)``.
+    steps : int
+        Substeps that it takes.
     """
     short = _shortened(windows)
     trial = problem(short, steps)
@@ -56,34 +66,124 @@ def search(
         outcomes += _first_pass(trial, structure, short, candidate)
     outcomes.sort(key=lambda pair: pair[0])
     level = 0.5 * sum(float(np.sum((trial.weights[:, None] * r.outputs) ** 2)) for r in short)
-    if outcomes[0][0] > 0.01 * level:
+    polished = _polish_each(trial, outcomes, level, steps)
+    if min(entry[0] for entry in polished) > _POOR * level:
+        far: list[tuple[float, Array]] = []
         for candidate in far_starts(trial, structure, outcomes[0][1][: structure.n_parameters]):
-            outcomes += _first_pass(trial, structure, short, candidate)
-        outcomes.sort(key=lambda pair: pair[0])
-    polished = []
+            far += _first_pass(trial, structure, short, candidate)
+        outcomes = sorted(outcomes + far, key=lambda pair: pair[0])
+        polished += _polish_each(trial, sorted(far, key=lambda pair: pair[0]), level, steps)
+    enough = (_POOR if structure.is_linear else _FAIR) * level
+    grown: list[Array] = []
+    for _, point in outcomes[:_POLISHED]:
+        if min(entry[0] for entry in polished) < enough:
+            break
+        here = point[: structure.n_parameters]
+        if not any(np.allclose(here, other, rtol=0.1, atol=1e-12) for other in grown):
+            grown.append(here)
+            polished.append(_grow(problem, short, steps, here))
+    _, best, steps = min(polished, key=lambda entry: entry[0])
+    whole = problem(windows, steps)
+    theta = best[: structure.n_parameters]
+    if whole.size == best.size and [r.n_samples for r in short] == [r.n_samples for r in windows]:
+        return best, steps
+    return whole.pack(theta, starting_states(whole, theta)), steps
+
+
+def _polish_each(
+    trial: Problem, outcomes: list[tuple[float, Array]], level: float, steps: int
+) -> list[tuple[float, Array, int]]:
+    """The best starts, each polished on its free run; no further ones after a good fit."""
+    polished: list[tuple[float, Array, int]] = []
     for _, point in outcomes[:_POLISHED]:
         result = trial.minimize(point, max_nfev=25)
-        polished.append((float(result.cost), result.x))
-        if result.cost < 1e-3 * level:
+        polished.append((float(result.cost), result.x, steps))
+        if result.cost < _FAIR * level:
             break
-        grown = _grow(problem, short, steps, point[: structure.n_parameters])
-        result = trial.minimize(trial.pack(grown, starting_states(trial, grown)), max_nfev=25)
-        polished.append((float(result.cost), result.x))
-    best = min(polished, key=lambda pair: pair[0])[1][: structure.n_parameters]
-    whole = problem(windows, steps)
-    return whole.pack(best, starting_states(whole, best))
+    return polished
 
 
-def _grow(problem: ProblemOf, windows: list[Measurement], steps: int, theta: Array) -> Array:
-    """Fit a short free run first and let it grow, so that the phase never slips by a period."""
-    n = windows[0].n_samples
-    length = max(n // 16, 60)
-    while length < n:
-        part = problem([windows[0]._part(slice(0, length))], steps)
-        result = part.minimize(part.pack(theta, starting_states(part, theta)), max_nfev=10, tol=1e-6)
-        theta = result.x[: theta.size]
-        length *= 2
-    return theta
+def _grow(
+    problem: ProblemOf, windows: list[Measurement], steps: int, theta: Array
+) -> tuple[float, Array, int]:
+    """Fit many short free runs together and let them grow, so that no phase slips by a period.
+
+    Each run starts where the shorter one before it had its initial state; a state estimated
+    anew over a long run can itself end in a wrong valley.
+    """
+    n = min(record.n_samples for record in windows)
+    count = 2 ** int(np.log2(np.clip(n / _SHORTEST_WINDOW, 1, _FIRST_WINDOWS)))
+    starts: Array | None = None
+    while True:
+        pieces = [piece for record in windows for piece in _cut(record, count)]
+        part = problem(pieces, steps, True)
+        if starts is None:
+            starts = _observed_states(part, windows, theta, count)
+        result = part.minimize(part.pack(theta, starts), max_nfev=15, tol=1e-6)
+        finer = sufficient_steps(problem, pieces, part, result.x)
+        if finer != steps:
+            steps = finer
+            part = problem(pieces, steps, True)
+            result = part.minimize(result.x, max_nfev=15, tol=1e-6)
+        theta, starts = part.unpack(result.x)
+        if count == 1:
+            break
+        starts, count = starts[::2], count // 2
+    trial = problem(windows, steps)
+    point = result.x if trial.free_start else trial.pack(theta, starts)
+    result = trial.minimize(point, max_nfev=25)
+    return float(result.cost), result.x, steps
+
+
+def _observed_states(part: Problem, windows: list[Measurement], theta: Array, count: int) -> Array:
+    """Initial states of the pieces as an observer along the record sees them."""
+    found = []
+    for record in windows:
+        gain = observer_gain(part.structure, theta, record, _RATIOS[0])
+        engine = Engine(part.structure, record, substeps=part.substeps)
+        run = engine.run(theta, sensitivity=False, gain=gain, histories=True, check=False)
+        edges = np.linspace(0, record.n_samples, _FIRST_WINDOWS + 1).astype(int)[:: _FIRST_WINDOWS // count]
+        found.append(run.states[:, edges[:-1]].T)
+    states = np.concatenate(found)
+    return states if np.isfinite(states).all() else starting_states(part, theta)
+
+
+def _cut(record: Measurement, count: int) -> list[Measurement]:
+    """Nested windows: those of half the count are pairs of these."""
+    edges = np.linspace(0, record.n_samples, _FIRST_WINDOWS + 1).astype(int)[:: _FIRST_WINDOWS // count]
+    return [record._part(slice(int(a), int(b))) for a, b in pairwise(edges)]
+
+
+def sufficient_steps(
+    problem: ProblemOf, segments: Sequence[Measurement], coarse: Problem, point: Array
+) -> int:
+    """Substeps that shift no coefficient by more than half a standard deviation.
+
+    Parameters
+    ----------
+    problem : callable
+        As in `search`.
+    segments : sequence of Measurement
+        Segments of `coarse`.
+    coarse : Problem
+        Problem with the present substeps.
+    point : ndarray
+        Where to judge.
+
+    Returns
+    -------
+    int
+        The present number where it suffices; otherwise the number that the second
+        order of the integration asks for (to be judged again), 8 times as many at most.
+    """
+    steps = coarse.substeps
+    if coarse.structure.is_linear or steps >= _MOST_SUBSTEPS:
+        return steps
+    shift = step_matters(coarse, problem(segments, 2 * steps, coarse.free_start), point)
+    if shift < _STEP_SHARE:
+        return steps
+    factor = 2 ** int(np.ceil(0.5 * np.log2(shift / _STEP_SHARE))) if np.isfinite(shift) else 2
+    return steps * min(max(factor, 2), 8)
 
 
 def _shortened(windows: Sequence[Measurement]) -> list[Measurement]:

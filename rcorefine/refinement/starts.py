@@ -159,15 +159,18 @@ def _options(structure: Structure, index: int, motion: Motion) -> Sequence[dict[
         if kind == "output_lag":
             return [{"time_constant": q * data.dt} for q in (1.0, 5.0, 25.0)]
         return []
-    if kind in ("clearance", "stribeck_friction", "hysteresis", "threshold_flow", "hidden_mode"):
+    if kind in ("clearance", "asymmetric_friction", "stribeck_friction", "hysteresis", "threshold_flow", "hidden_mode"):
         d, v = motion.port(effect.place)
         rms_d, rms_v = float(np.sqrt(np.mean(d**2))), float(np.sqrt(np.mean(v**2)))
         if kind == "clearance":
             return [{"gap": float(q)} for q in np.quantile(np.abs(d), [0.4, 0.7, 0.9, 0.1])]
+        inertia = structure.inertia(effect.place)
+        pull = inertia * float(np.std(np.gradient(v, data.dt))) if np.isfinite(inertia) else 1.0
+        if kind == "asymmetric_friction":
+            # equal levels too: from zero, a push one way and a brake the other can look as good
+            return [{"force_plus": q * pull, "force_minus": q * pull} for q in (0.0, 0.05, 0.2)]
         if kind == "stribeck_friction":
             # a level to begin with: at zero force the fading speed has no gradient
-            inertia = structure.inertia(effect.place)
-            pull = inertia * float(np.std(np.gradient(v, data.dt))) if np.isfinite(inertia) else 1.0
             return [
                 {"velocity": q * rms_v, "coulomb_force": share * pull, "static_force": 2 * share * pull}
                 for share in (0.05, 0.2)

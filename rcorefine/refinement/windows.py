@@ -43,24 +43,30 @@ def integrates(linear: LinearModel, record: Measurement) -> bool:
 
 
 def windows(
-    physical: PhysicalModel, records: list[Measurement], horizon: float | None
+    physical: PhysicalModel, records: list[Measurement], horizon: float | None, known_start: bool = False
 ) -> tuple[list[Measurement], str]:
     """Cut the records into free-run windows where asked for, or where the model integrates."""
-    note = ""
+    note, seconds = "", 0.0
     if horizon is None:
-        if not integrates(physical.linear, records[0]):
+        if known_start or not integrates(physical.linear, records[0]):
             return records, note
-        length = max(record.n_samples for record in records) // 10
+        seconds = max(record.n_samples * record.dt for record in records) / 10
         note = (
-            f"The model integrates, so free runs are cut into windows of "
-            f"{length * records[0].dt:.3g} s with an initial state each (horizon=)."
+            f"The model integrates, so free runs are cut into windows of {seconds:.3g} s "
+            "with an initial state each (horizon=)."
         )
     else:
-        length = round(horizon / records[0].dt)
+        if isinstance(horizon, (bool, np.bool_)) or not isinstance(horizon, (int, float, np.number)):
+            raise ct.ControlArgument(f"horizon must be a time in seconds, not {horizon!r}")
+        if not (np.isfinite(horizon) and horizon > 0):
+            raise ct.ControlArgument(f"horizon must be a positive time in seconds, not {horizon!r}")
+        if known_start:
+            raise ct.ControlArgument("a given x0 holds for one start only; leave horizon or x0 out")
+        seconds = float(horizon)
     least = 4 * physical.linear.n_states + 4
-    length = max(length, least)
     pieces = []
     for record in records:
+        length = max(round(seconds / record.dt), least)
         count = max(1, record.n_samples // length)
         edges = np.linspace(0, record.n_samples, count + 1).astype(int)
         for first, last in pairwise(edges):
