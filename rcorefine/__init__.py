@@ -7,7 +7,8 @@ out. The estimator is retrospective cost model refinement (D'Amato et al.).
 from . import examples
 from .comparison import Comparison, compare
 from .diagnosis import Diagnosis, diagnose
-from .diagnosis.improve import Improvement, improve
+from .diagnosis.improve import improve
+from .diagnosis.ledger import Improvement
 from .exceptions import (
     ConversionWarning,
     DataError,
