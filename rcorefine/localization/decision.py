@@ -109,9 +109,11 @@ def decide(joint: Joint, candidates: list[Candidate], significance: float) -> De
     dense = joint.point.copy()
     kept = _eliminate(joint, where, active, floor, tolerated, significance)
     elsewhere = False
+    level = joint.problem.cost(joint.point)
     if len(kept) > 1 and joint.sparser(active, len(kept)) is not None:
         # the same response with fewer changes: decide there
-        elsewhere = True
+        reached = joint.problem.cost(joint.point)
+        elsewhere = 2.0 * (level - reached) < _RIVAL * 2.0 * reached / joint.problem.n_points
         active[:] = True
         joint.fit(active, reweigh=True)
         dense = joint.point.copy()

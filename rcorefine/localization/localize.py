@@ -125,7 +125,6 @@ def localize_damage(
     Examples
     --------
     >>> import numpy as np, rcorefine as rco
-    >>> from rcorefine.localization import localize_damage
     >>> c, sensors = [0.2, 0.16, 0.12], ("displacement", (1, 3))
     >>> chain = rco.mass_spring_damper([1, 1, 1], c, [10, 8, 6], force=3, sensors=sensors)
     >>> true = rco.mass_spring_damper([1, 1, 1], c, [10, 5.6, 6], force=3, sensors=sensors)
@@ -134,7 +133,7 @@ def localize_damage(
     >>> blank = rco.Measurement(force, np.zeros((2, 3000)), dt=0.05)
     >>> y = rco.simulate(true, blank, "zero").outputs
     >>> noisy = y + 0.02 * y.std() * rng.standard_normal(y.shape)
-    >>> found = localize_damage(chain, rco.Measurement(force, noisy, dt=0.05))
+    >>> found = rco.localize_damage(chain, rco.Measurement(force, noisy, dt=0.05))
     >>> [(row.label, round(row.percent)) for row in found.named]
     [('stiffness at link2', -30)]
     """

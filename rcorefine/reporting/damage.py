@@ -114,8 +114,7 @@ def _verdict(result: DamageMap) -> str:
             parts.append(f"{row.place} {word} {size} of its {row.kind}")
         else:
             parts.append(f"{row.place} {word} {number(abs(row.change), 3)} {row.unit} of {row.kind}")
-    text = "; ".join(parts)
-    return f"{text[0].upper()}{text[1:]}."
+    return f"Changed: {'; '.join(parts)}."
 
 
 def _title(result: DamageMap) -> str:
