@@ -76,6 +76,7 @@ def refiner_of(model: Plant, **settings: object) -> RCORefiner:
         correction_feedthrough=model.Du,
         scale=UNIT,
         history=True,
+        static_average=1,
         **{**SETTINGS, **settings},
     )
 

@@ -64,6 +64,8 @@ class Improvement:
         Verdict on the last model: "adequate", or why the ladder ends.
     message : str
         Why it ended, in words.
+    output_labels, output_units : tuple of str
+        Names and units of the outputs, units "" where unknown.
     """
 
     steps: tuple[Step, ...]
@@ -84,7 +86,12 @@ class Improvement:
         return tuple(e for e, role in zip(last.effects, last.roles, strict=True) if role == "effect")
 
     def sentences(self) -> list[str]:
-        """What happened, one sentence each."""
+        """What happened, one sentence each.
+
+        Returns
+        -------
+        list of str
+        """
         first, last = self.steps[0], self.steps[-1]
         lines = []
         for i, label in enumerate(self.output_labels):
@@ -143,13 +150,32 @@ class Improvement:
 
         return html_table(_HEADER, self._rows(), title=f"Improvement: {self.verdict}", notes=self.sentences())
 
-    def plot(self, **kwargs: Any) -> ct.ControlPlot:
+    def plot(
+        self,
+        *,
+        ax: Any = None,
+        label: str | None = None,
+        title: str | None = None,
+        legend_loc: str | None = "upper right",
+        rcParams: dict[str, Any] | None = None,
+        show_legend: bool | None = None,
+    ) -> ct.ControlPlot:
         """The staircase of held-out error, the effect's name on each step.
 
         Parameters
         ----------
-        **kwargs
-            ``ax, label, title, legend_loc, rcParams, show_legend`` as in python-control.
+        ax : Axes, optional
+            Where to draw.
+        label : str, optional
+            Label of the held-out line.
+        title : str, optional
+            Title.
+        legend_loc : str, optional
+            Place of the legend.
+        rcParams : dict, optional
+            Matplotlib settings for this plot.
+        show_legend : bool, optional
+            Whether to show a legend; default True.
 
         Returns
         -------
@@ -157,7 +183,15 @@ class Improvement:
         """
         from ..reporting.staircase import staircase_plot
 
-        return staircase_plot(self, **kwargs)
+        return staircase_plot(
+            self,
+            ax=ax,
+            label=label,
+            title=title,
+            legend_loc=legend_loc,
+            rcParams=rcParams,
+            show_legend=show_legend,
+        )
 
 
 _HEADER = ["step", "coefficient", "fitted", "chosen on", "held out"]

@@ -132,7 +132,12 @@ class Diagnosis:
         return refine(self.base, list(self.records), [self.best.effect.replace(start=given)], **settings)
 
     def ordered_records(self) -> list[Measurement]:
-        """The records, channels in the order of the model."""
+        """The records, channels in the order of the model.
+
+        Returns
+        -------
+        list of Measurement
+        """
         from ..comparison.channels import match_channels, record_for
 
         linear = self.base.physical_model.linear
@@ -140,7 +145,12 @@ class Diagnosis:
 
     # ------------------------------------------------------------------ in words
     def sentences(self) -> list[str]:
-        """What was found, one sentence each."""
+        """What was found, one sentence each.
+
+        Returns
+        -------
+        list of str
+        """
         lines = [_VERDICTS[self.verdict].format(best=self._best_text(), alike=self._alike_text())]
         worst = min(self.tests, key=lambda t: t.p_value) if self.tests else None
         if self.verdict == "adequate":
@@ -218,13 +228,26 @@ class Diagnosis:
             )
         return rows
 
-    def plot(self, **kwargs: Any) -> ct.ControlPlot:
+    def plot(
+        self,
+        *,
+        title: str | None = None,
+        rcParams: dict[str, Any] | None = None,
+        legend_loc: str | bool | None = None,
+        show_legend: bool | None = None,
+    ) -> ct.ControlPlot:
         """Ranking, hidden force against motion, residual before and after.
 
         Parameters
         ----------
-        **kwargs
-            ``title, rcParams`` as in python-control.
+        title : str, optional
+            Title of the figure.
+        rcParams : dict, optional
+            Matplotlib settings for this plot.
+        legend_loc : str or bool, optional
+            Place of the legends, False for none.
+        show_legend : bool, optional
+            Whether to show legends.
 
         Returns
         -------
@@ -232,7 +255,9 @@ class Diagnosis:
         """
         from ..reporting.diagnosis import diagnosis_plot
 
-        return diagnosis_plot(self, **kwargs)
+        return diagnosis_plot(
+            self, title=title, rcParams=rcParams, legend_loc=legend_loc, show_legend=show_legend
+        )
 
 
 _HEADER = ["effect", "coefficient", "std", "fit %", "p-value", "probability"]
