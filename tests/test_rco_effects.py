@@ -200,11 +200,12 @@ def test_input_delay_of_a_fraction_of_a_sample():
     assert std[0] < 0.02 * dt
 
 
-def test_damage_that_grows_is_followed_with_forgetting():
+@pytest.mark.parametrize("times", [(0, 2000, 6000), (0, 3000, 3001)])
+def test_damage_that_grows_or_jumps_is_followed_with_forgetting(times):
     dt, n_samples = 0.02, 8000
     rng = np.random.default_rng(0)
     w = rng.standard_normal((1, n_samples))
-    course = np.interp(np.arange(n_samples), [0, 2000, 6000], [8.0, 8.0, 6.0])
+    course = np.interp(np.arange(n_samples), times, [8.0, 8.0, 6.0])
     x, y = np.zeros(6), np.empty((2, n_samples))
     for i in range(n_samples):
         y[:, i] = x[[0, 2]]
@@ -216,22 +217,23 @@ def test_damage_that_grows_is_followed_with_forgetting():
     follows = only_effects(chain(), dt, STIFFNESS, forgetting=0.998, history=True)
     follows.update(w, y)
     found = follows.history.coefficients
-    np.testing.assert_allclose(found[1, 4000], -1.0, atol=0.25)
+    lag = 2.0 / 4000 / (1 - 0.998)  # what a memory of 500 samples may lag behind the ramp
+    np.testing.assert_allclose(found[1, 5000], course[5000] - 8, atol=2 * lag)
     np.testing.assert_allclose(found[:, -1], [0, -2, 0], atol=0.1)
 
 
 def test_without_excitation_nothing_is_forgotten():
-    w, y, _ = sampled(chain((10, 5.6, 6)), 0.02, 3000, 0.02, 0)
-    refiner = only_effects(chain(), 0.02, STIFFNESS, forgetting=0.99)
+    w, y, level = sampled(chain((10, 5.6, 6)), 0.02, 3000, 0.02, 0)
+    refiner = only_effects(chain(), 0.02, STIFFNESS, forgetting=0.995)
     refiner.update(w, y)
     before = estimates(refiner)
     rest = np.zeros((1, 20000))
-    state = refiner.predict(rest)
-    refiner.update(rest, state)
+    fading = refiner.predict(rest)
+    refiner.update(rest, fading + level[:, None] * np.random.default_rng(1).standard_normal(fading.shape))
     after = estimates(refiner)
     assert np.all(np.isfinite(after[1]))
-    assert np.all(after[1] < 3 * before[1])
-    np.testing.assert_allclose(after[0], before[0], atol=3 * before[1].max())
+    assert np.all(after[1] < 10 * before[1])  # what still rang could be learned from; then it stays
+    np.testing.assert_allclose(after[0], before[0], atol=10 * before[1].max())
 
 
 def test_ten_percent_missing_keeps_the_interval():

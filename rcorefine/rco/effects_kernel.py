@@ -20,6 +20,8 @@ DONE, MOVED, DIVERGED = 0, 1, 2
 
 _SHORT = 1.0 / 32.0  # weight of a sample in the quick level of the innovations
 _LONG = 1.0 / 1000.0  # least weight of a sample in the slow one
+_EXCITED = 25.0  # of the noise: what the prior doubt moves at an output that counts as excited
+_QUIET = 0.02  # of the most that it ever moved: less is no excitation
 _SETTLED = 1e-8  # share of the noise below which the initial state no longer matters
 
 
@@ -37,7 +39,7 @@ def _learn(
     e,  # its innovation
     R,
     theta, delta, S, Pt, x, Pb, K, FK, F, H, h, g, yhat,
-    lower, upper, frozen, uncertain,
+    lower, upper, forgetting, frozen, uncertain, loose,
 ):  # fmt: skip
     """Correct with one output; return its innovation variance relative to the noise."""
     n = x.shape[0]
@@ -105,10 +107,30 @@ def _learn(
         for a in range(n):
             for b in range(n):
                 Pb[a, b] -= s * K[a] * K[b]
+    down = 1.0 / st
+    if forgetting < 1.0 and not frozen and spread > 0.0:
+        # forgetting along what this sample saw only (Kulhavy): without excitation none
+        ratio = spread / s
+        kept = forgetting - (1.0 - forgetting) / ratio
+        down = kept / (s * (1.0 + kept * ratio))
+        # that may have changed just now: the state no longer answers for it since the start
+        extra = 1.0 / st - down
+        share = extra / (1.0 + extra * spread * st / s)
+        for b in range(n):
+            total = 0.0
+            for a in range(p):
+                total += g[a] * S[a, b]
+            K[b] = total
+        for a in range(p):
+            for b in range(n):
+                S[a, b] -= share * h[i, a] * st / s * K[b]
+        for a in range(n):
+            for b in range(n):
+                loose[a, b] += share * K[a] * K[b]
     for a in range(p):
         before = Pt[a, a]
         for b in range(p):
-            Pt[a, b] -= g[a] * g[b] / st
+            Pt[a, b] -= down * g[a] * g[b]
         # rounding must not make it negative where one sample teaches almost everything
         if Pt[a, a] < 1e-13 * before:
             Pt[a, a] = 1e-13 * before
@@ -116,34 +138,9 @@ def _learn(
 
 
 @compiled
-def _forget(kept, least, Pt, S, Pb):
-    """Coefficients may have changed just now: less certain, but never less than at the start.
-
-    What they explained of the state since the start is from now on uncertain by itself.
-    """
-    p = S.shape[0]
-    n = S.shape[1]
-    for c in range(p):
-        for d in range(p):
-            weight = (1.0 - kept) * Pt[c, d]
-            for a in range(n):
-                for b in range(n):
-                    Pb[a, b] += weight * S[c, a] * S[d, b]
-    for c in range(p):
-        prior = (1e6 * least[c]) ** 2
-        more = min(1.0 / kept, max(1.0, prior / max(Pt[c, c], 1e-300)))
-        root = np.sqrt(more)
-        for d in range(p):
-            Pt[c, d] *= root
-            Pt[d, c] *= root
-        for b in range(n):
-            S[c, b] /= more
-
-
-@compiled
 def _correct(
     y, use, theta, delta, S, Pt, x, Pb, Q, K, FK, T, F, H, h, g, yhat, level, floor, count, limits,
-    least, forgetting, frozen, counters, cost, predicted,
+    least, forgetting, frozen, counters, cost, power, predicted,
 ):  # fmt: skip
     """Correct with all outputs of a sample that are there."""
     n = x.shape[0]
@@ -151,7 +148,7 @@ def _correct(
     uncertain = counters[1] > 0
     settled = True
     seen = False
-    informed = False
+    loose = np.zeros((n, n)) if forgetting < 1.0 else np.zeros((0, 0))
     predicted[:] = yhat
     for i in range(ny):
         if not use[i]:
@@ -164,24 +161,24 @@ def _correct(
             level[0, i] += _SHORT * (e * e - level[0, i])
             level[1, i] += max(_LONG, 1.0 - forgetting, 1.0 / count[i]) * (e * e - level[1, i])
             R = _noise(level, floor, i)
-        power = 0.0
-        for a in range(theta.shape[0]):
-            power += (h[i, a] * 1e6 * least[a]) ** 2
-        if power > R:
-            informed = True
+        forgets = forgetting
+        if forgetting < 1.0:
+            doubt = 0.0
+            for a in range(theta.shape[0]):
+                doubt += (h[i, a] * 1e6 * least[a]) ** 2
+            power[0, i] += _SHORT * (doubt - power[0, i])
+            power[1, i] = max(power[1, i], power[0, i])
+            if doubt < _EXCITED * R or power[0, i] < _QUIET * power[1, i]:
+                forgets = 1.0
         excess = _learn(
             i, e, R, theta, delta, S, Pt, x, Pb, K, FK, F, H, h, g, yhat, limits[0], limits[1],
-            frozen, uncertain,
+            forgets, frozen, uncertain, loose,
         )  # fmt: skip
         cost[0, i] += e * e / excess
         cost[1, i] += 1.0
         seen = True
         if excess - 1.0 > _SETTLED:
             settled = False
-    if forgetting < 1.0 and informed and not frozen:
-        forgotten = True
-    else:
-        forgotten = False
     if uncertain:
         for a in range(n):
             for b in range(n):
@@ -192,13 +189,13 @@ def _correct(
         for a in range(n):
             for b in range(a + 1):
                 total = Q[a, b]
+                if forgetting < 1.0:
+                    total += loose[a, b]
                 for c in range(n):
                     total += T[a, c] * F[b, c]
                 Pb[a, b] = total
                 Pb[b, a] = total
         # several samples in a row without a trace of it: the initial state is forgotten
-        if forgotten:
-            _forget(forgetting, least, Pt, S, Pb)
         if counters[2] > 0 or not settled:
             counters[1] = 10 * n + 10
         elif seen:
@@ -289,6 +286,8 @@ def advance(sizes, fixed, memory, counters, W, known, Y, use, frozen, TH, E, X):
     at += ny
     cost = memory[at : at + 2 * ny].reshape(2, ny)
     at += 2 * ny
+    power = memory[at : at + 2 * ny].reshape(2, ny)
+    at += 2 * ny
     w = memory[at : at + nu]
 
     Mc = M.copy()
@@ -374,7 +373,7 @@ def advance(sizes, fixed, memory, counters, W, known, Y, use, frozen, TH, E, X):
                         H[i, b] = total
             _correct(
                 Y[k], use[k], theta, delta, S, Pt, x, Pb, Q, K, FK, T, Mc, H, h, g, yhat, level, floor,
-                count, limits, least, forgetting, frozen, counters, cost, e,
+                count, limits, least, forgetting, frozen, counters, cost, power, e,
             )  # fmt: skip
             for i in range(n):
                 if not abs(x[i]) < limit:
@@ -534,6 +533,8 @@ def advance_general(
     at += ny
     cost = memory[at : at + 2 * ny].reshape(2, ny)
     at += 2 * ny
+    power = memory[at : at + 2 * ny].reshape(2, ny)
+    at += 2 * ny
     w = memory[at : at + nu]
     at += nu
     z = memory[at : at + m]
@@ -643,7 +644,7 @@ def advance_general(
                     Pb += Qw
             _correct(
                 Y[k], use[k], theta, delta, S, Pt, x, Pb, Q, K, FK, T, F, H, h, g, yhat, level, floor,
-                count, limits, least, forgetting, frozen, counters, cost, e,
+                count, limits, least, forgetting, frozen, counters, cost, power, e,
             )  # fmt: skip
             for i in range(n):
                 if not abs(x[i]) < limit:

@@ -5,7 +5,7 @@ One array to copy makes a call all or nothing at no cost, and one array to write
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -49,6 +49,7 @@ class Layout:
             "level": (2, ny),
             "count": (ny,),
             "cost": (2, ny),
+            "power": (2, ny),
             "w": (nu,),
             "z": (self.m,),
             "ring": (self.lag, nu),
@@ -127,4 +128,9 @@ class EffectsMemory:
 
     def copied(self) -> EffectsMemory:
         """Independent copy of what changes in place."""
-        return replace(self, packed=self.packed.copy(), counters=self.counters.copy())
+        twin = object.__new__(EffectsMemory)
+        for name in self.__slots__:  # dataclasses.replace takes longer than the sample itself
+            object.__setattr__(twin, name, getattr(self, name))
+        object.__setattr__(twin, "packed", self.packed.copy())
+        object.__setattr__(twin, "counters", self.counters.copy())
+        return twin

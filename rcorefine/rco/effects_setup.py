@@ -26,6 +26,7 @@ __all__ = ["EffectsSetup", "Kernel", "make_effects_setup"]
 
 SHARE = 0.5  # of its standard deviation that a coefficient may move before the model is discretized anew
 _LAG = 64  # samples that input delays look back on
+_CHANGING = 0.03  # unknown force over the input where coefficients may change
 _MARGIN = 1e-3  # of a bound that an estimate keeps off it
 _STATIC_CODES = {
     "input_deadzone": (0, "threshold"),
@@ -252,7 +253,7 @@ def make_effects_setup(
     *,
     hold: str = "zoh",
     noise: Any = None,
-    disturbance: float = 0.0,
+    disturbance: float | None = None,
     forgetting: float = 1.0,
     substeps: int | None = None,
     start_samples: int = 2048,
@@ -299,6 +300,9 @@ def make_effects_setup(
             raise ct.ControlArgument(
                 f"noise must be positive standard deviations, one per output, not {noise!r}"
             )
+    if disturbance is None:
+        # a state that is certain cannot follow a model that changes
+        disturbance = 0.0 if forgetting == 1.0 else _CHANGING
     if not (np.isfinite(disturbance) and disturbance >= 0):
         raise ModelError(f"disturbance must be a finite number >= 0, not {disturbance!r}")
     if not 0.5 <= forgetting <= 1.0:

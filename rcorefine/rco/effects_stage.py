@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,11 +79,13 @@ def take_effects(
     memory = memory.copied()
     lay = setup.layout
     total = inputs.shape[0]
+    W = np.ones((total, lay.nu))
+    W[:, :-1] = inputs
+    if not keep and memory.rounds and not memory.inputs.size and milestone(setup, memory.rounds) < 0:
+        nothing = _nothing(setup)
+        return _advance(setup, memory, W, known, outputs, use, nothing, slice(0, total)), nothing
     shape = total if keep else 0
-    record = EffectsRecord(
-        np.full((shape, lay.p), np.nan), np.full((shape, lay.ny), np.nan), np.full((shape, lay.n), np.nan)
-    )
-    W = np.column_stack([inputs, np.ones(total)])
+    record = EffectsRecord(*(np.full((shape, width), np.nan) for width in (lay.p, lay.ny, lay.n)))
     position = 0
     while position < total:
         buffered = memory.n_samples
@@ -107,6 +110,13 @@ def take_effects(
         if target >= 0 and memory.n_samples == target:
             memory = _gone_over(setup, memory)
     return memory, record
+
+
+@lru_cache(maxsize=64)
+def _nothing(setup: EffectsSetup) -> EffectsRecord:
+    """Record of no sample."""
+    lay = setup.layout
+    return EffectsRecord(np.zeros((0, lay.p)), np.zeros((0, lay.ny)), np.zeros((0, lay.n)))
 
 
 def _gone_over(setup: EffectsSetup, memory: EffectsMemory) -> EffectsMemory:
@@ -140,10 +150,14 @@ def _advance(
     first = memory.n_samples
     if memory.kernel is None:
         memory = replace(memory, kernel=compile_kernel(setup, memory))
-    none = np.zeros((0, lay.p)), np.zeros((0, lay.ny)), np.zeros((0, lay.n))
+    none = _nothing(setup)
     while position < total:
         rows = slice(part.start + position, part.start + total)
-        kept = (record.theta[rows], record.predicted[rows], record.x[rows]) if keep else none
+        kept = (
+            (record.theta[rows], record.predicted[rows], record.x[rows])
+            if keep
+            else (none.theta, none.predicted, none.x)
+        )
         kernel = memory.kernel
         done, why = kernel.run(
             kernel.sizes, kernel.fixed, memory.packed, memory.counters, W[position:], known[position:],

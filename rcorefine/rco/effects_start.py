@@ -7,6 +7,7 @@ the stretch doubles, each time started where the shorter one ended (Gauss-Newton
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -30,12 +31,18 @@ _LOSSES = (0.35, 0.7)
 
 def milestone(setup: EffectsSetup, rounds: int) -> int:
     """Samples after which the stretch is gone over for the next time, -1 for never again."""
+    lengths = _milestones(setup)
+    return lengths[rounds] if rounds < len(lengths) else -1
+
+
+@lru_cache(maxsize=64)
+def _milestones(setup: EffectsSetup) -> tuple[int, ...]:
     lay = setup.layout
     first = min(max(_FIRST, 3 * (lay.n + lay.p) // max(1, lay.ny) + lay.n), setup.start_samples)
     lengths = [first]
     while lengths[-1] < setup.start_samples:
         lengths.append(min(2 * lengths[-1], setup.start_samples))
-    return lengths[rounds] if rounds < len(lengths) else -1
+    return tuple(lengths)
 
 
 def last_milestone(setup: EffectsSetup) -> int:

@@ -109,13 +109,13 @@ class RCORefiner:
     hold : {"zoh", "foh"}, optional
         The input between samples: held, or linear.
     disturbance : float, optional
-        Unknown force on the model over the measured input, rms. With 0 all
-        that is not sensor noise is explained by the effects.
+        Unknown force on the model over the measured input, rms. With 0 (the
+        default) all that is not sensor noise is explained by the effects; 0.03
+        with `forgetting`, since a certain state follows no change.
     forgetting : float, optional
-        Share of what is known that a sample leaves standing; 1 forgets nothing,
-        0.999 follows changes over about 1000 samples. Samples that could teach
-        nothing (no excitation) make nothing forgotten, and no coefficient gets
-        less certain than it was at the start.
+        Share of what is known along the direction that a sample informs about
+        which it leaves standing; 1 forgets nothing, 0.998 follows changes over
+        about 500 samples. Without excitation nothing is forgotten.
     substeps : int, optional
         Steps per sample for nonlinear effects, default 4 (second order).
 
@@ -208,7 +208,7 @@ class RCORefiner:
         effects: Sequence[Any] | None = None,
         noise: ArrayLike | None = None,
         hold: str = "zoh",
-        disturbance: float = 0.0,
+        disturbance: float | None = None,
         forgetting: float = 1.0,
         substeps: int | None = None,
     ) -> None:
@@ -260,7 +260,7 @@ class RCORefiner:
         given = {
             "noise": self.noise is not None,
             "hold": self.hold != "zoh",
-            "disturbance": self.disturbance != 0.0,
+            "disturbance": self.disturbance is not None,
             "forgetting": self.forgetting != 1.0,
             "substeps": self.substeps is not None,
         }
