@@ -100,7 +100,8 @@ six.plot(title="One sensor names both storeys")
 plt.show()
 
 # %% [markdown]
-# The lower table ranks the paper's "collection of hypothesized damage scenarios", each refitted to the record.
+# The lower table ranks the paper's "collection of hypothesized damage scenarios", each refitted to the
+# record.
 #
 # Two things to know. First, a neighbor always absorbs a part of the damage: fitted alone, a wrong storey
 # "loses" a lot too. Second, when the *ground* shakes instead and only the roof is measured, several stiffness

@@ -14,7 +14,7 @@ from .estimate import Joint
 __all__ = ["Candidate", "Decision", "collinear_groups", "decide", "two_sided"]
 
 _COLLINEAR = 0.01  # eigenvalue of the unit-diagonal information below which a direction is one group
-_BLURRED = 0.01  # joint standard deviation over nominal above which a member cannot be told apart
+_BLURRED = 0.05  # joint standard deviation over nominal above which a member cannot be told apart
 _MEMBER = 0.3  # share of such a direction above which a candidate belongs to it
 _RIVAL = 9.2  # twice the log-likelihood: odds of 100 to 1
 _APART = 15.0  # deviates by which a swap would worsen the fit, to first order, above which it is not tried
