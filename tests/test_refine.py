@@ -164,14 +164,16 @@ def test_transmissibility_gives_mass_and_damping():
     # the builder says what its input is; the truth is the same structure with the true numbers
     true = rco.mass_spring_damper([M], [Cd], [K], excitation="base", sensors="acceleration")
     y = held_response(true.system, w, dt)
-    # by hand: H(s) = s^2 (C s + K) / (M s^2 + C s + K) from base displacement, or 1/s^2 of it from acceleration
+    # by hand: s^p (C s + K) / (M s^2 + C s + K), p = 2 from base displacement to acceleration
     s = 1j * np.array([3.0, 9.0, 40.0])
     ratio = (Cd * s + K) / (M * s**2 + Cd * s + K)
     by_hand = np.array([true.system(point).ravel()[0] for point in s])
     assert min(np.abs(by_hand / (ratio * s**p) - 1).max() for p in (0, 1, 2)) < 1e-9
     places = {q.kind: q.place for q in start.parameters}
     result = refine(
-        start, Measurement(w, y, dt=dt), [Effect("mass", places["mass"]), Effect("damping", places["damping"])]
+        start,
+        Measurement(w, y, dt=dt),
+        [Effect("mass", places["mass"]), Effect("damping", places["damping"])],
     )
     np.testing.assert_allclose(result.parameter("mass").value, M, rtol=1e-3)
     np.testing.assert_allclose(result.parameter("damping").value, Cd, rtol=1e-3)
@@ -288,7 +290,9 @@ def test_sensor_and_actuator_effects():
     y = held_response(chain(), w, STEP)
     rectified = 0.3 * y + 0.7 * np.abs(y)
     noisy = rectified + 0.01 * y.std() * rng.standard_normal(y.shape)
-    row = refine(chain(), Measurement(w, noisy, dt=STEP), [Effect("output_rectification", "v1")]).parameters[0]
+    row = refine(chain(), Measurement(w, noisy, dt=STEP), [Effect("output_rectification", "v1")]).parameters[
+        0
+    ]
     assert abs(row.value - 0.7) < 3 * row.std < 0.05
     # 0.4 of a sample: the fine grid of a fifth of the sampling time sees two steps of delay
     fine = held_response(chain(), np.repeat(w, 5), STEP / 5)

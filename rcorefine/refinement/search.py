@@ -67,21 +67,27 @@ def search(
     outcomes.sort(key=lambda pair: pair[0])
     level = 0.5 * sum(float(np.sum((trial.weights[:, None] * r.outputs) ** 2)) for r in short)
     polished = _polish_each(trial, outcomes, level, steps)
+    seen: list[float] = []
+
+    def grow(enough: float) -> None:
+        for _, point in outcomes[:_POLISHED]:
+            if min(entry[0] for entry in polished) < enough * level:
+                break
+            found = _grow(problem, short, steps, point[: structure.n_parameters], _POOR * level, seen)
+            if found is not None:
+                polished.append(found)
+
+    if not structure.is_linear:
+        grow(_FAIR)
     if min(entry[0] for entry in polished) > _POOR * level:
         far: list[tuple[float, Array]] = []
         for candidate in far_starts(trial, structure, outcomes[0][1][: structure.n_parameters]):
             far += _first_pass(trial, structure, short, candidate)
+        far.sort(key=lambda pair: pair[0])
+        if far:
+            polished += _polish_each(trial, far, level, steps)
         outcomes = sorted(outcomes + far, key=lambda pair: pair[0])
-        polished += _polish_each(trial, sorted(far, key=lambda pair: pair[0]), level, steps)
-    enough = (_POOR if structure.is_linear else _FAIR) * level
-    grown: list[Array] = []
-    for _, point in outcomes[:_POLISHED]:
-        if min(entry[0] for entry in polished) < enough:
-            break
-        here = point[: structure.n_parameters]
-        if not any(np.allclose(here, other, rtol=0.1, atol=1e-12) for other in grown):
-            grown.append(here)
-            polished.append(_grow(problem, short, steps, here))
+        grow(_POOR)
     _, best, steps = min(polished, key=lambda entry: entry[0])
     whole = problem(windows, steps)
     theta = best[: structure.n_parameters]
@@ -104,12 +110,18 @@ def _polish_each(
 
 
 def _grow(
-    problem: ProblemOf, windows: list[Measurement], steps: int, theta: Array
-) -> tuple[float, Array, int]:
+    problem: ProblemOf,
+    windows: list[Measurement],
+    steps: int,
+    theta: Array,
+    poor: float,
+    seen: list[float],
+) -> tuple[float, Array, int] | None:
     """Fit many short free runs together and let them grow, so that no phase slips by a period.
 
     Each run starts where the shorter one before it had its initial state; a state estimated
-    anew over a long run can itself end in a wrong valley.
+    anew over a long run can itself end in a wrong valley. None where not even the short
+    runs fit, or where they fit as they did from another start.
     """
     n = min(record.n_samples for record in windows)
     count = 2 ** int(np.log2(np.clip(n / _SHORTEST_WINDOW, 1, _FIRST_WINDOWS)))
@@ -118,8 +130,14 @@ def _grow(
         pieces = [piece for record in windows for piece in _cut(record, count)]
         part = problem(pieces, steps, True)
         if starts is None:
-            starts = _observed_states(part, windows, theta, count)
-        result = part.minimize(part.pack(theta, starts), max_nfev=15, tol=1e-6)
+            result = part.minimize(
+                part.pack(theta, _observed_states(part, windows, theta, count)), max_nfev=15, tol=1e-6
+            )
+            if result.cost > poor or any(abs(result.cost - other) < 1e-3 * other for other in seen):
+                return None
+            seen.append(float(result.cost))
+        else:
+            result = part.minimize(part.pack(theta, starts), max_nfev=15, tol=1e-6)
         finer = sufficient_steps(problem, pieces, part, result.x)
         if finer != steps:
             steps = finer

@@ -21,6 +21,14 @@ __all__ = ["Motion", "estimated_motion", "far_starts", "law_widths", "shape_star
 _SIGN_WIDTH = 0.005  # of the rms velocity
 _ROOT_WIDTH = 1e-3  # of the rms level
 _MOST_STARTS = 24
+_SHAPED = (
+    "asymmetric_friction",
+    "clearance",
+    "hidden_mode",
+    "hysteresis",
+    "stribeck_friction",
+    "threshold_flow",
+)  # laws at ports whose start needs the motion there
 
 
 class Motion:
@@ -159,7 +167,14 @@ def _options(structure: Structure, index: int, motion: Motion) -> Sequence[dict[
         if kind == "output_lag":
             return [{"time_constant": q * data.dt} for q in (1.0, 5.0, 25.0)]
         return []
-    if kind in ("clearance", "asymmetric_friction", "stribeck_friction", "hysteresis", "threshold_flow", "hidden_mode"):
+    if kind in (
+        "clearance",
+        "asymmetric_friction",
+        "stribeck_friction",
+        "hysteresis",
+        "threshold_flow",
+        "hidden_mode",
+    ):
         d, v = motion.port(effect.place)
         rms_d, rms_v = float(np.sqrt(np.mean(d**2))), float(np.sqrt(np.mean(v**2)))
         if kind == "clearance":
