@@ -74,7 +74,7 @@ def test_loss_in_one_spring_is_found_exactly_without_noise(loss, dt):
     found = [row.value / row.initial for row in refiner.parameters]
     np.testing.assert_allclose(found[1], 1 - loss, atol=0.01 * loss)  # within 1 % of its value
     assert max(abs(found[0] - 1), abs(found[2] - 1)) < 0.005
-    np.testing.assert_allclose(found, [1, 1 - loss, 1], atol=1e-6)  # and in fact exact, at both dt
+    np.testing.assert_allclose(found, [1, 1 - loss, 1], atol=1e-5)  # and in fact exact, at both dt
 
 
 @pytest.mark.slow
@@ -236,16 +236,20 @@ def test_without_excitation_nothing_is_forgotten():
     np.testing.assert_allclose(after[0], before[0], atol=10 * before[1].max())
 
 
+@pytest.mark.slow
 def test_ten_percent_missing_keeps_the_interval():
-    truth = np.array([0.0, -2.4, 0.0])
-    w, y, _ = sampled(chain((10, 5.6, 6)), 0.02, 4000, 0.05, 4)
-    clean = only_effects(chain(), 0.02, STIFFNESS)
-    clean.update(w, y)
-    gaps = y.copy()
-    gaps[np.random.default_rng(0).random(y.shape) < 0.1] = np.nan
-    holed = only_effects(chain(), 0.02, STIFFNESS, missing="hold-out")
-    holed.update(w, gaps)
-    assert np.all(np.abs(estimates(holed)[0] - truth) < 1.2 * 1.96 * estimates(clean)[1] * 1.6)
+    truth, inside, runs = np.array([0.0, -2.4, 0.0]), 0, 20
+    for seed in range(runs):
+        w, y, _ = sampled(chain((10, 5.6, 6)), 0.02, 3000, 0.05, seed)
+        clean = only_effects(chain(), 0.02, STIFFNESS)
+        clean.update(w, y)
+        gaps = y.copy()
+        gaps[np.random.default_rng(seed).random(y.shape) < 0.1] = np.nan
+        holed = only_effects(chain(), 0.02, STIFFNESS, missing="hold-out")
+        holed.update(w, gaps)
+        inside += int(np.sum(np.abs(estimates(holed)[0] - truth) < 1.2 * 1.96 * estimates(clean)[1]))
+    # 1.2 x 1.96 standard deviations of a normal estimate with 10 % fewer samples: 97.4 % of the time
+    assert inside >= binom.ppf(1e-3, 3 * runs, 0.974)
     ratio = estimates(holed)[1] / estimates(clean)[1]
     np.testing.assert_allclose(ratio, 1 / np.sqrt(0.9), rtol=0.1)
 

@@ -22,7 +22,7 @@ _SHORT = 1.0 / 32.0  # weight of a sample in the quick level of the innovations
 _LONG = 1.0 / 1000.0  # least weight of a sample in the slow one
 _EXCITED = 25.0  # of the noise: what the prior doubt moves at an output that counts as excited
 _QUIET = 0.02  # of the most that it ever moved: less is no excitation
-_SETTLED = 1e-8  # share of the noise below which the initial state no longer matters
+_SETTLED = 1e-6  # share of the noise below which the initial state no longer matters
 
 
 @compiled
@@ -140,7 +140,7 @@ def _learn(
 @compiled
 def _correct(
     y, use, theta, delta, S, Pt, x, Pb, Q, K, FK, T, F, H, h, g, yhat, level, floor, count, limits,
-    least, forgetting, frozen, counters, cost, power, predicted,
+    least, forgetting, frozen, counters, cost, power, loose, predicted,
 ):  # fmt: skip
     """Correct with all outputs of a sample that are there."""
     n = x.shape[0]
@@ -148,7 +148,7 @@ def _correct(
     uncertain = counters[1] > 0
     settled = True
     seen = False
-    loose = np.zeros((n, n)) if forgetting < 1.0 else np.zeros((0, 0))
+    loose[:, :] = 0.0
     predicted[:] = yhat
     for i in range(ny):
         if not use[i]:
@@ -290,11 +290,21 @@ def advance(sizes, fixed, memory, counters, W, known, Y, use, frozen, TH, E, X):
     at += 2 * ny
     w = memory[at : at + nu]
 
-    Mc = M.copy()
+    columns = np.zeros(q, dtype=np.int64)
+    varied = False  # whether the outputs' own matrices depend on a coefficient
+    for r in range(q):
+        columns[r] = int(column[r])
+        for i in range(ny):
+            for j in range(no):
+                if dO[r, i, j] != 0.0:
+                    varied = True
+    Phi = np.zeros((n, n))
     Oc = O.copy()
     step = np.zeros(nz)
     out = np.zeros(no)
-    Sn = np.zeros((p, n))
+    drive = np.zeros((q, n))
+    Sn = np.zeros(n)
+    loose = np.zeros((n, n))
     H = np.zeros((ny, n))
     h = np.zeros((ny, p))
     g = np.zeros(p)
@@ -307,40 +317,44 @@ def advance(sizes, fixed, memory, counters, W, known, Y, use, frozen, TH, E, X):
     for k in range(N):
         if counters[0] > 0:
             # the model at the present coefficients: first order about those it was discretized for
-            Mc[:, :] = M
-            Oc[:, :] = O
-            for r in range(q):
-                c = int(column[r])
-                shift = theta[c] - centre[c]
-                if shift != 0.0:
-                    for i in range(n):
-                        for j in range(nz):
-                            Mc[i, j] += dM[r, i, j] * shift
-                    for i in range(ny):
-                        for j in range(no):
-                            Oc[i, j] += dO[r, i, j] * shift
             step[:n] = x
             step[n : n + nu] = w
             step[n + nu :] = W[k]
             for i in range(n):
                 total = 0.0
                 for j in range(nz):
-                    total += Mc[i, j] * step[j]
+                    total += M[i, j] * step[j]
                 x[i] = total
-            for a in range(p):
-                for i in range(n):
-                    total = 0.0
-                    for j in range(n):
-                        total += Mc[i, j] * S[a, j]
-                    Sn[a, i] = total
+                for j in range(n):
+                    Phi[i, j] = M[i, j]
+            for i in range(ny):
+                for j in range(no):
+                    Oc[i, j] = O[i, j]
             for r in range(q):
-                a = int(column[r])
+                shift = theta[columns[r]] - centre[columns[r]]
                 for i in range(n):
                     total = 0.0
                     for j in range(nz):
                         total += dM[r, i, j] * step[j]
-                    Sn[a, i] += total
-            S[:, :] = Sn
+                    drive[r, i] = total
+                    x[i] += shift * total
+                    for j in range(n):
+                        Phi[i, j] += shift * dM[r, i, j]
+                if varied:
+                    for i in range(ny):
+                        for j in range(no):
+                            Oc[i, j] += shift * dO[r, i, j]
+            for a in range(p):
+                for i in range(n):
+                    total = 0.0
+                    for j in range(n):
+                        total += Phi[i, j] * S[a, j]
+                    Sn[i] = total
+                for i in range(n):
+                    S[a, i] = Sn[i]
+            for r in range(q):
+                for i in range(n):
+                    S[columns[r], i] += drive[r, i]
             out[:n] = x
             out[n:] = W[k]
             for i in range(ny):
@@ -353,11 +367,12 @@ def advance(sizes, fixed, memory, counters, W, known, Y, use, frozen, TH, E, X):
                     for j in range(n):
                         total += Oc[i, j] * S[a, j]
                     h[i, a] = total
-                for r in range(q):
-                    total = 0.0
-                    for j in range(no):
-                        total += dO[r, i, j] * out[j]
-                    h[i, int(column[r])] += total
+                if varied:
+                    for r in range(q):
+                        total = 0.0
+                        for j in range(no):
+                            total += dO[r, i, j] * out[j]
+                        h[i, columns[r]] += total
             if not known[k] or counters[2] > 0:
                 counters[1] = 10 * n + 10
                 if not known[k]:
@@ -369,11 +384,11 @@ def advance(sizes, fixed, memory, counters, W, known, Y, use, frozen, TH, E, X):
                     for b in range(n):
                         total = 0.0
                         for j in range(n):
-                            total += Oc[i, j] * Mc[j, b]
+                            total += Oc[i, j] * Phi[j, b]
                         H[i, b] = total
             _correct(
-                Y[k], use[k], theta, delta, S, Pt, x, Pb, Q, K, FK, T, Mc, H, h, g, yhat, level, floor,
-                count, limits, least, forgetting, frozen, counters, cost, power, e,
+                Y[k], use[k], theta, delta, S, Pt, x, Pb, Q, K, FK, T, Phi, H, h, g, yhat, level, floor,
+                count, limits, least, forgetting, frozen, counters, cost, power, loose, e,
             )  # fmt: skip
             for i in range(n):
                 if not abs(x[i]) < limit:
@@ -580,6 +595,7 @@ def advance_general(
     g = np.zeros(p)
     K = np.zeros(n)
     FK = np.zeros(n)
+    loose = np.zeros((n, n))
     T = np.zeros((n, n))
     yhat = np.zeros(ny)
     e = np.zeros(ny)
@@ -644,7 +660,7 @@ def advance_general(
                     Pb += Qw
             _correct(
                 Y[k], use[k], theta, delta, S, Pt, x, Pb, Q, K, FK, T, F, H, h, g, yhat, level, floor,
-                count, limits, least, forgetting, frozen, counters, cost, power, e,
+                count, limits, least, forgetting, frozen, counters, cost, power, loose, e,
             )  # fmt: skip
             for i in range(n):
                 if not abs(x[i]) < limit:

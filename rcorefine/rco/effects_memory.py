@@ -71,7 +71,7 @@ class Layout:
         raise KeyError(name)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class EffectsMemory:
     """State of the physical stage between two calls.
 
@@ -128,9 +128,7 @@ class EffectsMemory:
 
     def copied(self) -> EffectsMemory:
         """Independent copy of what changes in place."""
-        twin = object.__new__(EffectsMemory)
-        for name in self.__slots__:  # dataclasses.replace takes longer than the sample itself
-            object.__setattr__(twin, name, getattr(self, name))
-        object.__setattr__(twin, "packed", self.packed.copy())
-        object.__setattr__(twin, "counters", self.counters.copy())
+        twin = object.__new__(EffectsMemory)  # dataclasses.replace takes longer than the sample itself
+        twin.__dict__.update(self.__dict__)
+        twin.__dict__["packed"], twin.__dict__["counters"] = self.packed.copy(), self.counters.copy()
         return twin

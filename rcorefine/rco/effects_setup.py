@@ -5,7 +5,7 @@ from __future__ import annotations
 import types
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import control as ct
@@ -24,7 +24,7 @@ from .effects_memory import EffectsMemory, Layout
 
 __all__ = ["EffectsSetup", "Kernel", "make_effects_setup"]
 
-SHARE = 0.5  # of its standard deviation that a coefficient may move before the model is discretized anew
+SHARE = 1.0  # of its standard deviation that a coefficient may move before the model is discretized anew
 _LAG = 64  # samples that input delays look back on
 _CHANGING = 0.03  # unknown force over the input where coefficients may change
 _MARGIN = 1e-3  # of a bound that an estimate keeps off it
@@ -144,8 +144,13 @@ class EffectsSetup:
 
     def structure(self, widths: Array) -> Structure:
         """Model with its effects and the widths of their laws."""
-        constants = {i: float(width) for i, width in enumerate(widths) if np.isfinite(width)}
-        return Structure(self.physical, self.effects, constants=constants)
+        return _structure(self, tuple(widths.tolist()))
+
+
+@lru_cache(maxsize=64)
+def _structure(setup: EffectsSetup, widths: tuple[float, ...]) -> Structure:
+    constants = {i: width for i, width in enumerate(widths) if np.isfinite(width)}
+    return Structure(setup.physical, setup.effects, constants=constants)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -170,7 +175,7 @@ def compile_kernel(setup: EffectsSetup, memory: EffectsMemory) -> Kernel:
     floor = np.maximum(setup.noise**2, 1e-16 * y_size**2)
     scale = np.where(memory.spread > 0, memory.spread, 1.0) if memory.spread.size else np.ones(lay.p)
     limit = 1e12 * (1.0 + float(memory.sizes.max(initial=0.0)))
-    q_known, q_unknown = _disturbances(setup, s, memory)
+    q_known, q_unknown = _disturbances(setup, tuple(memory.sizes.tolist()))
     head = [memory.centre, lower, upper, 1e-6 * scale, floor]
     head += [np.array([SHARE, setup.forgetting, limit]), q_known.ravel(), q_unknown.ravel()]
     q = disc.linear.size
@@ -216,11 +221,14 @@ def _held(M: Array, n: int, nu: int, hold: str) -> Array:
     return M
 
 
-def _disturbances(setup: EffectsSetup, s: Structure, memory: EffectsMemory) -> tuple[Array, Array]:
+@lru_cache(maxsize=64)
+def _disturbances(setup: EffectsSetup, sizes: tuple[float, ...]) -> tuple[Array, Array]:
     """Covariance per sample of unknown forces, and of an input that was not measured."""
-    n, n_w = setup.layout.n, setup.layout.nu - 1
-    level = np.where(memory.sizes[:n_w] > 0, memory.sizes[:n_w], 1.0)
-    m = s.matrices(memory.centre)
+    s, n, n_w = setup.bare, setup.layout.n, setup.layout.nu - 1
+    level = np.array([size if size > 0 else 1.0 for size in sizes[:n_w]])
+    lower, upper = setup.bounds
+    calm = np.clip(np.where([setup.is_shape(i) for i in range(setup.layout.p)], 1.0, 0.0), lower, upper)
+    m = s.matrices(calm)
     inputs = m.B[:, :n_w] * level * setup.dt
     top = max((float(np.linalg.norm(column)) for column in inputs.T), default=0.0) or setup.dt
     acts = []

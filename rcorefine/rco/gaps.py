@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import control as ct
@@ -18,7 +19,7 @@ from .memory import Memory
 from .setup import Setup
 from .stream import take
 
-__all__ = ["Block", "as_missing", "block_with_gaps", "take_over_gaps"]
+__all__ = ["Block", "as_missing", "block_with_gaps", "take_over_gaps", "whole_block"]
 
 RAISE, HOLD_OUT = "raise", "hold-out"
 
@@ -46,6 +47,17 @@ class Block:
     def whole(self) -> bool:
         """Whether nothing is missing."""
         return bool(self.known.all() and self.use.all())
+
+
+@lru_cache(maxsize=16)
+def _all_there(n_samples: int, n_outputs: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    known, use = np.ones(n_samples, dtype=np.uint8), np.ones((n_samples, n_outputs), dtype=np.uint8)
+    return known, use
+
+
+def whole_block(inputs: Array, outputs: Array) -> Block:
+    """Samples without a gap."""
+    return Block(inputs, outputs, *_all_there(*outputs.shape))
 
 
 def as_missing(value: Any) -> str:

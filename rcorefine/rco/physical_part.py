@@ -14,6 +14,7 @@ from ..physics.structure import Structure
 from ..systems.conversion import to_discrete
 from ..systems.linear import Array, LinearModel
 from .effects_guard import cautions
+from .effects_kernel import DONE
 from .effects_memory import EffectsMemory
 from .effects_setup import EffectsSetup, engine_on
 from .effects_stage import EffectsRecord, begin_effects, take_effects
@@ -35,6 +36,10 @@ class PhysicalPart:
 
     def __init__(self, setup: EffectsSetup, keep: bool) -> None:
         self.setup, self.keep = setup, keep
+        lay = setup.layout
+        self._row = np.ones((1, lay.nu))
+        self._there = np.ones(1, np.uint8), np.ones((1, lay.ny), np.uint8)
+        self._none = np.zeros((0, lay.p)), np.zeros((0, lay.ny)), np.zeros((0, lay.n))
         self.reset()
 
     def reset(self) -> None:
@@ -47,6 +52,24 @@ class PhysicalPart:
     ) -> tuple[EffectsMemory, EffectsRecord]:
         """Memory and course after some samples; nothing changes until `commit`."""
         return take_effects(self.setup, self.memory, inputs, known, outputs, use, keep=self.keep or record)
+
+    def one(self, inputs: Array, outputs: Array) -> bool:
+        """Learn from a single sample on the shortest way; False, and nothing done, where that is not open."""
+        memory = self.memory
+        kernel = memory.kernel
+        if self.keep or kernel is None or memory.inputs.size or memory.rounds == 0:
+            return False
+        W = self._row
+        W[0, :-1] = inputs[0]
+        after = memory.copied()
+        done, why = kernel.run(
+            kernel.sizes, kernel.fixed, after.packed, after.counters, W, self._there[0], outputs,
+            self._there[1], False, *self._none, *kernel.rest,
+        )  # fmt: skip
+        if done != 1 or why != DONE:
+            return False
+        self.memory = after
+        return True
 
     def commit(
         self, taken: tuple[EffectsMemory, EffectsRecord], outputs: Array, use: NDArray[np.uint8]

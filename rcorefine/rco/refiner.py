@@ -18,7 +18,7 @@ from . import summary
 from .checks import as_flag, as_samples, as_size, check_samples
 from .effects_history import EffectsHistory
 from .effects_setup import make_effects_setup
-from .gaps import Block, as_missing, block_with_gaps, take_over_gaps
+from .gaps import Block, as_missing, block_with_gaps, take_over_gaps, whole_block
 from .history import History
 from .kernels import Record
 from .memory import Memory, begin
@@ -156,7 +156,7 @@ class RCORefiner:
 
     *Effects.* The static stage then is a Kalman filter for state and
     coefficients jointly, linearized about the present refined model, which
-    is discretized anew where a coefficient has moved by half its standard
+    is discretized anew where a coefficient has moved by its standard
     deviation. Its gain falls as the model improves. The first 2048 samples
     are kept, and gone over again each time that their number has doubled,
     since a wrong start spoils what is learned from them; later samples are
@@ -316,12 +316,11 @@ class RCORefiner:
             if self._physical is None:
                 self._commit(self._taken(inputs, outputs))
                 return
-            block = Block(
-                inputs,
-                outputs,
-                np.ones(inputs.shape[0], dtype=np.uint8),
-                np.ones(outputs.shape, dtype=np.uint8),
-            )
+            beside = self._setup.estimated and not self._stopped
+            if inputs.shape[0] == 1 and not beside and self._physical.one(inputs, outputs):
+                self._latest = inputs[0]
+                return
+            block = whole_block(inputs, outputs)
         else:
             block = block_with_gaps(self._setup, w, y, self.n_samples, self._latest)
         self._take_block(block)
@@ -365,10 +364,9 @@ class RCORefiner:
         inputs, outputs = checked_record(self._setup, data)
         show = as_flag(progress, "progress")
         if self._physical is not None:
-            known, use = np.ones(inputs.shape[0], np.uint8), np.ones(outputs.shape, np.uint8)
             for first in _chunks(inputs.shape[0], show):
                 part = slice(first, first + _CHUNK)
-                self._take_block(Block(inputs[part], outputs[part], known[part], use[part]))
+                self._take_block(whole_block(inputs[part], outputs[part]))
             self._physical.finish()
             return self
         for first in _chunks(inputs.shape[0], show):
@@ -423,7 +421,7 @@ class RCORefiner:
         )
         self._records: list[tuple[Record, Array]] = []
         self._latest = np.zeros(self._setup.initial.n_inputs)
-        self._stopped = ""
+        self._stopped: str = ""
         if self._physical is not None:
             self._physical.reset()
 
@@ -709,7 +707,8 @@ class RCORefiner:
             self._records += records
             return
         beside = self._setup.estimated and not self._stopped
-        taken = part.taken(block.inputs, block.known, block.outputs, block.use, beside and not block.whole)
+        record = beside and not block.whole
+        taken = part.taken(block.inputs, block.known, block.outputs, block.use, record)
         if beside:
             outputs = block.outputs
             if not block.whole:
