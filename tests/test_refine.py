@@ -321,6 +321,7 @@ def test_error_bars_hold_over_many_records():
     assert 1 / 1.25 < np.sqrt(np.mean(z**2)) < 1.25
 
 
+@pytest.mark.slow
 def test_strong_cubic_spring_far_from_the_sensor():
     """Free runs have many valleys there; the windows must lead to the right one."""
     for seed in (0, 1, 2):

@@ -206,6 +206,7 @@ def cube_and_drag(d, v, hardening, drag):
     return hardening * d**3 + drag * v
 
 
+@pytest.mark.slow
 def test_custom_laws_are_estimated():
     data = cubic_record(n=300)
     built_in = refine(chain(), data, [Effect("cubic_stiffness", "x1-x2")], substeps=4)

@@ -59,7 +59,9 @@ def observer_gain(
         F = exponential((block * scale)[None])[0]
         Phi = F[n:, n:].T
         Q = Phi @ F[:n, n:]
-    if not np.isfinite(Q).all():  # a fast pole: the density form overflows, the held form does not
+    diagonal = np.diag(Q)
+    if not np.isfinite(Q).all() or diagonal.min(initial=0.0) < -1e-9 * diagonal.max(initial=0.0):
+        # a fast pole: the density form overflows or cancels, the held form does not
         held = exponential((np.block([[m.A, G], [np.zeros((G.shape[1], n + G.shape[1]))]]) * scale)[None])[0]
         Phi, gamma = held[:n, :n], held[:n, n:]
         Q = gamma @ gamma.T

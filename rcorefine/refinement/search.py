@@ -133,9 +133,10 @@ def _grow(
             result = part.minimize(
                 part.pack(theta, _observed_states(part, windows, theta, count)), max_nfev=15, tol=1e-6
             )
-            if result.cost > poor or any(abs(result.cost - other) < 1e-3 * other for other in seen):
-                return None
+            known = any(abs(result.cost - other) < 1e-3 * other for other in seen)
             seen.append(float(result.cost))
+            if known or result.cost > poor:
+                return None
         else:
             result = part.minimize(part.pack(theta, starts), max_nfev=15, tol=1e-6)
         finer = sufficient_steps(problem, pieces, part, result.x)
