@@ -329,6 +329,17 @@ def test_warning_where_an_effect_is_not_seen_at_all():
         refine(two, data, [Effect("stiffness", "b")])
 
 
+def test_a_state_that_nobody_sees_makes_no_parameter_unseen():
+    """Velocity of a cart: the position is lost, the friction is not."""
+    cart = ct.ss([[0, 1], [0, -2.0]], [[0], [1]], [[0, 1]], 0, inputs="f", outputs="v", states=["x", "v"])
+    data = record(system=ct.ss([[0, 1], [0, -1.5]], [[0], [1]], [[0, 1]], 0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", IdentifiabilityWarning)
+        result = refine(cart, data, [Effect("damping", "x"), Effect("quadratic_damping", "x")], offset=False)
+    assert abs(result.parameters[0].value - 1.5) < 4 * result.parameters[0].std
+    assert result.warnings == ()
+
+
 def test_no_warning_where_everything_is_seen():
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -126,8 +126,9 @@ def parameter_uncertainty(
     inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
     covariance = inverse @ (middle / np.outer(size, size)) @ inverse / np.outer(size, size)
     lost = vectors[:, ~seen].T
+    lost = np.where(np.abs(lost) > 1e-3, lost, 0.0)  # no rounding beside what is truly lost
     for i in range(p):
-        if np.any(np.abs(lost[:, i]) > 1e-3):
+        if np.any(lost[:, i]):
             covariance[i, i] = np.inf
     condition = float(np.sqrt(values[-1] / max(values[0], 1e-300)))
     noise = np.array([np.sqrt(np.mean(r**2) * correction) for r in joined])
