@@ -179,7 +179,8 @@ class Engine:
                 "model with these effects is unstable; start from other coefficients or bound them"
             )
         for index, channel in delays:
-            self._delay_output(theta, index, channel, Yout, SY, sensitivity)
+            if np.isfinite(Yout[:, channel]).all():  # where it blew up there is nothing to shift
+                self._delay_output(theta, index, channel, Yout, SY, sensitivity)
         return Trajectory(
             np.ascontiguousarray(Yout.T),
             np.ascontiguousarray(np.moveaxis(SY, 1, 0)),
@@ -203,7 +204,9 @@ class Engine:
         shifted = np.maximum(grid - delay, 0.0)
         spline = CubicSpline(grid, Y[:, channel])
         if SY.shape[2]:
-            SY[:, channel] = CubicSpline(grid, SY[:, channel])(shifted)
+            slopes = SY[:, channel]
+            seen = np.isfinite(slopes).all(axis=0)  # derivatives may overflow where the motion does not
+            slopes[:, seen] = CubicSpline(grid, slopes[:, seen])(shifted)
             if sensitivity and column >= 0:
                 SY[:, channel, column] = np.where(grid > delay, -spline(shifted, 1), 0.0)
         Y[:, channel] = spline(shifted)
