@@ -1,8 +1,9 @@
-"""Columns out of CSV files, MATLAB files and data frames, for `Measurement`."""
+"""Columns out of CSV files, MATLAB files, NumPy files and data frames, for `Measurement`."""
 
 from __future__ import annotations
 
 import csv
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,15 @@ import numpy as np
 from .exceptions import DataError, MissingExtraError
 from .systems.linear import Array
 
-__all__ = ["names_of", "read_csv", "read_frame", "read_mat"]
+__all__ = [
+    "names_of",
+    "read_csv",
+    "read_frame",
+    "read_mat",
+    "read_npz",
+    "variables_of_mat",
+    "variables_of_npz",
+]
 
 _DELIMITERS = ",;\t|"
 
@@ -157,6 +166,17 @@ def read_mat(path: Any, names: Sequence[str]) -> dict[str, Array]:
         A variable that is not there or not a vector (those that are, are
         listed with their shapes), or a file of version 7.3.
     """
+    return _vectors(path, variables_of_mat(path), names)
+
+
+def variables_of_mat(path: Any) -> dict[str, Any]:
+    """All variables of a MATLAB file, by name.
+
+    Raises
+    ------
+    DataError
+        If scipy cannot read the file; for version 7.3 the message says what to do.
+    """
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadError
 
@@ -170,7 +190,54 @@ def read_mat(path: Any, names: Sequence[str]) -> dict[str, Array]:
         ) from error
     except (ValueError, MatReadError) as error:
         raise DataError(f"{path} is not a MATLAB file that scipy can read: {error}") from error
-    variables = {key: value for key, value in content.items() if not key.startswith("__")}
+    return {key: value for key, value in content.items() if not key.startswith("__")}
+
+
+def read_npz(path: Any, names: Sequence[str]) -> dict[str, Array]:
+    """Named arrays of a file of `numpy.savez`, as 1-D arrays.
+
+    Parameters
+    ----------
+    path : str or path
+        File written by `numpy.savez`.
+    names : sequence of str
+        Arrays of shape (N,), (N, 1) or (1, N).
+
+    Returns
+    -------
+    dict of ndarray
+        One array of shape (N,) per name.
+
+    Raises
+    ------
+    DataError
+        An array that is not there or not a vector (those that are, are listed
+        with their shapes), or another kind of file.
+    """
+    return _vectors(path, variables_of_npz(path), names)
+
+
+def variables_of_npz(path: Any) -> dict[str, Any]:
+    """All arrays of a file of `numpy.savez`, by name.
+
+    Raises
+    ------
+    DataError
+        If it is another kind of file, or holds Python objects.
+    """
+    try:
+        content = np.load(path, allow_pickle=False)
+        arrays = dict(content.items()) if isinstance(content, np.lib.npyio.NpzFile) else None
+    except (ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise DataError(f"{path} is not a file of named arrays as numpy.savez writes it: {error}") from error
+    if arrays is None:
+        raise DataError(f"{path} holds one array without a name; save named arrays with numpy.savez")
+    content.close()
+    return arrays
+
+
+def _vectors(path: Any, variables: dict[str, Any], names: Sequence[str]) -> dict[str, Array]:
+    """Variables as 1-D arrays of numbers."""
     listed = ", ".join(f"{key} {_shape(value)}" for key, value in variables.items()) or "none"
     columns = {}
     for name in names:

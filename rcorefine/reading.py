@@ -1,4 +1,4 @@
-"""The ways into a `Measurement`: CSV, MATLAB, data frame, python-control's response."""
+"""The ways into a `Measurement`: CSV, MATLAB, NumPy, data frame, python-control's response."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 import control as ct
 import numpy as np
 
-from .columns import names_of, read_csv, read_frame, read_mat
+from .columns import names_of, read_csv, read_frame, read_mat, read_npz
 from .exceptions import DataError
 
 __all__ = ["RecordReaders"]
@@ -125,6 +125,54 @@ class RecordReaders:
         5
         """
         columns = read_mat(path, _wanted(inputs, outputs, time))
+        return cls._from_columns(columns, inputs, outputs, time, dt, {"name": _stem(path)} | options)
+
+    @classmethod
+    def from_npz(
+        cls,
+        path: str | PathLike[str],
+        inputs: str | Sequence[str],
+        outputs: str | Sequence[str],
+        *,
+        time: str | None = None,
+        dt: float | None = None,
+        **options: Any,
+    ) -> Self:
+        """Read vectors from a file of `numpy.savez`.
+
+        Parameters
+        ----------
+        path : str or path
+            File of named arrays.
+        inputs, outputs : str or sequence of str
+            Arrays of shape (N,), (N, 1) or (1, N), which become the labels.
+        time : str, optional
+            Array that holds the times in s; else give `dt`.
+        dt : float, optional
+            Sampling time in s.
+        **options
+            As in `from_csv`.
+
+        Returns
+        -------
+        Measurement
+            Named after the file.
+
+        Raises
+        ------
+        DataError
+            No such array (those that exist are listed with their shapes), or
+            not a file of `numpy.savez`.
+
+        Examples
+        --------
+        >>> import pathlib, tempfile
+        >>> path = pathlib.Path(tempfile.mkdtemp()) / "run1.npz"
+        >>> np.savez(path, force=np.ones(5), v1=np.zeros(5))
+        >>> rco.Measurement.from_npz(path, "force", "v1", dt=0.1).n_samples
+        5
+        """
+        columns = read_npz(path, _wanted(inputs, outputs, time))
         return cls._from_columns(columns, inputs, outputs, time, dt, {"name": _stem(path)} | options)
 
     @classmethod

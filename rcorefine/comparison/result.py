@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from os import PathLike
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import control as ct
@@ -240,6 +242,43 @@ class Comparison:
             rcParams=rcParams,
             show_legend=show_legend,
         )
+
+    def report(
+        self,
+        path: str | PathLike[str],
+        *,
+        title: str | None = None,
+        code: str | None = None,
+        overwrite: bool = False,
+    ) -> Path:
+        """Write what was found as one HTML file: answer, pictures, tables, code, versions.
+
+        Parameters
+        ----------
+        path : str or path
+            File to write; an older report there is replaced.
+        title : str, optional
+            Heading.
+        code : str, optional
+            Code to print in place of the generated one.
+        overwrite : bool
+            Replace a file there that is no report, too.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the folder does not exist.
+        FileExistsError
+            If another file is there.
+        """
+        from ..reporting.page_of_comparison import report_comparison
+
+        return report_comparison(self, path, title=title, code=code, overwrite=overwrite)
 
     def __repr__(self) -> str:
         fits = np.atleast_2d(self.fit).mean(axis=1)

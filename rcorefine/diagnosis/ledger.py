@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import textwrap
 from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import control as ct
 import numpy as np
 
+from ..measurement import Measurement
 from ..physics.effects import Effect
 from ..refinement.refinement import Refinement
 from ..systems.linear import Array
@@ -193,6 +196,46 @@ class Improvement:
             show_legend=show_legend,
         )
 
+
+    def report(
+        self,
+        path: str | PathLike[str],
+        *,
+        data: Measurement | None = None,
+        title: str | None = None,
+        code: str | None = None,
+        overwrite: bool = False,
+    ) -> Path:
+        """Write what was found as one HTML file: answer, pictures, tables, code, versions.
+
+        Parameters
+        ----------
+        path : str or path
+            File to write; an older report there is replaced.
+        data : Measurement, optional
+            Record to show the models beside; the result keeps none.
+        title : str, optional
+            Heading.
+        code : str, optional
+            Code to print in place of the generated one.
+        overwrite : bool
+            Replace a file there that is no report, too.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the folder does not exist.
+        FileExistsError
+            If another file is there.
+        """
+        from ..reporting.page_of_models import report_improvement
+
+        return report_improvement(self, path, data=data, title=title, code=code, overwrite=overwrite)
 
 _HEADER = ["step", "coefficient", "fitted", "chosen on", "held out"]
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import textwrap
 from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import control as ct
@@ -259,6 +261,43 @@ class Diagnosis:
             self, title=title, rcParams=rcParams, legend_loc=legend_loc, show_legend=show_legend
         )
 
+
+    def report(
+        self,
+        path: str | PathLike[str],
+        *,
+        title: str | None = None,
+        code: str | None = None,
+        overwrite: bool = False,
+    ) -> Path:
+        """Write what was found as one HTML file: answer, pictures, tables, code, versions.
+
+        Parameters
+        ----------
+        path : str or path
+            File to write; an older report there is replaced.
+        title : str, optional
+            Heading.
+        code : str, optional
+            Code to print in place of the generated one.
+        overwrite : bool
+            Replace a file there that is no report, too.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the folder does not exist.
+        FileExistsError
+            If another file is there.
+        """
+        from ..reporting.page_of_diagnosis import report_diagnosis
+
+        return report_diagnosis(self, path, title=title, code=code, overwrite=overwrite)
 
 _HEADER = ["effect", "coefficient", "std", "fit %", "p-value", "probability"]
 _VERDICTS = {

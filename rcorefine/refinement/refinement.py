@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import control as ct
@@ -271,6 +273,46 @@ class Refinement:
             rcParams=rcParams,
             show_legend=show_legend,
         )
+
+    def report(
+        self,
+        path: str | PathLike[str],
+        *,
+        data: Measurement | None = None,
+        title: str | None = None,
+        code: str | None = None,
+        overwrite: bool = False,
+    ) -> Path:
+        """Write what was found as one HTML file: answer, pictures, tables, code, versions.
+
+        Parameters
+        ----------
+        path : str or path
+            File to write; an older report there is replaced.
+        data : Measurement, optional
+            Record to show the models beside; the result keeps none.
+        title : str, optional
+            Heading.
+        code : str, optional
+            Code to print in place of the generated one.
+        overwrite : bool
+            Replace a file there that is no report, too.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the folder does not exist.
+        FileExistsError
+            If another file is there.
+        """
+        from ..reporting.page_of_models import report_refinement
+
+        return report_refinement(self, path, data=data, title=title, code=code, overwrite=overwrite)
 
     # ------------------------------------------------------------------ in words
     def sentences(self) -> list[str]:
