@@ -1,16 +1,15 @@
-"""A record of a plant with a hidden effect, by `scipy.integrate.solve_ivp` with steps below the sample."""
+"""A record of a plant with a hidden effect, by an integrator with steps below the sample."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.integrate import solve_ivp
 from scipy.signal import StateSpace, lfilter, lsim
 
 import rcorefine as rco
 
+from .integrator import LAWS, MEMORY, force_of, march
 from .plants import PLANTS, Array, Place, Plant
 
 SECOND_ORDER = {
@@ -31,6 +30,14 @@ NOISES = ("white", "ar", "resonant", "t3")
 
 
 @dataclass
+class Law:
+    """A force law and its numbers, the first of which scales it."""
+
+    kind: str
+    p: Array
+
+
+@dataclass
 class Hidden:
     """A record, what hides in it, and what the estimator may be offered."""
 
@@ -47,14 +54,10 @@ class Hidden:
         """Outputs of the same plant with the same law under a scaled input, fresh noise."""
         plant, w = self.plant, factor * self.data.inputs
         place = next(p for p in plant.places if p.name == self.place)
-        shape = SECOND_ORDER[str(self.kind)]
         width = 0.003 * float(np.std(place.v @ linear_states(plant, self.data.inputs)))
-        law = lambda t, d, v, z: (self.coefficient * shape(d, v, width), [])  # noqa: E731
+        law = Law(str(self.kind), np.array([self.coefficient, width, 0.0]))
         x = integrate(plant, w, law, place)
-        n = plant.A.shape[0]
-        d = place.d @ x[:n] if place.d is not None else np.zeros(w.shape[1])
-        force = np.array([law(0.0, d[k], float(place.v @ x[:n, k]), [])[0] for k in range(w.shape[1])])
-        y = outputs(plant, x, w, force, place)
+        y = outputs(plant, x, w, forces(plant, x, law, place), place)
         rng = np.random.default_rng([seed, 78])
         return y + self.noise * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
 
@@ -76,43 +79,35 @@ def linear_states(plant: Plant, w: Array) -> Array:
     return lsim(whole, w.T, t)[2].reshape(t.size, n).T
 
 
-def integrate(
-    plant: Plant, w: Array, law: Callable[..., tuple[float, list[float]]], place: Place, memory: int = 0
-) -> Array:
+def integrate(plant: Plant, w: Array, law: Law, place: Place, rtol: float = 1e-7) -> Array:
     """States (n + memory, N) for inputs (n_w, N) that are linear between samples."""
-    A, dt = plant.A, plant.dt
-    n, N = A.shape[0], w.shape[1]
-    steer = np.ascontiguousarray((plant.B @ w).T)
-    slopes = np.vstack([np.diff(steer, axis=0), np.zeros((1, n))])
-    act, sense_v = place.act, place.v
-    sense_d = place.d if place.d is not None else np.zeros(n)
-
-    def rhs(t: float, x: Array) -> Array:
-        at = t / dt
-        k = min(int(at), N - 2)
-        state = x[:n] if memory else x
-        force, inner = law(t, float(sense_d @ state), float(sense_v @ state), x[n:])
-        rate = A @ state + steer[k] + (at - k) * slopes[k] + act * force
-        return np.concatenate([rate, inner]) if memory else rate
-
-    t = np.arange(N) * dt
-    answer = solve_ivp(
-        rhs,
-        (0, t[-1]),
-        np.zeros(n + memory),
-        method="RK45",
-        t_eval=t,
-        max_step=dt,
-        rtol=1e-6,
-        atol=1e-9 * _size(plant, w),
-    )
-    if not answer.success or answer.y.shape[1] != N or not np.isfinite(answer.y).all():
+    n, memory = plant.A.shape[0], MEMORY.get(law.kind, 0)
+    x0 = linear_states(plant, w)
+    size = x0.std(axis=1)
+    at_place = [float(np.std(row @ x0)) for row in (place.d, place.v) if row is not None]
+    inner = {"hidden mass": at_place}.get(law.kind, [float(law.p[1])])[:memory]
+    atol = 1e-7 * np.concatenate([np.where(size > 0, size, 1.0), inner])
+    x = march(
+        plant.A, np.ascontiguousarray((plant.B @ w).T), place.act,
+        place.d if place.d is not None else np.zeros(n), place.v,
+        LAWS[law.kind], law.p, memory, plant.dt, rtol, atol, 400 * w.shape[1],
+    )  # fmt: skip
+    if not np.isfinite(x).all() or np.abs(x[:, :n]).max() > 1e3 * np.abs(x0).max():
         raise FloatingPointError("the plant with this effect runs away")
-    return answer.y
+    return x.T
 
 
-def _size(plant: Plant, w: Array) -> float:
-    return float(np.abs(plant.B).max() * np.abs(w).max() * plant.dt)
+def forces(plant: Plant, x: Array, law: Law, place: Place) -> Array:
+    """The law's force (N,) along a motion."""
+    n, inner = plant.A.shape[0], np.zeros(2)
+    d = place.d @ x[:n] if place.d is not None else np.zeros(x.shape[1])
+    v = place.v @ x[:n]
+    return np.array(
+        [
+            force_of(LAWS[law.kind], law.p, k * plant.dt, d[k], v[k], x[n:, k], inner)
+            for k in range(x.shape[1])
+        ]
+    )
 
 
 def outputs(plant: Plant, x: Array, w: Array, force: Array | None, place: Place | None) -> Array:
@@ -267,61 +262,26 @@ def _unit(plant: Plant, place: Place, x0: Array, kind: str) -> float:
 
 def _with(plant: Plant, w: Array, kind: str, place: Place, strength: float, x0: Array) -> Array:
     """Outputs with the effect; strength is relative to the force that the plant itself has there."""
-    n = plant.A.shape[0]
-    d_rms, v_rms, unit = _motion(plant, place, x0)
-    inertia = 1 / abs(float(place.v @ place.act))
-    law, memory = _law(kind, strength * unit, d_rms, v_rms, w.shape[1] * plant.dt)
     if kind == "input saturation":
         limit = np.quantile(np.abs(w), 1 - min(0.9 * strength, 0.9))
         cut = np.clip(w, -limit, limit)
         return outputs(plant, linear_states(plant, cut), cut, None, None)
-    if kind == "hidden mass":
-        law, memory = _hidden_mass(strength, inertia, v_rms, plant)
-    x = integrate(plant, w, law, place, memory)
-    t = np.arange(w.shape[1]) * plant.dt
-    d = place.d @ x[:n] if place.d is not None else np.zeros(t.size)
-    force = np.array([law(t[k], d[k], float(place.v @ x[:n, k]), x[n:, k])[0] for k in range(t.size)])
-    return outputs(plant, x, w, force, place)
+    law = _law(plant, place, x0, kind, strength, w.shape[1])
+    x = integrate(plant, w, law, place)
+    return outputs(plant, x, w, forces(plant, x, law, place), place)
 
 
-def _law(
-    kind: str, level: float, d_rms: float, v_rms: float, duration: float
-) -> tuple[Callable[..., tuple[float, list[float]]], int]:
+def _law(plant: Plant, place: Place, x0: Array, kind: str, strength: float, samples: int) -> Law:
+    d_rms, v_rms, unit = _motion(plant, place, x0)
+    level, slip = strength * unit, 0.5 * d_rms
     if kind in SECOND_ORDER:
-        shape = SECOND_ORDER[kind]
-        at = abs(shape(d_rms, v_rms, 1e-3 * v_rms)) or 1.0
-        return (lambda t, d, v, z: (level / at * shape(d, v, 0.003 * v_rms), [])), 0
-    if kind == "clearance":
-        return (lambda t, d, v, z: (level / d_rms * np.sign(d) * max(abs(d) - 0.7 * d_rms, 0.0), [])), 0
-    if kind == "ramp":
-        return (lambda t, d, v, z: (level / d_rms * d * t / duration, [])), 0
-    slip = 0.5 * d_rms
-    if kind == "jenkins":
-        return (
-            lambda t, d, v, z: (level * z[0] / slip, [0.0 if abs(z[0]) >= slip and z[0] * v > 0 else v])
-        ), 1
-    if kind == "bouc-wen":
-        return (
-            lambda t, d, v, z: (level * z[0] / slip, [v - (0.6 * abs(v) * z[0] + 0.4 * v * abs(z[0])) / slip])
-        ), 1
-    if kind == "dahl":
-        return (lambda t, d, v, z: (level * z[0] / slip, [v - abs(v) * z[0] / slip])), 1
-    if kind in ("hidden mass", "input saturation"):
-        return (lambda t, d, v, z: (0.0, [])), 0
-    raise ValueError(kind)
-
-
-def _hidden_mass(
-    strength: float, inertia: float, v_rms: float, plant: Plant
-) -> tuple[Callable[..., tuple[float, list[float]]], int]:
-    """A mass on a spring and damper attached to the place, tuned to a mode of the plant."""
-    m = 0.5 * strength * inertia
-    modes = np.abs(np.linalg.eigvals(plant.A))
-    omega = float(np.sort(modes)[modes.size // 2])
-    k, c = m * omega**2, 2 * 0.03 * m * omega
-
-    def law(t: float, d: float, v: float, z: Array) -> tuple[float, list[float]]:
-        force = k * (d - z[0]) + c * (v - z[1])
-        return force, [z[1], force / m]
-
-    return law, 2
+        at = abs(SECOND_ORDER[kind](d_rms, v_rms, 1e-3 * v_rms)) or 1.0
+        return Law(kind, np.array([level / at, 0.003 * v_rms, 0.0]))
+    if kind == "hidden mass":  # on a spring and damper at the place, tuned to a mode of the plant
+        m = 0.5 * strength / abs(float(place.v @ place.act))
+        modes = np.abs(np.linalg.eigvals(plant.A))
+        omega = float(np.sort(modes)[modes.size // 2])
+        return Law(kind, np.array([m * omega**2, 2 * 0.03 * m * omega, m]))
+    second = {"clearance": 0.7 * d_rms, "ramp": samples * plant.dt}.get(kind, slip)
+    first = level / d_rms if kind in ("clearance", "ramp") else level
+    return Law(kind, np.array([first, second, 0.0]))

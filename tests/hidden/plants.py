@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import control as ct
 import numpy as np
 
 import rcorefine as rco
@@ -39,6 +40,12 @@ class Plant:
     amplitude: Array
     chain: bool = True
     lift: float = 0.0  # mean of the input over its amplitude
+
+    def alike(self, one: str, two: str) -> bool:
+        """Whether two places are the same one: same motion, same force."""
+        a, b = (next(p for p in self.places if p.name == name) for name in (one, two))
+        pairs = [(a.d, b.d), (a.v, b.v), (a.act, b.act)]
+        return all(p is q or (p is not None and q is not None and np.array_equal(p, q)) for p, q in pairs)
 
 
 def _sensor(n: int, what: str, mass: int) -> tuple[Array, Array]:
@@ -216,7 +223,46 @@ def thermal(rng: np.random.Generator, sensors: int = 1) -> Plant:
     )
 
 
+def ring(rng: np.random.Generator, sensors: int = 1) -> Plant:
+    """Three masses, each tied to the ground and to both others, given as a plain StateSpace."""
+    n, m = 3, rng.uniform(0.5, 2.0, 3)
+    pairs = [(i, None) for i in range(n)] + [(0, 1), (0, 2), (1, 2)]
+    k = rng.uniform(80, 400, len(pairs))
+    c = 2 * rng.uniform(0.01, 0.03) * np.sqrt(k * m.mean())
+    K, damping, places = np.zeros((n, n)), np.zeros((n, n)), []
+    zero = np.zeros(n)
+    for (i, j), stiff, viscous in zip(pairs, k, c, strict=True):
+        e = np.zeros(n)
+        e[i] = 1
+        if j is not None:
+            e[j] = -1
+        K += stiff * np.outer(e, e)
+        damping += viscous * np.outer(e, e)
+        name = f"p{i + 1}" if j is None else f"p{i + 1}-p{j + 1}"
+        places.append(
+            Place(
+                name,
+                np.concatenate([e, zero]),
+                np.concatenate([zero, e]),
+                np.concatenate([zero, -e / m]),
+            )
+        )
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-K / m[:, None], -damping / m[:, None]]])
+    force = int(rng.integers(n))
+    B = np.zeros((2 * n, 1))
+    B[n + force, 0] = 1 / m[force]
+    spots = rng.permutation(n)[:sensors]
+    C = np.array([_sensor(n, str(rng.choice(["velocity", "displacement"])), int(i))[0] for i in spots])
+    D = np.zeros((len(spots), 1))
+    model = ct.ss(
+        A, B, C, D, inputs=["force"], outputs=[f"y{i + 1}" for i in range(len(spots))],
+        states=["p1", "p2", "p3", "s1", "s2", "s3"],
+    )  # fmt: skip
+    fast = np.abs(np.linalg.eigvals(A)).max() / (2 * np.pi)
+    return Plant("ring", model, A, B, C, D, 0 * C, places, 1 / (12 * fast), np.array([10.0]))
+
+
 PLANTS: dict[str, Callable[..., Plant]] = {
     "chain": chain, "motor": motor, "quarter car": quarter_car,
-    "RLC": rlc, "tanks": tanks, "thermal": thermal,
+    "RLC": rlc, "tanks": tanks, "thermal": thermal, "ring": ring,
 }  # fmt: skip
