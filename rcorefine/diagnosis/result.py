@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import control as ct
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..measurement import Measurement
 from ..physics.effects import Effect
 from ..refinement.refinement import Refinement
 from ..systems.linear import Array
 from .whitening import FTest
+
+if TYPE_CHECKING:
+    from .experiment import ExperimentAdvice
 
 __all__ = ["Detectable", "Diagnosis", "RankedEffect"]
 
@@ -132,6 +137,91 @@ class Diagnosis:
         given = {name: value for name, value in self.best.coefficients.items()}
         settings = {k: self.settings[k] for k in ("tolerance", "offset", "noise") if k in self.settings}
         return refine(self.base, list(self.records), [self.best.effect.replace(start=given)], **settings)
+
+    def suggest_experiment(
+        self,
+        *,
+        probability: float = 0.9,
+        repeat: bool = True,
+        amplitudes: Sequence[float] = (0.3, 2.0, 3.0),
+        lengths: Sequence[float] = (2.0, 4.0),
+        bands: Sequence[tuple[float, float]] | None = None,
+        sensors: Sequence[str] | None = None,
+        costs: Mapping[str, float] | None = None,
+        largest_input: ArrayLike | None = None,
+    ) -> ExperimentAdvice:
+        """The cheapest experiment that would tell apart what this record cannot.
+
+        Every rival is simulated under every option and every other rival is refitted to
+        it; what then still differs, over the noise of this record, gives the probability
+        that the true one stands alone.
+
+        Parameters
+        ----------
+        probability : float
+            Probability that is enough.
+        repeat : bool
+            Whether to consider a plain repetition.
+        amplitudes : sequence of float
+            Factors on the input.
+        lengths : sequence of float
+            Lengths over that of this record.
+        bands : sequence of (float, float), optional
+            Other bands of excitation in rad/s, at the rms of this record's input; default
+            the two halves of the band where the model lives, and its lowest modes.
+        sensors : sequence of str, optional
+            States or ports where a sensor could be added, with the relative noise of the
+            present ones; default every state of their sort that is not measured yet.
+        costs : dict, optional
+            Cost by kind of experiment, in lengths of this record: default ``repeat`` 1,
+            ``amplitude`` 1.5, ``band`` 2, ``longer`` 1 (times the length), ``sensor`` 6.
+        largest_input : float or array_like of shape (n_w,), optional
+            What the actuator can do; options beyond are not possible.
+
+        Returns
+        -------
+        ExperimentAdvice
+            Options with probability and cost, the chosen one, warnings. With nothing to
+            separate its `chosen` is None and its message says why.
+
+        Raises
+        ------
+        control.ControlArgument
+            If an option is out of its range, or a place does not exist.
+
+        Notes
+        -----
+        With D the squared distance between the outputs of two rivals after one is
+        refitted to the other, over the noise, and L what this record says already, they
+        separate with probability Phi((L + D - 9.2) / (2 sqrt(D))); what the spread of the
+        coefficients adds is drawn. The sensor is judged by the new record alone.
+
+        Examples
+        --------
+        >>> import numpy as np, rcorefine as rco
+        >>> model = rco.mass_spring_damper([1.0], [0.4], [100.0], sensors="displacement")
+        >>> rng = np.random.default_rng(0)
+        >>> force = 10 * rng.standard_normal(2000)
+        >>> blank = rco.Measurement(force, np.zeros(2000), dt=0.02)
+        >>> y = rco.simulate(model, blank, "zero").outputs[0]
+        >>> noisy = y + 0.03 * y.std() * rng.standard_normal(2000)
+        >>> found = rco.diagnose(model, rco.Measurement(force, noisy, dt=0.02))
+        >>> print(found.suggest_experiment().message)
+        Nothing to separate: no test fires, and no candidate comes near.
+        """
+        from .experiment import suggest
+
+        return suggest(
+            self,
+            probability=probability,
+            repeat=repeat,
+            amplitudes=amplitudes,
+            lengths=lengths,
+            bands=bands,
+            sensors=sensors,
+            costs=costs,
+            largest_input=largest_input,
+        )
 
     def ordered_records(self) -> list[Measurement]:
         """The records, channels in the order of the model.
@@ -261,7 +351,6 @@ class Diagnosis:
             self, title=title, rcParams=rcParams, legend_loc=legend_loc, show_legend=show_legend
         )
 
-
     def report(
         self,
         path: str | PathLike[str],
@@ -298,6 +387,7 @@ class Diagnosis:
         from ..reporting.page_of_diagnosis import report_diagnosis
 
         return report_diagnosis(self, path, title=title, code=code, overwrite=overwrite)
+
 
 _HEADER = ["effect", "coefficient", "std", "fit %", "p-value", "probability"]
 _VERDICTS = {
