@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 
 from ..exceptions import DivergenceError
 from ..measurement import Measurement
-from ..physics.effects import Effect
 from ..physics.engine import Engine
 from ..refinement.refinement import Refinement
 from ..refinement.starts import Motion
@@ -441,9 +440,9 @@ def _advice(
         )
     if chosen.reach > _BEYOND:
         notes.append(
-            f"{_sentence(chosen.name)} takes {chosen.reach_where} to {chosen.reach:.2g} times the largest value "
-            "in this record, which cannot vouch for what comes there: stops, saturation, the range of the "
-            "sensors, and laws that only show at such amplitudes."
+            f"That takes {chosen.reach_where} to {chosen.reach:.2g} times the largest value in this record, "
+            "which cannot vouch for what comes there: stops, saturation, the range of the sensors, laws that "
+            "only show at such amplitudes."
         )
     if best.distance < _NESTED and best.probability < probability:
         notes.append(

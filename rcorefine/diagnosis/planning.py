@@ -46,7 +46,7 @@ class Proposal:
 
 
 def factor_in_words(factor: float) -> str:
-    """ "twice", "three times", "0.3 times"."""
+    """A factor as one says it: twice, three times, 2.5 times."""
     return _WORDS.get(float(factor), f"{factor:g} times")
 
 

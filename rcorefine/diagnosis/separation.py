@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -327,7 +328,7 @@ def _margins(own: _Fit, fits: Sequence[_Fit]) -> Array:
     rng = np.random.default_rng(0)  # the same draws for every plan: options differ by what they are
     along = rng.standard_normal((_DRAWS, B.shape[1])) @ root.T
     along += rng.standard_normal((_DRAWS, spread.shape[1])) @ (B.T @ spread).T
-    absorbed = [np.sum(along[:, a:b] ** 2, axis=1) for a, b in zip(widths[:-2], widths[1:-1], strict=True)]
+    absorbed = [np.sum(along[:, a:b] ** 2, axis=1) for a, b in pairwise(widths[:-1])]
     crossed = along[:, widths[-2] :]
     return np.column_stack(
         [fit.distance + 2 * crossed[:, j] + absorbed[0] - absorbed[j + 1] for j, fit in enumerate(fits)]

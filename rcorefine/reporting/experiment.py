@@ -1,4 +1,4 @@
-"""Options of the next experiment: probability over cost."""
+"""Pictures of what to measure next, and of what a further record says."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ import control as ct
 import matplotlib.pyplot as plt
 import numpy as np
 
+from .figures import finish, unit_text
+
 if TYPE_CHECKING:
     from ..diagnosis.experiment import ExperimentAdvice
+    from ..diagnosis.records import Confirmation
 
-__all__ = ["experiment_plot"]
+__all__ = ["confirmation_plot", "experiment_plot"]
 
 
 def experiment_plot(
@@ -50,7 +53,8 @@ def experiment_plot(
     settings: Any = {**ct.rcParams, **(rcParams or {})}
     with plt.rc_context(settings):
         options = advice.options
-        if ax is None:
+        own = ax is None
+        if own:
             height = 1.6 + 0.32 * max(len(options), 1)
             _, ax = plt.subplots(figsize=(7.0, height), layout="constrained")
         rows = np.arange(len(options))
@@ -71,7 +75,9 @@ def experiment_plot(
                 fontsize="small",
                 color="white" if inside and option is advice.chosen else "black",
             )
-        line = ax.axvline(advice.probability, color="C3", linestyle="--", linewidth=1.2, label="asked for")
+        line = ax.axvline(
+            advice.probability, color="C3", linestyle="--", linewidth=1.2, zorder=0, label="asked for"
+        )
         names = [f"{option.name} ({option.cost:.2g})" for option in options]
         ax.set_yticks(rows, names)
         ax.invert_yaxis()
@@ -82,8 +88,78 @@ def experiment_plot(
         ax.set_title(title)
         ax.grid(True, axis="x", alpha=0.4)
         shown = show_legend or (show_legend is None and legend_loc is not False and bool(options))
-        place = legend_loc if isinstance(legend_loc, str) else "lower right"
-        legend = ax.legend(loc=place, framealpha=0.9) if shown else None
+        legend = None
+        if shown and (own and not isinstance(legend_loc, str)):
+            legend = ax.figure.legend(loc="outside lower center", ncols=2)
+        elif shown:
+            legend = ax.legend(loc=legend_loc if isinstance(legend_loc, str) else "best", framealpha=0.9)
     out = np.empty((1, 1), dtype=object)
     out[0, 0] = [*bars, line]
     return ct.ControlPlot(out, np.array([[ax]]), ax.figure, legend)
+
+
+def confirmation_plot(
+    confirmation: Confirmation,
+    *,
+    ax: Any = None,
+    label: str | None = None,
+    title: str | None = None,
+    legend_loc: str | bool | None = None,
+    rcParams: dict[str, Any] | None = None,
+    show_legend: bool | None = None,
+) -> ct.ControlPlot:
+    """Coefficients of each record alone, with 95 % intervals, one panel per coefficient.
+
+    Parameters
+    ----------
+    confirmation : Confirmation
+        Result of `confirm`.
+    ax : Axes or array of Axes, optional
+        Where to draw, one per coefficient.
+    label : str, optional
+        Label of the estimates.
+    title : str, optional
+        Title.
+    legend_loc : str or bool, optional
+        Place of the legend, False for none.
+    rcParams : dict, optional
+        Matplotlib settings for this plot.
+    show_legend : bool, optional
+        Whether to show a legend; default only where a label is given.
+
+    Returns
+    -------
+    ControlPlot
+    """
+    settings: Any = {**ct.rcParams, **(rcParams or {})}
+    with plt.rc_context(settings):
+        count = len(confirmation.names)
+        if ax is None:
+            _, ax = plt.subplots(
+                1, count, squeeze=False, figsize=(2.2 + 2.8 * count, 3.2), layout="constrained"
+            )
+        axes = np.atleast_1d(np.asarray(ax, dtype=object)).reshape(1, -1)
+        if axes.size != count:
+            raise ct.ControlDimension(f"ax holds {axes.size} axes; there are {count} coefficients")
+        lines = np.empty((1, count), dtype=object)
+        names = [f"{e.name}\n{e.level:.2g} x input" for e in confirmation.estimates]
+        places = np.arange(len(names))
+        for i, axis in enumerate(axes[0]):
+            values = np.array([e.coefficients[i] for e in confirmation.estimates])
+            spread = 1.96 * np.array([e.std[i] for e in confirmation.estimates])
+            bars = axis.errorbar(places, values, spread, fmt="o", capsize=4, label=label or "95 % interval")
+            lines[0, i] = [bars.lines[0]]
+            axis.set_xticks(places, names)
+            axis.set_xlim(-0.5, len(names) - 0.5)
+            axis.set_ylabel(unit_text(confirmation.names[i], confirmation.units[i]))
+            axis.grid(True, axis="y", alpha=0.4)
+        axes[0, 0].figure.suptitle(title or f"Each record alone: {confirmation.verdict}")
+        return finish(
+            axes[0, 0].figure,
+            axes,
+            lines,
+            title=None,
+            legends=[axes[0, 0]] if label is not None or show_legend else [],
+            legend_loc=legend_loc,
+            show_legend=show_legend,
+        )

@@ -1,0 +1,358 @@
+"""Whether further records, best at another amplitude, agree with what one record taught."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import control as ct
+import numpy as np
+from scipy import stats
+
+from ..comparison.channels import match_channels, record_for
+from ..measurement import Measurement
+from ..physics.effects import Effect
+from ..physics.library import effect_library
+from ..physics.simulation import check_channels
+from ..refinement.assembly import priors
+from ..refinement.outcome import output_weights
+from ..refinement.problem import Problem, residual_blocks
+from ..refinement.refinement import Refinement
+from ..refinement.search import starting_states
+from ..refinement.starts import Motion
+from ..refinement.windows import as_records, windows
+from ..systems.linear import Array
+from .battery import Battery, run_battery
+from .columns import candidate_columns
+from .descent import descend
+from .state import Fitted
+from .whitening import FTest, Whitener
+
+__all__ = ["Confirmation", "RecordEstimate", "confirm"]
+
+_ROUNDS = 3  # descents, each under the whitening of the one before
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordEstimate:
+    """The model fitted to one record alone.
+
+    Attributes
+    ----------
+    name : str
+        Name of the record.
+    level : float
+        Rms of its inputs over that of the first record.
+    coefficients, std : ndarray, shape (p,)
+        Of the effects.
+    agreement : float
+        p-value that they are those of the first record, 1 for the first itself.
+    tests : tuple of FTest
+        Tests of the residual.
+    residual : float
+        p-value of all of them together.
+    """
+
+    name: str
+    level: float
+    coefficients: Array
+    std: Array
+    agreement: float
+    tests: tuple[FTest, ...]
+    residual: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Confirmation:
+    """Whether the same effects, with the same coefficients, explain every record.
+
+    Attributes
+    ----------
+    verdict : str
+        "confirmed" or "refuted".
+    p_value : float
+        The smallest of agreement and residual over the further records, corrected for
+        their number.
+    names : tuple of str
+        Coefficients that were compared.
+    units : tuple of str
+        Their units.
+    estimates : tuple of RecordEstimate
+        One per record.
+    significance : float
+        Level.
+    message : str
+        The outcome in a sentence.
+    """
+
+    verdict: str
+    p_value: float
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    estimates: tuple[RecordEstimate, ...]
+    significance: float
+    message: str
+
+    def sentences(self) -> list[str]:
+        """What was found, one sentence each.
+
+        Returns
+        -------
+        list of str
+        """
+        return [
+            self.message,
+            "agreement: chance of such a difference from the first record if the law is the same; residual: "
+            "p-value of the tests on what the refitted model leaves; input: rms over that of the first.",
+        ]
+
+    def _rows(self) -> list[list[str]]:
+        rows = []
+        for estimate in self.estimates:
+            for i, name in enumerate(self.names):
+                first = i == 0
+                rows.append(
+                    [
+                        estimate.name if first else "",
+                        name,
+                        f"{estimate.coefficients[i]:.4g}",
+                        f"{estimate.std[i]:.2g}",
+                        f"{estimate.level:.3g}" if first else "",
+                        f"{estimate.agreement:.2g}" if first and estimate is not self.estimates[0] else "",
+                        f"{estimate.residual:.2g}" if first else "",
+                    ]
+                )
+        return rows
+
+    def __str__(self) -> str:
+        from ..reporting.tables import text_table
+
+        parts = [f"Further records: {self.verdict.upper()}", *textwrap.wrap(self.message, 80)]
+        parts.append(text_table(_HEADER, self._rows(), left=2))
+        parts += textwrap.wrap(self.sentences()[1], 80)
+        return "\n".join(parts)
+
+    def _repr_html_(self) -> str:
+        from ..reporting.tables import html_table
+
+        title = f"Further records: {self.verdict}"
+        return html_table(_HEADER, self._rows(), title=title, notes=self.sentences(), left=2)
+
+    def plot(
+        self,
+        *,
+        ax: Any = None,
+        label: str | None = None,
+        title: str | None = None,
+        legend_loc: str | bool | None = None,
+        rcParams: dict[str, Any] | None = None,
+        show_legend: bool | None = None,
+    ) -> ct.ControlPlot:
+        """Coefficients from each record alone, with their 95 % intervals.
+
+        Parameters
+        ----------
+        ax : Axes or array of Axes, optional
+            Where to draw, one per coefficient.
+        label : str, optional
+            Label of the estimates.
+        title : str, optional
+            Title.
+        legend_loc : str or bool, optional
+            Place of the legend, False for none.
+        rcParams : dict, optional
+            Matplotlib settings for this plot.
+        show_legend : bool, optional
+            Whether to show a legend; default only where a label is given.
+
+        Returns
+        -------
+        ControlPlot
+        """
+        from ..reporting.experiment import confirmation_plot
+
+        return confirmation_plot(
+            self,
+            ax=ax,
+            label=label,
+            title=title,
+            legend_loc=legend_loc,
+            rcParams=rcParams,
+            show_legend=show_legend,
+        )
+
+
+_HEADER = ["record", "coefficient", "alone", "std", "input", "agreement", "residual"]
+
+
+def confirm(
+    model: Refinement,
+    data: Sequence[Measurement],
+    *,
+    candidates: Sequence[Effect] | None = None,
+    tolerance: float = 0.0,
+    noise: float | Sequence[float] | None = None,
+    significance: float = 0.005,
+) -> Confirmation:
+    """Test a refined model on further records, best taken at another amplitude.
+
+    The model is fitted to each record alone. A law that only mimics the true one on one
+    record needs other coefficients on another, or leaves a residual there.
+
+    Parameters
+    ----------
+    model : Refinement
+        Model with the effects in question: of `refine`, or `RankedEffect.refinement`.
+    data : sequence of Measurement
+        The record that taught them first, then the others; two at least.
+    candidates : sequence of Effect, optional
+        What else the residual is tested for, default `effect_library(model)`.
+    tolerance : float
+        Relative prior sd of the linear parameters, as in `refine`.
+    noise : float or sequence of float, optional
+        Known sensor noise (standard deviation per output).
+    significance : float
+        Level below which the effects are refuted.
+
+    Returns
+    -------
+    Confirmation
+        Verdict, and the coefficients from every record.
+
+    Raises
+    ------
+    control.ControlArgument
+        If the model has no effect that was asked for, or there is only one record.
+
+    Notes
+    -----
+    Wald test ``(t1 - t2)' (C1 + C2)^-1 (t1 - t2)`` of the effects' coefficients with the
+    covariances of generalized least squares, and the battery of `diagnose` on each
+    further residual. Offsets and linear parameters that float may differ between records.
+
+    Examples
+    --------
+    >>> import numpy as np, rcorefine as rco
+    >>> model = rco.mass_spring_damper([1.0], [0.4], [100.0], sensors="displacement")
+    >>> true = rco.mass_spring_damper([1.0], [0.4], [80.0], sensors="displacement")
+    >>> rng = np.random.default_rng(0)
+    >>> records = []
+    >>> for size in (10.0, 20.0):
+    ...     force = size * rng.standard_normal(1500)
+    ...     y = rco.simulate(true, rco.Measurement(force, np.zeros(1500), dt=0.02), "zero").outputs[0]
+    ...     records.append(rco.Measurement(force, y + 0.02 * rng.standard_normal(1500), dt=0.02))
+    >>> softer = rco.refine(model, records[0], [rco.Effect("stiffness", "link1")])
+    >>> rco.confirm(softer, records).verdict
+    'confirmed'
+    """
+    if not isinstance(model, Refinement):
+        raise ct.ControlArgument(f"model must be a Refinement, not {type(model).__name__}; call refine first")
+    if not 0 < significance < 1:
+        raise ct.ControlArgument(f"significance must lie between 0 and 1, not {significance!r}")
+    records = as_records(data)
+    if len(records) < 2:
+        raise ct.ControlArgument("data holds one record; give the one that taught the effects and another")
+    linear = model.physical_model.linear
+    ordered = [record_for(r, match_channels(linear, r)) for r in records]
+    for record in ordered:
+        check_channels(linear, record)
+    own = [i for i, row in enumerate(model.parameters) if row.role == "effect"]
+    if not own:
+        raise ct.ControlArgument("the model holds no effect that was asked for, so nothing can be confirmed")
+    library = effect_library(model.physical_model) if candidates is None else list(candidates)
+    held = {(effect.kind, effect.place) for effect in model.effects}
+    rest = [effect for effect in library if (effect.kind, effect.place) not in held]
+    alone = [_alone(model, record, i, tolerance, noise) for i, record in enumerate(ordered)]
+    levels = [float(np.sqrt(np.mean(record.inputs**2))) or 1.0 for record in ordered]
+    block = np.ix_(own, own)
+    estimates = []
+    for i, (fitted, covariance) in enumerate(alone):
+        tests = _battery(fitted, rest)
+        valid = [t.p_value for t in tests if t.dof]
+        agreement = 1.0
+        if i:
+            difference = fitted.theta[own] - alone[0][0].theta[own]
+            agreement = _wald(difference, alone[0][1][block] + covariance[block])
+        estimates.append(
+            RecordEstimate(
+                name=records[i].name if len({r.name for r in records}) > 1 else f"record {i + 1}",
+                level=levels[i] / levels[0],
+                coefficients=fitted.theta[own],
+                std=np.sqrt(np.maximum(np.diag(covariance)[own], 0.0)),
+                agreement=agreement,
+                tests=tuple(tests),
+                residual=min(1.0, min(valid, default=1.0) * len(valid)),
+            )
+        )
+    further = estimates[1:]
+    p_value = min(1.0, len(further) * min(min(e.agreement, e.residual) for e in further))
+    names = tuple(model.parameters[i].name for i in own)
+    labels = [f"{row.kind} at {row.place}" for row in (model.parameters[i] for i in own)]
+    verdict = "confirmed" if p_value >= significance else "refuted"
+    return Confirmation(
+        verdict,
+        p_value,
+        names,
+        tuple(model.parameters[i].unit for i in own),
+        tuple(estimates),
+        significance,
+        _message(verdict, list(dict.fromkeys(labels)), further, p_value),
+    )
+
+
+def _message(verdict: str, labels: list[str], further: Sequence[RecordEstimate], p_value: float) -> str:
+    what = " with ".join(labels)
+    if verdict == "confirmed":
+        other = any(abs(np.log(e.level)) > 0.25 for e in further)
+        caution = "" if other else " The amplitudes are alike, though, so a law that mimics it could pass."
+        return f"The same {what} explains every record (p = {p_value:.2g}).{caution}"
+    worst = min(further, key=lambda e: min(e.agreement, e.residual))
+    why = "other coefficients" if worst.agreement <= worst.residual else "something more"
+    return f"{what} is refuted: {worst.name} needs {why} (p = {p_value:.2g}). It only mimics what is missing."
+
+
+def _alone(
+    model: Refinement, record: Measurement, index: int, tolerance: float, noise: Any
+) -> tuple[Fitted, Array]:
+    """The model at its minimum on one record, and the covariance of its coefficients."""
+    structure, theta, steps = model.simulation_structure()
+    segments, _ = windows(model.physical_model, [record], None)
+    mean, sd = priors(structure, model.roles, tolerance)
+
+    def problem(weights: Array) -> Problem:
+        return Problem(structure, segments, weights, prior_mean=mean, prior_sd=sd, substeps=steps)
+
+    made = problem(output_weights(segments, noise) if noise is not None else 1.0 / model.rmse)
+    if index == 0 and model.initial_states.shape[0] == len(segments):
+        starts = model.initial_states
+    else:
+        starts = starting_states(made, theta)
+    point = descend(made, made.pack(theta, starts), evaluations=15, tolerance=1e-6).point
+    if noise is None:
+        made = problem(output_weights(segments, None, made, point))
+    for _ in range(_ROUNDS):
+        whitener = Whitener.fit([r for r, _ in residual_blocks(made, point)])
+        point = descend(made, point, whitener=whitener, evaluations=10, tolerance=1e-8).point
+    blocks = residual_blocks(made, point)
+    whitener = Whitener.fit([r for r, _ in blocks])
+    J = whitener.apply([j for _, j in blocks])
+    prior = np.zeros(made.size)
+    prior[: sd.size][np.isfinite(sd)] = sd[np.isfinite(sd)] ** -2.0
+    size = np.linalg.norm(J, axis=0)
+    size[size == 0] = 1.0
+    information = (J / size).T @ (J / size) + np.diag(prior / size**2)
+    covariance = np.linalg.pinv(information, rcond=1e-12, hermitian=True) / np.outer(size, size)
+    return Fitted(model, made, point, tolerance), covariance[: theta.size, : theta.size]
+
+
+def _battery(fitted: Fitted, rest: Sequence[Effect]) -> list[FTest]:
+    motions = [Motion(fitted.structure, fitted.theta, record) for record in fitted.problem.records]
+    scored = candidate_columns(fitted, rest, motions[0], (0.0,))
+    return run_battery(Battery(fitted), scored, motions)
+
+
+def _wald(difference: Array, covariance: Array) -> float:
+    statistic = float(difference @ np.linalg.pinv(covariance, hermitian=True) @ difference)
+    return float(stats.chi2.sf(statistic, difference.size))
