@@ -2,62 +2,22 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
+import warnings
+from argparse import Namespace
 from collections.abc import Sequence
-from pathlib import Path
+from typing import Any
 
-from . import __version__
+import control as ct
+
+from .commands.parser import build_parser
 from .exceptions import RCOError
 
 __all__ = ["main"]
 
-_EXIT_CODES = "exit codes: 0 all went well, 1 the work failed (the message says why), 2 wrong usage"
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="rcorefine",
-        description="Find out why a linear model and a measured record disagree, and mend the model.",
-        epilog=_EXIT_CODES,
-    )
-    parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    demo = commands.add_parser(
-        "demo",
-        help="run the loop on an example: compare, refine, compare again",
-        description=(
-            "Run the loop on a circuit whose model is wrong: compare the model with a noisy record, "
-            "refine it sample by sample, and compare again on data that the refinement has not seen. "
-            "Takes up to a minute."
-        ),
-        epilog=_EXIT_CODES,
-    )
-    demo.add_argument(
-        "--output",
-        type=Path,
-        default=Path("rcorefine-demo"),
-        metavar="FOLDER",
-        help="folder for the pictures, made if it is absent (default: %(default)s)",
-    )
-    demo.add_argument(
-        "--seed",
-        type=_seed,
-        default=1,
-        metavar="N",
-        help="seed of the excitation and the noise, 0 or larger (default: %(default)s)",
-    )
-    demo.add_argument("--quiet", action="store_true", help="no progress bar")
-    return parser
-
-
-def _seed(text: str) -> int:
-    """Parse a seed; argparse turns the error into exit code 2."""
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{value} is negative; give 0 or larger")
-    return value
+# what a wrong file, record or model raises; anything else is a fault of the program and shows where
+_EXPECTED = (RCOError, OSError, ct.ControlDimension, ct.ControlArgument)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -72,8 +32,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 where all went well, 1 where the work failed (the message is on
-        standard error). Wrong usage ends the process with 2.
+        0 where nothing was found, 1 where something was (for ``demo``: where
+        the work failed), 2 where a file or the record cannot be used; the
+        message is on standard error. Wrong usage ends the process with 2.
 
     Examples
     --------
@@ -82,17 +43,54 @@ def main(argv: Sequence[str] | None = None) -> int:
     Traceback (most recent call last):
     SystemExit: 0
     """
-    arguments = _parser().parse_args(argv)
+    words = list(sys.argv[1:] if argv is None else argv)
+    arguments = build_parser().parse_args(words)
+    arguments.words = words
+    failed = 1 if arguments.command == "demo" else 2
     try:
-        # late, so that --help and wrong usage answer at once
-        from .demo import run_demo
-
-        run_demo(arguments.output, seed=arguments.seed, progress=not arguments.quiet)
+        with warnings.catch_warnings():
+            if argv is None:  # in a process of its own: a warning is a line, not a place in the source
+                warnings.showwarning = _say_warning
+            return _run(arguments)
     except BrokenPipeError:
         # the reader left (rcorefine demo | head); keep the interpreter from complaining once more on exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
-    except (RCOError, OSError) as error:
-        sys.stderr.write(f"rcorefine {arguments.command}: {error}\n")
-        return 1
-    return 0
+        return failed
+    except KeyboardInterrupt:
+        sys.stderr.write(f"rcorefine {arguments.command}: interrupted\n")
+        return 130
+    except _EXPECTED as error:
+        sys.stderr.write(f"rcorefine {arguments.command}: {_message(error)}\n")
+        return failed
+
+
+def _run(arguments: Namespace) -> int:
+    # late, so that --help and wrong usage answer at once
+    if arguments.command == "demo":
+        from .demo import run_demo
+
+        run_demo(arguments.output, seed=arguments.seed, progress=not arguments.quiet)
+        return 0
+    if arguments.command == "example":
+        from .commands.example import run_example
+
+        return run_example(arguments)
+    from .commands import analysis
+
+    run = {
+        "compare": analysis.run_compare,
+        "diagnose": analysis.run_diagnose,
+        "improve": analysis.run_improve,
+    }
+    return run[arguments.command](arguments)
+
+
+def _message(error: Exception) -> str:
+    """What went wrong, on one line: also where the system says it with a number."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return " ".join(str(error).split())
+
+
+def _say_warning(message: Any, *_: Any, **__: Any) -> None:
+    sys.stderr.write(f"rcorefine: warning: {' '.join(str(message).split())}\n")

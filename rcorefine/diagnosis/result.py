@@ -368,7 +368,7 @@ class Diagnosis:
         title : str, optional
             Heading.
         code : str, optional
-            Code to print in place of the generated one.
+            Code or command that made the result, printed above the generated code.
         overwrite : bool
             Replace a file there that is no report, too.
 

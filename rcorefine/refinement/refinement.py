@@ -294,7 +294,7 @@ class Refinement:
         title : str, optional
             Heading.
         code : str, optional
-            Code to print in place of the generated one.
+            Code or command that made the result, printed above the generated code.
         overwrite : bool
             Replace a file there that is no report, too.
 

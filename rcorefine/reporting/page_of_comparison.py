@@ -34,7 +34,7 @@ def report_comparison(
             pictures([_comparison_picture(result, kind) for kind in _kinds_of(result)]),
         ),
         Section("Tables", comparison_tables(result)),
-        code_section(code or _comparison_code(result)),
+        code_section(_comparison_code(result), code),
         origin_section([result.data]),
     ]
     heading = title or f"{' and '.join(result.names[:3])}: comparison with {result.data.name}"

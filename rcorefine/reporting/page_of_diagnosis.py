@@ -102,7 +102,7 @@ def report_diagnosis(
     sections = [
         Section("Pictures", drawn),
         Section("Tables", [part for part in tables if not isinstance(part, Table) or part.rows]),
-        code_section(code or own),
+        code_section(own, code),
         origin_section(found.records),
     ]
     samples = sum(r.n_samples for r in found.records)

@@ -177,7 +177,7 @@ def _report_model(
     sections = [
         Section("Pictures", pictures(wanted)),
         Section("Tables", tables),
-        code_section(code or own),
+        code_section(own, code),
         origin_section(records),
     ]
     sentences, fine = answer

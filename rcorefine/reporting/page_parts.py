@@ -116,22 +116,15 @@ def root_mean_square(values: Array) -> str:
     return f"{float(np.sqrt(np.mean(np.asarray(values) ** 2))):.4g}"
 
 
-def code_section(code: str) -> Section:
-    """The code, under a heading."""
-    return Section(
-        "The code that does this again",
-        [
-            Paragraphs(
-                [
-                    "Save the record as an .npz file (or read your own file), give its name below, and "
-                    "run it with Python."
-                ]
-                if "record.npz" in code
-                else []
-            ),
-            Listing(code),
-        ],
-    )
+def code_section(generated: str, given: str | None) -> Section:
+    """The code, under a heading: what the user gave, then what was generated."""
+    lines = "Save the record as an .npz file (or read your own), give its name below, and run it with Python."
+    code = generated if given is None else f"{given.rstrip()}\n\n{generated}"
+    parts: Parts = [
+        Paragraphs([lines if "record.npz" in generated else "Run it with Python."]),
+        Listing(code),
+    ]
+    return Section("The code that does this again", parts)
 
 
 def origin_section(records: Sequence[Measurement]) -> Section:

@@ -1,0 +1,1 @@
+"""What the command `rcorefine` does, one file per task."""

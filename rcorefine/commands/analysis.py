@@ -1,0 +1,190 @@
+"""`rcorefine compare`, `diagnose` and `improve`: read, compute, print, report."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from argparse import Namespace
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from .. import __version__
+from ..comparison.compare import compare
+from ..diagnosis.diagnose import diagnose
+from ..diagnosis.improve import improve
+from ..exceptions import ModelError
+from ..physics.effects import Effect
+from ..physics.kinds import KINDS
+from ..physics.library import effect_library
+from ..reading_models import read_model
+from ..reporting.adequacy import best_of, shortfalls
+from ..reporting.page import check_target
+from ..reporting.page_answers import comparison_answer, diagnosis_answer, improvement_answer
+from .machine import comparison_object, diagnosis_object, improvement_object, json_text, record_object
+from .records import fitted_and_held_out
+
+__all__ = ["run_compare", "run_diagnose", "run_improve", "wanted_candidates"]
+
+
+def run_compare(arguments: Namespace) -> int:
+    """Compare one or several models with a record.
+
+    Parameters
+    ----------
+    arguments : Namespace
+        Parsed command line.
+
+    Returns
+    -------
+    int
+        1 where the best of the models fails somewhere, otherwise 0.
+    """
+    _check_report(arguments)
+    models = [read_model(path) for path in arguments.models]
+    data, held_out = fitted_and_held_out(models[0], arguments)
+    record = data if held_out is None else held_out
+    one = len(models) == 1
+    result = compare(models[0] if one else models, record, x0=arguments.x0, horizon=arguments.horizon)
+    found = shortfalls(result, best_of(result))
+    sentences, _ = comparison_answer(result)
+    text = "\n".join([str(result), *(f"- {sentence}" for sentence in found)])
+    return _finish(
+        arguments,
+        int(bool(found)),
+        sentences,
+        text,
+        result,
+        {"record": record_object(record)},
+        comparison_object(result),
+    )
+
+
+def run_diagnose(arguments: Namespace) -> int:
+    """Find the effect that a model lacks; arguments and codes as `run_compare`."""
+    _check_report(arguments)
+    model = read_model(arguments.model)
+    data, validation = fitted_and_held_out(model, arguments)
+    found = diagnose(model, data, validation=validation, **_options(arguments, model))
+    sentences, fine = diagnosis_answer(found)
+    records = {"record": record_object(data)}
+    return _finish(arguments, int(not fine), sentences, str(found), found, records, diagnosis_object(found))
+
+
+def run_improve(arguments: Namespace) -> int:
+    """Add one effect after the other; arguments and codes as `run_compare`."""
+    _check_report(arguments)
+    model = read_model(arguments.model)
+    data, validation = fitted_and_held_out(model, arguments)
+    options = _options(arguments, model)
+    ladder = improve(model, data, validation=validation, max_effects=arguments.max_effects, **options)
+    sentences, fine = improvement_answer(ladder)
+    records = {"record": record_object(data)}
+    text = f"{ladder}\n{ladder.refinement}"
+    return _finish(
+        arguments,
+        int(not fine),
+        sentences,
+        text,
+        ladder,
+        records,
+        improvement_object(ladder),
+        data=data if validation is None else validation,
+    )
+
+
+def wanted_candidates(model: Any, wanted: Sequence[str] | None) -> list[Effect] | None:
+    """Effects that the command line names.
+
+    Parameters
+    ----------
+    model : StateSpace or PhysicalModel
+        Model.
+    wanted : sequence of str or None
+        Kinds, places, or ``kind@place``; None for all that are plausible.
+
+    Returns
+    -------
+    list of Effect or None
+
+    Raises
+    ------
+    ModelError
+        If a word is neither kind nor place.
+
+    Examples
+    --------
+    >>> chain = rco.mass_spring_damper([1.0, 1.0], [1.0, 1.0], [50.0, 50.0])
+    >>> [effect.label for effect in wanted_candidates(chain, ["coulomb_friction@link2", "hysteresis"])]
+    ['coulomb_friction at link2', 'hysteresis at link1', 'hysteresis at link2']
+    """
+    if not wanted:
+        return None
+    library = effect_library(model)
+    places = dict.fromkeys(effect.place for effect in library)
+    found: list[Effect] = []
+    for word in wanted:
+        kind, at, place = word.partition("@")
+        if at:
+            found += effect_library(model, kinds=kind, places=place)
+        elif word in KINDS:
+            found += effect_library(model, kinds=word)
+        elif word in places:
+            found += [effect for effect in library if effect.place == word]
+        else:
+            raise ModelError(
+                f"no candidate {word!r}: give kinds ({', '.join(KINDS)}), "
+                f"places ({', '.join(places)}) or kind@place"
+            )
+    return list(dict.fromkeys(found))
+
+
+def _options(arguments: Namespace, model: Any) -> dict[str, Any]:
+    free: Any = arguments.free or ()
+    return {
+        "candidates": wanted_candidates(model, arguments.candidates),
+        "free": "linear" if list(free) == ["linear"] else free,
+        "tolerance": arguments.tolerance,
+        "offset": arguments.offset,
+        "noise": arguments.noise
+        if arguments.noise is None or len(arguments.noise) > 1
+        else arguments.noise[0],
+        "significance": arguments.significance,
+        "progress": sys.stderr.isatty() and not arguments.json,
+    }
+
+
+def _check_report(arguments: Namespace) -> None:
+    """Whether the report can be written is known before the work, not after it."""
+    if arguments.report is not None:
+        check_target(arguments.report, overwrite=arguments.overwrite)
+
+
+def _finish(
+    arguments: Namespace,
+    code: int,
+    sentences: Sequence[str],
+    text: str,
+    result: Any,
+    about: dict[str, Any],
+    content: dict[str, Any],
+    **more: Any,
+) -> int:
+    """Write the report, then say what was found."""
+    report: Path | None = None
+    if arguments.report is not None:
+        line = f"# in a terminal:\n# rcorefine {shlex.join(arguments.words)}"
+        report = result.report(arguments.report, code=line, overwrite=arguments.overwrite, **more)
+    if arguments.json:
+        head = {
+            "command": arguments.command,
+            "rcorefine": __version__,
+            "exit_code": code,
+            "answer": list(sentences),
+        }
+        text = json_text({**head, **about, **content, "report": None if report is None else str(report)})
+    elif report is not None:
+        text += f"\nReport: {report}"
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+    return code
