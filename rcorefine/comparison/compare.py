@@ -14,6 +14,7 @@ from ..measurement import Measurement
 from ..physics.simulation import simulate
 from ..systems.linear import Array, LinearModel
 from .channels import Channels, aligned, match_channels, record_for, with_outputs
+from .places import given_places
 from .result import Comparison
 
 __all__ = ["compare"]
@@ -98,20 +99,27 @@ def compare(
     notes = [note for each in channels for note in each.notes]
     windows = _windows(data, horizon, x0, max(each.n_states for each in linear), len(outputs))
     data.check_excitation("compare", stacklevel=2)
-    runs, states = [], []
+    runs, starts, states = [], [], []
     for each, flat, places, name in zip(models, linear, channels, names, strict=True):
-        run, start = _simulate(each, flat, places, data, x0, windows, name, outputs)
+        run, start, motion = _simulate(each, flat, places, data, x0, windows, name, outputs)
         runs.append(run)
-        states.append(start)
+        starts.append(start)
+        states.append(motion)
+    straight = tuple(
+        aligned(each, places, data, outputs).with_arrays(name=name)
+        for each, places, name in zip(linear, channels, names, strict=True)
+    )
     return Comparison(
         names=tuple(names),
-        models=tuple(
-            aligned(each, places, data, outputs).with_arrays(name=name)
-            for each, places, name in zip(linear, channels, names, strict=True)
-        ),
+        models=straight,
         data=with_outputs(data, outputs),
         runs=np.array(runs),
-        initial_states=tuple(states),
+        states=tuple(states),
+        places=tuple(
+            given_places(each, flat, where, data.n_inputs, outputs)
+            for each, flat, where in zip(models, straight, channels, strict=True)
+        ),
+        initial_states=tuple(starts),
         starts=tuple(int(window.start) for window in windows),
         horizon=None if horizon is None else float(horizon),
         x0=x0 if isinstance(x0, str) else "given",
@@ -153,8 +161,8 @@ def _simulate(
     windows: list[slice],
     name: str,
     outputs: Sequence[int],
-) -> tuple[Array, Array]:
-    """Outputs (compared ones, in the record's order) and the initial state of each window."""
+) -> tuple[Array, Array, Array]:
+    """Outputs (compared ones, in the record's order), the initial state of each window, and the states."""
     record = record_for(data, channels)
     rows = [i for i, place in enumerate(channels.outputs) if place >= 0]
     if len(rows) < len(channels.outputs):
@@ -172,6 +180,7 @@ def _simulate(
     start = x0 if isinstance(x0, str) else np.asarray(x0, dtype=float)
     run = np.empty((len(outputs), data.n_samples))
     states = np.empty((len(windows), linear.n_states))
+    motion = np.empty((linear.n_states, data.n_samples))
     for index, window in enumerate(windows):
         try:
             simulation = simulate(model, _window(record, window) if len(windows) > 1 else record, start)
@@ -179,11 +188,12 @@ def _simulate(
             raise DivergenceError(_DIVERGED.format(name=name, why=error)) from error
         run[:, window] = simulation.outputs[order]
         states[index] = simulation.x0[: linear.n_states]
+        motion[:, window] = simulation.states[: linear.n_states]
     if not np.isfinite(run).all():
         k = int(np.argmin(np.isfinite(run).all(axis=0)))
         why = f"its output is not finite from t = {data.timepts[k]:g} s on"
         raise DivergenceError(_DIVERGED.format(name=name, why=why))
-    return run, states
+    return run, states, motion
 
 
 def _window(record: Measurement, window: slice) -> Measurement:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,9 +14,11 @@ import numpy as np
 from ..measurement import Measurement
 from ..systems.linear import Array, LinearModel
 from .metrics import fit_percent, root_mean_square
+from .places import Places
 
 if TYPE_CHECKING:
     from ..spectral import FrequencyResponse
+    from .failure_map import FailureMap
 
 __all__ = ["Comparison"]
 
@@ -40,6 +42,11 @@ class Comparison:
         The record, with the outputs that were compared.
     runs : ndarray of shape (n_models, n_y, N)
         Simulated outputs.
+    states : tuple of ndarray of shape (n, N)
+        Simulated states of each model.
+    places : tuple of Places or None
+        Where forces could act on each model; None where they are still to be
+        found in its matrices.
     initial_states : tuple of ndarray of shape (n_windows, n)
         Initial state of each model at the start of each window.
     starts : tuple of int
@@ -58,12 +65,16 @@ class Comparison:
     models: tuple[LinearModel, ...]
     data: Measurement
     runs: Array
+    states: tuple[Array, ...]
+    places: tuple[Places | None, ...]
     initial_states: tuple[Array, ...]
     starts: tuple[int, ...]
     horizon: float | None
     x0: str
     notes: tuple[str, ...]
     several: bool
+    # searched once, when first asked for
+    _found: dict[int, FailureMap] = field(default_factory=dict, init=False, repr=False)
 
     def _shaped(self, array: Array) -> Array:
         return array if self.several else array[0]
@@ -95,6 +106,23 @@ class Comparison:
     def simulated(self) -> Array:
         """Simulated outputs, shape (n_y, N) or (n_models, n_y, N)."""
         return self._shaped(self.runs)
+
+    @property
+    def failures(self) -> Any:
+        """Where the model fails: a `FailureMap`, or a tuple of them, one per model.
+
+        Rows of dimension, where, measure, statistic, p_value, share of the
+        error and a sentence, the most telling first; empty where the record
+        gives no reason to doubt the model, whatever the color of the noise.
+        Searched when first asked for, which takes a second or so per model.
+        """
+        from .failure_map import failure_map
+
+        for index in range(len(self.names)):
+            if index not in self._found:
+                self._found[index] = failure_map(self, index)
+        maps = tuple(self._found[index] for index in range(len(self.names)))
+        return maps if self.several else maps[0]
 
     @property
     def responses(self) -> tuple[ct.TimeResponseData, ...]:
@@ -145,6 +173,8 @@ class Comparison:
             names=(self.names[index],),
             models=(self.models[index],),
             runs=self.runs[index : index + 1],
+            states=(self.states[index],),
+            places=(self.places[index],),
             initial_states=(self.initial_states[index],),
             several=False,
         )
@@ -260,7 +290,7 @@ class Comparison:
         title : str, optional
             Heading.
         code : str, optional
-            Code to print in place of the generated one.
+            Code or command that made the result, printed above the generated code.
         overwrite : bool
             Replace a file there that is no report, too.
 

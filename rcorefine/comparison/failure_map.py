@@ -1,0 +1,274 @@
+"""Where a model fails: one table over time, frequency, amplitude, state space and place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy import stats
+
+from ..systems.linear import Array
+from .evidence import Evidence
+from .in_amplitude import input_laws, level_dependence
+from .in_frequency import bands, modes, modes_together, shifts
+from .in_state import forces_at_places, port_motion
+from .in_time import clipping, delays, drifts, signs, stretches
+from .places import found_places
+from .scene import DIMENSIONS, Finding, Scene
+
+if TYPE_CHECKING:
+    from .result import Comparison
+
+__all__ = ["Failure", "FailureMap", "failure_map"]
+
+#: Probability that a correct model shows any row.
+SIGNIFICANCE = 0.01
+# Share of the leader's part of the error from which on another row counts as a view of the same ...
+_RIVAL = 0.5
+# ... and from which on it comes before a mere place.
+_EQUAL = 0.9
+_BESIDES = 2
+_LEAST = 0.005  # of the error's energy that a second failure must explain
+_SHOWN = 10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Failure:
+    """One row of a failure map.
+
+    Attributes
+    ----------
+    dimension : str
+        "time", "frequency", "amplitude", "state" or "place".
+    where : str
+        Region: a stretch of time, a mode or band, a level, a side, a port.
+    measure : str
+        What departs: delay, dropout, mode, residual force, ...
+    statistic : float
+        Twice the log-likelihood that allowing for it adds to the record.
+    p_value : float
+        Probability of such a row anywhere in the map if the model is right,
+        the number of regions looked at allowed for.
+    share : float
+        Share of the error's energy that it explains, 0 to 1. Rows overlap,
+        so that shares do not add up to one.
+    sentence : str
+        What it means.
+    role : str
+        "first"; "besides" for what is left when the rows before are allowed
+        for; "instead" for another view of the same error.
+    values : dict
+        The region and what was found, as numbers.
+    """
+
+    dimension: str
+    where: str
+    measure: str
+    statistic: float
+    p_value: float
+    share: float
+    sentence: str
+    role: str
+    values: dict[str, Any]
+
+    def __str__(self) -> str:
+        return f"{self.dimension}: {self.where}: {self.sentence}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FailureMap:
+    """Where one model fails on a record, most telling row first.
+
+    Behaves as a sequence of its rows; empty where nothing is significant.
+
+    Attributes
+    ----------
+    name : str
+        Model.
+    rows : tuple of Failure
+        Failures.
+    residual_rms : ndarray of shape (n_y,)
+        Error of the free run, in the outputs' units.
+    looked : tuple of str
+        Dimensions that were searched.
+    notes : tuple of str
+        What could not be searched, and why.
+    """
+
+    name: str
+    rows: tuple[Failure, ...]
+    residual_rms: Array
+    looked: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __iter__(self) -> Iterator[Failure]:
+        return iter(self.rows)
+
+    def __getitem__(self, index: int) -> Failure:
+        return self.rows[index]
+
+    def __bool__(self) -> bool:
+        return bool(self.rows)
+
+    def __str__(self) -> str:
+        from ..reporting.failure_map import failure_text
+
+        return failure_text(self)
+
+    def _repr_html_(self) -> str:
+        from ..reporting.failure_map import failure_html
+
+        return failure_html(self)
+
+
+def failure_map(comparison: Comparison, index: int) -> FailureMap:
+    """Search for where one model of a comparison fails.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        Models on a record.
+    index : int
+        Which of the models.
+
+    Returns
+    -------
+    FailureMap
+
+    Notes
+    -----
+    Every region is an explanation of part of the residual: a pole moved, a
+    band rescaled, a delay, a force over displacement or velocity at a port.
+    Its worth is the log-likelihood that it adds when the noise, an
+    autoregressive process, is estimated anew from what it leaves; so
+    coloured noise is no failure, and the explanation that leaves least
+    structure leads. The noise model of the leader is then used to judge all
+    once more. p-values are multiplied by the number of regions (Bonferroni).
+    """
+    scene, notes = _scene(comparison, index)
+    rms = np.sqrt(np.mean((comparison.data.outputs - comparison.runs[index]) ** 2, axis=1))
+    looked = tuple(d for d in DIMENSIONS if scene.places is not None or d not in ("state", "place"))
+    if scene.n_samples < 60:
+        notes.append(f"{scene.n_samples} samples are too few to search for regions; give at least 60")
+        return FailureMap(comparison.names[index], (), rms, (), tuple(notes))
+    rows = _rows(scene)
+    return FailureMap(comparison.names[index], rows, rms, looked, tuple(notes))
+
+
+def _scene(comparison: Comparison, index: int) -> tuple[Scene, list[str]]:
+    notes: list[str] = []
+    model = comparison.models[index]
+    places = comparison.places[index]
+    if places is None:
+        places = found_places(model, comparison.data.dt)
+    if places is None or not places.places:
+        places = None
+        notes.append("State space and place were not searched: no ports were found in this model")
+    scene = Scene(
+        comparison.data, model, comparison.runs[index], comparison.states[index], comparison.starts,
+        estimated=comparison.x0 == "estimate", places=places,
+    )  # fmt: skip
+    return scene, notes
+
+
+def _searched(scene: Scene) -> list[Finding]:
+    """All findings under the present noise model."""
+    found = [*stretches(scene), *drifts(scene), *delays(scene), *signs(scene), *clipping(scene)]
+    moved = shifts(scene)
+    single = modes(scene, moved)
+    found += [*single, *modes_together(scene, moved, single), *bands(scene)]
+    found += [*input_laws(scene), *level_dependence(scene)]
+    if scene.places is not None:
+        found += forces_at_places(scene, port_motion(scene))
+    return found
+
+
+def _net(finding: Finding, scene: Scene) -> float:
+    """Worth less what the numbers fitted cost (Schwarz)."""
+    return finding.explanation.gain - finding.dof * float(np.log(scene.n_samples))
+
+
+def _p_value(finding: Finding, scene: Scene, count: int) -> float:
+    """Likelihood ratio as an F-test, times the number of regions."""
+    n = scene.n_samples - scene.evidence.order
+    gain = finding.explanation.gain
+    if gain <= 0:
+        return 1.0
+    free = n - finding.dof - scene.evidence.order
+    ratio = np.expm1(min(gain / n, 500.0)) * free / finding.dof
+    return float(min(1.0, stats.f.sf(ratio, finding.dof, free) * count))
+
+
+def _rows(scene: Scene) -> tuple[Failure, ...]:
+    """The leader, what is left besides it, and other views of it; significant ones only."""
+    whole = scene.evidence
+    findings = _searched(scene)
+    count = sum(f.tried for f in findings)
+    if not any(_p_value(f, scene, count) < SIGNIFICANCE for f in findings):
+        return ()
+    # the noise is what the leader leaves: judge all once more
+    scene.evidence.use(scene.residual - max(findings, key=lambda f: _net(f, scene)).explanation.fit)
+    ranked = _ranked(findings + _searched(scene), scene, count)
+    rows = [_row(ranked[0], scene, count, "first", whole)]
+    fit = ranked[0].explanation.fit
+    lead = whole.share(fit)
+    for _ in range(_BESIDES):
+        scene.evidence, scene.known = whole.after(fit), {}
+        left = _ranked(_searched(scene), scene, count)
+        left = [f for f in left if f.dimension != "place" and _region(f) != _region(ranked[0])]
+        if not left or whole.share(fit + left[0].explanation.fit) - whole.share(fit) < _LEAST:
+            break
+        rows.append(_row(left[0], scene, count, "besides", whole))
+        fit = fit + left[0].explanation.fit
+    scene.evidence = whole
+    rivals = [f for f in ranked[1:] if whole.share(f.explanation.fit) >= _RIVAL * lead]
+    rows += [_row(f, scene, count, "instead", whole) for f in rivals]
+    return tuple(rows[:_SHOWN])
+
+
+def _row(f: Finding, scene: Scene, count: int, role: str, whole: Evidence) -> Failure:
+    return Failure(
+        f.dimension, f.where, f.measure, f.explanation.gain, _p_value(f, scene, count),
+        whole.share(f.explanation.fit), f.sentence, role, f.values,
+    )  # fmt: skip
+
+
+def _ranked(findings: Sequence[Finding], scene: Scene, count: int) -> list[Finding]:
+    """Best finding of each kind of region, significant ones only, best first."""
+    best: dict[tuple[str, ...], Finding] = {}
+    for finding in findings:
+        if _p_value(finding, scene, count) >= SIGNIFICANCE:
+            continue
+        key = _region(finding)
+        if key not in best or _net(finding, scene) > _net(best[key], scene):
+            best[key] = finding
+    return _settled(sorted(best.values(), key=lambda f: -_net(f, scene)), scene)
+
+
+def _region(finding: Finding) -> tuple[str, ...]:
+    """What counts as the same row: of rivals for one region only the best is shown."""
+    v, kind = finding.values, str(finding.values.get("kind", finding.measure))
+    if finding.dimension == "time" and "span" in v:
+        return "time", "stretch", str(v["output"]), str(round(v["span"][0] / 20))
+    if kind == "mode":
+        return "frequency", "mode", str(v["modes"][0]["mode"])
+    owner = v.get("place") or v.get("input") or v.get("output") or ""
+    if finding.dimension == "amplitude":
+        kind = "level" if kind == "level" else "input"
+    return finding.dimension, kind, str(owner)
+
+
+def _settled(ranked: list[Finding], scene: Scene) -> list[Finding]:
+    """A place is another view of what the other dimensions show, and comes after the best of them."""
+    if not ranked or ranked[0].dimension != "place":
+        return ranked
+    lead = scene.evidence.share(ranked[0].explanation.fit)
+    for other in ranked:
+        if other.dimension != "place" and scene.evidence.share(other.explanation.fit) >= _EQUAL * lead:
+            return [other, *(f for f in ranked if f is not other)]
+    return ranked
