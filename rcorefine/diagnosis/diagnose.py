@@ -127,6 +127,8 @@ def diagnose(
         )
     fitted = fitted_from(base, segments, tolerance=tolerance, noise=noise)
     motions = [Motion(fitted.structure, fitted.theta, record) for record in segments]
+    if len(records) > 1:
+        motions[0].companions = motions[1:]
     held = {(effect.kind, effect.place) for effect in base.effects}
     asked = effect_library(physical) if candidates is None else list(candidates)
     library = [effect for effect in asked if (effect.kind, effect.place) not in held]

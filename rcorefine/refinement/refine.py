@@ -126,7 +126,7 @@ def refine(
         raise ct.ControlArgument(f"substeps must be a whole number >= 1, not {substeps!r}")
     segments, note = windows(physical, records, horizon, known_start=initial is not None)
     bare = Structure(physical)
-    motion = estimated_motion(bare, np.zeros(0), records[0])
+    motion, *motion.companions = [estimated_motion(bare, np.zeros(0), record) for record in records]
     best: Fit | None = None
     for offsets in offset_variants(physical, records[0], offset):
         chosen = assemble(physical, kept, effects, free, tolerance, offsets)

@@ -20,6 +20,7 @@ __all__ = ["Motion", "estimated_motion", "far_starts", "law_widths", "shape_star
 
 _SIGN_WIDTH = 0.005  # of the rms velocity
 _ROOT_WIDTH = 1e-3  # of the rms level
+_AT_REST = 0.01  # of the largest rms velocity among several records
 _MOST_STARTS = 24
 _SHAPED = (
     "asymmetric_friction",
@@ -41,6 +42,7 @@ class Motion:
         self.data = data
         self.states = np.nan_to_num(run.states)
         self.residual = data.outputs - np.nan_to_num(run.outputs)
+        self.companions: list[Motion] = []  # the same system in other records
         self._structure = structure
 
     def port(self, name: str) -> tuple[Array, Array]:
@@ -79,7 +81,7 @@ def law_widths(structure: Structure, motion: Motion) -> dict[int, float]:
     structure : Structure
         Model with the effects.
     motion : Motion
-        Estimated motion at the ports.
+        Estimated motion at the ports; of several records the quietest counts.
 
     Returns
     -------
@@ -87,13 +89,15 @@ def law_widths(structure: Structure, motion: Motion) -> dict[int, float]:
         ``{index of the effect: width}``.
     """
     widths: dict[int, float] = {}
+    motions = [motion, *motion.companions]
     for index in structure.port_effects:
         effect = structure.effects[index]
         if effect.kind in NEEDS_WIDTH:
             given = (effect.fixed or {}).get("width")
             share = _ROOT_WIDTH if effect.kind == "sqrt_flow" else _SIGN_WIDTH
-            _, v = motion.port(effect.place)
-            rms = float(np.sqrt(np.mean(v**2)))
+            speeds = np.array([np.sqrt(np.mean(m.port(effect.place)[1] ** 2)) for m in motions])
+            # sharp enough for the quietest record that moves at all
+            rms = float(speeds[speeds >= _AT_REST * speeds.max()].min())
             widths[index] = float(given) if given is not None else max(share * rms, 1e-12)
     return widths
 
