@@ -174,15 +174,17 @@ def simulate(model: Any, data: Measurement, x0: str | Array = "estimate") -> Sim
 
 
 def check_channels(model: LinearModel, data: Measurement) -> None:
-    """Raise where the numbers of channels differ."""
-    for what, have, need in (
-        ("inputs", data.inputs.shape[0], model.n_inputs),
-        ("outputs", data.outputs.shape[0], model.n_outputs),
+    """Raise where the numbers of channels differ, and name what is missing."""
+    for what, have, need, present, wanted in (
+        ("inputs", data.inputs.shape[0], model.n_inputs, data.input_labels, model.input_labels),
+        ("outputs", data.outputs.shape[0], model.n_outputs, data.output_labels, model.output_labels),
     ):
         if have != need:
+            missing = [label for label in wanted if label not in present]
+            named = f" (missing: {', '.join(missing)})" if 0 < len(missing) < len(wanted) else ""
             raise ct.ControlDimension(
-                f"the record has {have} {what} and the model {need}; "
-                f"give the record's {what} that belong to {model.name!r}"
+                f"record {data.name!r} has {have} {what} and the model {need}{named}; give the record's {what} "
+                f"that belong to {model.name!r}, or a model with the {what} that all records share"
             )
 
 
