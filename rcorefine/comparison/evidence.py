@@ -19,6 +19,7 @@ __all__ = ["Evidence", "Explanation"]
 
 # Differences below this share of an output are rounding, not evidence.
 _FLOOR = 1e-7
+_MASKED = 0.03  # weight of samples that are set aside
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,16 +105,18 @@ class Evidence:
         return np.asarray((flat - q @ (q.T @ flat)).reshape(out.shape))
 
     def outside(self, mask: NDArray[np.bool_]) -> Array:
-        """Residual (n_y, N) with initial states and offsets that fit best where the mask is not set."""
+        """Residual (n_y, N) with the initial states and offsets that fit best outside a mask.
+
+        The masked samples keep a little weight, for the rest may say nothing about an
+        initial state.
+        """
         out = self.residual.copy()
         for a, b in zip(self.edges[:-1], self.edges[1:], strict=True):
-            rows = ~mask[:, a:b].reshape(-1)
             level = np.repeat(np.eye(self.n_outputs), b - a, axis=0)
             basis = np.hstack([self._bases[b - a], level]) if self._bases else level
-            if rows.sum() < 2 * basis.shape[1] or mask[:, a:b].all():
-                continue
+            weight = np.where(mask[:, a:b].reshape(-1), _MASKED, 1.0)[:, None]
             flat = out[:, a:b].reshape(-1)
-            best = np.linalg.lstsq(basis[rows], flat[rows], rcond=1e-8)[0]
+            best = np.linalg.lstsq(basis * weight, flat * weight[:, 0], rcond=1e-8)[0]
             out[:, a:b] = (flat - basis @ best).reshape(self.n_outputs, b - a)
         return out
 

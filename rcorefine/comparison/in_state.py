@@ -19,13 +19,13 @@ _QUANTILES = (0.3, 0.5, 0.65, 0.8, 0.9)
 
 
 def port_motion(scene: Scene) -> list[tuple[Array, Array]]:
-    """Displacement and velocity (N,) at each place, as the record shows them."""
+    """Displacement and velocity (N,) at each place, as the record shows them if a force acts there."""
     assert scene.places is not None
-    x, w = estimated_states(scene), scene.data.inputs
-    return [
-        (p.position @ x + p.position_input @ w, p.velocity @ x + p.velocity_input @ w)
-        for p in scene.places.places
-    ]
+    w, motions = scene.data.inputs, []
+    for i, p in enumerate(scene.places.places):
+        x = estimated_states(scene, [i])
+        motions.append((p.position @ x + p.position_input @ w, p.velocity @ x + p.velocity_input @ w))
+    return motions
 
 
 def forces_at_places(scene: Scene, motions: Sequence[tuple[Array, Array]]) -> list[Finding]:

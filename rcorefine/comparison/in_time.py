@@ -60,8 +60,11 @@ def _stretch(scene: Scene, i: int, masked: NDArray[np.bool_]) -> Finding | None:
     worth, a0, b0, left = best
     if worth <= 0 or b0 - a0 < _SHORTEST or b0 - a0 > 0.9 * N:
         return None
+    inside_level = float(np.sqrt(np.mean(left[a0:b0] ** 2)))
+    outside_level = float(np.sqrt(np.mean(np.delete(left, slice(a0, b0)) ** 2)))
     fit = r - left
-    fit[a0:b0] = r[a0:b0]
+    # the stretch is brought down to the level of the rest, not to nothing
+    fit[a0:b0] += left[a0:b0] * max(1.0 - outside_level / max(inside_level, 1e-300), 0.0)
     fits = np.zeros_like(scene.residual)
     fits[i] = fit
     stuck = _stuck(scene, i, a0, b0)
@@ -70,8 +73,6 @@ def _stretch(scene: Scene, i: int, masked: NDArray[np.bool_]) -> Finding | None:
     if stuck is not None and stuck.gain > gain:
         gain, dof, measure, fits = stuck.gain, 4, "dropout", stuck.fit
         text = "the output does not follow the model at all: the record dropped out or hung"
-    inside_level = float(np.sqrt(np.mean(left[a0:b0] ** 2)))
-    outside_level = float(np.sqrt(np.mean(np.delete(left, slice(a0, b0)) ** 2)))
     start, stop = scene.time(a0), scene.time(b0)
     times = inside_level / max(outside_level, 1e-300)
     return Finding(
@@ -213,15 +214,14 @@ def drifts(scene: Scene) -> list[Finding]:
 
 
 def _offset(scene: Scene, i: int) -> Finding:
-    """A constant difference; its worth is measured by the long-run spread of the residual."""
-    raw = scene.evidence.with_offset[i] - scene.residual[i]
-    constant = scene.evidence.constants[i]
+    """A constant difference, judged by what leaving it in costs."""
+    evidence = scene.evidence
+    raw, constant = evidence.with_offset[i] - evidence.residual[i], evidence.constants[i]
     power = float(constant[i] @ constant[i])
     height = float(raw @ constant[i]) / power if power > 1e-6 * scene.n_samples else 0.0
-    a, level = scene.evidence.filters[i], scene.evidence.scales[i]
-    white = lfilter(a, [1.0], constant[i])[scene.evidence.order :]
-    z2 = float(height**2 * np.sum(white**2) / level**2)
-    n = scene.n_samples - scene.evidence.order
+    kept = evidence.residual.copy()
+    kept[i] += height * constant[i]
+    gain = -evidence.gain(evidence.residual - kept)
     fit = np.zeros_like(scene.residual)
     fit[i] = height
     size = height * scene.scale[i, 0]
@@ -229,7 +229,7 @@ def _offset(scene: Scene, i: int) -> Finding:
         "time",
         f"whole record, {scene.named(i)}",
         "offset",
-        Explanation(fit, float(n * np.log1p(z2 / n)), np.array([height])),
+        Explanation(fit, gain, np.array([height])),
         1,
         1,
         f"{scene.named(i)} lies {size:+.3g}{_unit(scene, i)} off the model throughout: zero of the sensor, or "

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.linalg import LinAlgError, solve_discrete_are
 
@@ -14,11 +16,11 @@ __all__ = ["estimated_states"]
 
 _MEMORY = 0.9  # of the unknown forces, from one sample to the next
 _NOISE = 0.02  # sensor noise over the spread of an output, the unit of the force levels that are tried
-_LEVELS = tuple(10.0 ** np.arange(-3.0, 2.1, 0.5))
+_LEVELS = tuple(10.0 ** np.arange(-2.5, 2.1, 0.75))
 
 
-def estimated_states(scene: Scene) -> Array:
-    """States of the motion that the record shows, unknown forces at all places allowed for.
+def estimated_states(scene: Scene, chosen: Sequence[int] | None = None) -> Array:
+    """States of the motion that the record shows, unknown forces at places allowed for.
 
     What the model with its known input leaves unexplained is put down to
     forces at the places (first stage of the paper, with a Kalman gain), whose
@@ -28,6 +30,8 @@ def estimated_states(scene: Scene) -> Array:
     ----------
     scene : Scene
         Model on its record, with places.
+    chosen : sequence of int, optional
+        Places where the forces may act; default all.
 
     Returns
     -------
@@ -36,13 +40,15 @@ def estimated_states(scene: Scene) -> Array:
     """
     places = scene.places
     assert places is not None
-    n, m, ny = places.A.shape[0], len(places.places), scene.n_outputs
-    acts = np.array([p.act for p in places.places]).T
-    through = np.array([p.through for p in places.places]).T / scene.scale
+    which = list(range(len(places.places)) if chosen is None else chosen)
+    used = [places.places[i] for i in which]
+    n, m, ny = places.A.shape[0], len(used), scene.n_outputs
+    acts = np.array([p.act for p in used]).T
+    through = np.array([p.through for p in used]).T / scene.scale
     C = places.C / scene.scale
     Phi, G, _ = discretize(places.A, acts, scene.dt, "zoh")
     # forces of equal effect: unit output each, over the record
-    unit = scene.forced([(i, np.where(np.arange(scene.n_samples) % 7 < 3, 1.0, -1.0)) for i in range(m)])
+    unit = scene.forced([(i, np.where(np.arange(scene.n_samples) % 7 < 3, 1.0, -1.0)) for i in which])
     size = np.array([float(np.std(u)) for u in unit])
     size = np.where(size > 0, size, np.inf)
     F = np.block([[Phi, G / size], [np.zeros((m, n)), _MEMORY * np.eye(m)]])
