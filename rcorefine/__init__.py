@@ -9,6 +9,7 @@ from .comparison import Comparison, compare
 from .diagnosis import Diagnosis, diagnose
 from .diagnosis.improve import improve
 from .diagnosis.ledger import Improvement
+from .diagnosis.records import Confirmation, confirm
 from .exceptions import (
     ConversionWarning,
     DataError,
@@ -38,6 +39,7 @@ from .physics import (
     thermal_network,
     two_tanks,
 )
+from .physics.amplitude_response import AmplitudeResponse, frequency_response_at
 from .physics.simulation import Simulation, simulate
 from .rco import RCORefiner
 from .refinement import EstimatedParameter, Refinement, refine
@@ -46,7 +48,9 @@ from .systems import d2c
 __version__ = "0.1.0"
 
 __all__ = [
+    "AmplitudeResponse",
     "Comparison",
+    "Confirmation",
     "ConversionWarning",
     "DamageMap",
     "DataError",
@@ -69,12 +73,14 @@ __all__ = [
     "Refinement",
     "Simulation",
     "compare",
+    "confirm",
     "d2c",
     "dc_motor",
     "describe_effects",
     "diagnose",
     "effect_library",
     "examples",
+    "frequency_response_at",
     "improve",
     "localize_damage",
     "mass_spring_damper",

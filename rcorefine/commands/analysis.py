@@ -18,7 +18,7 @@ from ..physics.effects import Effect
 from ..physics.kinds import KINDS
 from ..physics.library import effect_library
 from ..reading_models import read_model
-from ..reporting.adequacy import best_of, shortfalls
+from ..reporting.adequacy import best_of, failures_of
 from ..reporting.page import check_target
 from ..reporting.page_answers import comparison_answer, diagnosis_answer, improvement_answer
 from .machine import comparison_object, diagnosis_object, improvement_object, json_text, record_object
@@ -46,9 +46,9 @@ def run_compare(arguments: Namespace) -> int:
     record = data if held_out is None else held_out
     one = len(models) == 1
     result = compare(models[0] if one else models, record, x0=arguments.x0, horizon=arguments.horizon)
-    found = shortfalls(result, best_of(result))
+    found = failures_of(result, best_of(result))
     sentences, _ = comparison_answer(result)
-    text = "\n".join([str(result), *(f"- {sentence}" for sentence in found)])
+    text = f"{result}\n{found}"
     return _finish(
         arguments,
         int(bool(found)),

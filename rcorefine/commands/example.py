@@ -58,7 +58,7 @@ outputs = ["position"]
 states = ["x", "v"]
 name = "oscillator"
 """,
-        "cubic_stiffness", "x", (2000.0,), 0.02, 10.0,
+        "cubic_stiffness", "x", (200.0,), 0.02, 10.0,
     ),
     "mechanical": _Example(
         """\

@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from ..comparison.failure_map import FailureMap
 from ..comparison.result import Comparison
 from ..diagnosis.ledger import Improvement
 from ..diagnosis.result import Diagnosis
 from ..measurement import Measurement
 from ..physics.effects import Effect
 from ..refinement.refinement import Refinement
-from ..reporting.adequacy import shortfalls
+from ..reporting.adequacy import failures_of
 from ..reporting.page_origin import fingerprint
 
 __all__ = ["comparison_object", "diagnosis_object", "improvement_object", "json_text", "record_object"]
@@ -70,7 +71,7 @@ def record_object(data: Measurement) -> dict[str, Any]:
 
 
 def comparison_object(result: Comparison) -> dict[str, Any]:
-    """``models``: name, ``outputs`` (name, unit, fit, rmse, bias), ``failures`` (sentences)."""
+    """``models``: name, ``outputs`` (name, unit, fit, rmse, bias), ``failures`` (rows)."""
     data = result.data
     models = []
     for index, name in enumerate(result.names):
@@ -90,18 +91,15 @@ def comparison_object(result: Comparison) -> dict[str, Any]:
                         strict=True,
                     )
                 ],
-                "failures": _failures(result, one, index),
+                "failures": _failures(failures_of(result, index)),
             }
         )
     return {"models": models}
 
 
-def _failures(result: Comparison, one: Comparison, index: int) -> list[dict[str, Any]]:
-    rows = getattr(one, "failures", None)
-    if rows is None:
-        return [{"sentence": sentence} for sentence in shortfalls(result, index)]
-    fields = ("where", "measure", "statistic", "p_value", "share", "sentence")
-    return [{key: getattr(row, key) for key in fields if hasattr(row, key)} for row in rows]
+def _failures(found: FailureMap) -> list[dict[str, Any]]:
+    fields = ("role", "dimension", "where", "measure", "statistic", "p_value", "share", "sentence")
+    return [{key: getattr(row, key) for key in fields} for row in found]
 
 
 def _effect(effect: Effect | None) -> dict[str, Any] | None:

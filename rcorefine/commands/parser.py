@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import textwrap
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -25,8 +26,8 @@ _DATA = "record: .csv (with a header line), .mat or .npz"
 _JSON = {
     "compare": "Keys of --json: command, rcorefine, exit_code, answer (3 sentences), record (name, "
     "samples, dt, hold, inputs, outputs, sha256_inputs, sha256_outputs), models (name; "
-    "outputs: name, unit, fit, rmse, bias; failures: sentence and, where known, where, "
-    "measure, statistic, p_value, share), report.",
+    "outputs: name, unit, fit, rmse, bias; failures: role, dimension, where, measure, "
+    "statistic, p_value, share, sentence), report.",
     "diagnose": "Keys of --json: command, rcorefine, exit_code, answer (3 sentences), record, verdict, "
     "ranking (effect: kind and place; coefficients, std, fit_before, fit_after, p_value, "
     "probability), ambiguous, tests and winner_tests (name, statistic, dof, p_value), "
@@ -93,11 +94,13 @@ def _compare(commands: Any) -> None:
     parser = commands.add_parser(
         "compare",
         help="how well one or several models explain a record, and where they fail",
-        description=(
+        description=textwrap.fill(
             "Free run of each model over the record, its initial state estimated: fit in percent, typical "
-            "error, and where the best of the models fails."
+            "error, and where the best of the models fails.",
+            79,
         ),
-        epilog=f"{_JSON['compare']} {_EXIT_CODES}",
+        epilog=_epilog("compare"),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("models", nargs="+", type=Path, metavar="MODEL", help=_MODEL)
     parser.add_argument("data", type=Path, metavar="DATA", help=_DATA)
@@ -119,7 +122,8 @@ def _diagnose(commands: Any) -> None:
         "diagnose",
         help="which physical effect is missing",
         description="Rank the physical effects that the model may lack, and say how sure that is.",
-        epilog=f"{_JSON['diagnose']} {_EXIT_CODES}",
+        epilog=_epilog("diagnose"),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("model", type=Path, metavar="MODEL", help=_MODEL)
     parser.add_argument("data", type=Path, metavar="DATA", help=_DATA)
@@ -132,11 +136,13 @@ def _improve(commands: Any) -> None:
     parser = commands.add_parser(
         "improve",
         help="add one effect after the other and watch the error fall",
-        description=(
-            "Diagnose, add the effect, fit all together, test again, until nothing earns its place; the error "
-            "is judged on a part of the record that took part in nothing."
+        description=textwrap.fill(
+            "Diagnose, add the effect, fit all together, test again, until nothing earns its place; the "
+            "error is judged on a part of the record that took part in nothing.",
+            79,
         ),
-        epilog=f"{_JSON['improve']} {_EXIT_CODES}",
+        epilog=_epilog("improve"),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("model", type=Path, metavar="MODEL", help=_MODEL)
     parser.add_argument("data", type=Path, metavar="DATA", help=_DATA)
@@ -248,6 +254,11 @@ def _output_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--report", type=Path, metavar="FILE", help="write an HTML report")
     group.add_argument("--overwrite", action="store_true", help="replace FILE even where it is no report")
     group.add_argument("--json", action="store_true", help="print one JSON object in place of the tables")
+
+
+def _epilog(command: str) -> str:
+    """Keys of the JSON object and exit codes, a paragraph each."""
+    return "\n\n".join(textwrap.fill(text, 79) for text in (_JSON[command], _EXIT_CODES))
 
 
 class _Names(argparse.Action):

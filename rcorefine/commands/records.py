@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from argparse import Namespace
 from pathlib import Path
 from typing import Any
@@ -66,7 +67,11 @@ def read_record(path: Path, model: Any, arguments: Namespace) -> Measurement:
         return reader(path, inputs, outputs, time=time, dt=arguments.dt, **options, **units)
     except DataError as error:
         hint = ""
-        if arguments.time is None and arguments.dt is None and "'time'" in str(error):
+        if (
+            arguments.time is None
+            and arguments.dt is None
+            and re.search("no (column|variable) 'time'", str(error))
+        ):
             hint = " (name the column of times with --time, or give the sampling time with --dt)"
         elif arguments.input is None or arguments.output is None:
             hint = " (name the columns with --input and --output, in the order of the model's signals)"

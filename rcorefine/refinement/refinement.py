@@ -223,6 +223,7 @@ class Refinement:
         measured: Any = None,
         omega: ArrayLike | None = None,
         *,
+        levels: Sequence[float] | None = None,
         ax: Any = None,
         label: str | Sequence[str] | None = None,
         title: str | None = None,
@@ -239,10 +240,13 @@ class Refinement:
             a row with the relative error of both models is added.
         omega : array_like of shape (n_omega,), optional
             Frequencies in rad/s.
+        levels : sequence of float, optional
+            Peaks of a sine at the input: draws the response with all effects at each of them
+            (`frequency_response_at`), beside the measured response at the levels of the record.
         ax : array of Axes, optional
-            Axes to draw in, shape (2 n_y, n_w), with `measured` (3 n_y, n_w).
+            Axes to draw in, shape (2 n_y, n_w); with `measured` and without `levels` (3 n_y, n_w).
         label : list of str, optional
-            Labels of the two models.
+            Labels of the two models, or of the levels.
         title : str, optional
             Title of the figure.
         legend_loc : str or False, optional
@@ -255,9 +259,16 @@ class Refinement:
         Returns
         -------
         ControlPlot
-            Lines, axes, figure. Nonlinear effects are not in it: the refined curve
-            is that of `system`.
+            Lines, axes, figure. Without `levels` nonlinear effects are not in it: the refined
+            curve is that of `system`.
         """
+        if levels is not None:
+            from ..reporting.level_bode import level_bode
+
+            return level_bode(
+                self, levels, measured, omega, ax=ax, label=label, title=title,
+                legend_loc=legend_loc, rcParams=rcParams, show_legend=show_legend,
+            )  # fmt: skip
         from ..reporting.bode import bode_comparison
 
         if isinstance(measured, Measurement):

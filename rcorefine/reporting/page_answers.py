@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .adequacy import best_of, shortfalls
+from .adequacy import best_of, failures_of
 from .tables import number
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def comparison_answer(result: Comparison) -> tuple[list[str], bool]:
             f"{result.names[best]} comes closest: it explains {fits[best]:.4g} % of the record "
             f"{data.name} ({others})."
         )
-    found = shortfalls(result, best)
+    found = failures_of(result, best)
     rmse = np.atleast_2d(result.rmse)[best]
     sizes = ", ".join(
         f"{number(rmse[i], 3)}{' ' + data.output_units[i] if data.output_units[i] else ''} in {label}"
@@ -53,10 +53,11 @@ def comparison_answer(result: Comparison) -> tuple[list[str], bool]:
             f"What is left over (typically {sizes}) holds nothing that this record could tell from noise.",
             "The model is adequate for this record; a record at another amplitude could still show more.",
         ], True
-    more = f" ({len(found) - 1} more below)" if len(found) > 1 else ""
+    besides = sum(row.role == "besides" for row in found)
+    more = f" (and {besides} failure{'s' * (besides > 1)} besides)" if besides else ""
     return [
         first,
-        f"It fails here first{more}: {found[0].rstrip('.')}.",
+        f"Where it fails{more}: {found[0].sentence.rstrip('.')}.",
         f"The typical error is {sizes}; diagnose names the physical effect that is missing.",
     ], False
 

@@ -9,14 +9,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..systems.linear import LinearModel
+from .adequacy import failures_of
 from .comparisons import _cells, _without_empty_unit
 from .page import Page, Paragraphs, Section, Table, check_target, write_page
 from .page_answers import comparison_answer
 from .page_code import model_code, record_code, script
-from .page_parts import Parts, Target, Wanted, code_section, origin_section, pictures
+from .page_parts import Parts, Target, Wanted, chance, code_section, origin_section, pictures
 from .tables import number
 
 if TYPE_CHECKING:
+    from ..comparison.failure_map import Failure
     from ..comparison.result import Comparison
 
 __all__ = ["comparison_tables", "fits_in_words", "report_comparison", "time_words"]
@@ -95,39 +97,38 @@ def comparison_tables(result: Comparison) -> Parts:
     headers, rows, title, notes = _cells(result)
     headers, rows = _without_empty_unit(headers, rows)
     parts: Parts = [Table(headers, rows, title=title, notes=notes, left=len(headers) - 5)]
-    failures = getattr(result, "failures", None)
-    if failures is None:
-        return parts
-    rows = [_failure_row(row) for row in failures]
-    if rows:
-        table = Table(
-            list(_FAILURE_COLUMNS),
-            rows,
-            title="Where it fails",
-            notes=["p-values are corrected for the number of places that were looked at."],
-            left=2,
-        )
-        return [table, *parts]
-    return [Paragraphs(["Where it fails: nowhere that this record could show."]), *parts]
+    maps = [failures_of(result, index) for index in range(len(result.names))]
+    first: Parts = []
+    for found in maps:
+        notes = [f"{note}." for note in found.notes]
+        if found:
+            explained = [*_FAILURE_NOTES, *notes]
+            title = f"Where {found.name} fails"
+            first.append(
+                Table(
+                    _FAILURE_HEADERS, [_failure_row(r) for r in found], title=title, notes=explained, left=4
+                )
+            )
+        else:
+            nowhere = f"Where {found.name} fails: nowhere that this record could show."
+            first.append(Paragraphs([nowhere, *notes]))
+    return [*first, *parts]
 
 
-_FAILURE_COLUMNS = {
-    "model": "model",
-    "where": "where",
-    "measure": "measure",
-    "statistic": "statistic",
-    "p_value": "p-value",
-    "share": "share of the error",
-    "sentence": "in words",
-}
+_FAILURE_HEADERS = ("", "dimension", "where", "in words", "statistic", "p-value", "share of the error")
+_FAILURE_NOTES = (
+    "1: leaves least unexplained; +: what is left besides when the rows before are allowed for; "
+    "=: another view of the same error.",
+    "statistic: twice the log-likelihood that allowing for it adds; p-value: the chance of such a "
+    "row anywhere if the model were right; share: the part of the error's energy that it explains "
+    "(rows overlap).",
+)
+_ROLES = {"first": "1", "besides": "+", "instead": "="}
 
 
-def _failure_row(row: Any) -> list[str]:
-    cells = []
-    for name in _FAILURE_COLUMNS:
-        value = getattr(row, name, "")
-        cells.append(str(value) if isinstance(value, str) else number(float(value), 3))
-    return cells
+def _failure_row(row: Failure) -> list[str]:
+    words = [_ROLES[row.role], row.dimension, row.where, row.sentence]
+    return [*words, number(row.statistic, 3), chance(row.p_value), f"{100 * row.share:.3g} %"]
 
 
 def _comparison_code(result: Comparison) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..measurement import Measurement
+from .level_bode import stretches_by_level
 from .page import Page, Paragraphs, Section, Table, check_target, write_page
 from .page_answers import improvement_answer, refinement_answer
 from .page_code import model_code, record_code, refinement_code, script
@@ -25,6 +26,7 @@ from .page_parts import (
     pictures,
     root_mean_square,
 )
+from .tables import number
 
 if TYPE_CHECKING:
     from ..diagnosis.ledger import Improvement
@@ -147,16 +149,7 @@ def _report_model(
         wanted.append(("time", lambda: beside.plot(title=""), *words))
         tables += comparison_tables(beside)
         about += f"; beside record {data.name}, {data.n_samples} samples"
-    wanted.append(
-        (
-            "bode",
-            lambda: last.bode_plot(data, title=""),
-            "Bode diagram: magnitude and phase of the initial and of the refined model"
-            + ("." if data is None else ", beside the measured points."),
-            "Frequency response of the initial and of the refined model; effects that are not linear are not "
-            "in it." + ("" if data is None else " Dots: measured. Bottom row: relative error."),
-        )
-    )
+    wanted.append(_bode_picture(last, data))
     wanted.append(
         (
             "parameters",
@@ -182,3 +175,28 @@ def _report_model(
     ]
     sentences, fine = answer
     return write_page(Page(title, about, sentences, fine, sections), target, overwrite=overwrite)
+
+
+def _bode_picture(refinement: Refinement, data: Measurement | None) -> Wanted:
+    """Bode diagram, at the levels of the record where the model is not linear."""
+    structure, _, _ = refinement.simulation_structure()
+    beside = "" if data is None else ", beside the measured points"
+    if structure.is_linear or data is None:
+        return (
+            "bode",
+            lambda: refinement.bode_plot(data, title=""),
+            f"Bode diagram: magnitude and phase of the initial and of the refined model{beside}.",
+            "Frequency response of the initial and of the refined model; effects that are not linear are not "
+            "in it." + ("" if data is None else " Dots: measured. Bottom row: relative error."),
+        )
+    rms = [level for level, _ in stretches_by_level(data)]
+    # a sine of the same power as the record, and a weaker one where the record has one level only
+    levels = [np.sqrt(2.0) * level for level in ([0.3 * rms[0], *rms] if len(rms) == 1 else rms)]
+    sines = ", ".join(number(level, 3) for level in levels)
+    return (
+        "bode at several amplitudes",
+        lambda: refinement.bode_plot(data, levels=levels, title=""),
+        f"Bode diagram of the refined model for sines of amplitude {sines}{beside}.",
+        "Response to sines of several amplitudes, all effects included; it would be one curve if the system "
+        "were linear. Dots: measured, by level of the record; thin lines: the model on the same input.",
+    )
