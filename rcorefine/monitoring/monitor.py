@@ -1,0 +1,280 @@
+"""`Monitor`: the diagnosis on a stream."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import control as ct
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..exceptions import DataError, ModelError
+from ..measurement import Measurement
+from ..physics.effects import Effect
+from ..physics.library import effect_library
+from ..rco.checks import as_size
+from ..rco.gaps import Block, as_missing, block_with_gaps, whole_block
+from ..rco.samples import checked_block
+from ..systems.discretization import check_sampling_time
+from ..systems.linear import Array
+from .base import Observer, as_base, pace_of
+from .columns import UNSEEN, build_bank
+from .evidence import linear_estimates, change_of, shares, standing
+from .history import Course
+from .learning import learn as learn_from
+from .report import Alarm, MonitorRow
+from .stream import Stream, Windows
+from .thresholds import threshold
+from .watch import Watch
+
+__all__ = ["Monitor"]
+
+_PER = 100_000  # samples to which `false_alarms` refers
+_CHUNK = 2048
+_LEAST = 2000  # samples of the learning phase
+_LEARN_PERIODS = 20
+_LONGEST = 200  # periods in the longest window
+_BLOCKS = 256
+_SLOW = 16  # periods of the mean that is taken off
+
+
+class Monitor:
+    """TODO."""
+
+    def __init__(
+        self,
+        model: Any,
+        candidates: Sequence[Effect] | None = None,
+        *,
+        dt: float | None = None,
+        false_alarms: float = 0.01,
+        learn: int | None = None,
+        disturbance: float | None = None,
+        hold: str = "zoh",
+        missing: str = "raise",
+        windows: tuple[int, int] | None = None,
+        patience: float = 4.0,
+    ) -> None:
+        self._structure, self._theta, self._substeps = as_base(model)
+        name = self._structure.linear_model.name
+        if dt is None:
+            raise ModelError(f"model {name!r} is continuous: give dt, the sampling time in seconds")
+        self.dt = check_sampling_time(dt)
+        if hold not in ("zoh", "foh"):
+            raise ct.ControlArgument(
+                f"hold must be 'zoh' or 'foh' on a stream, not {hold!r}; a band-limited input needs the future"
+            )
+        self.hold = hold
+        self.missing = as_missing(missing)
+        if isinstance(false_alarms, bool) or not isinstance(false_alarms, int | float):
+            raise ct.ControlArgument(f"false_alarms must be a number, not {false_alarms!r}")
+        if not 0 < false_alarms <= 1000:
+            raise ModelError(
+                f"false_alarms must lie between 0 and 1000 per {_PER} samples, not {false_alarms!r}"
+            )
+        self.false_alarms = float(false_alarms)
+        if disturbance is not None and not (np.isfinite(disturbance) and disturbance >= 0):
+            raise ModelError(f"disturbance must be a finite number >= 0, not {disturbance!r}")
+        self.disturbance = disturbance
+        if not (np.isfinite(patience) and patience >= 0):
+            raise ModelError(f"patience must be a finite number of periods >= 0, not {patience!r}")
+        self.patience = float(patience)
+        self.candidates = _candidates(self._structure.model, candidates)
+        self._pace = pace_of(self._structure, self._theta, self.dt)
+        if learn is None:
+            learn = max(_LEAST, _LEARN_PERIODS * self._pace.period)
+        self.learn = as_size(learn, "learn", 200, "samples of the learning phase")
+        self._block = max(1, self._pace.period // 8)
+        self._lengths = _lengths(windows, self._pace.period)
+        self._view = SimpleNamespace(initial=self._structure.linear_model, step=self.dt)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all samples; the learning phase starts again."""
+        linear = self._structure.linear_model
+        self._stream: Stream | None = None
+        self._waiting: list[Block] = []
+        self._count = 0
+        self._latest = np.zeros(linear.n_inputs)
+        self._watch = Watch(
+            self._pace.period, self.dt, self.false_alarms, self.patience, _BLOCKS * self._block
+        )
+        self._course = Course(len(self.candidates) + 4, max(1, self._pace.period // 2))
+
+    # ------------------------------------------------------------------ samples in
+    def update(self, w: ArrayLike, y: ArrayLike) -> None:
+        """TODO."""
+        if self.missing == "raise":
+            block = whole_block(*checked_block(self._view, w, y, self._count))  # type: ignore[arg-type]
+        else:
+            block = block_with_gaps(self._view, w, y, self._count, self._latest)  # type: ignore[arg-type]
+        self._latest = block.inputs[-1].copy()
+        position = 0
+        if self._stream is None:
+            position = min(self.learn - self._count, len(block.inputs))
+            self._waiting.append(_part(block, 0, position))
+            self._count += position
+            if self._count < self.learn:
+                return
+            whole = _joined(self._waiting)
+            self._stream = self._start(whole)
+            self._waiting = []
+            self._take(whole, 0)
+        self._take(block, position)
+
+    def run(self, data: Measurement) -> Monitor:
+        """TODO."""
+        from ..comparison.channels import match_channels, record_for
+
+        if not isinstance(data, Measurement):
+            raise ct.ControlArgument(
+                f"data must be a Measurement, not {type(data).__name__}; "
+                "build one with Measurement(inputs, outputs, dt=...)"
+            )
+        if not math.isclose(data.dt, self.dt, rel_tol=1e-6):
+            raise DataError(f"the record has dt = {data.dt:g} s and the monitor {self.dt:g} s; resample one")
+        if data.hold != self.hold:
+            raise DataError(
+                f"the record has hold={data.hold!r} and the monitor hold={self.hold!r}; build the monitor with "
+                f"hold={data.hold!r}"
+            )
+        ordered = record_for(data, match_channels(self._structure.linear_model, data))
+        self.update(ordered.inputs, ordered.outputs)
+        return self
+
+    def _start(self, block: Block) -> Stream:
+        """Learn from the first samples."""
+        if not block.known.all():
+            sample = int(np.argmin(block.known))
+            raise DataError(
+                f"an input is missing at sample {sample}, in the learning phase of {self.learn} samples; "
+                "start the stream where the inputs are whole"
+            )
+        W, Y = block.inputs, block.outputs
+        data = Measurement(W.T, Y.T, dt=self.dt, hold=self.hold)
+        healthy = learn_from(
+            self._structure, self._theta, self._substeps, data, block.use, self.disturbance
+        )
+        bank = build_bank(self._structure, self._theta, self.candidates, data, self.hold, healthy.gain)
+        keep = 1.0 - 1.0 / self._lengths
+        T = self._pace.period
+        levels = threshold(self.false_alarms / _PER, keep, bank.size)
+        windows = Windows(keep, levels, self._block, _BLOCKS, 1.0 / (_SLOW * T))
+        observer = Observer(
+            self._structure, self._theta, self.dt, self.hold, self._substeps, healthy.gain
+        )
+        return Stream(observer, healthy, bank, windows, self.learn)
+
+    def _take(self, block: Block, position: int) -> None:
+        stream, watch = self._stream, self._watch
+        assert stream is not None
+        total = len(block.inputs)
+        while position < total:
+            here = stream.n_samples
+            until = min(here + total - position, here + _CHUNK, self._course.due(here))
+            healthy = not watch.busy
+            if not healthy:
+                until = min(until, watch.next_event(here))
+            stop = position + until - here
+            done, ratio = stream.advance(
+                block.inputs[position:stop], block.outputs[position:stop], block.use[position:stop],
+                block.known[position:stop], stop=healthy,
+            )  # fmt: skip
+            position += done
+            if healthy and ratio[-1] > 1.0:
+                watch.ring(stream)
+            elif not healthy and stream.n_samples >= watch.next_event(here):
+                watch.attend(stream)
+            self._count = stream.n_samples
+            if self._count % self._course.stride == 0:
+                self._course.add(self._count, self._row())
+
+    def _row(self) -> Array:
+        assert self._stream is not None
+        ratio, gains = standing(self._stream)
+        watch = self._watch
+        if watch.gains is None:
+            p = shares(float(gains.max()), gains)
+            value, std = math.nan, math.nan
+        else:
+            p = shares(watch.change(self._stream), watch.gains)
+            value, std = watch.value, watch.std
+        return np.concatenate([p, [ratio, value, std]])
+
+    # ------------------------------------------------------------------ results
+    @property
+    def n_samples(self) -> int:
+        """Number of samples taken."""
+        return self._count
+
+    @property
+    def alarm(self) -> Alarm | None:
+        """The alarm that is on, or None."""
+        return self._watch.alarm
+
+    @property
+    def past_alarms(self) -> tuple[Alarm, ...]:
+        """Alarms that have ended, the last 100."""
+        return tuple(self._watch.past)
+
+    @property
+    def timepts(self) -> Array:
+        """Times of the rows of `probability`."""
+        c = self._course
+        return np.asarray((c.samples[: c.count] - 1) * self.dt)
+
+    @property
+    def probability(self) -> Array:
+        """TODO."""
+        c = self._course
+        return c.rows[: c.count, : 1 + len(self.candidates)].T.copy()
+
+
+def _candidates(model: Any, given: Sequence[Effect] | None) -> tuple[Effect, ...]:
+    if given is None:
+        return tuple(e for e in effect_library(model) if e.kind not in UNSEEN)
+    effects = (given,) if isinstance(given, Effect) else tuple(given)
+    if not effects:
+        raise ModelError("candidates is empty: name at least one Effect, or leave candidates out")
+    for effect in effects:
+        if not isinstance(effect, Effect):
+            raise ct.ControlArgument(f"candidates must hold Effect objects, not {type(effect).__name__}")
+        model.check(effect)
+        if effect.kind in UNSEEN:
+            raise ModelError(
+                f"{effect.label} cannot be watched for: it is no force along the motion that the model knows; "
+                "use diagnose() on a record"
+            )
+        if effect.kind == "custom" and effect.coefficients != ("scale",):
+            raise ModelError(f"{effect.label} can be watched for with one coefficient only, its scale")
+    if len(set(effects)) < len(effects):
+        raise ModelError("a candidate is named twice; give each effect once")
+    return effects
+
+
+def _lengths(windows: tuple[int, int] | None, period: int) -> Array:
+    if windows is None:
+        shortest, longest = max(8, period // 4), _LONGEST * period
+    else:
+        shortest = as_size(windows[0], "windows[0]", 4, "samples in the shortest window")
+        longest = as_size(windows[1], "windows[1]", shortest, "samples in the longest window")
+    count = max(1, round(math.log2(longest / shortest)) + 1)
+    return np.asarray(shortest * 2.0 ** np.arange(count))
+
+
+def _part(block: Block, start: int, stop: int) -> Block:
+    return Block(
+        block.inputs[start:stop], block.outputs[start:stop], block.known[start:stop], block.use[start:stop]
+    )
+
+
+def _joined(blocks: list[Block]) -> Block:
+    return Block(
+        np.concatenate([b.inputs for b in blocks]),
+        np.concatenate([b.outputs for b in blocks]),
+        np.concatenate([b.known for b in blocks]),
+        np.concatenate([b.use for b in blocks]),
+    )
