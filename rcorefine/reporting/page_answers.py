@@ -106,7 +106,13 @@ def refinement_answer(refinement: Refinement) -> tuple[list[str], bool]:
         second = f"The surest change is {_row(row)}, {sure:.3g} standard deviations from the initial model."
     else:
         second = "No parameter was estimated."
-    third = refinement.warnings[0] if refinement.warnings else refinement.message
+    labels = refinement.physical_model.linear.output_labels
+    left = ", ".join(
+        f"{number(size, 3)} in {label}" for size, label in zip(refinement.rmse, labels, strict=True)
+    )
+    third = f"{refinement.message.rstrip('.')}; what is left over is typically {left}."
+    if refinement.warnings:
+        third = refinement.warnings[0]
     return [first, second, third], refinement.success
 
 
