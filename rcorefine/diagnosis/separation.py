@@ -26,6 +26,7 @@ __all__ = ["Contender", "Plan", "Separation", "separation"]
 
 _DECIDED = 9.2  # twice the log-likelihood at which `diagnose` calls rivals separate
 _REFITS = 6  # Gauss-Newton steps of a rival towards what it is to imitate
+_PLAIN = 100.0  # squared distance at which rivals are separate beyond doubt
 _DRAWS = 4000
 _KNOWN = 1e-10  # eigenvalue, relative, below which a direction of the coefficients is exactly known
 
@@ -269,23 +270,24 @@ class _Fit:
         return float(self.residual @ self.residual)
 
     def imitate(self) -> _Fit:
-        """Damped Gauss-Newton towards the record."""
+        """Damped Gauss-Newton towards the record, as exactly as the decision needs."""
         damping = 0.0
         for _ in range(_REFITS):
             step = _step(self.slopes, self.residual, damping)
+            promised = self.distance - float(np.sum((self.residual + self.slopes @ step) ** 2))
+            left = self.distance - promised
+            if promised < 0.02 + (0.1 if left > _PLAIN else 0.003) * left:
+                break
             trial = self.problem.inside(self.point + step)
             residual, slopes = self._rows(trial)
             new = float(residual @ residual)
-            if not np.isfinite(new) or new >= self.distance:
-                if damping > 1.0:
-                    break
-                damping = max(30 * damping, 1e-2)
-                continue
-            gained = self.distance - new
-            self.point, self.residual, self.slopes = trial, residual, slopes
-            damping *= 0.1
-            if gained < 0.01 + 1e-3 * new:
+            if np.isfinite(new) and new < self.distance:
+                self.point, self.residual, self.slopes = trial, residual, slopes
+                damping *= 0.1
+            elif damping > 1.0:
                 break
+            else:
+                damping = max(30 * damping, 1e-2)
         return self
 
     def basis(self) -> Array:
