@@ -27,10 +27,11 @@ from .rivals import Race, run_race, shortlist
 from .state import Fitted, base_fit, fitted_from
 from .whitening import FTest, project
 
-__all__ = ["diagnose"]
+__all__ = ["diagnose", "investigate"]
 
 _OBSERVERS = (1.0, 0.1)  # a high gain follows the record, a low one tells rivals apart
-_FORCES = (0.003, 0.01, 0.03, 0.09)  # unmeasured force over the measured one
+_FORCES = (0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.128)  # unmeasured force over the measured one
+_AS_LIKELY = 6.0  # log-likelihood within which another size of that force is as good
 _FORCE_GAIN = 15.0  # log-likelihood that an unmeasured force must earn
 _FORCE_BESIDE = 3.0  # the same beside an effect that fails without it: the battery decides
 _NOISE_EXCESS = 1.2  # residual over declared noise beyond which coloured noise is no excuse
@@ -117,6 +118,52 @@ def diagnose(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", IdentifiabilityWarning)
         base = base_fit(model, records, free=free, tolerance=tolerance, offset=offset, noise=noise)
+    return investigate(
+        base,
+        records,
+        asked=None if candidates is None else list(candidates),
+        validation=validation,
+        settings={"free": free, "tolerance": tolerance, "offset": offset, "noise": noise},
+        significance=significance,
+        mapper=map if executor is None else executor.map,
+    )[0]
+
+
+def investigate(
+    base: Refinement,
+    records: Sequence[Measurement],
+    *,
+    asked: Sequence[Effect] | None,
+    validation: Measurement | None,
+    settings: dict[str, Any],
+    significance: float,
+    mapper: Any,
+    thorough: bool = True,
+) -> tuple[Diagnosis, Race | None]:
+    """Diagnose a model that was fitted to the records already.
+
+    Parameters
+    ----------
+    base : Refinement
+        The model at its minimum.
+    records : sequence of Measurement
+        What it was fitted to.
+    asked : sequence of Effect, or None
+        Candidates; the library for None.
+    validation, settings, significance
+        As in `diagnose`; settings holds its options of fitting.
+    mapper : callable
+        As the built-in `map`.
+    thorough : bool
+        Whether to try harder where no candidate passes, and pairs of them.
+
+    Returns
+    -------
+    found : Diagnosis
+    race : Race or None
+        The refitted rivals, where there were any.
+    """
+    tolerance, noise = settings["tolerance"], settings["noise"]
     physical = base.physical_model
     ordered = [record_for(r, match_channels(physical.linear, r)) for r in records]
     segments, _ = windows(physical, ordered, None)
@@ -130,8 +177,11 @@ def diagnose(
     if len(records) > 1:
         motions[0].companions = motions[1:]
     held = {(effect.kind, effect.place) for effect in base.effects}
-    asked = effect_library(physical) if candidates is None else list(candidates)
-    library = [effect for effect in asked if (effect.kind, effect.place) not in held]
+    library = [
+        effect
+        for effect in (effect_library(physical) if asked is None else asked)
+        if (effect.kind, effect.place) not in held
+    ]
     if not library:
         raise ct.ControlArgument("no candidate is left that the model does not hold already")
     scored = candidate_columns(fitted, library, motions[0], (0.0, *_OBSERVERS))
@@ -144,32 +194,34 @@ def diagnose(
         "base": base,
         "records": tuple(records),
         "significance": significance,
-        "settings": {"free": free, "tolerance": tolerance, "offset": offset, "noise": noise},
+        "settings": settings,
     }
     if gate >= significance and loud <= _NOISE_EXCESS:
-        return _adequate(free_run, scored, tests, about)
-    ratio = _unmeasured_force(fitted, free_run) if loud <= _NOISE_EXCESS else 0.0
+        return _adequate(free_run, scored, tests, about), None
     forced: tuple[Battery, list[FTest]] | None = None
-    if ratio:
+    for ratio in _unmeasured_force(fitted, free_run) if loud <= _NOISE_EXCESS else []:
+        # how strong it is, is not known: it explains the residual if one likely size does
         _add_columns(scored, fitted, motions[0], ratio)
         led = Battery(fitted, ratio)
         led_tests = run_battery(led, scored, motions)
         if _overall(led_tests) >= significance:
             forced = led, led_tests
+            break
 
-    mapper: Any = map if executor is None else executor.map
     batteries = [free_run, *(Battery(fitted, r) for r in _OBSERVERS)]
     chosen, scores = shortlist(scored, batteries)
     race = run_race(fitted, [scored[i] for i in chosen], mapper=mapper)
     if race is None:
-        return Diagnosis("unexplained", (), (), tuple(tests), (), (), force_ratio=0.0, **about)
+        return Diagnosis("unexplained", (), (), tuple(tests), (), (), force_ratio=0.0, **about), None
     judged = _judge(race, library, motions, significance, noise)
     if forced is not None:
         # an unmeasured force alone explains the residual too: the likelier of the two
         if not judged.passed or Battery(race.model()).log_likelihood < forced[0].log_likelihood:
-            return _adequate(forced[0], scored, forced[1], about)
+            return _adequate(forced[0], scored, forced[1], about), None
     if not judged.passed:
-        judged = _second_chance(judged, scored, chosen, library, motions, significance, noise, mapper)
+        judged = _second_chance(
+            judged, scored, chosen, library, motions, significance, noise, mapper, thorough
+        )
     race = judged.race
     likelihoods = np.array([r.log_likelihood for r in race.rivals])
     weights = np.exp(likelihoods - likelihoods[0])
@@ -187,8 +239,9 @@ def diagnose(
     verdict = "effect" if len(alike) == 1 else "ambiguous"
     if not judged.passed or agreement < _DISAGREE:
         verdict = "unexplained"
-        notes += _pair_hint(judged, scored, motions, significance, noise)
-    return Diagnosis(
+        if thorough:
+            notes += _pair_hint(judged, scored, motions, significance, noise)
+    found = Diagnosis(
         verdict,
         ranking,
         alike,
@@ -199,6 +252,7 @@ def diagnose(
         notes=tuple(notes),
         **about,
     )
+    return found, race
 
 
 def _pair_hint(
@@ -256,14 +310,14 @@ def _second_chance(
     significance: float,
     noise: Any,
     mapper: Any,
+    thorough: bool,
 ) -> _Judged:
     """What may be wrong when the winner fails: an unmeasured force, a stuck fit, a name left out."""
     race = first.race
     fitted = race.fitted
     winner = race.model()
-    ratio = _unmeasured_force(winner, Battery(winner), _FORCE_BESIDE)
-    louder = [r for r in _FORCES if ratio and r >= ratio][:2]
-    for allowed in louder if _excess(winner, noise) <= _NOISE_EXCESS else []:
+    likely = _unmeasured_force(winner, Battery(winner), _FORCE_BESIDE)
+    for allowed in likely[:2] if _excess(winner, noise) <= _NOISE_EXCESS else []:
         again = run_race(fitted, [], allowed, entered=race.rivals)
         if again is not None:
             judged = _judge(again, library, motions, significance, noise)
@@ -277,6 +331,8 @@ def _second_chance(
             return judged
         first = judged
         race = again
+    if not thorough:
+        return _Judged(again, first.tests, False) if again is not None else first
     stuck = [r.candidate for r in race.rivals[:3]]
     again = run_race(fitted, stuck, entered=race.rivals, thorough=True, mapper=mapper)
     if again is not None and again.rivals[0].log_likelihood > race.rivals[0].log_likelihood + 1.0:
@@ -314,17 +370,23 @@ def _excess(fitted: Fitted, noise: Any) -> float:
     return float(np.sqrt(np.mean(residual**2, axis=1)).max())
 
 
-def _unmeasured_force(fitted: Fitted, free_run: Battery, least: float = _FORCE_GAIN) -> float:
-    """Ratio of an unmeasured force that the residual speaks of, 0 where it does not."""
-    best, chosen = free_run.log_likelihood + least, 0.0
+def _unmeasured_force(fitted: Fitted, free_run: Battery, least: float = _FORCE_GAIN) -> list[float]:
+    """Sizes of an unmeasured force that the residual speaks of, the likeliest first."""
+    found: dict[float, float] = {}
     for ratio in _FORCES:
         try:
             value = Battery(fitted, ratio).log_likelihood
         except (np.linalg.LinAlgError, ValueError):
             continue
-        if np.isfinite(value) and value > best:
-            best, chosen = value, ratio
-    return chosen
+        if np.isfinite(value):
+            found[ratio] = value
+        if value < max(found.values(), default=value) - 3 * _AS_LIKELY:
+            break  # it only falls from here
+    best = max(found.values(), default=-np.inf)
+    if best <= free_run.log_likelihood + least:
+        return []
+    near = [ratio for ratio, value in found.items() if value >= best - _AS_LIKELY]
+    return sorted(near, key=lambda ratio: -found[ratio])
 
 
 def _rows(

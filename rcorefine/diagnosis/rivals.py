@@ -38,6 +38,7 @@ class Rival:
     candidate: Candidate
     descent: Descent
     log_likelihood: float = -np.inf
+    free_run: Descent | None = None  # its minimum of the plain error, before any whitening
 
     @property
     def effect(self) -> Effect:
@@ -78,6 +79,15 @@ class Race:
         if index not in self._models:
             self._models[index] = _model(self.fitted, self.rivals[index], self.whitener, self.ratio)
         return self._models[index]
+
+    def in_free_run(self, most: int) -> list[tuple[Effect, Refinement]]:
+        """The rivals whose plain error is smallest, at the minimum of that error."""
+        runs = [(r, r.free_run) for r in self.rivals if r.free_run is not None]
+        found = []
+        for rival, run in sorted(runs, key=lambda pair: pair[1].cost)[:most]:
+            plain = replace(rival, descent=run)
+            found.append((rival.effect, _model(self.fitted, plain, self.whitener, 0.0).refinement))
+        return found
 
 
 def shortlist(candidates: Sequence[Candidate], batteries: Sequence[Battery]) -> tuple[list[int], list[FTest]]:
@@ -151,6 +161,8 @@ def run_race(
             behind = n * np.log(max(rival.descent.cost, 1e-300) / max(best, 1e-300))
             if behind <= constant + share * n and not rival.descent.converged:
                 rival.descent = _continued(fitted, rival, ratio, None, laps)
+    for rival in rivals:
+        rival.free_run = rival.descent
     whitener = _whitener_of(min(rivals, key=lambda r: r.descent.cost))
     best = min(r.descent.cost for r in rivals)
     near = best * np.exp(_SECOND_LAP[0] / n + _SECOND_LAP[1])

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter
 
 from ..systems.linear import Array
 
 __all__ = ["Uncertainty", "autoregression", "parameter_uncertainty", "unseen_combinations"]
 
-_MAX_ORDER = 16
+_MAX_ORDER = 20
 _UNSEEN = 1e-7  # singular value of the unit-column Jacobian below which a direction is not seen
 
 
@@ -36,21 +35,23 @@ def autoregression(residual: Array, max_order: int = _MAX_ORDER) -> tuple[Array,
     """
     r = residual - residual.mean()
     n = r.size
-    power = np.fft.rfft(r, 2 * n)
-    covariance = np.fft.irfft(np.abs(power) ** 2)[: max_order + 1] / n
-    if covariance[0] <= 0:
-        return np.ones(1), 0.0
-    best_a, best_v = np.ones(1), float(covariance[0])
-    best = n * np.log(best_v)
-    for order in range(1, min(max_order, n // 10) + 1):
-        coefficients = solve_toeplitz(covariance[:order], covariance[1 : order + 1])
-        variance = float(covariance[0] - coefficients @ covariance[1 : order + 1])
-        if variance <= 0:
-            break
-        criterion = n * np.log(variance) + 2 * order
-        if criterion < best - 1e-9:
-            best, best_a, best_v = criterion, np.concatenate([[1.0], -coefficients]), variance
-    return best_a, best_v
+    most = min(max_order, n // 20)
+    variance = float(r @ r) / n
+    if variance <= 0 or most < 1:
+        return np.ones(1), variance
+    # least squares and not the sample covariances: their bias leaves drift and sharp
+    # resonances in the innovation. All orders on the same samples, from one factorization.
+    past = np.column_stack([r[most - lag : n - lag] for lag in range(1, most + 1)])
+    now = r[most:]
+    Q, R = np.linalg.qr(past)
+    pivots = np.abs(np.diag(R))
+    regular = int(np.argmin(np.append(pivots > 1e-7 * pivots[0], False)))
+    along = Q.T @ now
+    rest = float(now @ now) - np.concatenate([[0.0], np.cumsum(along[:regular] ** 2)])
+    rest = np.maximum(rest, 1e-14 * float(now @ now))
+    order = int(np.argmin(now.size * np.log(rest) + 2 * np.arange(rest.size)))
+    coefficients = np.linalg.solve(R[:order, :order], along[:order])
+    return np.concatenate([[1.0], -coefficients]), float(rest[order]) / now.size
 
 
 @dataclass(frozen=True, slots=True, eq=False)
