@@ -34,7 +34,7 @@ from rcorefine.diagnosis.state import base_fit, fitted_from
 from rcorefine.refinement.starts import Motion
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-from hidden.generator import Hidden, _with, excitation, hidden_record, linear_states
+from hidden.generator import Hidden, _with, hidden_record, linear_states
 
 Array = np.ndarray
 CASES = {"1 % at 3 %": (0.01, 0.03), "5 % at 10 %": (0.05, 0.10)}
@@ -91,8 +91,6 @@ def carried_out(hidden: Hidden, found: rco.Diagnosis, option: ExperimentOption, 
     model, w = hidden.plant.model, option.inputs
     truth = (hidden.kind, hidden.place)
     effects = list(found.ambiguous)
-    if option.kind == "longer":  # a fresh stretch of the same kind of input
-        w = excitation(rng, hidden.plant, w.shape[1])
     if option.kind == "sensor":
         place = option.name.rsplit(" ", 1)[1]
         _, label, row = next(s for s in sensor_rows(model, [place]))

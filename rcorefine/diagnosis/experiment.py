@@ -63,7 +63,9 @@ class ExperimentOption:
     reach_where : str
         The port or input where that is.
     inputs : ndarray, shape (n_w, N)
-        Inputs to apply, sampled and held like those of the present record.
+        Inputs to apply, sampled and held like those of the present record. The
+        probability is that of these: another random input of the same kind can move a
+        lightly damped model more, or less.
     failed : str
         Why it cannot be made, empty where it can.
     """
