@@ -301,8 +301,8 @@ def test_own_law():
 def test_integrator_with_friction():
     """A motor's angle integrates: the speed's answer is unaffected, the angle's is speed over jw."""
     model = rco.dc_motor(gain=2.0, time_constant=0.5, sensors=["speed", "angle"])
-    held = Held(model, [rco.Effect("coulomb_friction", "shaft"), rco.Effect("input_offset", "voltage")], [0.3, 0.01],
-                {0: 1e-3})  # fmt: skip
+    effects = [rco.Effect("coulomb_friction", "shaft"), rco.Effect("input_offset", "voltage")]
+    held = Held(model, effects, [0.3, 0.01], {0: 1e-3})
     found = rco.frequency_response_at(held, [2.0, 8.0], 3.0)
     assert found.converged.all()
     assert found.response[0, 1] == pytest.approx(found.response[0, 0] / (1j * found.omega), rel=1e-6)
