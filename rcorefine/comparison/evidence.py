@@ -135,6 +135,13 @@ class Evidence:
         self.filters, self.scales = self._noise(remainder)
         self._white = self._filtered(self.residual)
 
+    def use_white(self) -> None:
+        """Weigh all frequencies alike: right where a failure stands far above the noise."""
+        nothing = np.zeros(self.order + 1)
+        nothing[0] = 1.0
+        self.filters, self.scales = [nothing] * self.n_outputs, np.ones(self.n_outputs)
+        self._white = self._filtered(self.residual)
+
     def _noise(self, remainder: Array) -> tuple[list[Array], Array]:
         filters = [autoregressive_filter(row, self.order) for row in remainder]
         left = [np.convolve(row, a, "valid") for a, row in zip(filters, remainder, strict=True)]

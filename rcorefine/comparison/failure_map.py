@@ -207,13 +207,16 @@ def _p_value(finding: Finding, scene: Scene, count: int) -> float:
 def _rows(scene: Scene) -> tuple[Failure, ...]:
     """The leader, what is left besides it, and other views of it; significant ones only."""
     whole = scene.evidence
+    # first as if the noise were nothing, then with the noise that the leader leaves
+    whole.use_white()
     findings = _searched(scene)
-    count = sum(f.tried for f in findings)
-    if not any(_p_value(f, scene, count) < SIGNIFICANCE for f in findings):
-        return ()
-    # the noise is what the leader leaves: judge all once more
-    scene.evidence.use(scene.residual - max(findings, key=lambda f: _net(f, scene)).explanation.fit)
+    count = 2 * sum(f.tried for f in findings)
+    sure = [f for f in findings if _p_value(f, scene, count) < SIGNIFICANCE]
+    leader = max(sure, key=lambda f: _net(f, scene), default=None)
+    whole.use(scene.residual - (0.0 if leader is None else leader.explanation.fit))
     ranked = _ranked(findings + _searched(scene), scene, count)
+    if not ranked:
+        return ()
     rows = [_row(ranked[0], scene, count, "first", whole)]
     fit = ranked[0].explanation.fit
     lead = whole.share(fit)

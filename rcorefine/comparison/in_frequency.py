@@ -17,6 +17,7 @@ __all__ = ["bands", "frequency_text", "modes", "modes_together"]
 
 _BANDS = 20
 _MOST_TOGETHER = 8
+_HALF = 0.4  # share of the largest deviation that still belongs to the band
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -336,11 +337,20 @@ def _band(scene: Scene, i: int, centers: Array, columns: list[Array]) -> Finding
     a, b = where
     one = evidence.linear(columns[2 * a : 2 * b])
     gains = 1.0 + one.values[0::2] + 1j * one.values[1::2]
-    power = np.array([float(np.sum(c**2)) for c in columns[2 * a : 2 * b : 2]])
-    strongest = int(np.argmax(power * np.abs(gains - 1.0) ** 2))
+    off = np.abs(gains - 1.0)
+    part = slice(2 * a, 2 * b)
+    spread = np.sqrt(np.abs(np.diag(np.linalg.inv(gram[part, part] + ridge * np.eye(2 * (b - a))))))
+    # most: by the factor itself, where it is sure, not by the energy that happens to be there
+    sure = off - 2.0 * np.hypot(spread[0::2], spread[1::2])
+    strongest = int(np.argmax(sure))
     factor = complex(gains[strongest])
-    low = float(centers[max(a - 1, 0)]) if a else 0.0
-    high = float(centers[min(b, centers.size - 1)])
+    first, last = strongest, strongest
+    while first > 0 and sure[first - 1] > _HALF * off[strongest]:
+        first -= 1
+    while last + 1 < off.size and sure[last + 1] > _HALF * off[strongest]:
+        last += 1
+    low = float(np.sqrt(centers[a + first] * centers[max(a + first - 1, 0)])) if a + first else 0.0
+    high = float(np.sqrt(centers[a + last] * centers[min(a + last + 1, centers.size - 1)]))
     name = scene.named(i)
     return Finding(
         "frequency",

@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 from ..systems.linear import Array
@@ -155,9 +154,9 @@ def _worth(r: Array, left: Array, masked: NDArray[np.bool_], a: int, b: int, ord
     own = autoregressive_filter(np.where(inside | masked, 0.0, left), order)
     e = lfilter(own, [1.0], np.where(masked, 0.0, left))
     keep = np.arange(r.size) >= order
-    if (keep & inside).sum() < 4 or (keep & ~inside).sum() < 4 * order:
+    if (keep & inside & ~masked).sum() < 4 or (keep & ~inside).sum() < 4 * order:
         return -np.inf
-    quiet, loud = e[keep & ~inside & ~masked], e[keep & inside]
+    quiet, loud = e[keep & ~inside & ~masked], e[keep & inside & ~masked]
     # single outliers must not make a stretch: the loud level is taken from its middle too
     level = min(np.mean(loud**2), 3.0 * np.median(loud**2) / 0.455)
     own_levels = quiet.size * np.log(np.mean(quiet**2) + 1e-300) + loud.size * np.log(max(level, 1e-300))
@@ -251,8 +250,6 @@ def _unit(scene: Scene, i: int) -> str:
 def delays(scene: Scene) -> list[Finding]:
     """A constant delay of all outputs, or of one."""
     found = []
-    t = np.arange(scene.n_samples, dtype=float)
-    splines = [CubicSpline(t, row) for row in scene.run]
     grid = np.concatenate([np.arange(-3.0, 3.01, 0.25), np.arange(4.0, 13.0), [16.0, 20.0, 25.0, 32.0]])
     grid = grid[np.abs(grid) > 1e-9]
     rows = [list(range(scene.n_outputs))]
@@ -262,8 +259,7 @@ def delays(scene: Scene) -> list[Finding]:
 
         def late(delay: float, chosen: list[int] = chosen) -> Array:
             shape = np.zeros_like(scene.run)
-            for i in chosen:
-                shape[i] = splines[i](np.clip(t - delay, 0.0, t[-1])) - scene.run[i]
+            shape[chosen] = (scene.late(delay) - scene.run)[chosen]
             return shape
 
         one = scene.evidence.searched(late, grid)
@@ -293,13 +289,14 @@ def signs(scene: Scene) -> list[Finding]:
     for i in range(scene.n_outputs):
         column = np.zeros_like(scene.run)
         column[i] = scene.run[i]
-        one = scene.evidence.linear([column])
+        # the initial state was estimated with this output as it is: it may be another one
+        one = scene.evidence.linear([column, *scene.free(i)])
         factor = 1.0 + float(one.values[0])
         name = scene.named(i)
         if -1.3 < factor < -0.7:
             found.append(
                 Finding(
-                    "time", f"whole record, {name}", "sign", one, 1, 1,
+                    "time", f"whole record, {name}", "sign", one, 1 + scene.model.n_states, 1,
                     f"{name} has the wrong sign: it is {factor:.3g} times the model's throughout.",
                     {"output": name, "factor": factor, "kind": "sign"},
                 )  # fmt: skip
@@ -307,7 +304,7 @@ def signs(scene: Scene) -> list[Finding]:
         else:
             found.append(
                 Finding(
-                    "frequency", f"all frequencies, {name}", "gain", one, 1, 1,
+                    "frequency", f"all frequencies, {name}", "gain", one, 1 + scene.model.n_states, 1,
                     f"{name} is {factor:.4g} times the model's at all frequencies: a gain is wrong.",
                     {"output": name, "factor": factor, "kind": "gain", "low": 0.0, "high": np.inf},
                 )  # fmt: skip

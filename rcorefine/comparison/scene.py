@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 from ..exceptions import RCOError, RCOWarning
@@ -106,12 +107,15 @@ class Scene:
             self._drive = G0, G1
         else:
             self._transition, self._drive = model.A, (model.B, np.zeros_like(model.B))
-        initial = None
+        initial: Array | None = None
+        self._motions: Array | None = None
         if estimated:
             longest = max(np.diff([*self.starts, self.n_samples]))
             initial = self._free(int(longest)) / self.scale
+            self._motions = initial if len(self.starts) == 1 and self.n_outputs > 1 else None
         #: where each mode was found, to begin from when it is looked for again
         self.known: dict[int, Array] = {}
+        self._late: dict[float, Array] = {}
         self.evidence = Evidence(self.measured - self.run, self.starts, initial)
 
     def _free(self, length: int) -> Array:
@@ -134,6 +138,14 @@ class Scene:
                 return LinearModel.from_statespace(d2c(sampled))
         except (RCOError, np.linalg.LinAlgError):
             return None
+
+    def free(self, output: int) -> list[Array]:
+        """Free motions as one output alone would show them; none where they are projected off anyway."""
+        if self._motions is None:
+            return []
+        columns = np.zeros((self.model.n_states, *self.run.shape))
+        columns[:, output] = self._motions[:, output].T
+        return list(columns)
 
     @property
     def residual(self) -> Array:
@@ -178,6 +190,35 @@ class Scene:
             np.ascontiguousarray(D), F, self.reset, out,
         )  # fmt: skip
         return [np.ascontiguousarray(column) / self.scale for column in np.moveaxis(out, (2, 1), (0, 1))]
+
+    def late(self, delay: float) -> Array:
+        """Simulated outputs (n_y, N) a number of samples later, exact between the samples."""
+        key = round(delay, 6)
+        if key not in self._late:
+            if len(self._late) > 60:
+                self._late.clear()
+            self._late[key] = self._delayed(delay)
+        return self._late[key]
+
+    def _delayed(self, delay: float) -> Array:
+        whole = int(np.floor(-delay))
+        part = -delay - whole
+        w, model = self.data.inputs, self.model
+        if not model.is_continuous:
+            grid = np.arange(self.n_samples, dtype=float)
+            return np.asarray(CubicSpline(grid, self.run, axis=1)(np.clip(grid - delay, 0.0, grid[-1])))
+        if part < 1e-9:
+            between = self.run
+        else:
+            Phi, G0, G1 = discretize(model.A, model.B, part * self.dt, self.hold)
+            after = np.concatenate([w[:, 1:], w[:, -1:]], axis=1)
+            end = w + part * (after - w) if self.hold == "foh" else w
+            x = Phi @ self.states + G0 @ w + G1 @ end
+            linear = model.C @ self.states + model.D @ w
+            # what the model has beside its linear part is taken as it stands at the sample
+            between = (model.C @ x + model.D @ end - linear) / self.scale + self.run
+        index = np.clip(np.arange(self.n_samples) + whole, 0, self.n_samples - 1)
+        return np.asarray(between[:, index])
 
     def section(self, numerator: Array, denominator: Array, signal: Array) -> Array:
         """Signal through a rational filter, begun anew with each free run."""
