@@ -23,6 +23,7 @@ from .exceptions import (
 )
 from .localization import DamageMap, localize_damage
 from .measurement import Measurement
+from .monitoring import Alarm, Monitor
 from .physics import (
     Effect,
     NominalParameter,
@@ -48,6 +49,7 @@ from .systems import d2c
 __version__ = "0.1.0"
 
 __all__ = [
+    "Alarm",
     "AmplitudeResponse",
     "Comparison",
     "Confirmation",
@@ -64,6 +66,7 @@ __all__ = [
     "Measurement",
     "MissingExtraError",
     "ModelError",
+    "Monitor",
     "NominalParameter",
     "PhysicalModel",
     "Port",

@@ -13,9 +13,10 @@ from ..refinement.starts import Motion
 from ..systems.linear import Array
 from .columns import SHAPING
 from .naming import Fit, Stretch, fit_candidate
+from .report import MonitorRow
 from .stream import Stream
 
-__all__ = ["change_of", "fit_all", "fit_one", "linear_estimates", "shares", "standing"]
+__all__ = ["change_of", "fit_all", "fit_one", "linear_estimates", "linear_rows", "shares", "standing"]
 
 _SHORTLIST = 10
 _LEADERS = 3  # candidates with which the time of the change is settled
@@ -79,7 +80,7 @@ def change_of(stream: Stream) -> tuple[int, Array]:
     N, V = np.cumsum(sums[0][::-1], axis=0)[::-1], np.cumsum(sums[1][::-1], axis=0)[::-1]
     factor = stream.memory["factor"].min(axis=0)
     gain = 0.5 * N**2 / np.where(V > 1e-200, V * factor, np.inf)
-    block, column = np.unravel_index(int(np.argmax(gain)), gain.shape)
+    block = int(np.argmax(gain.max(axis=1)))
     since = int(starts[block])
     if block > 0:  # a block in which part of the samples were sound pulls the start a block too far
         since = max(since - stream.windows.block, int(starts[0]))
@@ -94,6 +95,35 @@ def linear_estimates(stream: Stream, since: int) -> tuple[Array, Array, Array]:
     safe = np.where(V > 1e-200, V, np.inf)
     scale = stream.bank.scale
     return N / safe * scale, scale / np.sqrt(safe), 0.5 * N**2 / safe
+
+
+def linear_rows(stream: Stream) -> list[MonitorRow]:
+    """Ranking from the windows alone, linearized: while no alarm is on."""
+    _, gains = standing(stream)
+    p = shares(float(gains.max()), gains)[1:]
+    mem, keep = stream.memory, stream.windows.keep[:, None]
+    V = np.where(mem["V"] > 1e-200, mem["V"], np.inf)
+    levels = stream.windows.levels[:, None] ** 2
+    square = mem["N"] ** 2 / (V * mem["factor"])
+    rows = []
+    for i, effect in enumerate(stream.bank.effects):
+        own = np.flatnonzero(stream.bank.owner == i)
+        m, c = np.unravel_index(int(np.argmax((square - levels)[:, own])), (keep.size, own.size))
+        j = own[c]
+        scale = stream.bank.scale[j] / (1.0 + float(keep[m, 0]))  # forgetting sums s^2 once, not twice
+        name = stream.bank.names[j]
+        value, std = scale * mem["N"][m, j] / V[m, j], scale * np.sqrt(mem["factor"][m, j] / V[m, j])
+        rows.append(
+            MonitorRow(
+                effect,
+                {name: float(value)},
+                {name: float(std)},
+                float(p[i]),
+                float(0.5 * square[m, j]),
+                False,
+            )
+        )
+    return sorted(rows, key=lambda row: (-row.probability, -row.log_likelihood))
 
 
 def stretch_of(stream: Stream, start: int, free_state: bool, mean: Array) -> Stretch:

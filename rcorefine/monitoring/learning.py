@@ -157,7 +157,7 @@ def _evaluated(
     linear = engine.structure.is_linear
     K = gain if gain.any() else None
     for _ in range(1 if linear else 6):
-        run = engine.run(theta, x0, initial_state=True, gain=K, use=use, check=False)
+        run = engine.run(theta, x0, initial_state=True, gain=K, use=use > 0, check=False)
         if run.blew_up >= 0 or not np.isfinite(run.sensitivity).all():
             break
         slopes = run.sensitivity[:, :, -x0.size :] / spread[:, None, None]
@@ -165,7 +165,7 @@ def _evaluated(
         size = np.linalg.norm(slopes[flags], axis=0)
         scale = np.where(size > 1e-9 * size.max(initial=0.0), size, np.inf)
         x0 = x0 + np.linalg.lstsq(slopes[flags] / scale, error[flags], rcond=1e-6)[0] / scale
-    run = engine.run(theta, x0, sensitivity=False, gain=K, use=use, check=False)
+    run = engine.run(theta, x0, sensitivity=False, gain=K, use=use > 0, check=False)
     if run.blew_up >= 0 or not np.isfinite(run.outputs).all():
         return None, math.inf
     e = y - run.outputs

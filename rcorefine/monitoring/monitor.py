@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,15 +18,18 @@ from ..physics.effects import Effect
 from ..physics.library import effect_library
 from ..rco.checks import as_size
 from ..rco.gaps import Block, as_missing, block_with_gaps, whole_block
+from ..rco.persistence import read_file, write_file
 from ..rco.samples import checked_block
+from ..reporting.tables import html_table, text_table
 from ..systems.discretization import check_sampling_time
 from ..systems.linear import Array
 from .base import Observer, as_base, pace_of
 from .columns import UNSEEN, build_bank
-from .evidence import linear_estimates, change_of, shares, standing
+from .evidence import linear_rows, shares, standing
 from .history import Course
 from .learning import learn as learn_from
-from .report import Alarm, MonitorRow
+from .report import Alarm, MonitorRow, summary
+from .saving import content_of, restored
 from .stream import Stream, Windows
 from .thresholds import threshold
 from .watch import Watch
@@ -42,7 +46,98 @@ _SLOW = 16  # periods of the mean that is taken off
 
 
 class Monitor:
-    """TODO."""
+    """Watch a structure on a stream: is it still healthy, and if not, what has changed since when.
+
+    A steady observer of the healthy model follows the samples. What it does not explain is
+    whitened; every candidate effect contributes what it would add to the outputs, and a
+    sequential test asks at each sample whether one of them has been present for the last
+    8, 16, 32, ... samples. The memory taken does not grow with the stream.
+
+    Parameters
+    ----------
+    model : StateSpace, PhysicalModel or Refinement
+        Healthy structure, continuous time. Where its numbers are not exact, refine it
+        first (`refine` on a healthy record): a wrong model is a change from the start.
+    candidates : sequence of Effect, optional
+        What may come; default `effect_library` without hidden modes.
+    dt : float
+        Sampling time [s].
+    false_alarms : float, optional
+        Expected number of false alarms in 100 000 healthy samples, at most. The default
+        0.01 is one in ten million samples.
+    learn : int, optional
+        Samples at the start that are taken for healthy, from which the noise (color and
+        level, unmeasured forces) is learned; default 2000, or 20 periods of the first mode.
+    disturbance : float, optional
+        Unmeasured force over the measured input, rms; by default found by likelihood.
+    hold : {"zoh", "foh"}, optional
+        The input between samples: held, or linear.
+    missing : {"raise", "hold-out"}, optional
+        With "hold-out" samples that are NaN or masked are predicted over and not judged; after
+        a gap of an input the monitor pauses until its observer has settled.
+    windows : tuple of two int, optional
+        Shortest and longest memory of the test in samples; default a quarter of a period
+        (at least 8) and 200 periods of the first mode.
+    patience : float, optional
+        Periods of the first mode that an alarm may wait for a clear name, default 4; 0 rings
+        at once, with the best name that there is.
+
+    Attributes
+    ----------
+    dt, false_alarms, learn, disturbance, hold, missing, patience
+        As given.
+    candidates : tuple of Effect
+        Candidates, in the order of `probability`.
+
+    Raises
+    ------
+    control.ControlArgument
+        If a setting has the wrong type.
+    ModelError
+        If a setting is out of range, the model is discrete, or a candidate has no place in it.
+
+    Notes
+    -----
+    *Test.* With the whitened innovation r and the whitened sensitivity s of a candidate, the
+    statistic of a window with forgetting factor g is ``sum g^i s r / sqrt(sum g^2i s^2)``: for
+    a healthy structure of unit variance whatever the input does. Thresholds
+    follow from the rate at which such a process crosses a level by chance (Siegmund),
+    the stated rate shared out evenly among columns and windows, which errs to the
+    safe side because they are correlated. One innovation counts for 3 standard deviations at most,
+    so that single outliers ring nothing. While nothing is wrong the noise level is followed,
+    and where the statistics of a candidate scatter more than by theory (an unmeasured
+    force of unknown color, say) its thresholds rise by as much.
+
+    *Name.* After a crossing the candidates are fitted to the samples since the change
+    (nonlinear, in the observer's form) until one place is clear, then from time to time to the last 8
+    periods, so that growth is followed and healing is noticed.
+
+    *Slow drift.* A slow mean (16 periods) is taken off innovations and candidates alike:
+    offsets and drift of sensors ring nothing, jumps do.
+
+    References
+    ----------
+    M. Basseville, I. Nikiforov, Detection of Abrupt Changes, Prentice Hall 1993, chapters 7 to 9.
+    D. Siegmund, Sequential Analysis, Springer 1985.
+
+    Examples
+    --------
+    >>> model = rco.mass_spring_damper(1.0, 0.4, 100.0)
+    >>> damaged = rco.mass_spring_damper(1.0, 0.4, 90.0)
+    >>> rng = np.random.default_rng(1)
+    >>> w = rng.standard_normal(1500)
+    >>> def measured(plant, w):
+    ...     y = ct.forced_response(plant.system.sample(0.05), inputs=w).outputs
+    ...     return y + 0.002 * rng.standard_normal(w.size)
+    >>> monitor = rco.Monitor(model, [rco.Effect("stiffness", "link1"), rco.Effect("damping", "link1")],
+    ...                       dt=0.05, learn=500)
+    >>> monitor.update(w, measured(model, w))
+    >>> monitor.alarm is None
+    True
+    >>> monitor.update(w, measured(damaged, w))
+    >>> print(monitor.alarm.effect.label, f"{monitor.alarm.coefficients['stiffness']:.0f}")
+    stiffness at link1 -10
+    """
 
     def __init__(
         self,
@@ -65,7 +160,8 @@ class Monitor:
         self.dt = check_sampling_time(dt)
         if hold not in ("zoh", "foh"):
             raise ct.ControlArgument(
-                f"hold must be 'zoh' or 'foh' on a stream, not {hold!r}; a band-limited input needs the future"
+                f"hold must be 'zoh' or 'foh' on a stream, not {hold!r}: a band-limited input "
+                "needs the future"
             )
         self.hold = hold
         self.missing = as_missing(missing)
@@ -88,6 +184,7 @@ class Monitor:
             learn = max(_LEAST, _LEARN_PERIODS * self._pace.period)
         self.learn = as_size(learn, "learn", 200, "samples of the learning phase")
         self._block = max(1, self._pace.period // 8)
+        self.windows = windows
         self._lengths = _lengths(windows, self._pace.period)
         self._view = SimpleNamespace(initial=self._structure.linear_model, step=self.dt)
         self.reset()
@@ -106,7 +203,29 @@ class Monitor:
 
     # ------------------------------------------------------------------ samples in
     def update(self, w: ArrayLike, y: ArrayLike) -> None:
-        """TODO."""
+        """Take one sample or a block.
+
+        Parameters
+        ----------
+        w : array_like of shape (n_w,) or (n_w, N)
+            Inputs; 1-D of shape (N,) for a single input.
+        y : array_like of shape (n_y,) or (n_y, N)
+            Outputs at the same samples.
+
+        Raises
+        ------
+        control.ControlDimension
+            If shapes do not fit.
+        DataError
+            If a sample is missing or not finite (see `missing`), or the learning phase is
+            of no use.
+        DivergenceError
+            If the observer leaves all bounds.
+
+        Notes
+        -----
+        The result does not depend on how the stream is cut into blocks.
+        """
         if self.missing == "raise":
             block = whole_block(*checked_block(self._view, w, y, self._count))  # type: ignore[arg-type]
         else:
@@ -126,7 +245,23 @@ class Monitor:
         self._take(block, position)
 
     def run(self, data: Measurement) -> Monitor:
-        """TODO."""
+        """Take a whole record, channels matched by name.
+
+        Parameters
+        ----------
+        data : Measurement
+            Record with the sampling time and the hold of the monitor.
+
+        Returns
+        -------
+        Monitor
+            The monitor itself.
+
+        Raises
+        ------
+        DataError
+            If sampling time or hold differ.
+        """
         from ..comparison.channels import match_channels, record_for
 
         if not isinstance(data, Measurement):
@@ -138,8 +273,8 @@ class Monitor:
             raise DataError(f"the record has dt = {data.dt:g} s and the monitor {self.dt:g} s; resample one")
         if data.hold != self.hold:
             raise DataError(
-                f"the record has hold={data.hold!r} and the monitor hold={self.hold!r}; build the monitor with "
-                f"hold={data.hold!r}"
+                f"the record has hold={data.hold!r} and the monitor hold={self.hold!r}; build the "
+                f"monitor with hold={data.hold!r}"
             )
         ordered = record_for(data, match_channels(self._structure.linear_model, data))
         self.update(ordered.inputs, ordered.outputs)
@@ -155,17 +290,13 @@ class Monitor:
             )
         W, Y = block.inputs, block.outputs
         data = Measurement(W.T, Y.T, dt=self.dt, hold=self.hold)
-        healthy = learn_from(
-            self._structure, self._theta, self._substeps, data, block.use, self.disturbance
-        )
+        healthy = learn_from(self._structure, self._theta, self._substeps, data, block.use, self.disturbance)
         bank = build_bank(self._structure, self._theta, self.candidates, data, self.hold, healthy.gain)
         keep = 1.0 - 1.0 / self._lengths
         T = self._pace.period
         levels = threshold(self.false_alarms / _PER, keep, bank.size)
         windows = Windows(keep, levels, self._block, _BLOCKS, 1.0 / (_SLOW * T))
-        observer = Observer(
-            self._structure, self._theta, self.dt, self.hold, self._substeps, healthy.gain
-        )
+        observer = Observer(self._structure, self._theta, self.dt, self.hold, self._substeps, healthy.gain)
         return Stream(observer, healthy, bank, windows, self.learn)
 
     def _take(self, block: Block, position: int) -> None:
@@ -228,9 +359,135 @@ class Monitor:
 
     @property
     def probability(self) -> Array:
-        """TODO."""
+        """Course of the probabilities at `timepts`, shape (1 + n_candidates, n_rows).
+
+        The first row is "nothing has changed": one half where the statistic stands at its
+        threshold. The others follow in the order of `candidates`. At most 2048
+        rows are kept; a longer stream is thinned.
+        """
         c = self._course
         return c.rows[: c.count, : 1 + len(self.candidates)].T.copy()
+
+    @property
+    def statistic(self) -> Array:
+        """Course of the largest statistic over its threshold at `timepts`, shape (n_rows,)."""
+        c = self._course
+        return c.rows[: c.count, -3].copy()
+
+    @property
+    def coefficient(self) -> Array:
+        """Course of the named effect's first coefficient and its standard deviation, (2, n_rows).
+
+        NaN while no alarm is on.
+        """
+        c = self._course
+        return c.rows[: c.count, -2:].T.copy()
+
+    @property
+    def ranking(self) -> tuple[MonitorRow, ...]:
+        """All candidates, the most probable first; empty during the learning phase."""
+        if self._stream is None:
+            return ()
+        if self._watch.rows:
+            return tuple(self._watch.rows)
+        return tuple(linear_rows(self._stream))
+
+    # ------------------------------------------------------------------ pictures, text, files
+    def plot(
+        self,
+        *,
+        ax: Any = None,
+        label: str | Sequence[str] | None = None,
+        title: str | None = None,
+        legend_loc: str | bool | None = None,
+        rcParams: dict[str, Any] | None = None,
+        show_legend: bool | None = None,
+    ) -> ct.ControlPlot:
+        """Draw statistic, probabilities and the coefficient of the named effect over time.
+
+        Parameters
+        ----------
+        ax : array of Axes, shape (3, 1), optional
+            Where to draw.
+        label : str or sequence of str, optional
+            Labels of the probabilities shown, "nothing" first.
+        title : str, optional
+            Title; by default what the alarm says.
+        legend_loc, show_legend, rcParams
+            As in python-control's plots.
+
+        Returns
+        -------
+        ControlPlot
+            Lines, axes and figure.
+
+        Raises
+        ------
+        DataError
+            During the learning phase, when there is nothing to draw yet.
+        """
+        from ..reporting.monitor import monitor_plot
+
+        return monitor_plot(
+            self,
+            ax=ax,
+            label=label,
+            title=title,
+            legend_loc=legend_loc,
+            rcParams=rcParams,
+            show_legend=show_legend,
+        )
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the monitor to a file, to go on later exactly where it stood.
+
+        Parameters
+        ----------
+        path : path-like
+            File, replaced in one step.
+        """
+        write_file(path, content_of(self))
+
+    @classmethod
+    def load(
+        cls, path: str | os.PathLike[str], *, laws: Mapping[str, Callable[..., Any]] | None = None
+    ) -> Monitor:
+        """Read a monitor that `save` wrote.
+
+        Parameters
+        ----------
+        path : path-like
+            File.
+        laws : mapping, optional
+            Functions of `custom` effects by the label of the effect; no file holds them.
+
+        Returns
+        -------
+        Monitor
+            Ready for the next sample.
+
+        Raises
+        ------
+        DataError
+            If the file is none of a monitor, or damaged.
+        """
+        return restored(cls, read_file(path, laws))
+
+    def __str__(self) -> str:
+        return text_table(**summary(self))
+
+    def _repr_html_(self) -> str:
+        return html_table(**summary(self))
+
+    def __repr__(self) -> str:
+        state = "alarm" if self.alarm else ("learning" if self._stream is None else "no alarm")
+        return f"<Monitor of {self._structure.linear_model.name!r}: {self.n_samples} samples, {state}>"
+
+    def __getstate__(self) -> dict[str, Any]:
+        return dict(content_of(self))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(restored(Monitor, state).__dict__)
 
 
 def _candidates(model: Any, given: Sequence[Effect] | None) -> tuple[Effect, ...]:
@@ -245,7 +502,7 @@ def _candidates(model: Any, given: Sequence[Effect] | None) -> tuple[Effect, ...
         model.check(effect)
         if effect.kind in UNSEEN:
             raise ModelError(
-                f"{effect.label} cannot be watched for: it is no force along the motion that the model knows; "
+                f"{effect.label} cannot be watched for: it is no force along the model's motion; "
                 "use diagnose() on a record"
             )
         if effect.kind == "custom" and effect.coefficients != ("scale",):

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from ..measurement import Measurement
@@ -38,7 +39,7 @@ class Stretch:
         Substeps per sample.
     data : Measurement
         Samples, gaps filled.
-    use : ndarray, shape (N, n_y)
+    use : ndarray of uint8, shape (N, n_y)
         Which outputs were measured.
     x0 : ndarray, shape (n,)
         State before the first sample.
@@ -54,7 +55,7 @@ class Stretch:
     theta: Array
     substeps: int
     data: Measurement
-    use: Array
+    use: NDArray[np.uint8]
     x0: Array
     gain: Array
     filters: Array
@@ -195,7 +196,7 @@ def _descend(
         begin = x0 + point[p:] if free else x0
         run = engine.run(
             theta, begin, sensitivity=slopes, initial_state=slopes and free > 0, gain=K,
-            use=stretch.use, check=False,
+            use=stretch.use > 0, check=False,
         )  # fmt: skip
         if run.blew_up >= 0 or not np.isfinite(run.outputs).all():
             return math.inf, np.zeros(0), np.zeros((0, 0))

@@ -181,8 +181,17 @@ class Stream:
         before = states - np.where(use > 0, Y - outputs, 0.0) @ self.observer.gain.T
         sensed = np.ascontiguousarray(np.hstack([before, W]))
         F, inner = np.zeros((len(W), bank.size)), self.memory["inner"].copy()
+        rate = 1.0 / self.observer.dt
         kernels.forces(
-            sensed, bank.rows, bank.codes, bank.values, bank.widths, bank.pick, 1.0 / self.observer.dt, inner, F
+            sensed,
+            bank.rows,
+            bank.codes,
+            bank.values,
+            bank.widths,
+            bank.pick,
+            1.0 / self.observer.dt,
+            inner,
+            F,
         )
         for j in np.flatnonzero(bank.codes == 0):
             law = bank.effects[bank.owner[j]].law
