@@ -33,7 +33,7 @@ __all__ = ["ExperimentAdvice", "ExperimentOption", "suggest"]
 
 _COSTS = {"repeat": 1.0, "amplitude": 1.5, "band": 2.0, "longer": 1.0, "sensor": 6.0}
 _MOST = 8  # contenders that are simulated
-_NEAR = 0.05  # p-value of a candidate below which an adequate model has something near
+_NEAR = 0.2  # p-value, corrected for the candidates, below which an adequate model has something near
 _FEW = 3  # such candidates at most
 _BEYOND = 1.25  # motion over the largest seen that calls for a warning
 _NESTED = 1.0  # squared distance below which no record of the kind tells a pair apart
@@ -299,7 +299,8 @@ def _near(found: Diagnosis, fitted: Fitted) -> tuple[list[Contender], Fitted, st
     motion = Motion(fitted.structure, fitted.theta, fitted.problem.records[0])
     scored = candidate_columns(fitted, effects, motion, (found.force_ratio,))
     tests = Battery(fitted, found.force_ratio).each(scored)
-    near = [i for i in np.argsort([t.p_value for t in tests], kind="stable") if tests[i].p_value < _NEAR]
+    order = np.argsort([t.p_value for t in tests], kind="stable")
+    near = [i for i in order if tests[i].p_value * len(tests) < _NEAR]
     race = run_race(fitted, [scored[i] for i in near[:_FEW]], found.force_ratio) if near else None
     if race is None:
         return alone, fitted, nothing
