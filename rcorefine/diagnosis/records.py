@@ -15,10 +15,11 @@ from ..comparison.channels import match_channels, record_for
 from ..measurement import Measurement
 from ..physics.effects import Effect
 from ..physics.library import effect_library
+from ..physics.observer import observer_gain
 from ..physics.simulation import check_channels
 from ..refinement.assembly import priors
 from ..refinement.outcome import output_weights
-from ..refinement.problem import Problem, residual_blocks
+from ..refinement.problem import Problem
 from ..refinement.refinement import Refinement
 from ..refinement.search import starting_states
 from ..refinement.starts import Motion
@@ -27,7 +28,7 @@ from ..systems.linear import Array
 from .battery import Battery, run_battery
 from .columns import candidate_columns
 from .descent import descend
-from .state import Fitted
+from .state import Fitted, evaluated
 from .whitening import FTest, Whitener
 
 __all__ = ["Confirmation", "RecordEstimate", "confirm"]
@@ -194,6 +195,7 @@ def confirm(
     candidates: Sequence[Effect] | None = None,
     tolerance: float = 0.0,
     noise: float | Sequence[float] | None = None,
+    force_ratio: float = 0.0,
     significance: float = 0.005,
 ) -> Confirmation:
     """Test a refined model on further records, best taken at another amplitude.
@@ -213,6 +215,9 @@ def confirm(
         Relative prior sd of the linear parameters, as in `refine`.
     noise : float or sequence of float, optional
         Known sensor noise (standard deviation per output).
+    force_ratio : float
+        Unmeasured force over the measured one in the first record that is allowed for, as
+        `Diagnosis.force_ratio` says it; taken to be as large in the other records.
     significance : float
         Level below which the effects are refuted.
 
@@ -249,6 +254,8 @@ def confirm(
     """
     if not isinstance(model, Refinement):
         raise ct.ControlArgument(f"model must be a Refinement, not {type(model).__name__}; call refine first")
+    if not force_ratio >= 0:
+        raise ct.ControlArgument(f"force_ratio must not be negative, got {force_ratio!r}")
     if not 0 < significance < 1:
         raise ct.ControlArgument(f"significance must lie between 0 and 1, not {significance!r}")
     records = as_records(data)
@@ -264,12 +271,15 @@ def confirm(
     library = effect_library(model.physical_model) if candidates is None else list(candidates)
     held = {(effect.kind, effect.place) for effect in model.effects}
     rest = [effect for effect in library if (effect.kind, effect.place) not in held]
-    alone = [_alone(model, record, i, tolerance, noise) for i, record in enumerate(ordered)]
     levels = [float(np.sqrt(np.mean(record.inputs**2))) or 1.0 for record in ordered]
+    ratios = [force_ratio * levels[0] / level for level in levels]
+    alone = [
+        _alone(model, record, tolerance, noise, ratio) for record, ratio in zip(ordered, ratios, strict=True)
+    ]
     block = np.ix_(own, own)
     estimates = []
     for i, (fitted, covariance) in enumerate(alone):
-        tests = _battery(fitted, rest)
+        tests = _battery(fitted, rest, ratios[i])
         valid = [t.p_value for t in tests if t.dof]
         agreement = 1.0
         if i:
@@ -314,7 +324,7 @@ def _message(verdict: str, labels: list[str], further: Sequence[RecordEstimate],
 
 
 def _alone(
-    model: Refinement, record: Measurement, index: int, tolerance: float, noise: Any
+    model: Refinement, record: Measurement, tolerance: float, noise: Any, ratio: float
 ) -> tuple[Fitted, Array]:
     """The model at its minimum on one record, and the covariance of its coefficients."""
     structure, theta, steps = model.simulation_structure()
@@ -325,17 +335,15 @@ def _alone(
         return Problem(structure, segments, weights, prior_mean=mean, prior_sd=sd, substeps=steps)
 
     made = problem(output_weights(segments, noise) if noise is not None else 1.0 / model.rmse)
-    if index == 0 and model.initial_states.shape[0] == len(segments):
-        starts = model.initial_states
-    else:
-        starts = starting_states(made, theta)
-    point = descend(made, made.pack(theta, starts), evaluations=15, tolerance=1e-6).point
+    point = made.pack(theta, starting_states(made, theta))
+    point = descend(made, point, evaluations=15, tolerance=1e-6).point
     if noise is None:
         made = problem(output_weights(segments, None, made, point))
+    gain = observer_gain(structure, theta, segments[0], ratio) if ratio > 0 else None
     for _ in range(_ROUNDS):
-        whitener = Whitener.fit([r for r, _ in residual_blocks(made, point)])
-        point = descend(made, point, whitener=whitener, evaluations=10, tolerance=1e-8).point
-    blocks = residual_blocks(made, point)
+        whitener = Whitener.fit([r for r, _ in evaluated(made, point, gain)])
+        point = descend(made, point, gain=gain, whitener=whitener, evaluations=10, tolerance=1e-8).point
+    blocks = evaluated(made, point, gain)
     whitener = Whitener.fit([r for r, _ in blocks])
     J = whitener.apply([j for _, j in blocks])
     prior = np.zeros(made.size)
@@ -344,13 +352,16 @@ def _alone(
     size[size == 0] = 1.0
     information = (J / size).T @ (J / size) + np.diag(prior / size**2)
     covariance = np.linalg.pinv(information, rcond=1e-12, hermitian=True) / np.outer(size, size)
-    return Fitted(model, made, point, tolerance), covariance[: theta.size, : theta.size]
+    fitted = Fitted(model, made, point, tolerance)
+    if gain is not None:
+        fitted._gains[ratio] = gain
+    return fitted, covariance[: theta.size, : theta.size]
 
 
-def _battery(fitted: Fitted, rest: Sequence[Effect]) -> list[FTest]:
+def _battery(fitted: Fitted, rest: Sequence[Effect], ratio: float) -> list[FTest]:
     motions = [Motion(fitted.structure, fitted.theta, record) for record in fitted.problem.records]
-    scored = candidate_columns(fitted, rest, motions[0], (0.0,))
-    return run_battery(Battery(fitted), scored, motions)
+    scored = candidate_columns(fitted, rest, motions[0], (ratio,))
+    return run_battery(Battery(fitted, ratio), scored, motions)
 
 
 def _wald(difference: Array, covariance: Array) -> float:
