@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from ..systems.exponential import exponential
 from ..systems.linear import Array
-from .laws import CODES, JUMPING, evaluate_law
+from .laws import CODES, JUMPING
+from .periods import dahl_over_period, law_over_period
 from .structure import Structure
 
 __all__ = ["Balance", "SteadyState"]
@@ -278,11 +279,7 @@ class Balance:
         if code in _JUMP_CODES:
             rate = float(np.ptp(v)) * np.pi / self.n_times
             width = max(width, _SAMPLES_PER_JUMP * rate) * self._spread
-        rows = [
-            evaluate_law(code, float(a), float(b), 0.0, 0.0, p[0], p[1], p[2], p[3], width)[:3]
-            for a, b in zip(d, v, strict=True)
-        ]
-        f, by_d, by_v = np.array(rows).T
+        f, by_d, by_v = law_over_period(code, d, v, p, width)
         return f, by_d, by_v
 
     def _custom(self, which: int, p: Array, d: Array, v: Array) -> tuple[Array, Array, Array]:
@@ -301,27 +298,11 @@ class Balance:
 
     def _memory(self, p: Array, d: Array) -> tuple[Array, Array]:
         """Dahl's law over a period: its inner state returns to where it began."""
-        n = d.size
-        f, by = np.empty(n), np.zeros((n, n))
-        inner, slope, contraction = 0.0, np.zeros(n), 1.0
-        for turn in range(2):
-            if turn == 1:  # after a turn the inner state is affine in its start: this is where it returns
-                kept = 1.0 - contraction
-                inner, slope = (inner / kept, slope / kept) if kept > 1e-12 else (0.0, np.zeros(n))
-            contraction = 1.0
-            for i in range(n):
-                out = evaluate_law(
-                    _HYSTERESIS, float(d[i]), 0.0, float(d[i - 1]), inner, p[0], p[1], p[2], p[3], 1.0
-                )
-                f[i] = out[0]
-                by[i] = out[4] * slope
-                by[i, i] += out[1]
-                by[i, i - 1] += out[3]
-                slope = out[8] * slope
-                slope[i] += out[6]
-                slope[i - 1] += out[7]
-                inner = out[5]
-                contraction *= out[8]
+        # after a turn the inner state is affine in its start: here is where it returns to itself
+        _, _, end, slope, left = dahl_over_period(_HYSTERESIS, d, p, 0.0, np.zeros(d.size))
+        lost = 1.0 - left
+        start, slope = (end / lost, slope / lost) if lost > 1e-12 else (0.0, np.zeros(d.size))
+        f, by, *_ = dahl_over_period(_HYSTERESIS, d, p, start, slope)
         return f, by
 
 
