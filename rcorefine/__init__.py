@@ -7,9 +7,10 @@ out. The estimator is retrospective cost model refinement (D'Amato et al.).
 from . import examples
 from .comparison import Comparison, compare
 from .diagnosis import Diagnosis, diagnose
+from .diagnosis.confirmation import Confirmation
 from .diagnosis.improve import improve
 from .diagnosis.ledger import Improvement
-from .diagnosis.records import Confirmation, confirm
+from .diagnosis.records import confirm
 from .exceptions import (
     ConversionWarning,
     DataError,

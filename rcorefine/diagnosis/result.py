@@ -209,7 +209,7 @@ class Diagnosis:
         >>> print(found.suggest_experiment().message)
         Nothing to separate: no test fires, and no candidate comes near.
         """
-        from .experiment import suggest
+        from .advice import suggest
 
         return suggest(
             self,

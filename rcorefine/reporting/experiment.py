@@ -11,8 +11,8 @@ import numpy as np
 from .figures import finish, unit_text
 
 if TYPE_CHECKING:
+    from ..diagnosis.confirmation import Confirmation
     from ..diagnosis.experiment import ExperimentAdvice
-    from ..diagnosis.records import Confirmation
 
 __all__ = ["confirmation_plot", "experiment_plot"]
 
