@@ -167,18 +167,18 @@ def advice(first: int, seeds: int, case: str, verbose: bool, seconds: float) -> 
             print(f"{name:32s} {n:4d} {figures}   {wrong[name]:5d}", flush=True)
 
 
-def passed_model(hidden: Hidden) -> tuple[str, rco.Refinement | None]:
-    """What one record lets pass: a single effect, or a pair; None where nothing does."""
+def passed_model(hidden: Hidden) -> tuple[str, rco.Refinement | None, float]:
+    """What one record lets pass: a single effect, a pair, or (None) nothing; and the unmeasured force."""
     model, data, laws = hidden.plant.model, hidden.data, hidden.candidates
     found = rco.diagnose(model, data, candidates=laws)
     if found.verdict in ("effect", "ambiguous"):
-        return "single", found.best.refinement
+        return "single", found.best.refinement, found.force_ratio
     if found.best is None:
-        return found.verdict, None
+        return found.verdict, None, 0.0
     second = rco.diagnose(found.refine(), data, candidates=laws)
     if second.verdict in ("effect", "ambiguous"):
-        return "pair", second.best.refinement
-    return "unexplained", None
+        return "pair", second.best.refinement, second.force_ratio
+    return "unexplained", None, 0.0
 
 
 def with_second(hidden: Hidden, seed: int, goal: float) -> tuple[Hidden, rco.Effect]:
@@ -213,7 +213,9 @@ ROWS = {
 }
 
 
-def taught(seed: int, kind: str, loss: float, noise: float) -> tuple[Hidden, str, rco.Refinement | None]:
+def taught(
+    seed: int, kind: str, loss: float, noise: float
+) -> tuple[Hidden, str, rco.Refinement | None, float]:
     """A record, and the model that it lets pass; for the rows of true laws the model that holds them."""
     plant = ("chain", "chain", "quarter car", "ring")[seed % 4]
     true = kind in ("any", "pair")
@@ -224,7 +226,7 @@ def taught(seed: int, kind: str, loss: float, noise: float) -> tuple[Hidden, str
     if kind == "pair":
         hidden, second = with_second(hidden, seed, loss)
         if (second.kind, second.place) == (hidden.kind, hidden.place):
-            return hidden, "none", None
+            return hidden, "none", None, 0.0
         effects.append(second)
         data = measured(hidden, hidden.data.inputs, np.random.default_rng([seed, 8]))
         hidden = replace(hidden, data=data)
@@ -247,7 +249,7 @@ def amplitude(first: int, seeds: int, rows: list[str], verbose: bool, seconds: f
             if time.time() - start > seconds:
                 break
             try:
-                hidden, how, model = taught(seed, *ROWS[name])
+                hidden, how, model, ratio = taught(seed, *ROWS[name])
                 passed[how] += 1
                 if model is None:
                     continue
@@ -255,7 +257,7 @@ def amplitude(first: int, seeds: int, rows: list[str], verbose: bool, seconds: f
             except FloatingPointError:
                 continue
             records = [hidden.data, second]
-            seen = confirm(model, records, candidates=hidden.candidates)
+            seen = confirm(model, records, candidates=hidden.candidates, force_ratio=ratio)
             refuted[how] += seen.verdict == "refuted"
             word = ""
             if how == "single":
