@@ -273,6 +273,8 @@ class Diagnosis:
                 f"The residual speaks of an unmeasured force of about {100 * self.force_ratio:.2g} % of the "
                 "measured one, which is allowed for."
             )
+        if self.verdict == "ambiguous":
+            lines.append("suggest_experiment() names the record that would tell them apart.")
         return [*lines, *self.notes]
 
     def _best_text(self) -> str:
