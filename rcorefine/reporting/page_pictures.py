@@ -116,8 +116,10 @@ def _stack(figure: Any) -> float | None:
     places = [axis.get_subplotspec() for axis in figure.axes]
     if any(place is None for place in places) or all(place.get_gridspec().ncols == 1 for place in places):
         return None
-    # columns that share their x axis belong together, independent panels are read row by row
-    together = any(len(axis.get_shared_x_axes().get_siblings(axis)) > 1 for axis in figure.axes)
+    # columns that share their x axis or have one heading belong together, other panels are read row by row
+    below = [axis for axis, place in zip(figure.axes, places, strict=True) if place.rowspan.start > 0]
+    shared = any(len(axis.get_shared_x_axes().get_siblings(axis)) > 1 for axis in figure.axes)
+    together = shared or not any(axis.get_title() for axis in below)
 
     def order(index: int) -> tuple[int, int]:
         row, column = places[index].rowspan.start, places[index].colspan.start
