@@ -16,7 +16,17 @@ from .naming import Fit, Stretch, fit_candidate
 from .report import MonitorRow
 from .stream import Stream
 
-__all__ = ["change_of", "fit_all", "fit_one", "linear_estimates", "linear_rows", "shares", "standing"]
+__all__ = [
+    "change_of",
+    "find_state",
+    "fit_all",
+    "fit_one",
+    "linear_estimates",
+    "linear_rows",
+    "misfit_remarks",
+    "shares",
+    "standing",
+]
 
 _SHORTLIST = 10
 _LEADERS = 3  # candidates with which the time of the change is settled
@@ -126,6 +136,20 @@ def linear_rows(stream: Stream) -> list[MonitorRow]:
     return sorted(rows, key=lambda row: (-row.probability, -row.log_likelihood))
 
 
+def misfit_remarks(stream: Stream) -> tuple[str, ...]:
+    """Whether a candidate was there already in the learning phase, in words."""
+    _, _, gains = linear_estimates(stream, 0)
+    best = int(np.argmax(gains))
+    score = math.sqrt(2 * float(gains[best]))
+    if score < stream.windows.levels[-1]:
+        return ()
+    label = stream.bank.effects[stream.bank.owner[best]].label
+    return (
+        f"The model does not explain the learning phase: {label} or the like is missing ({score:.0f} "
+        "standard deviations). Thresholds stand higher for it; refine the model on a healthy record first.",
+    )
+
+
 def stretch_of(stream: Stream, start: int, free_state: bool, mean: Array) -> Stretch:
     """Samples from `start` on as the fit needs them."""
     W, Y, use, x0 = stream.recent(start)
@@ -178,7 +202,8 @@ def fit_all(
     estimates, _, gains = linear_estimates(stream, since)
     order = np.argsort(-_by_candidate(stream, gains))
     chosen = [int(i) for i in order[:_SHORTLIST]]
-    chosen += [int(i) for i in order[_SHORTLIST:] if effects[i].kind in _ALWAYS or effects[i] in before]
+    always = (lambda effect: effect in before) if before else (lambda effect: effect.kind in _ALWAYS)
+    chosen += [int(i) for i in order[_SHORTLIST:] if always(effects[i])]
 
     def fits_from(start: int, which: Sequence[int], known: Mapping[Effect, Array]) -> list[tuple[Fit, float]]:
         if latest is None:
@@ -238,6 +263,14 @@ def fit_all(
         (fit, gain / temper - 0.5 * (fit.coefficients.size - 1) * math.log(points)) for fit, gain in scored
     ]
     return sorted(fair, key=lambda pair: -pair[1]), since, temper
+
+
+def find_state(stream: Stream) -> None:
+    """Find the state anew after a missing input, which a lightly damped model does not forget."""
+    start = max(int(stream.memory["lost"][0]), stream.oldest)
+    stretch = stretch_of(stream, start, True, stream.memory["mean_e"])
+    motion = Motion(stretch.structure, stretch.theta, stretch.data)
+    stream.found(start, fit_candidate(stretch, None, motion).state)
 
 
 def fit_one(stream: Stream, index: int, start: int, mean: Array, before: Array) -> tuple[Fit, Fit]:

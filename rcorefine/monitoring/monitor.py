@@ -25,7 +25,7 @@ from ..systems.discretization import check_sampling_time
 from ..systems.linear import Array
 from .base import Observer, as_base, pace_of
 from .columns import UNSEEN, build_bank
-from .evidence import linear_rows, shares, standing
+from .evidence import find_state, linear_rows, misfit_remarks, shares, standing
 from .history import Course
 from .learning import learn as learn_from
 from .report import Alarm, MonitorRow, summary
@@ -73,8 +73,9 @@ class Monitor:
     hold : {"zoh", "foh"}, optional
         The input between samples: held, or linear.
     missing : {"raise", "hold-out"}, optional
-        With "hold-out" samples that are NaN or masked are predicted over and not judged; after
-        a gap of an input the monitor pauses until its observer has settled.
+        With "hold-out" samples that are NaN or masked are predicted over and not judged. After
+        a gap of an input the monitor pauses until its observer has settled, at most 8 periods;
+        then the state is found anew.
     windows : tuple of two int, optional
         Shortest and longest memory of the test in samples; default a quarter of a period
         (at least 8) and 200 periods of the first mode.
@@ -88,6 +89,8 @@ class Monitor:
         As given.
     candidates : tuple of Effect
         Candidates, in the order of `probability`.
+    remarks : tuple of str
+        What the learning phase showed, one sentence each.
 
     Raises
     ------
@@ -196,6 +199,7 @@ class Monitor:
         self._waiting: list[Block] = []
         self._count = 0
         self._latest = np.zeros(linear.n_inputs)
+        self.remarks: tuple[str, ...] = ()
         self._watch = Watch(
             self._pace.period, self.dt, self.false_alarms, self.patience, _BLOCKS * self._block
         )
@@ -242,6 +246,7 @@ class Monitor:
             self._stream = self._start(whole)
             self._waiting = []
             self._take(whole, 0)
+            self.remarks = misfit_remarks(self._stream)
         self._take(block, position)
 
     def run(self, data: Measurement) -> Monitor:
@@ -309,6 +314,8 @@ class Monitor:
             healthy = not watch.busy
             if not healthy:
                 until = min(until, watch.next_event(here))
+            if stream.find_at > here:
+                until = min(until, stream.find_at)
             stop = position + until - here
             done, ratio = stream.advance(
                 block.inputs[position:stop], block.outputs[position:stop], block.use[position:stop],
@@ -319,6 +326,8 @@ class Monitor:
                 watch.ring(stream)
             elif not healthy and stream.n_samples >= watch.next_event(here):
                 watch.attend(stream)
+            if stream.n_samples == stream.find_at:
+                find_state(stream)
             self._count = stream.n_samples
             if self._count % self._course.stride == 0:
                 self._course.add(self._count, self._row())

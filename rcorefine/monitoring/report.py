@@ -118,6 +118,7 @@ def summary(monitor: Monitor) -> dict[str, Any]:
         figure = f"{number(row.coefficients[first])} +/- {number(row.std[first], 2)} {unit}".rstrip()
         rows.append([row.effect.label, figure, f"{row.probability:.3f}", number(row.log_likelihood, 3)])
     notes = [state.sentence] if state is not None else []
+    notes += list(monitor.remarks)
     notes += [f"Ended: {alarm.sentence}" for alarm in monitor.past_alarms[-2:]]
     if stream is not None:
         ratio = float(monitor.statistic[-1]) if monitor.statistic.size else 0.0

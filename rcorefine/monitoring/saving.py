@@ -66,6 +66,7 @@ def content_of(monitor: Monitor) -> dict[str, Any]:
         "settings": {name: getattr(monitor, name) for name in _SETTINGS},
         "count": monitor._count,
         "latest": monitor._latest,
+        "remarks": monitor.remarks,
         "waiting": [_shallow(block) for block in monitor._waiting],
         "watch": watch,
         "course": monitor._course.content(),
@@ -88,6 +89,7 @@ def restored(cls: type[Monitor], content: Any) -> Monitor:
     monitor = cls(_Base(content["base"]), settings.pop("candidates"), **settings)
     monitor._count, monitor._latest = int(content["count"]), content["latest"]
     monitor._waiting = [Block(**block) for block in content["waiting"]]
+    monitor.remarks = tuple(content["remarks"])
     watch = dict(content["watch"])
     watch["found"] = None if watch["found"] is None else Alarm(**watch["found"])
     watch["past"] = [Alarm(**alarm) for alarm in watch["past"]]

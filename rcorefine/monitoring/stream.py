@@ -16,6 +16,7 @@ from .learning import Healthy
 
 __all__ = ["Stream", "Windows"]
 
+_FIND = 64  # blocks after a missing input from which the state is found anew
 _SLOWEST = 1.0 / 50_000  # least weight of a sample in the noise level
 
 
@@ -101,6 +102,7 @@ class Stream:
             "sums": np.zeros((2, self.windows.blocks, k)),
             "counters": np.zeros(2, dtype=np.int64),
             "pause": np.zeros(1, dtype=np.int64),
+            "lost": np.full(1, -1, dtype=np.int64),
             "ring_w": np.zeros((kept, nw)),
             "ring_y": np.zeros((kept, ny)),
             "ring_use": np.zeros((kept, ny), dtype=np.uint8),
@@ -154,11 +156,25 @@ class Stream:
         mem.update(after[0])
         mem["inner"] = inner
         mem["pause"][0] = pause
+        gaps = np.flatnonzero(known[:done] == 0)
+        if gaps.size and self.wait < self.healthy.settle:
+            mem["lost"][0] = first + gaps[-1] + 1
         at = np.arange(max(first, first + done - len(mem["ring_w"])), first + done)
         place, here = at % len(mem["ring_w"]), at - first
         mem["ring_w"][place], mem["ring_y"][place] = W[here], Y[here]
         mem["ring_use"][place], mem["ring_x"][place] = use[here], before[here]
         return done, ratio[:done]
+
+    @property
+    def wait(self) -> int:
+        """Samples after a missing input before the state is trusted, or found anew."""
+        return min(self.healthy.settle, _FIND * self.windows.block)
+
+    @property
+    def find_at(self) -> int:
+        """Number of samples at which the state is to be found anew, -1 if not."""
+        lost = int(self.memory["lost"][0])
+        return -1 if lost < 0 else lost + self.wait
 
     def _calm(self, known: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], int]:
         """Samples that count: not those after an input was missing, until the observer has settled."""
@@ -167,7 +183,7 @@ class Stream:
             return known, 0
         calm = np.ones_like(known)
         for i, there in enumerate(known):
-            pause = self.healthy.settle if not there else max(pause - 1, 0)
+            pause = self.wait if not there else max(pause - 1, 0)
             calm[i] = pause == 0
         return calm, pause
 
@@ -181,7 +197,6 @@ class Stream:
         before = states - np.where(use > 0, Y - outputs, 0.0) @ self.observer.gain.T
         sensed = np.ascontiguousarray(np.hstack([before, W]))
         F, inner = np.zeros((len(W), bank.size)), self.memory["inner"].copy()
-        rate = 1.0 / self.observer.dt
         kernels.forces(
             sensed,
             bank.rows,
@@ -220,10 +235,16 @@ class Stream:
 
     def restart(self, start: int, state: Array) -> None:
         """Begin anew as healthy, from the state that was found at sample `start`."""
+        self.found(start, state)
+        for key in ("N", "V", "sums", "Xc", "past_e", "past_s"):
+            self.memory[key][:] = 0
+
+    def found(self, start: int, state: Array) -> None:
+        """Go on from the state that was found at sample `start`."""
         mem = self.memory
         W, Y, use, _ = self.recent(start)
         begin = {"x": state, "z": mem["z"], "w": mem["w"][:0]}
         after, _, _ = self.observer.advance(begin, W, Y, use, start)
         mem["x"], mem["z"] = after["x"], after["z"]
-        for key in ("N", "V", "sums", "Xc", "past_e", "past_s", "known"):
-            mem[key][:] = 0
+        mem["known"][:] = 0
+        mem["lost"][0] = -1

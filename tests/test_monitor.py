@@ -1,0 +1,511 @@
+"""`Monitor` against theory, plants integrated by scipy, and itself cut up in other ways."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import pickle
+import subprocess
+import sys
+
+import control as ct
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+from scipy.signal import lfilter
+from scipy.stats import binom, poisson
+
+import rcorefine as rco
+from rcorefine.monitoring.learning import burg
+from rcorefine.monitoring.thresholds import crossing_rate, threshold
+
+SHORT = 3000  # healthy samples before a change
+
+
+class Chain:
+    """Masses between two walls, written out by hand and integrated exactly (input held)."""
+
+    def __init__(self, seed, n=None, sensor=None):
+        rng = np.random.default_rng([seed, 6])
+        self.n = n = n or int(rng.integers(1, 7))
+        self.m, self.k = rng.uniform(0.7, 1.5, n), rng.uniform(120, 300, n + 1)
+        self.c = 0.02 * np.sqrt(self.k)
+        self.force, self.mass = int(rng.integers(n)), int(rng.integers(n))
+        self.sensor = sensor or str(rng.choice(["displacement", "velocity", "acceleration"]))
+        self.link = int(rng.integers(n + 1))
+        self.rng = rng
+        modes = np.abs(np.linalg.eigvals(self.A(self.k)))
+        self.dt = float(2 * np.pi / modes.max() / 15)
+        self.period = float(2 * np.pi / modes.min() / self.dt)
+        self.model = rco.mass_spring_damper(
+            self.m, self.c, self.k, force=self.force + 1, sensors=(self.sensor, self.mass + 1)
+        )
+
+    def A(self, k):
+        n = self.n
+        ends = np.eye(n + 1, n) - np.eye(n + 1, n, -1)
+        ends[n] = -ends[n]
+        K, D = ends.T @ np.diag(k) @ ends, ends.T @ np.diag(self.c) @ ends
+        inverse = np.diag(1 / self.m)
+        return np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ K, -inverse @ D]])
+
+    def steps(self, k):
+        n = self.n
+        B = np.zeros((2 * n, 1))
+        B[n + self.force] = 1 / self.m[self.force]
+        block = np.zeros((2 * n + 1, 2 * n + 1))
+        block[: 2 * n, : 2 * n], block[: 2 * n, 2 * n :] = self.A(k), B
+        whole = expm(block * self.dt)
+        row = np.zeros(2 * n)
+        through = 0.0
+        if self.sensor == "displacement":
+            row[self.mass] = 1
+        elif self.sensor == "velocity":
+            row[n + self.mass] = 1
+        else:
+            row, through = self.A(k)[n + self.mass], float(B[n + self.mass, 0])
+        return whole[: 2 * n, : 2 * n], whole[: 2 * n, 2 * n], row, through
+
+    def record(self, loss, noise=0.03, color="white", scale=1.0):
+        """Input and output for a relative stiffness loss at every sample."""
+        loss = np.asarray(loss, dtype=float)
+        w = scale * lfilter([1.0], [1.0, -0.5], self.rng.standard_normal(loss.size))
+        x, y = np.zeros(2 * self.n), np.zeros(loss.size)
+        known = {}
+        for i, share in enumerate(np.round(loss, 3)):
+            if share not in known:
+                k = self.k.copy()
+                k[self.link] *= 1 - share
+                known[share] = self.steps(k)
+            Phi, G, row, through = known[share]
+            y[i] = row @ x + through * w[i]
+            x = Phi @ x + G * w[i]
+        e = self.rng.standard_normal(loss.size)
+        if color == "ar":
+            e = lfilter([1.0], [1.0, -0.9], e)
+        healthy = y[loss == 0] if (loss == 0).any() else y
+        return w, y + noise * healthy.std() * e / e.std()
+
+
+def step(before, after, loss=0.1):
+    return np.r_[np.zeros(before), np.full(after, loss)]
+
+
+def few(plant):
+    """Candidates of three kinds at all links."""
+    kinds = ("stiffness", "damping", "coulomb_friction")
+    return [rco.Effect(kind, f"link{i + 1}") for i in range(plant.n + 1) for kind in kinds]
+
+
+# ------------------------------------------------------------------------- theory
+@pytest.mark.parametrize(("keep", "level"), [(0.98, 3.5), (0.95, 3.3), (0.8, 3.4), (0.998, 3.3)])
+def test_crossing_rate_is_that_of_a_sampled_ornstein_uhlenbeck_process(keep, level, rng):
+    paths, N = 600, 4000
+    z = np.empty((paths, N))
+    start = rng.standard_normal((paths, 1))
+    e = np.sqrt(1 - keep**2) * rng.standard_normal((paths, N - 1))
+    z[:, :1] = start
+    z[:, 1:] = lfilter([1.0], [1.0, -keep], e, axis=1, zi=keep * start)[0]
+    quiet = np.mean(np.abs(z).max(axis=1) < level)
+    # stationary start: the first sample alone may lie above
+    predicted = np.exp(-crossing_rate(level, keep) * N)
+    assert abs(quiet - predicted) < 4 * np.sqrt(predicted * (1 - predicted) / paths) + 0.12 * (1 - predicted)
+
+
+def test_thresholds_share_out_the_stated_rate():
+    keep = 1 - 1 / np.array([10.0, 100.0, 1000.0])
+    levels = threshold(1e-6, keep, 32)
+    assert sum(32 * crossing_rate(b, g) for b, g in zip(levels, keep, strict=True)) == pytest.approx(
+        1e-6, rel=1e-3
+    )
+    assert (np.diff(levels) < 0).all()
+    assert (threshold(1e-8, keep, 32) > levels).all()
+
+
+def test_burg_finds_a_sharp_peak(rng):
+    true = np.poly([0.99 * np.exp(0.3j), 0.99 * np.exp(-0.3j)]).real
+    errors = []
+    for _ in range(30):
+        a, variance = burg(lfilter([1.0], true, rng.standard_normal(3000))[500:], np.ones(2500, dtype=bool))
+        assert a.size >= 3
+        errors.append(variance)
+    assert abs(np.mean(errors) - 1) < 4 * np.sqrt(2 / 2500 / 30) + 0.01
+
+
+# --------------------------------------------------------------------- what it says
+def test_finds_a_stiffness_loss_names_the_link_and_dates_it():
+    delays, right, since, sizes = [], [], [], []
+    for seed in range(100, 104):
+        plant = Chain(seed)
+        w, y = plant.record(step(SHORT, int(15 * plant.period)))
+        monitor = rco.Monitor(plant.model, dt=plant.dt, learn=2000)
+        monitor.update(w[:SHORT], y[:SHORT])
+        assert monitor.alarm is None
+        monitor.update(w[SHORT:], y[SHORT:])
+        alarm = monitor.alarm
+        assert alarm is not None
+        delays.append((alarm.sample - SHORT) / plant.period)
+        since.append((alarm.since_sample - SHORT) / plant.period)
+        right.append(alarm.effect.place == f"link{plant.link + 1}")
+        if alarm.effect.kind == "stiffness":
+            sizes.append(alarm.coefficients["stiffness"] / (-0.1 * plant.k[plant.link]))
+    assert np.median(delays) <= 10
+    assert binom.cdf(sum(right), len(right), 0.95) > 0.01
+    assert np.max(np.abs(since)) < 3
+    assert len(sizes) >= 3
+    assert np.allclose(sizes, 1, atol=0.1)
+
+
+def test_small_change_has_the_size_of_the_sensitivity():
+    # 0.1 % of a stiffness at 1e-4 noise: far below what bends the linear scores
+    plant = Chain(3, n=3, sensor="velocity")
+    w, y = plant.record(step(2500, 600, loss=0.001), noise=2e-4)
+    monitor = rco.Monitor(plant.model, few(plant), dt=plant.dt, learn=2000, patience=1.0)
+    monitor.update(w, y)
+    row = monitor.ranking[0]
+    assert (row.effect.kind, row.effect.place) == ("stiffness", f"link{plant.link + 1}")
+    true = -0.001 * plant.k[plant.link]
+    assert abs(row.coefficients["stiffness"] - true) < 5 * row.std["stiffness"]
+    assert row.std["stiffness"] < 0.1 * abs(true)
+
+
+@pytest.mark.parametrize(
+    ("kind", "law"),
+    [
+        ("coulomb_friction", lambda d, v: 0.12 * np.tanh(v / 2e-4)),
+        ("cubic_stiffness", lambda d, v: 4e4 * d**3),
+    ],
+)
+def test_names_effects_that_are_no_stiffness(kind, law):
+    plant = Chain(17, n=2, sensor="velocity")
+    before, after = 3000, 900
+    rng = np.random.default_rng(5)
+    w = lfilter([1.0], [1.0, -0.5], rng.standard_normal(before + after))
+    A, n = plant.A(plant.k), plant.n
+    x, states = np.zeros(2 * n), []
+    Phi, G, _, _ = plant.steps(plant.k)
+    for value in w[:before]:
+        states.append(x)
+        x = Phi @ x + G * value
+
+    def rate(t, x, value):
+        drive = np.zeros(2 * n)
+        drive[n + plant.force] = value / plant.m[plant.force]
+        drive[n] -= law(x[0], x[n]) / plant.m[0]
+        return A @ x + drive
+
+    for value in w[before:]:
+        states.append(x)
+        x = solve_ivp(rate, (0, plant.dt), x, args=(value,), rtol=1e-7, atol=1e-10).y[:, -1]
+    y = np.array(states)[:, n + plant.mass]
+    y = y + 0.01 * y[:before].std() * rng.standard_normal(y.size)
+    monitor = rco.Monitor(plant.model, dt=plant.dt, learn=2000).run(rco.Measurement(w, y, dt=plant.dt))
+    assert monitor.alarm is not None
+    assert (monitor.alarm.effect.kind, monitor.alarm.effect.place) == (kind, "link1")
+    assert monitor.alarm.sample >= before
+
+
+def test_growth_is_followed():
+    plant = Chain(8, n=2, sensor="displacement")
+    T = int(plant.period)
+    loss = np.r_[np.zeros(SHORT), 0.2 * np.arange(60 * T) / (60 * T), np.full(12 * T, 0.2)]
+    w, y = plant.record(loss)
+    monitor = rco.Monitor(plant.model, few(plant), dt=plant.dt, learn=2000)
+    monitor.update(w, y)
+    assert monitor.alarm is not None
+    assert monitor.alarm.effect.place == f"link{plant.link + 1}"
+    value, std = monitor.coefficient / plant.k[plant.link]
+    t = monitor.timepts / plant.dt
+    late = np.isfinite(value) & (t > SHORT + 30 * T)
+    # each figure is a mean over the last 8 periods, taken every 4
+    known = np.interp(t - 4 * T, np.arange(loss.size), loss)
+    assert np.abs(value[late] + known[late]).max() < 0.04
+    assert abs(value[-1] + 0.2) < 0.02
+    assert (std[late] < 0.02).all()
+
+
+def test_healing_is_noticed_and_a_second_alarm_possible():
+    plant = Chain(9, n=2, sensor="velocity")
+    T = int(plant.period)
+    loss = np.r_[np.zeros(SHORT), np.full(15 * T, 0.1), np.zeros(40 * T), np.full(15 * T, 0.1)]
+    w, y = plant.record(loss)
+    monitor = rco.Monitor(plant.model, few(plant), dt=plant.dt, learn=2000)
+    monitor.update(w, y)
+    assert len(monitor.past_alarms) == 1
+    first = monitor.past_alarms[0]
+    healed = (SHORT + 15 * T) * plant.dt
+    assert healed < first.ended < healed + 16 * T * plant.dt
+    assert "gone by" in str(first)
+    again = SHORT + 55 * T
+    assert monitor.alarm is not None
+    assert again <= monitor.alarm.sample <= again + 10 * T
+    assert monitor.alarm.effect.place == f"link{plant.link + 1}"
+    while_well = (monitor.timepts > first.ended + plant.dt) & (monitor.timepts < again * plant.dt)
+    assert (monitor.probability[0, while_well] > 0.9).all()
+
+
+def test_refined_model_with_friction_inside_is_healthy():
+    rng = np.random.default_rng(4)
+    model = rco.mass_spring_damper(1.0, 0.4, 100.0, sensors="velocity")
+    dt, N = 0.03, 3600
+    w = lfilter([1.0], [1.0, -0.5], rng.standard_normal(N))
+    states, x = [], np.zeros(2)
+    for i, value in enumerate(w):
+        k = 100.0 if i < 3000 else 90.0
+        states.append(x)
+        x = solve_ivp(
+            lambda t, x, k=k, f=value: [x[1], f - k * x[0] - 0.4 * x[1] - 0.2 * np.tanh(x[1] / 1e-3)],
+            (0, dt), x, rtol=1e-7, atol=1e-9,
+        ).y[:, -1]  # fmt: skip
+    y = np.array(states)[:, 1]
+    y = y + 0.03 * y.std() * rng.standard_normal(N)
+    before = rco.Measurement(w[:1500], y[:1500], dt=dt)
+    refined = rco.refine(model, before, [rco.Effect("coulomb_friction", "link1")])
+    candidates = [rco.Effect(kind, "link1") for kind in ("stiffness", "damping", "coulomb_friction")]
+    monitor = rco.Monitor(refined, candidates, dt=dt, learn=1500)
+    monitor.update(w[:3000], y[:3000])
+    assert monitor.alarm is None
+    monitor.update(w[3000:], y[3000:])
+    assert monitor.alarm is not None
+    assert monitor.alarm.effect.kind == "stiffness"
+    assert abs(monitor.alarm.coefficients["stiffness"] + 10) < 3
+    # without the friction the model is wrong from the start, and that is said
+    bare = rco.Monitor(model, candidates, dt=dt, learn=1500, disturbance=0.0)
+    bare.update(w[:3000], y[:3000])
+    assert "at link1 or the like is missing" in bare.remarks[0]
+    assert "refine" in str(bare)
+    assert monitor.remarks == ()
+
+
+# ------------------------------------------------------------------------- streaming
+def _figures(monitor):
+    return np.concatenate([monitor.probability.ravel(), monitor.statistic, monitor.coefficient.ravel()])
+
+
+@pytest.mark.parametrize("missing", ["raise", "hold-out"])
+def test_the_stream_may_be_cut_anywhere(missing):
+    plant = Chain(11, n=2, sensor="acceleration")
+    w, y = plant.record(step(900, 400))
+    if missing == "hold-out":
+        y[700:720] = np.nan
+        y[1000] = np.nan
+        w[760] = np.nan
+    candidates = few(plant)
+
+    def monitor():
+        return rco.Monitor(plant.model, candidates, dt=plant.dt, learn=500, missing=missing)
+
+    whole, pieces, single = monitor(), monitor(), monitor()
+    whole.update(w, y)
+    cuts = [0, 1, 499, 500, 503, 800, 801, 1050, 1300]
+    for a, b in itertools.pairwise(cuts):
+        pieces.update(w[a:b], y[a:b])
+    for a, b in zip(w, y, strict=True):
+        single.update([a], [b])
+    for other in (pieces, single):
+        assert str(other.alarm) == str(whole.alarm)
+        assert np.allclose(_figures(other), _figures(whole), rtol=1e-9, atol=1e-12, equal_nan=True)
+        for key, value in whole._stream.memory.items():
+            scale = max(1.0, float(np.abs(np.nan_to_num(value)).max(initial=0)))
+            assert np.allclose(
+                other._stream.memory[key], value, rtol=1e-12, atol=1e-12 * scale, equal_nan=True
+            ), key
+
+
+def test_gaps_ring_no_alarm_and_damage_is_found_all_the_same(rng):
+    plant = Chain(12, n=3, sensor="velocity")
+    w, y = plant.record(step(6000, int(15 * plant.period)))
+    gone = rng.random(y.size) < 0.02
+    y[gone] = np.nan
+    y[3000:3200] = np.nan
+    w[4000:4003] = np.nan
+    monitor = rco.Monitor(plant.model, few(plant), dt=plant.dt, missing="hold-out")
+    monitor.update(w[:6000], np.ma.masked_invalid(y[:6000]))
+    assert monitor.alarm is None
+    assert not monitor.past_alarms
+    monitor.update(w[6000:], y[6000:])
+    assert monitor.alarm is not None
+    assert monitor.alarm.effect.place == f"link{plant.link + 1}"
+
+
+def test_memory_does_not_grow():
+    plant = Chain(13, n=1, sensor="velocity")
+    w, y = plant.record(np.zeros(40_000))
+    monitor = rco.Monitor(plant.model, few(plant), dt=plant.dt, learn=500)
+    sizes = []
+    for k in range(0, 40_000, 10_000):
+        monitor.update(w[k : k + 10_000], y[k : k + 10_000])
+        sizes.append(len(pickle.dumps(monitor)))
+    assert sizes[-1] <= 1.01 * max(sizes[:2]) + 2048 * 8 * (len(monitor.candidates) + 4)
+    assert monitor.probability.shape[1] <= 2048
+    assert np.all(np.diff(monitor.timepts) > 0)
+
+
+def test_saved_or_pickled_in_the_middle_it_goes_on_the_same(tmp_path):
+    plant = Chain(14, n=2, sensor="velocity")
+    w, y = plant.record(step(1000, 500))
+    monitor = rco.Monitor(plant.model, few(plant), dt=plant.dt, learn=600)
+    others = []
+    for a, b in ((0, 300), (300, 1050), (1050, 1500)):
+        monitor.update(w[a:b], y[a:b])
+        monitor.save(tmp_path / f"{b}.npz")
+        others.append((b, rco.Monitor.load(tmp_path / f"{b}.npz")))
+        others.append((b, pickle.loads(pickle.dumps(monitor))))
+    for start, other in others:
+        if start < w.size:
+            other.update(w[start:], y[start:])
+        assert str(other) == str(monitor)
+        assert np.array_equal(_figures(other), _figures(monitor), equal_nan=True)
+    (tmp_path / "other.npz").write_bytes(b"nothing")
+    with pytest.raises(rco.DataError, match="not a saved|damaged"):
+        rco.Monitor.load(tmp_path / "other.npz")
+    rco.RCORefiner(plant.model, dt=plant.dt).save(tmp_path / "refiner.npz")
+    with pytest.raises(rco.DataError, match="no monitor"):
+        rco.Monitor.load(tmp_path / "refiner.npz")
+
+
+def test_reset_starts_again():
+    plant = Chain(14, n=2, sensor="velocity")
+    w, y = plant.record(step(1000, 300))
+    monitor = rco.Monitor(plant.model, few(plant), dt=plant.dt, learn=600)
+    monitor.update(w, y)
+    before = str(monitor)
+    monitor.reset()
+    assert monitor.n_samples == 0
+    assert monitor.ranking == ()
+    monitor.update(w, y)
+    assert str(monitor) == before
+
+
+def test_runs_without_numba_with_the_same_figures():
+    script = (
+        "import sys; sys.path.insert(0, 'tests'); import numpy as np, rcorefine as rco\n"
+        "from test_monitor import Chain, few, step\n"
+        "plant = Chain(15, n=1, sensor='velocity')\n"
+        "w, y = plant.record(step(600, 150))\n"
+        "m = rco.Monitor(plant.model, few(plant), dt=plant.dt, learn=400)\n"
+        "m.update(w, y)\n"
+        "print(repr(m.statistic.tolist())); print(m.alarm.effect.label)"
+    )
+    found = []
+    for switch in ("0", "1"):
+        done = subprocess.run(
+            [sys.executable, "-c", script],
+            env={**os.environ, "RCOREFINE_NUMBA": switch, "MPLBACKEND": "Agg"},
+            capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        numbers, label = done.stdout.strip().splitlines()
+        found.append((np.array([float(v) for v in numbers.strip("[]").split(",")]), label))
+    assert found[0][1] == found[1][1]
+    assert np.allclose(found[0][0], found[1][0], rtol=1e-6)
+
+
+# ---------------------------------------------------------------- text, picture, errors
+def test_table_and_picture():
+    plant = Chain(14, n=2, sensor="velocity")
+    w, y = plant.record(step(1000, 500))
+    monitor = rco.Monitor(plant.model, dt=plant.dt, learn=600)
+    assert "learning" in str(monitor)
+    with pytest.raises(rco.DataError, match="nothing to draw"):
+        monitor.plot()
+    monitor.update(w[:1000], y[:1000])
+    assert "no alarm" in str(monitor)
+    assert isinstance(monitor.plot(), ct.ControlPlot)
+    assert sum(row.probability for row in monitor.ranking) < 0.5
+    monitor.update(w[1000:], y[1000:])
+    for text in (str(monitor), str(rco.Monitor(plant.model, dt=plant.dt))):
+        assert max(map(len, text.splitlines())) <= 80
+        assert len(text.splitlines()) <= 24
+    assert "ALARM" in str(monitor)
+    assert "<table>" in monitor._repr_html_()
+    shown = monitor.plot(title="course", show_legend=True)
+    assert shown.axes.shape == (3, 1)
+    assert shown.figure.get_suptitle() == "course"
+    assert monitor.probability.shape == (1 + len(monitor.candidates), monitor.timepts.size)
+    assert np.allclose(monitor.probability.sum(axis=0), 1)
+    assert "alarm" in repr(monitor)
+
+
+def test_what_cannot_be_is_refused():
+    plant = Chain(14, n=2, sensor="velocity")
+    model = plant.model
+    with pytest.raises(rco.ModelError, match="give dt"):
+        rco.Monitor(model)
+    with pytest.raises(rco.ModelError, match="discrete"):
+        rco.Monitor(model.system.sample(0.01), dt=0.01)
+    with pytest.raises(TypeError):
+        rco.Monitor(model, dt=0.01, false_alarm=0.1)
+    for bad in (0, -1.0, 1e6, float("nan")):
+        with pytest.raises(rco.ModelError, match="false_alarms"):
+            rco.Monitor(model, dt=0.01, false_alarms=bad)
+    with pytest.raises(rco.ModelError, match="learn"):
+        rco.Monitor(model, dt=0.01, learn=10)
+    with pytest.raises(rco.ModelError, match="hidden_mode"):
+        rco.Monitor(model, [rco.Effect("hidden_mode", "mass1")], dt=0.01)
+    with pytest.raises(rco.ModelError, match="twice"):
+        rco.Monitor(model, [rco.Effect("damping", "link1")] * 2, dt=0.01)
+    with pytest.raises(rco.ModelError, match="empty"):
+        rco.Monitor(model, [], dt=0.01)
+    with pytest.raises(rco.ModelError, match="link9"):
+        rco.Monitor(model, [rco.Effect("damping", "link9")], dt=0.01)
+    with pytest.raises(ct.ControlArgument, match="band-limited"):
+        rco.Monitor(model, dt=0.01, hold="bandlimited")
+    monitor = rco.Monitor(model, few(plant), dt=plant.dt, learn=300)
+    w, y = plant.record(np.zeros(400))
+    with pytest.raises(rco.DataError, match=r"NaN at sample 7"):
+        monitor.update(w[:10], np.where(np.arange(10) == 7, np.nan, y[:10]))
+    assert monitor.n_samples == 0
+    with pytest.raises(rco.DataError, match="dt ="):
+        monitor.run(rco.Measurement(w, y, dt=2 * plant.dt))
+    with pytest.raises(rco.DataError, match="hold="):
+        monitor.run(rco.Measurement(w, y, dt=plant.dt, hold="foh"))
+    with pytest.raises(ct.ControlDimension):
+        monitor.update(w[:10], y[:9])
+    open_ended = rco.Monitor(model, few(plant), dt=plant.dt, learn=300, missing="hold-out")
+    with pytest.raises(rco.DataError, match="learning phase"):
+        open_ended.update(np.where(np.arange(400) == 5, np.nan, w), y)
+    dead = rco.Monitor(model, few(plant), dt=plant.dt, learn=300)
+    with pytest.raises(rco.DataError, match="constant"):
+        dead.update(w, np.zeros(400))
+
+
+# ------------------------------------------------------------------------ statistics
+@pytest.mark.parametrize("color", ["white", "ar"])
+def test_false_alarms_stay_below_the_stated_number(color):
+    total, seeds, N = 0, 5, 12_000
+    for seed in range(200, 200 + seeds):
+        plant = Chain(seed)
+        w, y = plant.record(np.zeros(N), color=color)
+        monitor = rco.Monitor(plant.model, dt=plant.dt, false_alarms=1.0)
+        monitor.update(w, y)
+        total += len(monitor.past_alarms) + (monitor.alarm is not None)
+    assert poisson.sf(total - 1, seeds * N / 1e5) > 0.002
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("color", ["white", "ar"])
+def test_false_alarms_over_a_hundred_long_streams(color):
+    total, seeds, N = 0, 100, 100_000
+    for seed in range(1000, 1000 + seeds):
+        plant = Chain(seed)
+        w, y = plant.record(np.zeros(N), color=color)
+        monitor = rco.Monitor(plant.model, dt=plant.dt, false_alarms=0.05)
+        monitor.update(w, y)
+        total += len(monitor.past_alarms) + (monitor.alarm is not None)
+    assert poisson.sf(total - 1, 0.05 * seeds) > 0.002
+
+
+@pytest.mark.slow
+def test_delay_and_link_over_many_structures():
+    delays, right = [], []
+    for seed in range(2000, 2060):
+        plant = Chain(seed)
+        w, y = plant.record(step(SHORT, int(20 * plant.period)))
+        monitor = rco.Monitor(plant.model, dt=plant.dt)
+        monitor.update(w, y)
+        found = monitor.alarm
+        delays.append(np.inf if found is None else (found.sample - SHORT) / plant.period)
+        right.append(found is not None and found.effect.place == f"link{plant.link + 1}")
+    assert np.median(delays) <= 10
+    assert binom.cdf(sum(right), len(right), 0.95) > 0.01
