@@ -13,15 +13,16 @@ from ..systems.linear import Array
 from .evidence import Evidence
 from .in_amplitude import input_laws, level_dependence
 from .in_frequency import bands, modes, modes_together, shifts
-from .in_state import forces_at_places, port_motion
+from .in_state import forces_at_places
 from .in_time import clipping, delays, drifts, signs, stretches
+from .motion import estimated_motion
 from .places import found_places
 from .scene import DIMENSIONS, Finding, Scene
 
 if TYPE_CHECKING:
     from .result import Comparison
 
-__all__ = ["Failure", "FailureMap", "failure_map"]
+__all__ = ["Failure", "FailureMap", "ResidualForce", "failure_map", "residual_force"]
 
 #: Probability that a correct model shows any row.
 SIGNIFICANCE = 0.01
@@ -160,6 +161,67 @@ def failure_map(comparison: Comparison, index: int) -> FailureMap:
     return FailureMap(comparison.names[index], rows, rms, looked, tuple(notes))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ResidualForce:
+    """Force that a model lacks at a place, along the motion there.
+
+    Attributes
+    ----------
+    place : str
+        Port.
+    mechanical : bool
+        Whether it has a displacement and a velocity.
+    position, velocity, force : ndarray of shape (N,)
+        Motion, and resisting force, in the model's units.
+    position_unit, velocity_unit : str
+        Units.
+    """
+
+    place: str
+    mechanical: bool
+    position: Array
+    velocity: Array
+    force: Array
+    position_unit: str
+    velocity_unit: str
+
+
+def residual_force(comparison: Comparison, index: int = 0, place: str | None = None) -> ResidualForce | None:
+    """Estimate the force that a model lacks at a place.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        Models on a record.
+    index : int
+        Which of the models.
+    place : str, optional
+        Port; default the one whose force explains most of the record.
+
+    Returns
+    -------
+    ResidualForce or None
+        None for a model without ports.
+    """
+    scene, _ = _scene(comparison, index)
+    if scene.places is None:
+        return None
+    names = [p.name for p in scene.places.places]
+    tried = range(len(names)) if place is None else [names.index(place)]
+    estimates = [(estimated_motion(scene, [i]), i) for i in tried]
+    estimate, chosen = max(estimates, key=lambda pair: pair[0].likelihood)
+    port, x, w = scene.places.places[chosen], estimate.states, comparison.data.inputs
+    return ResidualForce(
+        port.name,
+        port.kind == "mechanical",
+        np.asarray(port.position @ x + port.position_input @ w),
+        np.asarray(port.velocity @ x + port.velocity_input @ w),
+        estimate.forces[0],
+        port.position_unit,
+        port.velocity_unit,
+    )
+
+
 def _scene(comparison: Comparison, index: int) -> tuple[Scene, list[str]]:
     notes: list[str] = []
     model = comparison.models[index]
@@ -184,7 +246,7 @@ def _searched(scene: Scene) -> list[Finding]:
     found += [*single, *modes_together(scene, moved, single), *bands(scene)]
     found += [*input_laws(scene), *level_dependence(scene)]
     if scene.places is not None:
-        found += forces_at_places(scene, port_motion(scene))
+        found += forces_at_places(scene)
     return found
 
 
@@ -221,7 +283,7 @@ def _rows(scene: Scene) -> tuple[Failure, ...]:
     fit = ranked[0].explanation.fit
     lead = whole.share(fit)
     for _ in range(_BESIDES):
-        scene.evidence, scene.known = whole.after(fit), {}
+        scene.evidence, scene.known, scene.laws = whole.after(fit), {}, None
         left = _ranked(_searched(scene), scene, count)
         left = [f for f in left if f.dimension != "place" and _region(f) != _region(ranked[0])]
         if not left or whole.share(fit + left[0].explanation.fit) - whole.share(fit) < _LEAST:

@@ -2,46 +2,61 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
+from ..jit import compiled
+from ..systems.discretization import discretize
 from ..systems.linear import Array
 from .evidence import Explanation
-from .motion import estimated_states
+from .motion import estimated_motion
 from .places import Place
 from .scene import Finding, Scene
 
-__all__ = ["forces_at_places", "port_motion"]
+__all__ = ["forces_at_places"]
 
+_STEPS = 6
+_FINE = 8
 _QUANTILES = (0.3, 0.5, 0.65, 0.8, 0.9)
 
 
-def port_motion(scene: Scene) -> list[tuple[Array, Array]]:
-    """Displacement and velocity (N,) at each place, as the record shows them if a force acts there."""
-    assert scene.places is not None
-    w, motions = scene.data.inputs, []
-    for i, p in enumerate(scene.places.places):
-        x = estimated_states(scene, [i])
-        motions.append((p.position @ x + p.position_input @ w, p.velocity @ x + p.velocity_input @ w))
-    return motions
+def _columns(scene: Scene) -> list[tuple[int, Place, list[dict[str, Any]], list[Array]]]:
+    """Laws at each place along the motion that the record shows if a force acts there."""
+    if scene.laws is None:
+        assert scene.places is not None
+        scene.laws = []
+        w, seen = scene.data.inputs, []
+        for i, p in enumerate(scene.places.places):
+            rows = np.concatenate([p.act, p.position, p.velocity, p.position_input, p.velocity_input])
+            if any(np.array_equal(rows, other) for other in seen):
+                continue  # the same place by another name
+            seen.append(rows)
+            x = estimated_motion(scene, [i]).states
+            d, v = p.position @ x + p.position_input @ w, p.velocity @ x + p.velocity_input @ w
+            laws = _laws(p, *_between(scene, d, v))
+            if laws:
+                scene.laws.append((i, p, laws, scene.forced([(i, f) for law in laws for f in law["forces"]])))
+                for law in laws:
+                    law["forces"] = [None] * len(law["forces"])  # they have served
+    return scene.laws
 
 
-def forces_at_places(scene: Scene, motions: Sequence[tuple[Array, Array]]) -> list[Finding]:
+def forces_at_places(scene: Scene) -> list[Finding]:
     """Laws at each place, and all of them together per place."""
     assert scene.places is not None
     found: list[Finding] = []
-    for index, (place, (d, v)) in enumerate(zip(scene.places.places, motions, strict=True)):
-        laws = _laws(place, d, v)
-        if not laws:
-            continue
-        columns = scene.forced([(index, force) for law in laws for force in law["forces"]])
+    count = len(scene.places.places)
+    for index, place, laws, columns in _columns(scene):
         cuts = np.cumsum([len(law["forces"]) for law in laws])[:-1]
         groups = [columns[a:b] for a, b in zip([0, *cuts], [*cuts, len(columns)], strict=True)]
         curved = [k for k, law in enumerate(laws) if not law["linear"]]
-        for k, one in scene.evidence.best_of([groups[k] for k in curved]):
-            found.append(_finding(place, laws[curved[k]], one, len(laws) * len(motions)))
+        for rank, (k, one) in enumerate(scene.evidence.best_of([groups[k] for k in curved])):
+            law = laws[curved[k]]
+            if rank == 0:
+                law, one = _settled(scene, index, law, one)
+            found.append(_finding(place, law, one, len(laws) * count))
         straight = [c for k, law in enumerate(laws) if law["linear"] for c in groups[k]]
         together = straight + [
             c
@@ -52,7 +67,7 @@ def forces_at_places(scene: Scene, motions: Sequence[tuple[Array, Array]]) -> li
         whole = scene.evidence.linear(together)
         found.append(
             Finding(
-                "place", f"force at {place.name}", "hidden force", whole, len(together), len(motions),
+                "place", f"force at {place.name}", "hidden force", whole, len(together), count,
                 f"A force at {place.name} that follows the motion there would explain "
                 f"{100 * scene.evidence.share(whole.fit):.3g} % of the error.",
                 {"place": place.name, "kind": "force"},
@@ -62,7 +77,7 @@ def forces_at_places(scene: Scene, motions: Sequence[tuple[Array, Array]]) -> li
         law_text = "stiffness and damping at" if place.kind == "mechanical" else "coefficient of"
         found.append(
             Finding(
-                "place", f"{law_text} {place.name}", "linear force", linear, len(straight), len(motions),
+                "place", f"{law_text} {place.name}", "linear force", linear, len(straight), count,
                 f"A change of the linear law at {place.name} alone would explain "
                 f"{100 * scene.evidence.share(linear.fit):.3g} % of the error.",
                 {"place": place.name, "kind": "linear force"},
@@ -71,14 +86,121 @@ def forces_at_places(scene: Scene, motions: Sequence[tuple[Array, Array]]) -> li
     return found
 
 
+def _settled(
+    scene: Scene, index: int, law: dict[str, Any], one: Explanation
+) -> tuple[dict[str, Any], Explanation]:
+    """The law in the loop: its force follows the motion that it causes itself."""
+    if law["code"] < 0 or scene.places is None:
+        return law, one
+    place, w = scene.places.places[index], scene.data.inputs
+    d = place.position @ scene.states + place.position_input @ w
+    v = place.velocity @ scene.states + place.velocity_input @ w
+    steps = _STEPS if d.size < 30_000 else 2
+    fine_d, fine_v = _between(scene, d, v, steps)
+    Phi, G, _ = discretize(scene.places.A, place.act[:, None], scene.dt / steps, "zoh")
+    searched = law["code"] in (1, 7, 8)
+
+    def shape(point: Array) -> Array:
+        out = np.zeros((scene.n_samples, scene.n_outputs))
+        loop(
+            np.ascontiguousarray(Phi), G[:, 0].copy(), np.ascontiguousarray(scene.places.C), place.through,
+            place.position, place.velocity, fine_d, fine_v, steps, scene.reset, law["code"],
+            float(one.values[0] * (1.0 + point[0])),
+            float(law["size"] * np.exp(point[1])) if searched else float(law["size"]), out,
+        )  # fmt: skip
+        return np.asarray(out.T / scene.scale)
+
+    with np.errstate(over="ignore", invalid="ignore"):
+        first = shape(np.zeros(1 + searched))
+        if not np.isfinite(first).all() or np.abs(first).max() > 1e3:
+            return law, one
+        found = scene.evidence.descended(shape, np.zeros(1 + searched))
+    if not np.isfinite(found.gain) or found.gain <= one.gain:
+        return law, one
+    if searched:
+        g = float(law["size"] * np.exp(found.values[1]))
+        law = {**law, "values": {**law["values"], "low": g}, "where": law["where"].replace(
+            f"{law['size']:.3g}", f"{g:.3g}")}  # fmt: skip
+    return law, found
+
+
+@compiled
+def loop(  # type: ignore[no-untyped-def]
+    Phi,  # (n, n)  of a substep
+    G,  # (n,)
+    C,  # (n_y, n)
+    through,  # (n_y,)
+    row_d,  # (n,)
+    row_v,  # (n,)
+    d0,  # (N steps,)  motion without the force
+    v0,  # (N steps,)
+    steps,
+    reset,
+    code,
+    factor,
+    size,
+    out,  # (N, n_y)
+):
+    x = np.zeros(Phi.shape[0])
+    for k in range(out.shape[0]):
+        if reset[k]:
+            x = np.zeros(Phi.shape[0])
+        for j in range(steps):
+            d = d0[k * steps + j] + row_d @ x
+            v = v0[k * steps + j] + row_v @ x
+            if code == 0:
+                f = np.tanh(v / size)
+            elif code == 1:
+                f = np.sign(d) * max(abs(d) - size, 0.0)
+            elif code == 2:
+                f = d**3 / size**2
+            elif code == 3:
+                f = v * abs(v)
+            elif code == 4:
+                f = v**3 / size**2
+            elif code == 5:
+                f = abs(d)
+            elif code == 6:
+                f = d * d / size
+            elif code == 7:
+                f = max(d - size, 0.0)
+            elif code == 8:
+                f = min(d + size, 0.0)
+            else:
+                f = abs(v)
+            if j == 0:
+                out[k] = C @ x + through * (factor * f)
+            x = Phi @ x + G * (factor * f)
+
+
+def _between(scene: Scene, d: Array, v: Array, factor: int = 0) -> tuple[Array, Array]:
+    """Motion several times per sample: a force that jumps does so between samples."""
+    n, factor = d.size, factor or (_FINE if d.size < 30_000 else 2)
+    grid = np.arange(n, dtype=float)
+    fine = np.arange(n * factor) / factor
+    edges = [*scene.starts, n]
+    found = []
+    for signal in (d, v):
+        parts = []
+        for a, b in zip(edges[:-1], edges[1:], strict=True):
+            at = np.clip(fine[a * factor : b * factor], a, b - 1)
+            if b - a < 4 or not np.ptp(signal[a:b]):
+                parts.append(np.interp(at, grid[a:b], signal[a:b]))
+            else:
+                parts.append(CubicSpline(grid[a:b], signal[a:b])(at))
+        found.append(np.concatenate(parts))
+    return found[0], found[1]
+
+
 def _laws(place: Place, d: Array, v: Array) -> list[dict[str, Any]]:
     """Forces over displacement and velocity, with the region in which each departs from zero."""
     laws: list[dict[str, Any]] = []
 
-    def law(name: str, where: str, forces: list[Array], dof: int, linear: bool = False, **values: Any) -> None:
+    def law(name: str, where: str, forces: list[Array], dof: int, linear: bool = False, code: int = -1, size: float = 1.0, **values: Any) -> None:
         if all(np.all(np.isfinite(f)) and np.ptp(f) > 0 for f in forces):
             laws.append(
-                {"name": name, "where": where, "forces": forces, "dof": dof, "linear": linear, "values": values}
+                {"name": name, "where": where, "forces": forces, "dof": dof, "linear": linear, "code": code,
+                 "size": size, "values": values}
             )
 
     first = place.kind == "first_order"
@@ -86,18 +208,18 @@ def _laws(place: Place, d: Array, v: Array) -> list[dict[str, Any]]:
     if np.ptp(v) > 0:
         spread = float(v.std())
         law("linear velocity", "everywhere", [v], 1, linear=True)
-        width = 0.02 * spread
+        width = 0.005 * spread
         if v.min() < -0.05 * spread and v.max() > 0.05 * spread:
-            law("dry", f"near {letter} = 0", [np.tanh(v / width)], 1, low=0.0, high=0.0, axis=letter)
+            law("dry", f"near {letter} = 0", [np.tanh(v / width)], 1, code=0, size=width, low=0.0, high=0.0, axis=letter)
             law(
                 "dry by direction", f"near {letter} = 0",
                 [np.maximum(np.tanh(v / width), 0.0), np.minimum(np.tanh(v / width), 0.0)], 2,
                 low=0.0, high=0.0, axis=letter,
             )  # fmt: skip
-        law("odd velocity", f"at large |{letter}|", [v * np.abs(v)], 1, axis=letter)
-        law("odd velocity", f"at large |{letter}|", [v**3 / spread**2], 1, axis=letter)
+        law("odd velocity", f"at large |{letter}|", [v * np.abs(v)], 1, code=3, axis=letter)
+        law("odd velocity", f"at large |{letter}|", [v**3 / spread**2], 1, code=4, size=spread, axis=letter)
         if not first and v.min() < 0 < v.max():
-            law("one side of velocity", f"one sign of {letter}", [np.abs(v)], 1, axis=letter)
+            law("one side of velocity", f"one sign of {letter}", [np.abs(v)], 1, code=9, axis=letter)
         if first:
             law("root", f"as the root of {letter}", [np.sign(v) * np.sqrt(np.abs(v))], 1, axis=letter)
             for q in (0.5, 0.7, 0.85, 0.95):
@@ -105,19 +227,20 @@ def _laws(place: Place, d: Array, v: Array) -> list[dict[str, Any]]:
                 law("beyond", f"{letter} > {g:.3g}{_spaced(unit)}", [np.maximum(v - g, 0.0)], 2, low=g, axis=letter)
     if np.ptp(d) > 0:
         unit = place.position_unit
-        middle, spread = 0.0, float(d.std())
+        spread = float(d.std())
         law("linear displacement", "everywhere", [d], 1, linear=True)
-        law("odd displacement", "at large |d|", [d**3 / max(spread**2, 1e-300)], 1, axis="d")
-        law("even displacement", "d of one sign more", [d * d / max(spread, 1e-300)], 1, axis="d")
+        law("odd displacement", "at large |d|", [d**3 / spread**2], 1, code=2, size=spread, axis="d")
+        law("even displacement", "d of one sign more", [d * d / spread], 1, code=6, size=spread, axis="d")
         for q in _QUANTILES:
-            g = float(np.quantile(np.abs(d - middle), q))
+            g = float(np.quantile(np.abs(d), q))
             text = f"{g:.3g}{_spaced(unit)}"
             law(
-                "beyond", f"|d| > {text}", [np.sign(d) * np.maximum(np.abs(d) - g, 0.0)], 2, low=g, axis="d",
+                "beyond", f"|d| > {text}", [np.sign(d) * np.maximum(np.abs(d) - g, 0.0)], 2, code=1, size=g,
+                low=g, axis="d",
             )  # fmt: skip
-            law("beyond, one side", f"d > {text}", [np.maximum(d - g, 0.0)], 2, low=g, axis="d", side=1)
-            law("beyond, one side", f"d < -{text}", [np.minimum(d + g, 0.0)], 2, low=g, axis="d", side=-1)
-        law("one side", "d > 0 apart from d < 0", [np.abs(d)], 1, low=0.0, axis="d")
+            law("beyond, one side", f"d > {text}", [np.maximum(d - g, 0.0)], 2, code=7, size=g, low=g, axis="d", side=1)
+            law("beyond, one side", f"d < -{text}", [np.minimum(d + g, 0.0)], 2, code=8, size=g, low=g, axis="d", side=-1)
+        law("one side", "d > 0 apart from d < 0", [np.abs(d)], 1, code=5, low=0.0, axis="d")
     return laws
 
 

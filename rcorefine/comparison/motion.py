@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import LinAlgError, solve_discrete_are
@@ -12,14 +13,33 @@ from ..systems.discretization import discretize
 from ..systems.linear import Array
 from .scene import Scene
 
-__all__ = ["estimated_states"]
+__all__ = ["MotionEstimate", "estimated_motion"]
 
 _MEMORY = 0.9  # of the unknown forces, from one sample to the next
 _NOISE = 0.02  # sensor noise over the spread of an output, the unit of the force levels that are tried
 _LEVELS = tuple(10.0 ** np.arange(-2.5, 2.1, 0.75))
 
 
-def estimated_states(scene: Scene, chosen: Sequence[int] | None = None) -> Array:
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionEstimate:
+    """Motion that the record shows.
+
+    Attributes
+    ----------
+    states : ndarray of shape (n, N)
+        States.
+    forces : ndarray of shape (m, N)
+        Unknown forces at the places.
+    likelihood : float
+        Log-likelihood per sample of the residual, up to a constant.
+    """
+
+    states: Array
+    forces: Array
+    likelihood: float
+
+
+def estimated_motion(scene: Scene, chosen: Sequence[int] | None = None) -> MotionEstimate:
     """States of the motion that the record shows, unknown forces at places allowed for.
 
     What the model with its known input leaves unexplained is put down to
@@ -35,8 +55,7 @@ def estimated_states(scene: Scene, chosen: Sequence[int] | None = None) -> Array
 
     Returns
     -------
-    ndarray of shape (n, N)
-        States.
+    MotionEstimate
     """
     places = scene.places
     assert places is not None
@@ -78,9 +97,9 @@ def estimated_states(scene: Scene, chosen: Sequence[int] | None = None) -> Array
             back = np.linalg.lstsq(scaled.T, F @ after.T, rcond=1e-12)[0].T
             best = value, _smoothed(filtered, predicted, back, scene.reset), filtered
     if best is None:
-        return scene.states
+        return MotionEstimate(scene.states, np.zeros((m, scene.n_samples)), -np.inf)
     change = best[1] if np.isfinite(best[1]).all() else best[2]
-    return scene.states + change[:, :n].T
+    return MotionEstimate(scene.states + change[:, :n].T, (change[:, n:] / size).T, best[0])
 
 
 def _covariance(F: Array, H: Array, Q: Array, R: Array) -> Array | None:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Comparison"]
 
-_KINDS = ("time", "bode")
+_KINDS = ("time", "bode", "residual", "horizon", "map")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,19 +206,24 @@ class Comparison:
 
         Parameters
         ----------
-        kind : {"time", "bode"}
+        kind : {"time", "bode", "residual", "horizon", "map"}
             "time": measured and simulated outputs, fit % in the legend, and a
             row of residuals. "bode": frequency responses of the models'
             linear parts as the record sees them (its dt and hold), measured
             points with a band of two standard deviations, and a row with the
-            relative error.
+            relative error. "residual": correlation of the residuals with
+            themselves and with each input, negative lags included.
+            "horizon": error against how far ahead is predicted, from one
+            step to the free run. "map": `failures` as a picture.
         measured : FrequencyResponse, optional
             For "bode": measured response in place of
             ``data.frequency_response()``, e.g. with another segment length.
         omega : array_like, optional
             For "bode": frequencies in rad/s of the models' curves.
         ax : array of Axes, optional
-            Axes to draw in, shape (2 n_y, 1) for "time", (3 n_y, n_w) for "bode".
+            Axes to draw in, shape (2 n_y, 1) for "time", (3 n_y, n_w) for
+            "bode", (n_y, 1 + n_w) for "residual", (n_y, 1) for "horizon",
+            (4, n_models) for "map".
         label : str or sequence of str, optional
             Labels of the models in place of their names.
         title : str, optional
@@ -260,10 +265,13 @@ class Comparison:
             )
         for keyword, value in (("measured", measured), ("omega", omega)):
             if value is not None:
-                raise ct.ControlArgument(f"{keyword} belongs to kind='bode', not to kind='time'")
+                raise ct.ControlArgument(f"{keyword} belongs to kind='bode', not to kind={kind!r}")
         from ..reporting.comparisons import plot_time
+        from ..reporting.failure_picture import plot_map
+        from ..reporting.residuals import plot_horizon, plot_residual
 
-        return plot_time(
+        draw = {"time": plot_time, "residual": plot_residual, "horizon": plot_horizon, "map": plot_map}[kind]
+        return draw(
             self,
             ax=ax,
             label=label,

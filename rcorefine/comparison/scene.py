@@ -115,6 +115,8 @@ class Scene:
             self._motions = initial if len(self.starts) == 1 and self.n_outputs > 1 else None
         #: where each mode was found, to begin from when it is looked for again
         self.known: dict[int, Array] = {}
+        #: laws at places and what they would do, kept until the residual changes
+        self.laws: list[Any] | None = None
         self._late: dict[float, Array] = {}
         self.evidence = Evidence(self.measured - self.run, self.starts, initial)
 
@@ -138,6 +140,16 @@ class Scene:
                 return LinearModel.from_statespace(d2c(sampled))
         except (RCOError, np.linalg.LinAlgError):
             return None
+
+    @property
+    def transition(self) -> Array:
+        """Transition matrix of one sample."""
+        return np.ascontiguousarray(self._transition)
+
+    @property
+    def drive(self) -> Array:
+        """What a unit of each input does to the state over one sample."""
+        return np.asarray(self._drive[0] + self._drive[1])
 
     def free(self, output: int) -> list[Array]:
         """Free motions as one output alone would show them; none where they are projected off anyway."""
@@ -168,17 +180,44 @@ class Scene:
         return self._marched(G0[:, which], G1[:, which], self.model.D[:, which], signals)
 
     def forced(self, forces: Sequence[tuple[int, Array]]) -> list[Array]:
-        """What resisting forces at places would add to the outputs, (n_y, N) each."""
+        """What resisting forces at places would add to the outputs, (n_y, N) each.
+
+        Parameters
+        ----------
+        forces : sequence of (int, ndarray)
+            Place and force, (N,) or several values per sample, (N k,), of which the
+            mean acts over the sample.
+        """
         if not forces or self.places is None:
             return []
         used = [self.places.places[i] for i, _ in forces]
-        signals = np.ascontiguousarray(np.array([s for _, s in forces]).T)
+        fine = [np.reshape(s, (self.n_samples, -1)) for _, s in forces]
+        means = np.ascontiguousarray(np.array([f.mean(axis=1) for f in fine]).T)
         acts = np.array([p.act for p in used]).T
-        through = np.array([p.through for p in used]).T
         unique, back = np.unique(acts, axis=1, return_inverse=True)
-        Phi, G0, G1 = discretize(self.places.A, unique, self.dt, "foh")
+        Phi, G0, G1 = discretize(self.places.A, unique, self.dt, "zoh")
         back = back.reshape(-1)
-        return self._marched(G0[:, back], G1[:, back], through, signals, Phi, self.places.C)
+        nothing = np.zeros((self.n_outputs, len(used)))
+        found = self._marched(G0[:, back], G1[:, back], nothing, means, Phi, self.places.C)
+        # accelerometers show the force of the very sample
+        return [
+            column + np.outer(p.through, f[:, 0]) / self.scale
+            for column, p, f in zip(found, used, fine, strict=True)
+        ]
+
+    def moved(self, place: int, force: Array) -> Array:
+        """What a resisting force at a place would add to the states, (n, N)."""
+        assert self.places is not None
+        act = self.places.places[place].act[:, None]
+        Phi, G0, G1 = discretize(self.places.A, act, self.dt, "zoh")
+        force = np.reshape(force, (self.n_samples, -1)).mean(axis=1)
+        n = Phi.shape[0]
+        out = np.zeros((self.n_samples, n, 1))
+        march(
+            np.ascontiguousarray(Phi), np.ascontiguousarray(G0), np.ascontiguousarray(G1), np.eye(n),
+            np.zeros((n, 1)), np.ascontiguousarray(force[:, None]), self.reset, out,
+        )  # fmt: skip
+        return np.ascontiguousarray(out[:, :, 0].T)
 
     def _marched(
         self, G0: Array, G1: Array, D: Array, F: Array, Phi: Array | None = None, C: Array | None = None
