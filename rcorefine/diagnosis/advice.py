@@ -113,14 +113,14 @@ def _contenders(found: Diagnosis, records: Sequence[Measurement]) -> tuple[list[
         for row in rows
     ]
     if len(contenders) == 1:
-        return (
-            contenders,
-            fitted,
-            (
-                f"Nothing to separate: {contenders[0].label} stands alone in this record. A second record at "
-                "another amplitude, given to diagnose together with this one, would confirm the law."
-            ),
-        )
+        levels = [float(np.sqrt(np.mean(record.inputs**2))) for record in records]
+        why = f"Nothing to separate: {contenders[0].label} stands alone."
+        if max(levels) < 1.3 * min(levels):
+            why += (
+                " A second record at another amplitude, given to diagnose together with this one, would "
+                "confirm the law."
+            )
+        return contenders, fitted, why
     left = len(found.ambiguous) - len(rows)
     return contenders, fitted, f"{left} less probable rivals were left out. " if left > 0 else ""
 

@@ -142,7 +142,9 @@ def confirmation_plot(
         if axes.size != count:
             raise ct.ControlDimension(f"ax holds {axes.size} axes; there are {count} coefficients")
         lines = np.empty((1, count), dtype=object)
-        names = [f"{e.name}\n{e.level:.2g} x input" for e in confirmation.estimates]
+        names = [
+            f"{e.name}, {e.level:.2g} x input\nresidual p = {e.residual:.2g}" for e in confirmation.estimates
+        ]
         places = np.arange(len(names))
         for i, axis in enumerate(axes[0]):
             values = np.array([e.coefficients[i] for e in confirmation.estimates])
