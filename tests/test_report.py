@@ -14,6 +14,7 @@ import pytest
 from chromium_pipe import CHROMIUM, Browser
 
 import rcorefine as rco
+from rcorefine.reporting.page import Page, write_page
 
 EVIL = "<img src=x onerror=alert(1)> & \"co\" 'x'"
 
@@ -172,8 +173,8 @@ def run(code: str, data, folder: Path, monkeypatch) -> dict[str, object]:
     return space
 
 
-def test_code_compares_again(tmp_path, monkeypatch, results):
-    data = results["data"]
+def test_code_compares_again(tmp_path, monkeypatch):
+    data = record(chain(), 300)
     model = ct.ss([[0, 1], [-100, -0.4]], [[0], [1]], [[1, 0]], 0, inputs="force", outputs="q1", name="plain")
     first = rco.compare(model, data)
     again = run(code_of(first.report(tmp_path / "a.html")), data, tmp_path, monkeypatch)["result"]
@@ -195,17 +196,15 @@ def test_code_refines_again(tmp_path, monkeypatch, results):
     assert again.theta == pytest.approx(first.theta, rel=1e-3, abs=1e-3)
 
 
-def test_code_admits_what_it_cannot_hold(tmp_path, results):
+def test_code_admits_what_it_cannot_hold(pages):
     """A comparison keeps linear parts; the code says where the nonlinear effects are missing."""
-    text = code_of(results["comparison"].report(tmp_path / "d.html"))
+    text = code_of(pages["comparison"])
     assert "not linear" in text
     assert text.count("not linear") == 1
 
 
 def test_own_code_and_title_stand_first(tmp_path, small):
-    path = results["comparison"].report(
-        tmp_path / "e.html", title="My <title>", code="# rcorefine compare <a> b"
-    )
+    path = small.report(tmp_path / "e.html", title="My <title>", code="# rcorefine compare <a> b")
     page = Reader(path.read_text())
     assert page.inside("h1") == ["My <title>"]
     assert code_of(path).startswith("# rcorefine compare <a> b\n")
@@ -220,23 +219,23 @@ def test_refinement_without_a_record_says_so(tmp_path, results):
 
 def test_what_is_there_is_kept(tmp_path, small):
     """Another report is replaced, anything else is not; a missing folder is an error; the path comes back."""
-    result = small
-    target = tmp_path / "report.html"
-    assert result.report(target) == target.absolute()
-    assert result.report(str(target), title="second") == target.absolute()
-    assert "second" in target.read_text()
-    notes = tmp_path / "notes.txt"
+    target, notes = tmp_path / "report.html", tmp_path / "notes.txt"
+    page = Page("second", "", ["a.", "b.", "c."], True)
+    assert write_page(page, target) == target.absolute()
+    assert small.report(str(target), title="third") == target.absolute()
+    assert "third" in target.read_text()
+    assert write_page(page, target) == target.absolute()
     notes.write_text("keep me")
     with pytest.raises(FileExistsError, match="no report of rcorefine"):
-        result.report(notes)
+        small.report(notes)
     assert notes.read_text() == "keep me"
-    result.report(notes, overwrite=True)
+    write_page(page, notes, overwrite=True)
     assert "<!doctype html>" in notes.read_text()
     with pytest.raises(FileNotFoundError, match="does not exist"):
-        result.report(tmp_path / "no" / "report.html")
+        small.report(tmp_path / "no" / "report.html")
     assert not (tmp_path / "no").exists()
     with pytest.raises(IsADirectoryError, match="folder"):
-        result.report(tmp_path)
+        small.report(tmp_path)
 
 
 def test_report_leaves_no_figure_open(tmp_path, small):

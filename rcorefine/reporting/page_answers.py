@@ -64,20 +64,31 @@ def comparison_answer(result: Comparison) -> tuple[list[str], bool]:
 
 def diagnosis_answer(found: Diagnosis) -> tuple[list[str], bool]:
     """What is missing, how sure that is, what to do; shape as `comparison_answer`."""
-    lines = found.sentences()
+    first = found.sentences()[0]
     worst = min(found.tests, key=lambda t: t.p_value) if found.tests else None
-    second = "No test was possible." if worst is None else lines[1].replace("p = 0.", "p < 1e-300.")
+    if worst is None:
+        second = "No test was possible."
+    elif found.verdict == "adequate":
+        second = f"No test fires at the level {found.significance:g} (smallest p = {worst.p_value:.2g}, {worst.name})."
+    else:
+        p = f"p = {worst.p_value:.2g}" if worst.p_value > 0 else "p < 1e-300"
+        second = f"The model as it is fails its tests, most clearly this one: {worst.name}, {p}."
     if found.verdict == "adequate":
-        third = (
-            lines[2] if found.detectable and len(lines) > 2 else "Adding an effect would only fit the noise."
+        seen = ", ".join(
+            f"{d.effect.label} {number(d.smallest, 3)} {d.unit}".strip() for d in found.detectable[:3]
         )
-        return [lines[0], second, third], True
+        third = (
+            f"With 95 % probability it would have shown: {seen}."
+            if seen
+            else "Adding one would only fit the noise."
+        )
+        return [first, second, third], True
     third = {
         "effect": "Add it with refine, and judge the result on data that took part in nothing.",
         "ambiguous": "They explain the record alike: a record at another amplitude would tell them apart.",
         "unexplained": "Do not trust the closest candidate: what is missing is not in the list.",
     }[found.verdict]
-    return [lines[0], second, third], False
+    return [first, second, third], False
 
 
 def improvement_answer(ladder: Improvement) -> tuple[list[str], bool]:

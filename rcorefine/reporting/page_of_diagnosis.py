@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,6 +23,8 @@ def report_diagnosis(
     found: Diagnosis, path: Target, *, title: str | None, code: str | None, overwrite: bool
 ) -> Path:
     """Write the report of a diagnosis; see `Diagnosis.report`."""
+    from ..diagnosis.diagnose import diagnose
+
     target = check_target(path, overwrite=overwrite)
     answer, fine = diagnosis_answer(found)
     shown = ", ".join(f"{row.effect.label} {row.probability:.2f}" for row in found.ranking[:4]) or "nothing"
@@ -86,8 +89,10 @@ def report_diagnosis(
         parameter_table(found.base, "The model as it is, its free parameters fitted"),
         Paragraphs(found.notes),
     ]
-    settings = dict(found.settings, significance=found.significance)
+    known = inspect.signature(diagnose).parameters
+    settings = {key: value for key, value in found.settings.items() if key in known}
     candidates = settings.pop("candidates", None)
+    settings["significance"] = found.significance
     call = f"found = rco.diagnose(model, data{call_options(settings)})"
     if candidates is not None:
         call = f"candidates = {effects_code(candidates)}\n" + call.replace(
