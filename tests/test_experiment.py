@@ -258,6 +258,7 @@ def test_options_can_be_set(ambiguous):
         ({"bands": [(3.0, 1.0)]}, "rad/s"),
         ({"costs": {"lunch": 1.0}}, "costs names"),
         ({"sensors": ["nowhere"]}, "there are the states"),
+        ({"largest_input": [1.0, 2.0, 3.0]}, "largest_input must be positive"),
     ],
 )
 def test_bad_options_are_refused(ambiguous, settings, message):

@@ -165,7 +165,12 @@ class _Judge:
         self.contenders, self.fitted, self.records, self.ratio = contenders, fitted, records, ratio
         self.limit = None
         if largest_input is not None:
-            self.limit = np.broadcast_to(np.asarray(largest_input, dtype=float), (records[0].n_inputs,))
+            self.limit = np.atleast_1d(np.asarray(largest_input, dtype=float))
+            if self.limit.shape not in ((1,), (records[0].n_inputs,)) or not (self.limit > 0).all():
+                raise ct.ControlArgument(
+                    f"largest_input must be positive, one number or one for each of the {records[0].n_inputs} "
+                    f"inputs, not {largest_input!r}"
+                )
         self.levels = 1.0 / fitted.problem.weights
         self.whitener = Whitener.fit(fitted.residuals(ratio))
         self.before = sum(record.outputs.size for record in records)

@@ -194,7 +194,8 @@ class Diagnosis:
         With D the squared distance between the outputs of two rivals after one is
         refitted to the other, over the noise, and L what this record says already, they
         separate with probability Phi((L + D - 9.2) / (2 sqrt(D))); what the spread of the
-        coefficients adds is drawn. The sensor is judged by the new record alone.
+        coefficients adds is drawn. The sensor is judged by the new record alone. Of
+        several records the first is varied, and all of them count.
 
         Examples
         --------
