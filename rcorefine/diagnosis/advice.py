@@ -167,9 +167,10 @@ class _Judge:
         if largest_input is not None:
             self.limit = np.atleast_1d(np.asarray(largest_input, dtype=float))
             if self.limit.shape not in ((1,), (records[0].n_inputs,)) or not (self.limit > 0).all():
+                count = records[0].n_inputs
                 raise ct.ControlArgument(
-                    f"largest_input must be positive, one number or one for each of the {records[0].n_inputs} "
-                    f"inputs, not {largest_input!r}"
+                    f"largest_input must be positive, one number or one for each of the {count} inputs, not "
+                    f"{largest_input!r}"
                 )
         self.levels = 1.0 / fitted.problem.weights
         self.whitener = Whitener.fit(fitted.residuals(ratio))
