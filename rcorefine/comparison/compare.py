@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any
+from typing import Any, overload
 
 import control as ct
 import numpy as np
@@ -12,21 +12,43 @@ import numpy as np
 from ..exceptions import DataError, DivergenceError
 from ..measurement import Measurement
 from ..physics.simulation import simulate
+from ..spectral import FrequencyResponse
 from ..systems.linear import Array, LinearModel
 from .channels import Channels, aligned, match_channels, record_for, with_outputs
+from .in_frequency_domain import FrequencyComparison, compare_responses
 from .places import given_places
 from .result import Comparison
 
 __all__ = ["compare"]
 
 
+@overload
 def compare(
     model: Any,
     data: Measurement,
     *,
     x0: str | Array | Sequence[float] = "estimate",
     horizon: float | None = None,
-) -> Comparison:
+) -> Comparison: ...
+
+
+@overload
+def compare(
+    model: Any,
+    data: FrequencyResponse | ct.FrequencyResponseData,
+    *,
+    x0: str | Array | Sequence[float] = "estimate",
+    horizon: float | None = None,
+) -> FrequencyComparison: ...
+
+
+def compare(
+    model: Any,
+    data: Any,
+    *,
+    x0: str | Array | Sequence[float] = "estimate",
+    horizon: float | None = None,
+) -> Comparison | FrequencyComparison:
     """Simulate one or several models on a record and compare the outputs.
 
     Parameters
@@ -35,8 +57,9 @@ def compare(
         Continuous, or discrete with the record's sampling time. Channels are
         matched by name where model and record have names, in any order;
         by position otherwise. Outputs that were not measured are left out.
-    data : Measurement
-        Record; its hold decides how continuous models see the inputs.
+    data : Measurement, FrequencyResponseData or FrequencyResponse
+        Record; its hold decides how continuous models see the inputs. A
+        measured frequency response (`control.frd`) is compared directly.
     x0 : {"estimate", "zero"} or array_like of shape (n,)
         Initial state: the one that fits this record best, rest, or given.
     horizon : float, optional
@@ -49,7 +72,9 @@ def compare(
     Returns
     -------
     Comparison
-        `fit`, `rmse`, `residual`, `simulated`; ``print`` it, ``.plot()`` it.
+        `fit`, `rmse`, `residual`, `simulated`, and in `failures` where the
+        model fails; ``print`` it, ``.plot()`` it. A `FrequencyComparison`
+        for a measured frequency response.
 
     Raises
     ------
@@ -79,7 +104,10 @@ def compare(
     >>> bool(result.fit[1, 0] > 99.999), bool(result.fit[0, 0] < 60)
     (True, True)
     """
-    if not isinstance(data, Measurement):
+    responses = isinstance(data, (FrequencyResponse, ct.FrequencyResponseData))
+    if responses and (horizon is not None or not (isinstance(x0, str) and x0 == "estimate")):
+        raise ct.ControlArgument("x0 and horizon belong to records in time; a frequency response has neither")
+    if not responses and not isinstance(data, Measurement):
         raise ct.ControlArgument(
             f"data must be a rcorefine.Measurement, not {type(data).__name__}; build one with "
             "Measurement(inputs, outputs, dt=...) or Measurement.from_response(...)"
@@ -89,8 +117,11 @@ def compare(
     if not models:
         raise ct.ControlArgument("no model to compare; give one StateSpace or a list of them")
     linear = [LinearModel.from_statespace(getattr(each, "system", each)) for each in models]
-    channels = [match_channels(each, data) for each in linear]
     names = _unique([each.name for each in linear])
+    if responses:
+        named = [each.with_arrays(name=name) for each, name in zip(linear, names, strict=True)]
+        return compare_responses(named, data, several=several)
+    channels = [match_channels(each, data) for each in linear]
     outputs = [i for i in range(data.n_outputs) if all(i in each.outputs for each in channels)]
     if not outputs:
         raise ct.ControlDimension(

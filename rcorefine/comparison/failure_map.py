@@ -14,7 +14,7 @@ from .evidence import Evidence
 from .in_amplitude import input_laws, level_dependence
 from .in_frequency import bands, modes, modes_together, shifts
 from .in_state import forces_at_places
-from .in_time import clipping, delays, drifts, signs, stretches
+from .in_time import clipping, delays, drifts, pinned, signs, stretches
 from .motion import estimated_motion
 from .places import found_places
 from .scene import DIMENSIONS, Finding, Scene
@@ -30,6 +30,7 @@ SIGNIFICANCE = 0.01
 _RIVAL = 0.5
 # ... and from which on it comes before a mere place.
 _EQUAL = 0.9
+_MUCH = 4.0
 _BESIDES = 2
 _LEAST = 0.005  # of the error's energy that a second failure must explain
 _SHOWN = 10
@@ -240,7 +241,7 @@ def _scene(comparison: Comparison, index: int) -> tuple[Scene, list[str]]:
 
 def _searched(scene: Scene) -> list[Finding]:
     """All findings under the present noise model."""
-    found = [*stretches(scene), *drifts(scene), *delays(scene), *signs(scene), *clipping(scene)]
+    found = [*stretches(scene), *drifts(scene), *delays(scene), *signs(scene), *clipping(scene), *pinned(scene)]
     moved = shifts(scene)
     single = modes(scene, moved)
     found += [*single, *modes_together(scene, moved, single), *bands(scene)]
@@ -274,8 +275,8 @@ def _rows(scene: Scene) -> tuple[Failure, ...]:
     findings = _searched(scene)
     count = 2 * sum(f.tried for f in findings)
     sure = [f for f in findings if _p_value(f, scene, count) < SIGNIFICANCE]
-    leader = max(sure, key=lambda f: _net(f, scene), default=None)
-    whole.use(scene.residual - (0.0 if leader is None else leader.explanation.fit))
+    leaders = _in_order(sure, scene)
+    whole.use(scene.residual - (leaders[0].explanation.fit if leaders else 0.0))
     ranked = _ranked(findings + _searched(scene), scene, count)
     if not ranked:
         return ()
@@ -306,13 +307,21 @@ def _row(f: Finding, scene: Scene, count: int, role: str, whole: Evidence) -> Fa
 def _ranked(findings: Sequence[Finding], scene: Scene, count: int) -> list[Finding]:
     """Best finding of each kind of region, significant ones only, best first."""
     best: dict[tuple[str, ...], Finding] = {}
-    for finding in findings:
-        if _p_value(finding, scene, count) >= SIGNIFICANCE:
-            continue
-        key = _region(finding)
-        if key not in best or _net(finding, scene) > _net(best[key], scene):
-            best[key] = finding
-    return _settled(sorted(best.values(), key=lambda f: -_net(f, scene)), scene)
+    for finding in _in_order([f for f in findings if _p_value(f, scene, count) < SIGNIFICANCE], scene):
+        best.setdefault(_region(finding), finding)
+    return _settled(list(best.values()), scene)
+
+
+def _in_order(findings: Sequence[Finding], scene: Scene) -> list[Finding]:
+    """By worth; but what leaves several times as much of the error as another cannot come before it.
+
+    The likelihood forgives a slow error as noise of that color. Where something explains
+    the error itself, that counts.
+    """
+    left = [1.0 - scene.evidence.share(f.explanation.fit) for f in findings]
+    bound = _MUCH * min(left, default=0.0) + 0.01
+    order = sorted(range(len(findings)), key=lambda k: (left[k] > bound, -_net(findings[k], scene)))
+    return [findings[k] for k in order]
 
 
 def _region(finding: Finding) -> tuple[str, ...]:

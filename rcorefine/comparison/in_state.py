@@ -18,6 +18,7 @@ from .scene import Finding, Scene
 __all__ = ["forces_at_places"]
 
 _STEPS = 6
+_WORTH = 30.0  # twice the log-likelihood from which on a law is tried in the loop
 _FINE = 8
 _QUANTILES = (0.3, 0.5, 0.65, 0.8, 0.9)
 
@@ -48,15 +49,16 @@ def forces_at_places(scene: Scene) -> list[Finding]:
     assert scene.places is not None
     found: list[Finding] = []
     count = len(scene.places.places)
+    leaders: list[tuple[float, int, Place, dict[str, Any], Explanation, int]] = []
     for index, place, laws, columns in _columns(scene):
         cuts = np.cumsum([len(law["forces"]) for law in laws])[:-1]
         groups = [columns[a:b] for a, b in zip([0, *cuts], [*cuts, len(columns)], strict=True)]
         curved = [k for k, law in enumerate(laws) if not law["linear"]]
-        for rank, (k, one) in enumerate(scene.evidence.best_of([groups[k] for k in curved])):
-            law = laws[curved[k]]
-            if rank == 0:
-                law, one = _settled(scene, index, law, one)
-            found.append(_finding(place, law, one, len(laws) * count))
+        judged = scene.evidence.best_of([groups[k] for k in curved])
+        found += [_finding(place, laws[curved[k]], one, len(laws) * count) for k, one in judged]
+        if judged:
+            k, one = max(judged, key=lambda pair: pair[1].gain)
+            leaders.append((one.gain, index, place, laws[curved[k]], one, len(laws) * count))
         straight = [c for k, law in enumerate(laws) if law["linear"] for c in groups[k]]
         together = straight + [
             c
@@ -83,6 +85,9 @@ def forces_at_places(scene: Scene) -> list[Finding]:
                 {"place": place.name, "kind": "linear force"},
             )  # fmt: skip
         )
+    for gain, index, place, law, one, tried in sorted(leaders, key=lambda row: -row[0])[:2]:
+        if gain > _WORTH:
+            found.append(_finding(place, *_settled(scene, index, law, one), tried))
     return found
 
 

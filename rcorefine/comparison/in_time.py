@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 from scipy.signal import lfilter
 
 from ..systems.linear import Array
@@ -13,9 +14,10 @@ from .evidence import Explanation
 from .scene import Finding, Scene
 from .whitening import autoregressive_filter
 
-__all__ = ["clipping", "delays", "drifts", "signs", "stretches"]
+__all__ = ["clipping", "pinned", "delays", "drifts", "signs", "stretches"]
 
 _SHORTEST = 8  # samples of a stretch: less is an outlier
+_LOUDER = 2.0  # times the error elsewhere, from which on a stretch is one
 _SLOW = 6  # half-waves over the record that count as drift
 
 
@@ -74,6 +76,8 @@ def _stretch(scene: Scene, i: int, masked: NDArray[np.bool_]) -> Finding | None:
         text = "the output does not follow the model at all: the record dropped out or hung"
     start, stop = scene.time(a0), scene.time(b0)
     times = inside_level / max(outside_level, 1e-300)
+    if measure == "error level" and times < _LOUDER:
+        return None  # an error that goes with the motion is a little larger where the motion is
     return Finding(
         "time",
         f"{start:.4g} ... {stop:.4g} s, {scene.named(i)}",
@@ -307,6 +311,34 @@ def signs(scene: Scene) -> list[Finding]:
                     "frequency", f"all frequencies, {name}", "gain", one, 1 + scene.model.n_states, 1,
                     f"{name} is {factor:.4g} times the model's at all frequencies: a gain is wrong.",
                     {"output": name, "factor": factor, "kind": "gain", "low": 0.0, "high": np.inf},
+                )  # fmt: skip
+            )
+    return found
+
+
+def pinned(scene: Scene) -> list[Finding]:
+    """Samples of the record that stand still at its very top or bottom: the range was exceeded."""
+    found = []
+    for i, y in enumerate(scene.data.outputs):
+        still = np.flatnonzero(np.diff(y) == 0.0)
+        for limit, side in ((float(y.max()), "above"), (float(y.min()), "below")):
+            at = y == limit
+            runs = int(np.sum(at[1:] & at[:-1]))
+            # how often neighbors are equal elsewhere, as in a coarse or resting record
+            usual = max((still.size - runs + 1) / y.size, 1.0 / y.size)
+            if runs < 4 or runs < 3.0 * usual * at.sum():
+                continue
+            chance = float(stats.binom.logsf(runs - 1, int(at.sum()), min(usual, 1.0)))
+            fit = np.zeros_like(scene.residual)
+            fit[i, at] = scene.residual[i, at]
+            name, unit = scene.named(i), _unit(scene, i)
+            found.append(
+                Finding(
+                    "time", f"where {name} reaches {limit:.4g}{unit}", "clipping",
+                    Explanation(fit, -2.0 * chance, np.array([limit])), 1, 2,
+                    f"{name} stands still at {limit:.4g}{unit} for {at.sum()} samples: the end of the sensor's "
+                    "range, so the record itself is cut off.",
+                    {"output": name, "limit": limit, "side": side, "kind": "pinned"},
                 )  # fmt: skip
             )
     return found
