@@ -258,6 +258,22 @@ def test_picture_that_the_record_forbids_is_a_sentence(tmp_path):
     assert "constant" in text
 
 
+@pytest.mark.parametrize(
+    "name", ["</style><script>alert(1)</script>", "$x_1$ & 50 % {x} \\n", "a" * 300, "x\ud800"]
+)
+def test_no_name_breaks_the_page_or_its_code(tmp_path, monkeypatch, name):
+    """Markup, mathematics, format signs, length, what UTF-8 cannot hold: all of it is text."""
+    monkeypatch.setattr("rcorefine.reporting.page_of_comparison._kinds_of", lambda result: [])
+    data = record(chain(), 120, name=name)
+    path = rco.compare(chain(name=name), data).report(tmp_path / "n.html")
+    page = Reader(path.read_text(encoding="utf-8"))
+    assert "script" not in [tag for tag, _ in page.tags]
+    assert [tag for tag, _ in page.tags].count("style") == 1
+    if not name.startswith("x"):
+        assert name in "".join(page.inside("h1"))
+    assert run(code_of(path), data, tmp_path, monkeypatch)["data"].name == name
+
+
 # ------------------------------------------------------------------ in a browser
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:

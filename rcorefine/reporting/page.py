@@ -168,7 +168,8 @@ def write_page(page: Page, path: str | PathLike[str], *, overwrite: bool = False
         If `path` is a folder.
     """
     target = check_target(path, overwrite=overwrite)
-    target.write_text(page.html(), encoding="utf-8")
+    # names may hold what no text can (lone surrogates); it is shown as an escape
+    target.write_text(page.html(), encoding="utf-8", errors="backslashreplace")
     return target
 
 

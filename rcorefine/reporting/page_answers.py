@@ -69,7 +69,8 @@ def diagnosis_answer(found: Diagnosis) -> tuple[list[str], bool]:
     if worst is None:
         second = "No test was possible."
     elif found.verdict == "adequate":
-        second = f"No test fires at the level {found.significance:g} (smallest p = {worst.p_value:.2g}, {worst.name})."
+        least = f"smallest p = {worst.p_value:.2g}, {worst.name}"
+        second = f"No test fires at the level {found.significance:g} ({least})."
     else:
         p = f"p = {worst.p_value:.2g}" if worst.p_value > 0 else "p < 1e-300"
         second = f"The model as it is fails its tests, most clearly this one: {worst.name}, {p}."
@@ -85,7 +86,7 @@ def diagnosis_answer(found: Diagnosis) -> tuple[list[str], bool]:
         return [first, second, third], True
     third = {
         "effect": "Add it with refine, and judge the result on data that took part in nothing.",
-        "ambiguous": "They explain the record alike: a record at another amplitude would tell them apart.",
+        "ambiguous": "They explain it alike; suggest_experiment() names the record that tells them apart.",
         "unexplained": "Do not trust the closest candidate: what is missing is not in the list.",
     }[found.verdict]
     return [first, second, third], False
