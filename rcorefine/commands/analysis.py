@@ -115,8 +115,8 @@ def wanted_candidates(model: Any, wanted: Sequence[str] | None) -> list[Effect] 
     Examples
     --------
     >>> chain = rco.mass_spring_damper([1.0, 1.0], [1.0, 1.0], [50.0, 50.0])
-    >>> [effect.label for effect in wanted_candidates(chain, ["coulomb_friction@link2", "hysteresis"])]
-    ['coulomb_friction at link2', 'hysteresis at link1', 'hysteresis at link2']
+    >>> [effect.label for effect in wanted_candidates(chain, ["coulomb_friction@link2", "hysteresis@link1"])]
+    ['coulomb_friction at link2', 'hysteresis at link1']
     """
     if not wanted:
         return None
