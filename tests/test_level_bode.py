@@ -355,6 +355,16 @@ def test_stretches_by_level_are_those_planted():
     assert len(stretches_by_level(rco.Measurement(w[:3000], w[:3000], dt=0.01))) == 1
 
 
+def test_a_level_that_climbs_is_looked_at_in_thirds():
+    """An "arrow": noise whose amplitude grows evenly; rms of the thirds by integration of the square."""
+    n = 9000
+    w = np.random.default_rng(1).standard_normal(n) * np.arange(n) / n
+    found = stretches_by_level(rco.Measurement(w, w, dt=0.01))
+    exact = [np.sqrt(((k + 1) ** 3 - k**3) / 27) for k in range(3)]
+    # the very start, where the level doubles from block to block, belongs to none of them
+    assert [level for level, _ in found] == pytest.approx(exact, rel=0.12)
+
+
 def test_steady_levels_are_one_stretch_in_most_records():
     """White and coloured inputs of one level: not split, over 40 seeds."""
     split = 0

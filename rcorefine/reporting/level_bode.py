@@ -10,6 +10,7 @@ from typing import Any
 import control as ct
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import stats
 
 from ..comparison.channels import match_channels, record_for
 from ..exceptions import DataError, DivergenceError
@@ -68,6 +69,7 @@ def stretches_by_level(data: Measurement) -> list[tuple[float, Measurement]]:
     # the step that starts a new stretch is larger than what chance makes of one level
     jumps = np.flatnonzero(np.abs(np.diff(height)) > np.log(_RATIO)) + 1
     bounds = [0, *jumps.tolist(), power.size]
+    bounds = [0] + [cut for a, b in pairwise(bounds) for cut in _thirds(height, a, b)]
     found: list[tuple[float, Measurement]] = []
     for a, b in sorted(pairwise(bounds), key=lambda pair: pair[0] - pair[1]):
         if b - a < _FEWEST:
@@ -78,6 +80,16 @@ def stretches_by_level(data: Measurement) -> list[tuple[float, Measurement]]:
         if all(max(level, other) / min(level, other) > _RATIO for other, _ in found):
             found.append((level, part))
     return sorted(found[:_MOST], key=lambda pair: pair[0]) if found else whole
+
+
+def _thirds(height: Array, first: int, last: int) -> list[int]:
+    """Ends of the parts of a stretch: three where its level climbs or falls all the way, else one."""
+    blocks = last - first
+    if blocks < 3 * _FEWEST:
+        return [last]
+    line = stats.linregress(np.arange(blocks), height[first:last])
+    climbs = abs(line.slope) * blocks > 2 * np.log(_RATIO) and line.pvalue < 1e-4
+    return [first + blocks // 3, first + 2 * blocks // 3, last] if climbs else [last]
 
 
 def _level(data: Measurement) -> float:
