@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import traceback
 import warnings
 from argparse import Namespace
 from collections.abc import Sequence
@@ -16,6 +17,7 @@ from .exceptions import RCOError
 
 __all__ = ["main"]
 
+_FAULT = 3
 # what a wrong file, record or model raises; anything else is a fault of the program and shows where
 _EXPECTED = (RCOError, OSError, ct.ControlDimension, ct.ControlArgument)
 
@@ -34,7 +36,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     int
         0 where nothing was found, 1 where something was (for ``demo``: where
         the work failed), 2 where a file or the record cannot be used; the
-        message is on standard error. Wrong usage ends the process with 2.
+        message is on standard error. Wrong usage ends the process with 2; 3 is a
+        fault of the program itself, with its traceback on standard error.
 
     Examples
     --------
@@ -62,6 +65,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except _EXPECTED as error:
         sys.stderr.write(f"rcorefine {arguments.command}: {_message(error)}\n")
         return failed
+    except Exception:
+        # a fault of the program must not pass for an answer: Python would end with 1
+        traceback.print_exc()
+        return _FAULT
 
 
 def _run(arguments: Namespace) -> int:

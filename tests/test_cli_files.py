@@ -139,6 +139,37 @@ def test_warnings_are_lines_on_standard_error(files, tmp_path):
     assert ".py" not in done.stderr
 
 
+def test_a_reader_that_leaves_does_not_change_the_answer(files):
+    """`rcorefine compare ... | true` ends with the code of what was found, quietly."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "rcorefine", "compare", "model.toml", "soft.csv"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
+        text=True,
+        cwd=files,
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.wait(timeout=300) == 1
+        assert process.stderr.read() == ""
+
+
+def test_a_fault_of_the_program_is_no_answer(call, monkeypatch):
+    """Python would end with 1, which means that something was found."""
+
+    def broken(*_, **__):
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr("rcorefine.commands.analysis.compare", broken)
+    code, out, err = call("compare", "model.toml", "right.csv")
+    assert code == 3
+    assert out == ""
+    assert "Traceback" in err
+    assert "a bug" in err
+
+
 BAD = {
     "no model": (["compare", "nix.toml", "right.csv"], "nix.toml: No such file"),
     "no record": (["diagnose", "model.toml", "nix.csv"], "nix.csv: No such file"),

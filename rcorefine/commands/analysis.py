@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import sys
 from argparse import Namespace
@@ -185,6 +186,10 @@ def _finish(
         text = json_text({**head, **about, **content, "report": None if report is None else str(report)})
     elif report is not None:
         text += f"\nReport: {report}"
-    sys.stdout.write(text + "\n")
-    sys.stdout.flush()
+    try:
+        sys.stdout.write(text + "\n")
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # the reader left (rcorefine compare ... | head); what was found is still in the exit code
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return code

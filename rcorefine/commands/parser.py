@@ -16,7 +16,7 @@ __all__ = ["build_parser"]
 
 _EXIT_CODES = (
     "exit codes: 0 adequate, nothing found; 1 something found; 2 wrong usage, or a file that cannot be used "
-    "(the message is on standard error)"
+    "(the message is on standard error); 3 a fault of the program"
 )
 _DEMO_CODES = "exit codes: 0 all went well, 1 the work failed (the message says why), 2 wrong usage"
 _MODEL = (
