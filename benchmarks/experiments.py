@@ -230,11 +230,8 @@ def taught(
         effects.append(second)
         data = measured(hidden, hidden.data.inputs, np.random.default_rng([seed, 8]))
         hidden = replace(hidden, data=data)
-    return (
-        hidden,
-        "pair" if kind == "pair" else "single",
-        rco.refine(hidden.plant.model, hidden.data, effects),
-    )
+    model = rco.refine(hidden.plant.model, hidden.data, effects)
+    return hidden, "pair" if kind == "pair" else "single", model, 0.0
 
 
 def amplitude(first: int, seeds: int, rows: list[str], verbose: bool, seconds: float) -> None:
