@@ -274,6 +274,28 @@ def test_no_name_breaks_the_page_or_its_code(tmp_path, monkeypatch, name):
     assert run(code_of(path), data, tmp_path, monkeypatch)["data"].name == name
 
 
+def test_measured_response_has_a_report_too(tmp_path, monkeypatch):
+    """Without a record in time: answer, picture, table, and code that computes the same fit."""
+    omega = np.geomspace(2, 40, 60)
+    true = ct.ss([[0, 1], [-90, -0.4]], [[0], [1]], [[1, 0]], 0, inputs="force", outputs="q1", name="true")
+    measured = ct.frd(
+        ct.frequency_response(true, omega).frdata, omega, name=EVIL, inputs=["force"], outputs=["q1"]
+    )
+    model = ct.ss([[0, 1], [-100, -0.4]], [[0], [1]], [[1, 0]], 0, inputs="force", outputs="q1", name="model")
+    first = rco.compare([model, true], measured)
+    path = first.report(tmp_path / "r.html")
+    page = Reader(path.read_text(encoding="utf-8"))
+    answer = [text for where, text in page.texts if "section.answer" in where]
+    assert len(answer) == 3
+    assert answer[0].startswith("true explains 100 %")
+    assert EVIL in "".join(page.inside("h1"))
+    assert sum(tag == "img" for tag, _ in page.tags) == 1
+    monkeypatch.chdir(tmp_path)
+    space: dict[str, object] = {"print": lambda *_: None}
+    exec(compile(code_of(path), "report", "exec"), space)
+    assert np.allclose(space["result"].fit, first.fit, rtol=0, atol=1e-9)
+
+
 # ------------------------------------------------------------------ in a browser
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:

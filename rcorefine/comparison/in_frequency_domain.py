@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import control as ct
@@ -157,6 +159,43 @@ class FrequencyComparison:
             title=f"Models and response {self.measured.name}" if title is None and ax is None else title,
             legend_loc=legend_loc, rcParams=rcParams, show_legend=show_legend,
         )  # fmt: skip
+
+    def report(
+        self,
+        path: str | PathLike[str],
+        *,
+        title: str | None = None,
+        code: str | None = None,
+        overwrite: bool = False,
+    ) -> Path:
+        """Write what was found as one HTML file: answer, pictures, tables, code, versions.
+
+        Parameters
+        ----------
+        path : str or path
+            File to write; an older report there is replaced.
+        title : str, optional
+            Heading.
+        code : str, optional
+            Code or command that made the result, printed above the generated code.
+        overwrite : bool
+            Replace a file there that is no report, too.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the folder does not exist.
+        FileExistsError
+            If another file is there.
+        """
+        from ..reporting.page_of_comparison import report_responses
+
+        return report_responses(self, path, title=title, code=code, overwrite=overwrite)
 
 
 def compare_responses(

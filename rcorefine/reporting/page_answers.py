@@ -10,12 +10,19 @@ from .adequacy import best_of, failures_of
 from .tables import number
 
 if TYPE_CHECKING:
+    from ..comparison.in_frequency_domain import FrequencyComparison
     from ..comparison.result import Comparison
     from ..diagnosis.ledger import Improvement
     from ..diagnosis.result import Diagnosis
     from ..refinement.refinement import EstimatedParameter, Refinement
 
-__all__ = ["comparison_answer", "diagnosis_answer", "improvement_answer", "refinement_answer"]
+__all__ = [
+    "comparison_answer",
+    "diagnosis_answer",
+    "improvement_answer",
+    "refinement_answer",
+    "response_answer",
+]
 
 
 def comparison_answer(result: Comparison) -> tuple[list[str], bool]:
@@ -59,6 +66,27 @@ def comparison_answer(result: Comparison) -> tuple[list[str], bool]:
         first,
         f"Where it fails{more}: {found[0].sentence.rstrip('.')}.",
         f"The typical error is {sizes}; diagnose names the physical effect that is missing.",
+    ], False
+
+
+def response_answer(result: FrequencyComparison) -> tuple[list[str], bool]:
+    """How well a measured response is met, and where it is not; shape as `comparison_answer`."""
+    measured = result.measured
+    fits = result.fit if result.several else result.fit[None]
+    means = np.nan_to_num(fits, nan=-np.inf).reshape(len(result.names), -1).mean(axis=1)
+    best = int(np.argmax(means))
+    error = result.relative_error if result.several else result.relative_error[None]
+    worst = result.worst if result.several else result.worst[None]
+    i, j = np.unravel_index(int(np.argmin(np.nan_to_num(fits[best], nan=np.inf))), fits[best].shape)
+    others = ", ".join(f"{n} {means[k]:.4g} %" for k, n in enumerate(result.names) if k != best)
+    path = f"from {measured.input_labels[j]} to {measured.output_labels[i]}"
+    typical = float(np.nanmedian(error[best]))
+    return [
+        f"{result.names[best]} explains {means[best]:.4g} % of the measured response {measured.name}"
+        + (f" ({others})." if others else "."),
+        f"It departs most near {worst[best, i, j]:.4g} rad/s, {path}.",
+        f"The typical relative error is {100 * typical:.3g} %; a record in time would tell whether that is "
+        "noise.",
     ], False
 
 

@@ -14,11 +14,13 @@ from ..physics.effects import Effect
 from ..physics.physical_model import NominalParameter, PhysicalModel, as_physical
 from ..physics.ports import Port
 from ..refinement.refinement import Refinement
+from ..spectral import FrequencyResponse
 from ..systems.linear import LinearModel
-from .page_origin import fingerprint
+from .page_origin import fingerprint, response_facts
 
 __all__ = ["effects_code", "literal", "model_code", "record_code", "script"]
 
+_MOST_POINTS = 4000  # of a measured response
 _LARGEST = 30  # states of a model that is listed in full
 
 
@@ -55,6 +57,8 @@ def literal(value: Any, indent: int = 0) -> str:
         return repr(int(value))
     if isinstance(value, (float, np.floating)):
         return repr(float(value)) if math.isfinite(value) else f"np.{float(value)!r}".replace("np.-", "-np.")
+    if isinstance(value, (complex, np.complexfloating)):
+        return repr(complex(value))
     if isinstance(value, np.ndarray):
         if value.size > 1 and not value.any():
             return f"np.zeros({literal(value.shape if value.ndim > 1 else value.shape[0])})"
@@ -196,12 +200,36 @@ def record_code(records: Sequence[Measurement]) -> list[str]:
     return lines
 
 
+def response_code(measured: FrequencyResponse) -> list[str]:
+    """Lines that define a measured response, its points in full up to a few thousand."""
+    if measured.response.size > _MOST_POINTS:
+        facts = [f"# {name}: {value}" for name, value in response_facts(measured)]
+        return ["# the measured response is too long to be listed here", *facts, "measured = ..."]
+    return [
+        "measured = FrequencyResponse.from_frd(",
+        "    ct.frd(",
+        f"        {literal(measured.response, 8)},",
+        f"        {literal(measured.omega, 8)},",
+        f"        dt={literal(measured.dt)},",
+        f"        name={literal(measured.name)},",
+        f"        inputs={literal(list(measured.input_labels), 8)},",
+        f"        outputs={literal(list(measured.output_labels), 8)},",
+        "    ),",
+        f"    hold={literal(measured.hold)},",
+        ")",
+    ]
+
+
 def script(*blocks: Sequence[str]) -> str:
     """Blocks of lines under the imports that they need."""
     body = "\n\n".join("\n".join(block) for block in blocks if block)
-    moved = "from rcorefine.systems.linear import LinearModel"
-    own = f"import rcorefine as rco\n{moved}" if moved in body else "import rcorefine as rco"
-    body = body.replace(f"{moved}\n\n", "")
+    own = ["import rcorefine as rco"]
+    model = "from rcorefine.systems.linear import LinearModel"
+    if model in body:
+        own.append(model)
+        body = body.replace(f"{model}\n\n", "")
+    if "FrequencyResponse.from_frd" in body:
+        own.append("from rcorefine.spectral import FrequencyResponse")
     standard = "from hashlib import sha256\n\n" if "sha256(" in body else ""
     outside = [
         line
@@ -209,7 +237,11 @@ def script(*blocks: Sequence[str]) -> str:
         if sign in body
     ]
     return (
-        standard + "".join(f"{line}\n" for line in outside) + ("\n" if outside else "") + f"{own}\n\n{body}\n"
+        standard
+        + "".join(f"{line}\n" for line in outside)
+        + ("\n" if outside else "")
+        + "\n".join(own)
+        + f"\n\n{body}\n"
     )
 
 

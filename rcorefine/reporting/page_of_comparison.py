@@ -11,17 +11,19 @@ import numpy as np
 from ..systems.linear import LinearModel
 from .adequacy import failures_of
 from .comparisons import _cells, _without_empty_unit
-from .page import Page, Paragraphs, Section, Table, check_target, write_page
-from .page_answers import comparison_answer
-from .page_code import model_code, record_code, script
+from .page import Facts, Page, Paragraphs, Section, Table, check_target, write_page
+from .page_answers import comparison_answer, response_answer
+from .page_code import model_code, record_code, response_code, script
+from .page_origin import response_facts, version_facts
 from .page_parts import Parts, Target, Wanted, chance, code_section, origin_section, pictures
 from .tables import number
 
 if TYPE_CHECKING:
     from ..comparison.failure_map import Failure
+    from ..comparison.in_frequency_domain import FrequencyComparison
     from ..comparison.result import Comparison
 
-__all__ = ["comparison_tables", "fits_in_words", "report_comparison", "time_words"]
+__all__ = ["comparison_tables", "fits_in_words", "report_comparison", "report_responses", "time_words"]
 
 
 def report_comparison(
@@ -41,6 +43,36 @@ def report_comparison(
     ]
     heading = title or f"{' and '.join(result.names[:3])}: comparison with {result.data.name}"
     about = f"{len(result.names)} model(s), {result.data.n_samples} samples, {number(result.data.duration)} s"
+    return write_page(Page(heading, about, answer, fine, sections), target, overwrite=overwrite)
+
+
+def report_responses(
+    result: FrequencyComparison, path: Target, *, title: str | None, code: str | None, overwrite: bool
+) -> Path:
+    """Write the report of a comparison with a measured response; see `FrequencyComparison.report`."""
+    target = check_target(path, overwrite=overwrite)
+    measured = result.measured
+    answer, fine = response_answer(result)
+    headers, rows, above, notes = result._cells()
+    magnitudes = ", ".join(result.names)
+    drawn = (
+        "bode",
+        lambda: result.plot(title=""),
+        f"Bode diagram of {magnitudes} beside the measured response {measured.name}.",
+        "Dots: measured response. Lines: the models. Bottom row: relative error.",
+    )
+    models = [model_code(m, f"model{i + 1}") for i, m in enumerate(result.models)]
+    listed = ", ".join(f"model{i + 1}" for i in range(len(models)))
+    call = f"result = rco.compare({f'[{listed}]' if result.several else listed}, measured)"
+    own = script(*models, response_code(measured), [call, "print(result)", "result.plot()"])
+    sections = [
+        Section("Pictures", pictures([drawn])),
+        Section("Tables", [Table(headers, rows, title=above, notes=notes, left=3)]),
+        code_section(own, code),
+        Section("Response and versions", [Facts(response_facts(measured)), Facts(version_facts())]),
+    ]
+    heading = title or f"{' and '.join(result.names[:3])}: comparison with {measured.name}"
+    about = f"{len(result.names)} model(s), {measured.omega.size} frequencies"
     return write_page(Page(heading, about, answer, fine, sections), target, overwrite=overwrite)
 
 

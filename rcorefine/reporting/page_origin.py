@@ -10,10 +10,11 @@ from importlib.metadata import PackageNotFoundError, version
 import numpy as np
 
 from ..measurement import Measurement
+from ..spectral import FrequencyResponse
 from ..systems.linear import Array
 from .tables import number
 
-__all__ = ["fingerprint", "record_facts", "version_facts"]
+__all__ = ["fingerprint", "record_facts", "response_facts", "version_facts"]
 
 _PACKAGES = ("control", "numpy", "scipy", "matplotlib", "numba")
 
@@ -64,6 +65,22 @@ def record_facts(records: Sequence[Measurement]) -> list[tuple[str, str]]:
             ("sha256 of the outputs", fingerprint(data.outputs)),
         ]
     return rows
+
+
+def response_facts(measured: FrequencyResponse) -> list[tuple[str, str]]:
+    """Names and values that identify a measured response."""
+    parts = np.stack([measured.response.real, measured.response.imag])
+    return [
+        ("response", measured.name),
+        (
+            "frequencies",
+            f"{measured.omega.size}, {number(measured.omega[0])} to {number(measured.omega[-1])} rad/s",
+        ),
+        ("inputs", _signals(measured.input_labels, measured.input_units)),
+        ("outputs", _signals(measured.output_labels, measured.output_units)),
+        ("sha256 of the frequencies", fingerprint(measured.omega)),
+        ("sha256 of the response", f"{fingerprint(parts)} (real parts, then imaginary parts)"),
+    ]
 
 
 def _signals(labels: Sequence[str], units: Sequence[str]) -> str:
