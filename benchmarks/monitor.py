@@ -38,7 +38,7 @@ NULLS = {  # sensor noise, unmeasured force over the input, sensors
     "ar and force 3": ("ar", 0.03, 1),
 }
 HEALTHY = 6000  # samples before the change
-AFTER = 40  # periods of the first mode after it
+AFTER, MOST_AFTER = 40, 6000  # periods of the first mode, and samples, after it
 
 
 @dataclass
@@ -101,8 +101,9 @@ def changing_record(
     made = PLANTS[plant](rng, 1)
     poles = np.linalg.eigvals(made.A)
     swinging = np.abs(poles[np.abs(poles.imag) > 0.2 * np.abs(poles)])
-    period = 2 * np.pi / (swinging if swinging.size else np.abs(poles)).min() / made.dt
-    N = HEALTHY + int(AFTER * period)
+    # where nothing swings, two time constants of the slowest state
+    period = (2 * np.pi / swinging.min() if swinging.size else 2 / np.abs(poles).min()) / made.dt
+    N = HEALTHY + min(int(AFTER * period), MOST_AFTER)
     w = excitation(rng, made, N)
     needs = kind.endswith("stiffness")
     places = [p for p in made.places if (p.d is not None or not needs) and (not p.laws or kind in p.laws)]
@@ -170,7 +171,7 @@ def change(name: str, seeds: range, plant: str, loss: float, noise_kind: str) ->
     for seed in seeds:
         record = changing_record(seed, profile, kind=kind, loss=loss, plant=plant, noise_kind=noise_kind)
         made, T = record.plant, record.period
-        monitor = rco.Monitor(made.model, dt=made.dt, hold="foh")
+        monitor = rco.Monitor(made.model, dt=made.dt, hold="foh", learn=3000)
         first = None
         for k in range(0, record.w.shape[1], 20):
             monitor.update(record.w[:, k : k + 20], record.y[:, k : k + 20])

@@ -51,7 +51,8 @@ class Pace:
     Attributes
     ----------
     period : int
-        Samples in a period of the first mode, or in 2 pi time constants of the slowest state.
+        Samples in a period of the first mode; where nothing swings, in two time constants of the
+        slowest state.
     word : str
         What that is.
     """
@@ -61,15 +62,15 @@ class Pace:
 
 
 def pace_of(structure: Structure, theta: Array, dt: float) -> Pace:
-    """Period of the first mode in samples, kept between 8 and 100 000."""
+    """Period of the first mode in samples (or what stands for it), kept between 8 and 100 000."""
     poles = np.linalg.eigvals(structure.matrices(theta).A.astype(float))
     swinging = np.abs(poles[np.abs(poles.imag) > 0.2 * np.abs(poles)])
     if swinging.size:
         return Pace(int(np.clip(round(2 * math.pi / swinging.min() / dt), 8, 100_000)), "first mode")
     rates = np.abs(poles)
     rates = rates[rates > 1e-6 * rates.max(initial=0.0)]
-    slowest = float(rates.min()) if rates.size else 2 * math.pi / (50 * dt)
-    return Pace(int(np.clip(round(2 * math.pi / slowest / dt), 8, 100_000)), "slowest state")
+    slowest = float(rates.min()) if rates.size else 2 / (50 * dt)
+    return Pace(int(np.clip(round(2 / slowest / dt), 8, 100_000)), "slowest state")
 
 
 class Observer:

@@ -148,11 +148,13 @@ def build_bank(
         np.ones(k),
     )
     unit = _sizes(bank, structure, theta, data, gain)
-    return replace(bank, scale=unit)
+    # a law that has nothing to work on here, as hysteresis without a displacement
+    idle = unit == 0
+    return replace(bank, scale=unit, codes=np.where(idle, CODES["constant"], bank.codes))
 
 
 def _sizes(bank: Bank, structure: Structure, theta: Array, data: Measurement, gain: Array) -> Array:
-    """One over the rms force of each column per unit of its coefficient."""
+    """One over the rms force of each column per unit of its coefficient, 0 where there is none."""
     run = Engine(structure, data, substeps=2 if structure.n_ports else 1).run(
         theta, sensitivity=False, gain=gain, histories=True, check=False
     )
@@ -161,7 +163,8 @@ def _sizes(bank: Bank, structure: Structure, theta: Array, data: Measurement, ga
     inner[0] = 0.0
     forces(X, bank.rows, bank.codes, bank.values, bank.widths, bank.pick, 1.0 / data.dt, inner, F)
     size = np.sqrt(np.mean(F**2, axis=0))
-    return np.where(size > 0, 1.0 / np.where(size > 0, size, 1.0), 1.0)
+    seen = np.isfinite(size) & (size > 0)
+    return np.where(seen, 1.0 / np.where(seen, size, 1.0), np.where(np.isfinite(size), 1.0, 0.0))
 
 
 def linearized(structure: Structure, theta: Array, data: Measurement, gain: Array) -> Array:

@@ -139,12 +139,16 @@ def linear_rows(stream: Stream) -> list[MonitorRow]:
 def misfit_remarks(stream: Stream) -> tuple[str, ...]:
     """Whether a candidate was there already in the learning phase, in words."""
     _, _, gains = linear_estimates(stream, 0)
+    owner, effects = stream.bank.owner, stream.bank.effects
+    idle = [e.label for i, e in enumerate(effects) if not stream.bank.scale[owner == i].any()]
+    found = (f"Not watched, for nothing moves there that the law needs: {', '.join(idle)}.",) if idle else ()
     best = int(np.argmax(gains))
     score = math.sqrt(2 * float(gains[best]))
     if score < stream.windows.levels[-1]:
-        return ()
-    label = stream.bank.effects[stream.bank.owner[best]].label
+        return found
+    label = effects[owner[best]].label
     return (
+        *found,
         f"The model does not explain the learning phase: {label} or the like is missing ({score:.0f} "
         "standard deviations). Thresholds stand higher for it; refine the model on a healthy record first.",
     )

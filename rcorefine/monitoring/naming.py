@@ -23,6 +23,7 @@ __all__ = ["Fit", "Stretch", "fit_candidate"]
 _STEPS = 12
 _MOST_STARTS = 2
 _REACH = 8.0
+_HUGE = 1e100  # errors and slopes beyond which the model has blown up
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -201,7 +202,9 @@ def _descend(
         if run.blew_up >= 0 or not np.isfinite(run.outputs).all():
             return math.inf, np.zeros(0), np.zeros((0, 0))
         r = stretch.whiten(y - run.outputs)
-        J = stretch.whiten(-np.nan_to_num(run.sensitivity[:, :, p0:])) if slopes else np.zeros((r.size, 0))
+        J = stretch.whiten(-run.sensitivity[:, :, p0:]) if slopes else np.zeros((r.size, 0))
+        if not (np.abs(r).max(initial=0.0) < _HUGE and np.abs(J).max(initial=0.0) < _HUGE):
+            return math.inf, np.zeros(0), np.zeros((0, 0))
         return float(r @ r), r, J
 
     point = np.concatenate([start, np.zeros(free)])
