@@ -366,6 +366,29 @@ def test_fewer_outputs_are_found_by_name(call, tmp_path):
     assert [o["name"] for o in json.loads(out)["models"][0]["outputs"]] == ["q1"]
 
 
+def test_columns_with_the_models_names_are_matched_by_name(call, tmp_path):
+    """In whatever order they are asked for; other names stand in the model's order."""
+    (tmp_path / "two.toml").write_text(
+        TOML.replace("C = [1.0, 0.0]", "C = [[1.0, 0.0], [2.0, 0.0]]").replace('["q1"]', '["q1", "q2"]')
+    )
+    columns = simulated()
+    columns["q2"] = 2 * columns["q1"]
+    csv(tmp_path / "two.csv", columns)
+    csv(tmp_path / "other.csv", dict(zip(("time", "F", "a", "b"), columns.values(), strict=True)))
+    for words in (
+        ["two.csv"],
+        ["two.csv", "--output", "q2,q1"],
+        ["other.csv", "--input", "F", "--output", "a,b"],
+    ):
+        code, out, _ = call("compare", tmp_path / "two.toml", tmp_path / words[0], *words[1:], "--json")
+        assert code == 0
+        assert all(o["fit"] > 97 for o in json.loads(out)["models"][0]["outputs"])
+    _, out, _ = call(
+        "compare", tmp_path / "two.toml", tmp_path / "other.csv", "--input", "F", "--output", "b,a", "--json"
+    )
+    assert any(o["fit"] < 60 for o in json.loads(out)["models"][0]["outputs"])
+
+
 def test_hold_matters(call):
     _, zoh, _ = call("compare", "model.toml", "soft.csv", "--json")
     _, foh, _ = call("compare", "model.toml", "soft.csv", "--json", "--hold", "foh")

@@ -188,8 +188,8 @@ def _record_options(parser: argparse.ArgumentParser) -> None:
         "--input",
         action=_Names,
         metavar="NAME",
-        help="columns of the inputs, in the order of the model's: repeat it, or separate names by commas "
-        "(default: the model's names)",
+        help="columns of the inputs: by the model's names, or by others in the model's order; repeat it, or "
+        "separate names by commas (default: the model's names)",
     )
     group.add_argument("--output", action=_Names, metavar="NAME", help="columns of the outputs, likewise")
     group.add_argument(

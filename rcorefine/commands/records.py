@@ -37,8 +37,8 @@ def read_record(path: Path, model: Any, arguments: Namespace) -> Measurement:
     Returns
     -------
     Measurement
-        Signals named like those of the model: as many as the model has stand in its order,
-        fewer are found by name.
+        Columns that are named like the model's signals, or fewer than it has, are found by name;
+        as many of other names stand in the model's order and take its names.
 
     Raises
     ------
@@ -82,7 +82,8 @@ def _columns(given: list[str] | None, model: tuple[str, ...]) -> tuple[list[str]
     """Columns to read, and what they are called in the model."""
     if given is None:
         return list(model), list(model)
-    return given, list(model) if len(given) == len(model) else given
+    by_name = set(given) <= set(model) or len(given) != len(model)
+    return given, given if by_name else list(model)
 
 
 def _units(labels: list[str], model: tuple[str, ...], units: tuple[str, ...]) -> list[str] | None:
