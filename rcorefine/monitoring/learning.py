@@ -47,10 +47,8 @@ class Healthy:
         Samples after which the observer has forgotten a wrong state.
     orders : tuple of int
         Order of the whitening filter of each output.
-    innovations : ndarray, shape (n_y, N)
-        Innovations of the learning phase.
     mean : ndarray, shape (n_y,)
-        Their mean: offset of the sensors.
+        Mean of the innovations: offset of the sensors.
     """
 
     ratio: float
@@ -60,7 +58,6 @@ class Healthy:
     mix: Array
     settle: int
     orders: tuple[int, ...]
-    innovations: Array
     mean: Array
 
 
@@ -194,7 +191,7 @@ def _evaluated(
     cost += 0.5 * w.shape[1] * math.log(max(np.linalg.det(correlation), 1e-300))
     settle = math.ceil(math.log(0.01) / math.log(radius)) if 0 < radius < 1 else 1
     mix = np.linalg.inv(lower)
-    healthy = Healthy(ratio, gain, x0, filters, np.tril(mix), settle, tuple(orders), e, mean)
+    healthy = Healthy(ratio, gain, x0, filters, np.tril(mix), settle, tuple(orders), mean)
     return healthy, cost
 
 
