@@ -4,7 +4,7 @@
     python benchmarks/failure_map.py --seeds 20 --only "clipping,drift" --first 1000
 
 Chains of 1 to 5 masses with light damping, one or two sensors (displacement, velocity or acceleration),
-a broadband, colored, swept or multisine force, 60 s at 50 Hz, 2 % noise. The records are made here, with exact
+a white, colored, swept or multisine force, 60 s at 50 Hz, 2 % noise. The records are made here, with exact
 propagation of the linear part and forces integrated at 20 steps per sample: nothing of rcorefine makes them.
 """
 
@@ -43,8 +43,14 @@ class Structure:
     w: Array
     rng: np.random.Generator
 
-    def response(self, A: Array | None = None, w: Array | None = None, law: Callable | None = None,
-                 link: int = 0, late: float = 0.0) -> Array:
+    def response(
+        self,
+        A: Array | None = None,
+        w: Array | None = None,
+        law: Callable | None = None,
+        link: int = 0,
+        late: float = 0.0,
+    ) -> Array:
         """Outputs (n_y, N) from rest; the force is held over each sample."""
         A = self.A if A is None else A
         w = self.w if w is None else w
@@ -70,7 +76,9 @@ class Structure:
                 if k % STEPS == 0:
                     X[:, k // STEPS] = x
                 x = Phi @ x + G * fine[k]
-            return self.C @ X + self.D * np.append(0.0, w[:-1])[None] * (shift > 0) + self.D * w * (shift == 0)
+            return (
+                self.C @ X + self.D * np.append(0.0, w[:-1])[None] * (shift > 0) + self.D * w * (shift == 0)
+            )
         _, d, v, act = self.links[link]
         block = np.zeros((n + 1, n + 1))
         block[:n, :n], block[:n, n] = A, act
@@ -101,9 +109,7 @@ def structure(seed: int, *, sensors: int = 0, masses: int = 0) -> Structure:
         K += k[i] * np.outer(e, e)
         Cd += c[i] * np.outer(e, e)
         zero = np.zeros(n)
-        links.append(
-            (f"link{i + 1}", np.append(e, zero), np.append(zero, e), np.append(zero, -e / m))
-        )
+        links.append((f"link{i + 1}", np.append(e, zero), np.append(zero, e), np.append(zero, -e / m)))
     A = np.block([[np.zeros((n, n)), np.eye(n)], [-K / m[:, None], -Cd / m[:, None]]])
     force = int(rng.integers(n))
     B = np.zeros((2 * n, 1))
@@ -130,7 +136,13 @@ def structure(seed: int, *, sensors: int = 0, masses: int = 0) -> Structure:
         w = lfilter([1], [1, -0.6], rng.standard_normal(SAMPLES))
     elif what == "multisine":
         lines = np.arange(0.1, 12.0, 0.1)
-        w = np.sum([np.cos(2 * np.pi * f * t + p) for f, p in zip(lines, rng.uniform(0, 6.28, lines.size), strict=True)], 0)
+        w = np.sum(
+            [
+                np.cos(2 * np.pi * f * t + p)
+                for f, p in zip(lines, rng.uniform(0, 6.28, lines.size), strict=True)
+            ],
+            0,
+        )
     else:
         w = chirp(t, 0.3, t[-1], 10.0) + 0.1 * rng.standard_normal(SAMPLES)
     return Structure(A, B, C, D, through, links, model, 10 * w / w.std(), rng)
@@ -243,9 +255,11 @@ def clipped(seed: int) -> Planted:
     def right(row: rco.comparison.Failure) -> bool:
         v = row.values
         return (
-            row.dimension == "time" and row.measure == "clipping"
-            and abs(abs(v["limit"]) / limit - 1) < 0.1 and v["output"] == s.model.linear.output_labels[i]
-        )  # fmt: skip
+            row.dimension == "time"
+            and row.measure == "clipping"
+            and abs(abs(v["limit"]) / limit - 1) < 0.1
+            and v["output"] == s.model.linear.output_labels[i]
+        )
 
     behind = bool(s.rng.integers(2))
     return Planted(s, y if behind else cut(y), right, after=cut if behind else (lambda v: v))
@@ -266,9 +280,12 @@ def dropout(seed: int) -> Planted:
     def right(row: rco.comparison.Failure) -> bool:
         v = row.values
         return (
-            row.dimension == "time" and "start" in v and abs(v["start"] - start) < 0.3
-            and abs(v["stop"] - start - 2.0) < 0.3 and v["output"] == s.model.linear.output_labels[i]
-        )  # fmt: skip
+            row.dimension == "time"
+            and "start" in v
+            and abs(v["start"] - start) < 0.3
+            and abs(v["stop"] - start - 2.0) < 0.3
+            and v["output"] == s.model.linear.output_labels[i]
+        )
 
     behind = bool(s.rng.integers(2))
     return Planted(s, y if behind else lost(y), right, after=lost if behind else (lambda v: v))
@@ -285,13 +302,17 @@ def drift(seed: int) -> Planted:
     def right(row: rco.comparison.Failure) -> bool:
         v = row.values
         return (
-            row.dimension == "time" and v.get("kind") == "drift" and v["output"] == s.model.linear.output_labels[i]
+            row.dimension == "time"
+            and v.get("kind") == "drift"
+            and v["output"] == s.model.linear.output_labels[i]
         )
 
     return Planted(s, y, right)
 
 
-def hidden_law(seed: int, make: Callable[[Structure, Array, Array], Callable], right_law: Callable) -> Planted:
+def hidden_law(
+    seed: int, make: Callable[[Structure, Array, Array], Callable], right_law: Callable
+) -> Planted:
     """A force law at a link that changes the response by 10 to 40 %."""
     s = structure(seed)
     link = int(s.rng.integers(len(s.links)))
@@ -301,7 +322,7 @@ def hidden_law(seed: int, make: Callable[[Structure, Array, Array], Callable], r
     plain = s.response()
     strength, law = 0.1, make(s, d, v)
     for _ in range(12):
-        y = s.response(law=lambda a, b: strength * law(a, b), link=link)
+        y = s.response(law=lambda a, b, k=strength: k * law(a, b), link=link)
         loss = float((np.linalg.norm(y - plain, axis=1) / np.linalg.norm(plain, axis=1)).max())
         if 0.1 < loss < 0.4:
             break
@@ -363,7 +384,10 @@ DEFECTS: dict[str, Callable[[int], Planted]] = {
     "hardening above an amplitude": hardening,
     "wrong sign of one output": wrong_sign,
 }
-NOTHING = {f"exact model, {noise} noise": exact(noise) for noise in ("white", "AR(0.9)", "AR(0.99)", "resonant", "pink")}
+NOTHING = {
+    f"exact model, {noise} noise": exact(noise)
+    for noise in ("white", "AR(0.9)", "AR(0.99)", "resonant", "pink")
+}
 
 
 def interval(hits: int, count: int) -> tuple[float, float]:
@@ -400,17 +424,31 @@ def main(arguments: list[str] | None = None) -> int:
             if options.misses and not hit:
                 print(f"--- {name}, seed {seed} ({len(planted.structure.links)} masses)")
                 for row in list(found)[:3]:
-                    print(f"    {row.dimension}: {row.where}: {row.measure} {row.statistic:.0f} {row.share:.3f} {row.p_value:.1g}")
+                    print(
+                        f"    {row.dimension}: {row.where}: {row.measure} {row.statistic:.0f} "
+                        f"{row.share:.3f} {row.p_value:.1g}"
+                    )
         low, high = interval(hits, count)
         met &= hits / count >= 0.95
-        rows.append([name, str(count), f"{100 * hits / count:.1f}", f"{100 * low:.0f} - {100 * high:.0f}", f"{spent / count:.1f}"])
+        rows.append(
+            [
+                name,
+                str(count),
+                f"{100 * hits / count:.1f}",
+                f"{100 * low:.0f} - {100 * high:.0f}",
+                f"{spent / count:.1f}",
+            ]
+        )
         print(f"{name}: {hits}/{count}", file=sys.stderr)
     print(
         text_table(
-            ["planted", "seeds", "right [%]", "95 % interval", "time [s]"], rows,
+            ["planted", "seeds", "right [%]", "95 % interval", "time [s]"],
+            rows,
             title=f"Top row of the failure map names dimension and region; {100 * NOISE:g} % noise",
-            notes=["Without a defect: the map is empty. Demanded: at least 95 %. time: of one compare with its map."],
-        )  # fmt: skip
+            notes=[
+                "Without a defect: the map is empty. Demanded: at least 95 %. time: of one compare with map."
+            ],
+        )
     )
     return 0 if met else 1
 

@@ -144,9 +144,14 @@ def test_bands_cover_the_truth():
         found = model_error(rco.compare(wrong, data, x0="zero"), segment_length=512)
         z = np.exp(1j * found.omega * dt)
         sampled = [s.sample(dt) for s in (true, wrong)]
-        G = [np.array([(s.C @ np.linalg.solve(p * np.eye(2) - s.A, s.B) + s.D)[0, 0] for p in z]) for s in sampled]
+        G = [
+            np.array([(s.C @ np.linalg.solve(p * np.eye(2) - s.A, s.B) + s.D)[0, 0] for p in z])
+            for s in sampled
+        ]
         inside = (found.omega > 0.5) & (found.omega < 55)
-        covered["error"].append(np.mean((np.abs(found.error[0, 0] - (G[0] - G[1])) <= found.band[0, 0])[inside]))
+        covered["error"].append(
+            np.mean((np.abs(found.error[0, 0] - (G[0] - G[1])) <= found.band[0, 0])[inside])
+        )
         measured = data.frequency_response(segment_length=512)
         free = 2 * (measured.n_averages - 1)
         radius = measured.std[0, 0] * np.sqrt(2 * stats.f.ppf(0.95, 2, free))

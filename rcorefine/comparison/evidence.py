@@ -149,7 +149,7 @@ class Evidence:
 
     def log_likelihood(self, remainder: Array) -> float:
         """Log-likelihood of a remainder under its own noise model, up to a constant."""
-        return -(self.n_samples - self.order) * float(np.log(self._noise(remainder)[1]).sum())
+        return float(-(self.n_samples - self.order) * np.log(self._noise(remainder)[1]).sum())
 
     def _filtered(self, signals: Array) -> Array:
         rows = [

@@ -30,6 +30,7 @@ SIGNIFICANCE = 0.01
 _RIVAL = 0.5
 # ... and from which on it comes before a mere place.
 _EQUAL = 0.9
+_SOME = 0.1  # ... of the best row of its dimension
 _MUCH = 4.0
 _BESIDES = 2
 _LEAST = 0.005  # of the error's energy that a second failure must explain
@@ -241,7 +242,14 @@ def _scene(comparison: Comparison, index: int) -> tuple[Scene, list[str]]:
 
 def _searched(scene: Scene) -> list[Finding]:
     """All findings under the present noise model."""
-    found = [*stretches(scene), *drifts(scene), *delays(scene), *signs(scene), *clipping(scene), *pinned(scene)]
+    found = [
+        *stretches(scene),
+        *drifts(scene),
+        *delays(scene),
+        *signs(scene),
+        *clipping(scene),
+        *pinned(scene),
+    ]
     moved = shifts(scene)
     single = modes(scene, moved)
     found += [*single, *modes_together(scene, moved, single), *bands(scene)]
@@ -283,17 +291,29 @@ def _rows(scene: Scene) -> tuple[Failure, ...]:
     rows = [_row(ranked[0], scene, count, "first", whole)]
     fit = ranked[0].explanation.fit
     lead = whole.share(fit)
+    shown = [_region(ranked[0])]
     for _ in range(_BESIDES):
         scene.evidence, scene.known, scene.laws = whole.after(fit), {}, None
-        left = _ranked(_searched(scene), scene, count)
-        left = [f for f in left if f.dimension != "place" and _region(f) != _region(ranked[0])]
-        if not left or whole.share(fit + left[0].explanation.fit) - whole.share(fit) < _LEAST:
+        left = [
+            f
+            for f in _ranked(_searched(scene), scene, count)
+            if f.dimension != "place"
+            and _region(f) not in shown
+            and whole.share(fit + f.explanation.fit) - whole.share(fit) >= _LEAST
+        ]
+        if not left:
             break
         rows.append(_row(left[0], scene, count, "besides", whole))
+        shown.append(_region(left[0]))
         fit = fit + left[0].explanation.fit
     scene.evidence = whole
-    rivals = [f for f in ranked[1:] if whole.share(f.explanation.fit) >= _RIVAL * lead]
-    rows += [_row(f, scene, count, "instead", whole) for f in rivals]
+    dimensions = {ranked[0].dimension}
+    for f in ranked[1:]:
+        share = whole.share(f.explanation.fit)
+        # the best row of each dimension, and what explains nearly as much as the leader
+        if share >= _RIVAL * lead or (f.dimension not in dimensions and share >= _SOME * lead):
+            rows.append(_row(f, scene, count, "instead", whole))
+            dimensions.add(f.dimension)
     return tuple(rows[:_SHOWN])
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, solve_discrete_are
 
 from ..jit import compiled
@@ -78,10 +79,12 @@ def horizon_error(comparison: Comparison, steps: Any = None) -> HorizonError:
         raise DataError(f"steps must be whole numbers of samples from 1 to {data.n_samples - 1}, not {steps}")
     rmse = np.array([_errors(comparison, i, ahead) for i in range(len(comparison.names))])
     free = np.sqrt(np.mean((data.outputs[None] - comparison.runs) ** 2, axis=2))
-    return HorizonError(comparison.names, ahead.astype(float), ahead * data.dt, rmse, free)
+    return HorizonError(
+        comparison.names, np.asarray(ahead, dtype=float), np.asarray(ahead * data.dt, dtype=float), rmse, free
+    )
 
 
-def _errors(comparison: Comparison, index: int, ahead: Array) -> Array:
+def _errors(comparison: Comparison, index: int, ahead: NDArray[np.int64]) -> Array:
     """Errors (n_y, n_horizons) of one model; the linear part carries the correction."""
     scene = Scene(
         comparison.data, comparison.models[index], comparison.runs[index], comparison.states[index],
@@ -92,7 +95,7 @@ def _errors(comparison: Comparison, index: int, ahead: Array) -> Array:
     gain = _gain(Phi, scene.drive, C, residual, scene)
     powers = np.stack([C @ np.linalg.matrix_power(Phi, int(h)) for h in ahead])
     total, count = np.zeros((ahead.size, C.shape[0])), np.zeros(ahead.size)
-    # the error of the free run is carried by the linear part: what the correction takes off now fades as it does
+    # the error is carried on by the linear part: what a correction takes off now fades as it does
     predict(Phi, C, gain, residual, scene.reset, np.ascontiguousarray(powers), ahead, total, count)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)

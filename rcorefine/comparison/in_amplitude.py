@@ -27,14 +27,24 @@ def input_laws(scene: Scene) -> list[Finding]:
         levels = levels[levels > 0]
         spread = float(w.std())
         searches: tuple[tuple[str, Callable[[Array, float], Array], str, str], ...] = (
-            ("dead zone", lambda w, g: -np.clip(w, -g, g), "|{n}| < {g}",
-             "small values of {n} (below {g}) do less than the model says: a dead zone"),
-            ("saturation", lambda w, g: np.clip(w, -g, g) - w, "|{n}| > {g}",
-             "values of {n} beyond {g} do less than the model says: the actuator saturates"),
-        )  # fmt: skip
+            (
+                "dead zone",
+                lambda w, g: -np.clip(w, -g, g),
+                "|{n}| < {g}",
+                "small values of {n} (below {g}) do less than the model says: a dead zone",
+            ),
+            (
+                "saturation",
+                lambda w, g: np.clip(w, -g, g) - w,
+                "|{n}| > {g}",
+                "values of {n} beyond {g} do less than the model says: the actuator saturates",
+            ),
+        )
         for kind, law, where, sentence in searches:
 
-            def shape(g: float, law: Callable[[Array, float], Array] = law, j: int = j, w: Array = w) -> Array:
+            def shape(
+                g: float, law: Callable[[Array, float], Array] = law, j: int = j, w: Array = w
+            ) -> Array:
                 return scene.driven([(j, law(w, g))])[0]
 
             if levels.size < 3:
@@ -44,19 +54,36 @@ def input_laws(scene: Scene) -> list[Finding]:
             text = {"n": name, "g": f"{g:.3g}{' ' + unit if unit else ''}"}
             found.append(
                 Finding(
-                    "amplitude", where.format(**text), kind, one, 2, 12,
+                    "amplitude",
+                    where.format(**text),
+                    kind,
+                    one,
+                    2,
+                    12,
                     sentence[0].upper() + sentence[1:].format(**text) + ".",
                     {"input": name, "level": g, "factor": float(one.values[0]), "kind": kind},
-                )  # fmt: skip
+                )
             )
         fixed = (
-            ("asymmetry", np.abs(w), f"the two signs of {name}",
-             f"{name} acts by different factors to the two sides."),
-            ("odd distortion", w**3 / spread**2, f"large |{name}|",
-             f"{name} acts by another factor where it is large, alike to both sides."),
-            ("even distortion", w**2 / spread, f"large |{name}|",
-             f"{name} has a part in its square: both signs push the same way."),
-        )  # fmt: skip
+            (
+                "asymmetry",
+                np.abs(w),
+                f"the two signs of {name}",
+                f"{name} acts by different factors to the two sides.",
+            ),
+            (
+                "odd distortion",
+                w**3 / spread**2,
+                f"large |{name}|",
+                f"{name} acts by another factor where it is large, alike to both sides.",
+            ),
+            (
+                "even distortion",
+                w**2 / spread,
+                f"large |{name}|",
+                f"{name} has a part in its square: both signs push the same way.",
+            ),
+        )
         for (kind, _, where, sentence), one in zip(
             fixed,
             (scene.evidence.linear([c]) for c in scene.driven([(j, s) for _, s, _, _ in fixed])),
@@ -105,7 +132,7 @@ def level_dependence(scene: Scene) -> list[Finding]:
                 own,
                 dof,
                 centers.size,
-                f"Near {frequency_text(float(centers[k]))} the response of {name} changes with its own level: "
+                f"Near {frequency_text(float(centers[k]))} the response of {name} changes with its level: "
                 "it does not scale, so the system is not linear there.",
                 {"output": name, "omega": float(centers[k]), "kind": "level"},
             )

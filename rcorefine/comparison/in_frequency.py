@@ -67,7 +67,7 @@ def find_modes(model: LinearModel) -> list[Mode]:
         left = np.linalg.pinv(right)
     else:
         left = np.linalg.inv(right)
-    found = []
+    found: list[Mode] = []
     order = np.argsort(np.abs(values))
     for i in order:
         pole = complex(values[i])
@@ -131,13 +131,12 @@ class Shift:
             return np.zeros_like(self.before)
         factor = np.exp(np.clip(point[-1], -3, 3))
         change = factor * self._motion(pole) - self.before
-        return change + self._free(pole, change)
+        return np.asarray(change + self._free(pole, change))
 
     def _free(self, pole: complex, change: Array) -> Array:
         """Free motion of the moved mode that serves the residual best."""
         scene = self.scene
-        settled = -pole.real * scene.dt * scene.n_samples > 50.0
-        if not scene.estimated or len(scene.starts) > 1 or settled:
+        if not scene.begins_moving or len(scene.starts) > 1:
             return np.zeros_like(change)
         motion = np.exp(pole * scene.dt * np.arange(scene.n_samples))
         waves = (self.mode.shape[:, None] * motion[None]) / scene.scale
@@ -200,7 +199,8 @@ def modes_together(scene: Scene, found: Sequence[Shift], single: Sequence[Findin
 
     def shape(point: Array) -> Array:
         parts = np.split(point, cuts)
-        return np.sum([shift(part) for shift, part in zip(used, parts, strict=True)], axis=0)
+        every = [shift(part) for shift, part in zip(used, parts, strict=True)]
+        return np.asarray(np.sum(every, axis=0))
 
     starts = [
         np.concatenate([finding.explanation.values for _, finding in chosen]),
@@ -214,7 +214,9 @@ def modes_together(scene: Scene, found: Sequence[Shift], single: Sequence[Findin
 def _finding(
     scene: Scene, used: Sequence[Shift], points: Sequence[Array], one: Explanation, tried: int
 ) -> Finding:
-    energy = [float(np.sum(scene.evidence.without_nuisance(s(p)) ** 2)) for s, p in zip(used, points, strict=True)]
+    energy = [
+        float(np.sum(scene.evidence.without_nuisance(s(p)) ** 2)) for s, p in zip(used, points, strict=True)
+    ]
     order = np.argsort(energy)[::-1]
     texts, rows = [], []
     for k in order:
@@ -258,8 +260,8 @@ def _moved(row: dict[str, float], paired: bool) -> str:
     share = 100.0 * (row["omega"] / row["omega_model"] - 1.0)
     if not paired:
         return (
-            f"the corner at {frequency_text(row['omega_model'])} lies at {frequency_text(row['omega'])} in the "
-            f"record ({share:+.2g} %), its size is {row['size']:.3g} times the model's"
+            f"the corner at {frequency_text(row['omega_model'])} lies at {frequency_text(row['omega'])} in "
+            f"the record ({share:+.2g} %), its size is {row['size']:.3g} times the model's"
         )
     return (
         f"mode {row['mode']} ({frequency_text(row['omega_model'])}) lies {abs(share):.2g} % "
@@ -307,7 +309,9 @@ def band_columns(scene: Scene, i: int, centers: Array) -> list[Array]:
     size = 1 << int(n + n // 8).bit_length()
     spectrum = np.fft.rfft(run, size)
     omega = 2.0 * np.pi * np.fft.rfftfreq(size, scene.dt)
-    position = np.interp(np.log(np.maximum(omega, 1e-3 * centers[0])), np.log(centers), np.arange(centers.size))
+    position = np.interp(
+        np.log(np.maximum(omega, 1e-3 * centers[0])), np.log(centers), np.arange(centers.size)
+    )
     columns = []
     for k in range(centers.size):
         hat = np.maximum(1.0 - np.abs(position - k), 0.0)

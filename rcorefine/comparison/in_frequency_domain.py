@@ -95,9 +95,11 @@ class FrequencyComparison:
             for j in range(fit.shape[2])
         ]  # fmt: skip
         omega = self.measured.omega
+        low, high = frequency_text(float(omega[0])), frequency_text(float(omega[-1]))
+        several = "s" if len(self.names) > 1 else ""
         title = (
-            f"{len(self.names)} model{'s' if len(self.names) > 1 else ''} on response {self.measured.name!r}: "
-            f"{omega.size} frequencies, {frequency_text(float(omega[0]))} ... {frequency_text(float(omega[-1]))}"
+            f"{len(self.names)} model{several} on response {self.measured.name!r}: "
+            f"{omega.size} frequencies, {low} ... {high}"
         )
         notes = [
             "fit = 100 (1 - |G - Gh| / |G - mean(G)|) of the complex responses: 100 % is perfect.",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,8 @@ def _columns(scene: Scene) -> list[tuple[int, Place, list[dict[str, Any]], list[
     if scene.laws is None:
         assert scene.places is not None
         scene.laws = []
-        w, seen = scene.data.inputs, []
+        w = scene.data.inputs
+        seen: list[Array] = []
         for i, p in enumerate(scene.places.places):
             rows = np.concatenate([p.act, p.position, p.velocity, p.position_input, p.velocity_input])
             if any(np.array_equal(rows, other) for other in seen):
@@ -69,21 +71,31 @@ def forces_at_places(scene: Scene) -> list[Finding]:
         whole = scene.evidence.linear(together)
         found.append(
             Finding(
-                "place", f"force at {place.name}", "hidden force", whole, len(together), count,
+                "place",
+                f"force at {place.name}",
+                "hidden force",
+                whole,
+                len(together),
+                count,
                 f"A force at {place.name} that follows the motion there would explain "
                 f"{100 * scene.evidence.share(whole.fit):.3g} % of the error.",
                 {"place": place.name, "kind": "force"},
-            )  # fmt: skip
+            )
         )
         linear = scene.evidence.linear(straight)
         law_text = "stiffness and damping at" if place.kind == "mechanical" else "coefficient of"
         found.append(
             Finding(
-                "place", f"{law_text} {place.name}", "linear force", linear, len(straight), count,
+                "place",
+                f"{law_text} {place.name}",
+                "linear force",
+                linear,
+                len(straight),
+                count,
                 f"A change of the linear law at {place.name} alone would explain "
                 f"{100 * scene.evidence.share(linear.fit):.3g} % of the error.",
                 {"place": place.name, "kind": "linear force"},
-            )  # fmt: skip
+            )
         )
     for gain, index, place, law, one, tried in sorted(leaders, key=lambda row: -row[0])[:2]:
         if gain > _WORTH:
@@ -97,22 +109,33 @@ def _settled(
     """The law in the loop: its force follows the motion that it causes itself."""
     if law["code"] < 0 or scene.places is None:
         return law, one
-    place, w = scene.places.places[index], scene.data.inputs
+    places, w = scene.places, scene.data.inputs
+    place = places.places[index]
     d = place.position @ scene.states + place.position_input @ w
     v = place.velocity @ scene.states + place.velocity_input @ w
     steps = _STEPS if d.size < 30_000 else 2
     fine_d, fine_v = _between(scene, d, v, steps)
-    Phi, G, _ = discretize(scene.places.A, place.act[:, None], scene.dt / steps, "zoh")
+    Phi, G, _ = discretize(places.A, place.act[:, None], scene.dt / steps, "zoh")
     searched = law["code"] in (1, 7, 8)
 
     def shape(point: Array) -> Array:
         out = np.zeros((scene.n_samples, scene.n_outputs))
         loop(
-            np.ascontiguousarray(Phi), G[:, 0].copy(), np.ascontiguousarray(scene.places.C), place.through,
-            place.position, place.velocity, fine_d, fine_v, steps, scene.reset, law["code"],
+            np.ascontiguousarray(Phi),
+            G[:, 0].copy(),
+            np.ascontiguousarray(places.C),
+            place.through,
+            place.position,
+            place.velocity,
+            fine_d,
+            fine_v,
+            steps,
+            scene.reset,
+            law["code"],
             float(one.values[0] * (1.0 + point[0])),
-            float(law["size"] * np.exp(point[1])) if searched else float(law["size"]), out,
-        )  # fmt: skip
+            float(law["size"] * np.exp(point[1])) if searched else float(law["size"]),
+            out,
+        )
         return np.asarray(out.T / scene.scale)
 
     with np.errstate(over="ignore", invalid="ignore"):
@@ -124,8 +147,11 @@ def _settled(
         return law, one
     if searched:
         g = float(law["size"] * np.exp(found.values[1]))
-        law = {**law, "values": {**law["values"], "low": g}, "where": law["where"].replace(
-            f"{law['size']:.3g}", f"{g:.3g}")}  # fmt: skip
+        law = {
+            **law,
+            "values": {**law["values"], "low": g},
+            "where": law["where"].replace(f"{law['size']:.3g}", f"{g:.3g}"),
+        }
     return law, found
 
 
@@ -187,7 +213,7 @@ def _between(scene: Scene, d: Array, v: Array, factor: int = 0) -> tuple[Array, 
     found = []
     for signal in (d, v):
         parts = []
-        for a, b in zip(edges[:-1], edges[1:], strict=True):
+        for a, b in pairwise(edges):
             at = np.clip(fine[a * factor : b * factor], a, b - 1)
             if b - a < 4 or not np.ptp(signal[a:b]):
                 parts.append(np.interp(at, grid[a:b], signal[a:b]))
@@ -201,11 +227,28 @@ def _laws(place: Place, d: Array, v: Array) -> list[dict[str, Any]]:
     """Forces over displacement and velocity, with the region in which each departs from zero."""
     laws: list[dict[str, Any]] = []
 
-    def law(name: str, where: str, forces: list[Array], dof: int, linear: bool = False, code: int = -1, size: float = 1.0, **values: Any) -> None:
+    def law(
+        name: str,
+        where: str,
+        forces: list[Array],
+        dof: int,
+        linear: bool = False,
+        code: int = -1,
+        size: float = 1.0,
+        **values: Any,
+    ) -> None:
         if all(np.all(np.isfinite(f)) and np.ptp(f) > 0 for f in forces):
             laws.append(
-                {"name": name, "where": where, "forces": forces, "dof": dof, "linear": linear, "code": code,
-                 "size": size, "values": values}
+                {
+                    "name": name,
+                    "where": where,
+                    "forces": forces,
+                    "dof": dof,
+                    "linear": linear,
+                    "code": code,
+                    "size": size,
+                    "values": values,
+                }
             )
 
     first = place.kind == "first_order"
@@ -215,12 +258,26 @@ def _laws(place: Place, d: Array, v: Array) -> list[dict[str, Any]]:
         law("linear velocity", "everywhere", [v], 1, linear=True)
         width = 0.005 * spread
         if v.min() < -0.05 * spread and v.max() > 0.05 * spread:
-            law("dry", f"near {letter} = 0", [np.tanh(v / width)], 1, code=0, size=width, low=0.0, high=0.0, axis=letter)
             law(
-                "dry by direction", f"near {letter} = 0",
-                [np.maximum(np.tanh(v / width), 0.0), np.minimum(np.tanh(v / width), 0.0)], 2,
-                low=0.0, high=0.0, axis=letter,
-            )  # fmt: skip
+                "dry",
+                f"near {letter} = 0",
+                [np.tanh(v / width)],
+                1,
+                code=0,
+                size=width,
+                low=0.0,
+                high=0.0,
+                axis=letter,
+            )
+            law(
+                "dry by direction",
+                f"near {letter} = 0",
+                [np.maximum(np.tanh(v / width), 0.0), np.minimum(np.tanh(v / width), 0.0)],
+                2,
+                low=0.0,
+                high=0.0,
+                axis=letter,
+            )
         law("odd velocity", f"at large |{letter}|", [v * np.abs(v)], 1, code=3, axis=letter)
         law("odd velocity", f"at large |{letter}|", [v**3 / spread**2], 1, code=4, size=spread, axis=letter)
         if not first and v.min() < 0 < v.max():
@@ -229,7 +286,14 @@ def _laws(place: Place, d: Array, v: Array) -> list[dict[str, Any]]:
             law("root", f"as the root of {letter}", [np.sign(v) * np.sqrt(np.abs(v))], 1, axis=letter)
             for q in (0.5, 0.7, 0.85, 0.95):
                 g = float(np.quantile(v, q))
-                law("beyond", f"{letter} > {g:.3g}{_spaced(unit)}", [np.maximum(v - g, 0.0)], 2, low=g, axis=letter)
+                law(
+                    "beyond",
+                    f"{letter} > {g:.3g}{_spaced(unit)}",
+                    [np.maximum(v - g, 0.0)],
+                    2,
+                    low=g,
+                    axis=letter,
+                )
     if np.ptp(d) > 0:
         unit = place.position_unit
         spread = float(d.std())
@@ -240,11 +304,37 @@ def _laws(place: Place, d: Array, v: Array) -> list[dict[str, Any]]:
             g = float(np.quantile(np.abs(d), q))
             text = f"{g:.3g}{_spaced(unit)}"
             law(
-                "beyond", f"|d| > {text}", [np.sign(d) * np.maximum(np.abs(d) - g, 0.0)], 2, code=1, size=g,
-                low=g, axis="d",
-            )  # fmt: skip
-            law("beyond, one side", f"d > {text}", [np.maximum(d - g, 0.0)], 2, code=7, size=g, low=g, axis="d", side=1)
-            law("beyond, one side", f"d < -{text}", [np.minimum(d + g, 0.0)], 2, code=8, size=g, low=g, axis="d", side=-1)
+                "beyond",
+                f"|d| > {text}",
+                [np.sign(d) * np.maximum(np.abs(d) - g, 0.0)],
+                2,
+                code=1,
+                size=g,
+                low=g,
+                axis="d",
+            )
+            law(
+                "beyond, one side",
+                f"d > {text}",
+                [np.maximum(d - g, 0.0)],
+                2,
+                code=7,
+                size=g,
+                low=g,
+                axis="d",
+                side=1,
+            )
+            law(
+                "beyond, one side",
+                f"d < -{text}",
+                [np.minimum(d + g, 0.0)],
+                2,
+                code=8,
+                size=g,
+                low=g,
+                axis="d",
+                side=-1,
+            )
         law("one side", "d > 0 apart from d < 0", [np.abs(d)], 1, code=5, low=0.0, axis="d")
     return laws
 

@@ -14,9 +14,10 @@ from .evidence import Explanation
 from .scene import Finding, Scene
 from .whitening import autoregressive_filter
 
-__all__ = ["clipping", "pinned", "delays", "drifts", "signs", "stretches"]
+__all__ = ["clipping", "delays", "drifts", "pinned", "signs", "stretches"]
 
 _SHORTEST = 8  # samples of a stretch: less is an outlier
+_STILL = 0.2  # of the usual movement, below which an output hangs
 _LOUDER = 2.0  # times the error elsewhere, from which on a stretch is one
 _SLOW = 6  # half-waves over the record that count as drift
 
@@ -72,7 +73,10 @@ def _stretch(scene: Scene, i: int, masked: NDArray[np.bool_]) -> Finding | None:
     gain, dof, measure = worth, 3, "error level"
     text = "the error is larger than anywhere else: a disturbance or a change"
     if stuck is not None and stuck.gain > gain:
-        gain, dof, measure, fits = stuck.gain, 4, "dropout", stuck.fit
+        gain, dof, fits = stuck.gain, 4, stuck.fit
+    seen = scene.measured[i]
+    if stuck is not None or seen[a0:b0].std() < _STILL * np.delete(seen, slice(a0, b0)).std():
+        measure = "dropout"
         text = "the output does not follow the model at all: the record dropped out or hung"
     start, stop = scene.time(a0), scene.time(b0)
     times = inside_level / max(outside_level, 1e-300)
@@ -108,7 +112,7 @@ def _sums(energy: Array) -> tuple[Array, Array]:
     return total, np.concatenate([[0.0], np.cumsum(good)])
 
 
-def _ratio(total: Array, count: Array, a: Array, b: Array) -> Array:
+def _ratio(total: Array, count: Array, a: NDArray[np.int_], b: NDArray[np.int_]) -> Array:
     """Twice the log-likelihood ratio of a level of its own within a..b; minus where it is lower."""
     n, m = count[-1], count[b] - count[a]
     inside = (total[b] - total[a]) / np.maximum(m, 1)
@@ -158,6 +162,7 @@ def _worth(r: Array, left: Array, masked: NDArray[np.bool_], a: int, b: int, ord
     own = autoregressive_filter(np.where(inside | masked, 0.0, left), order)
     e = lfilter(own, [1.0], np.where(masked, 0.0, left))
     keep = np.arange(r.size) >= order
+    keep[b : b + order] = False  # there the filter still remembers the stretch
     if (keep & inside & ~masked).sum() < 4 or (keep & ~inside).sum() < 4 * order:
         return -np.inf
     quiet, loud = e[keep & ~inside & ~masked], e[keep & inside & ~masked]
@@ -235,8 +240,8 @@ def _offset(scene: Scene, i: int) -> Finding:
         Explanation(fit, gain, np.array([height])),
         1,
         1,
-        f"{scene.named(i)} lies {size:+.3g}{_unit(scene, i)} off the model throughout: zero of the sensor, or "
-        "a constant force.",
+        f"{scene.named(i)} lies {size:+.3g}{_unit(scene, i)} off the model throughout: zero of the sensor, "
+        "or a constant force.",
         {"output": scene.named(i), "offset": size, "kind": "offset"},
     )
 
@@ -300,18 +305,28 @@ def signs(scene: Scene) -> list[Finding]:
         if -1.3 < factor < -0.7:
             found.append(
                 Finding(
-                    "time", f"whole record, {name}", "sign", one, 1 + scene.model.n_states, 1,
+                    "time",
+                    f"whole record, {name}",
+                    "sign",
+                    one,
+                    1 + scene.model.n_states,
+                    1,
                     f"{name} has the wrong sign: it is {factor:.3g} times the model's throughout.",
                     {"output": name, "factor": factor, "kind": "sign"},
-                )  # fmt: skip
+                )
             )
         else:
             found.append(
                 Finding(
-                    "frequency", f"all frequencies, {name}", "gain", one, 1 + scene.model.n_states, 1,
+                    "frequency",
+                    f"all frequencies, {name}",
+                    "gain",
+                    one,
+                    1 + scene.model.n_states,
+                    1,
                     f"{name} is {factor:.4g} times the model's at all frequencies: a gain is wrong.",
                     {"output": name, "factor": factor, "kind": "gain", "low": 0.0, "high": np.inf},
-                )  # fmt: skip
+                )
             )
     return found
 
@@ -334,12 +349,16 @@ def pinned(scene: Scene) -> list[Finding]:
             name, unit = scene.named(i), _unit(scene, i)
             found.append(
                 Finding(
-                    "time", f"where {name} reaches {limit:.4g}{unit}", "clipping",
-                    Explanation(fit, -2.0 * chance, np.array([limit])), 1, 2,
-                    f"{name} stands still at {limit:.4g}{unit} for {at.sum()} samples: the end of the sensor's "
+                    "time",
+                    f"where {name} reaches {limit:.4g}{unit}",
+                    "clipping",
+                    Explanation(fit, -2.0 * chance, np.array([limit])),
+                    1,
+                    2,
+                    f"{name} stands still at {limit:.4g}{unit} in {at.sum()} samples: the end of the sensor's "
                     "range, so the record itself is cut off.",
                     {"output": name, "limit": limit, "side": side, "kind": "pinned"},
-                )  # fmt: skip
+                )
             )
     return found
 

@@ -53,7 +53,8 @@ class ModelError:
     def relative(self) -> Array:
         """Size of the error over that of the model, shape (n_y, n_w, n_omega)."""
         size = np.abs(self.model)
-        return np.divide(np.abs(self.error), size, out=np.full(size.shape, np.nan), where=size > 0)
+        ratio = np.divide(np.abs(self.error), size, out=np.full(size.shape, np.nan), where=size > 0)
+        return np.asarray(ratio)
 
     @property
     def differs(self) -> NDArray[np.bool_]:
@@ -61,9 +62,7 @@ class ModelError:
         return np.asarray(np.abs(self.error) > self.simultaneous)
 
 
-def model_error(
-    comparison: Comparison, model: int = 0, *, segment_length: int | None = None
-) -> ModelError:
+def model_error(comparison: Comparison, model: int = 0, *, segment_length: int | None = None) -> ModelError:
     """Estimate the response from inputs to residual, with 95 % bands.
 
     Parameters
@@ -115,5 +114,10 @@ def model_error(
     wide = found.std * np.sqrt(2.0 * stats.f.isf(1.0 - 0.95 ** (1.0 / count), 2, free))
     seen = as_sampled(comparison.models[model], data.dt, data.hold)
     return ModelError(
-        comparison.names[model], found.omega, found.response, frequency_response(seen, found.omega), radius, wide
+        comparison.names[model],
+        found.omega,
+        found.response,
+        frequency_response(seen, found.omega),
+        radius,
+        wide,
     )

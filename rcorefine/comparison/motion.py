@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, solve_discrete_are
 
 from ..jit import compiled
@@ -17,7 +18,7 @@ __all__ = ["MotionEstimate", "estimated_motion"]
 
 _MEMORY = 0.9  # of the unknown forces, from one sample to the next
 _NOISE = 0.02  # sensor noise over the spread of an output, the unit of the force levels that are tried
-_LEVELS = tuple(10.0 ** np.arange(-2.5, 2.1, 0.75))
+_LEVELS = (0.01, 0.1, 0.5, 2.0, 10.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,7 +117,7 @@ def _covariance(F: Array, H: Array, Q: Array, R: Array) -> Array | None:
     return P if np.isfinite(P).all() else None
 
 
-def _smoothed(filtered: Array, predicted: Array, back: Array, reset: Array) -> Array:
+def _smoothed(filtered: Array, predicted: Array, back: Array, reset: NDArray[np.uint8]) -> Array:
     out = filtered.copy()
     backwards(np.ascontiguousarray(back), predicted, reset, out)
     return out

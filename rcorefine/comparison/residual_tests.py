@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import control as ct
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 from ..exceptions import DataError
@@ -154,7 +154,7 @@ def _lags(lags: int, n_samples: int, least: int = 8) -> int:
     return int(lags)
 
 
-def _correlation(x: Array, y: Array, lags: Sequence[int] | Array) -> Array:
+def _correlation(x: Array, y: Array, lags: Sequence[int] | NDArray[np.int_]) -> Array:
     """Correlation of y(k + lag) with x(k), means taken out, divided by N."""
     a, b = x - x.mean(), y - y.mean()
     scale = float(np.sqrt((a @ a) * (b @ b)))
@@ -476,7 +476,9 @@ def free_run_tests(
             if np.ptp(drive) == 0.0:
                 continue
             for name, shape in _SHAPES:
-                rows.append(_portmanteau(name, f"{source} -> {out}", shape(_unit(drive)), row, range(count + 1)))
+                rows.append(
+                    _portmanteau(name, f"{source} -> {out}", shape(_unit(drive)), row, range(count + 1))
+                )
     return TestTable(
         tuple(rows),
         "mean: an offset. input, its size or its cube: the model leaves out what follows from the input. "

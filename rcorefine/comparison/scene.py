@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -108,10 +109,14 @@ class Scene:
         else:
             self._transition, self._drive = model.A, (model.B, np.zeros_like(model.B))
         initial: Array | None = None
+        #: whether the free motion from the initial state is much of the run
+        self.begins_moving = False
         self._motions: Array | None = None
         if estimated:
             longest = max(np.diff([*self.starts, self.n_samples]))
             initial = self._free(int(longest)) / self.scale
+            start = initial @ states[:, 0]
+            self.begins_moving = bool(np.sum(start**2) > 0.02 * np.sum(self.run[:, : start.shape[0]] ** 2))
             self._motions = initial if len(self.starts) == 1 and self.n_outputs > 1 else None
         #: where each mode was found, to begin from when it is looked for again
         self.known: dict[int, Array] = {}
@@ -264,9 +269,7 @@ class Scene:
         if len(self.starts) == 1:
             return np.asarray(lfilter(numerator, denominator, signal))
         edges = [*self.starts, self.n_samples]
-        parts = [
-            lfilter(numerator, denominator, signal[a:b]) for a, b in zip(edges[:-1], edges[1:], strict=True)
-        ]
+        parts = [lfilter(numerator, denominator, signal[a:b]) for a, b in pairwise(edges)]
         return np.concatenate(parts)
 
     def time(self, sample: int) -> float:

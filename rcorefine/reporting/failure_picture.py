@@ -51,7 +51,9 @@ def plot_map(
             lines[3, m] = _motions(axes[3, m], result, m, found)
         return finish(
             figure, axes, lines,
-            title=f"Where the model fails on record {result.data.name}" if title is None and ax is None else title,
+            title=f"Where the model fails on record {result.data.name}"
+            if title is None and ax is None
+            else title,
             legends=[axes[2, 0]], legend_loc=legend_loc, show_legend=show_legend,
         )  # fmt: skip
 
@@ -73,7 +75,9 @@ def _shares(axis: Any, found: FailureMap, name: str) -> list[Any]:
     drawn = []
     for k, row in enumerate(rows):
         color, hatch = _LOOKS[row.dimension]
-        bar = axis.barh(k, 100 * row.share, color=color, hatch=hatch, edgecolor="white", alpha=0.85, height=0.7)
+        bar = axis.barh(
+            k, 100 * row.share, color=color, hatch=hatch, edgecolor="white", alpha=0.85, height=0.7
+        )
         drawn += list(bar)
         text = clip(f"{row.dimension}: {row.where} ({row.measure})", 62).replace("$", r"\$")
         axis.text(1.5, k, text, va="center", fontsize="x-small", zorder=4,
@@ -105,7 +109,7 @@ def _times(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[Any
     axis.grid(True, alpha=0.3)
     if data.n_outputs > 1:
         axis.legend(fontsize="x-small", loc="upper right", ncols=data.n_outputs)
-    return drawn
+    return list(drawn)
 
 
 def _frequencies(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[Any]:
@@ -149,7 +153,7 @@ def _frequencies(axis: Any, result: Comparison, m: int, found: FailureMap) -> li
     axis.set_xlim(x[0], x[-1])
     axis.set_ylim(low, max(3.0, min(2.0 * float(np.nanmax(ratio)), 100.0)))
     axis.grid(True, which="major", alpha=0.3)
-    return drawn
+    return list(drawn)
 
 
 def _motions(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[Any]:
@@ -185,4 +189,4 @@ def _motions(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[A
     axis.set_xlabel(unit_text(f"{letter} at {force.place}", unit))
     axis.set_ylabel("Force the\nmodel lacks")
     axis.grid(True, alpha=0.3)
-    return drawn
+    return list(drawn)

@@ -51,6 +51,9 @@ def plot_residual(
                 look |= {"marker": ".", "markersize": 3.5}
                 lines[i, j] += axis.plot(found.lags[keep], found.correlation[keep], **look)
                 wide = max(wide, float(found.bound[0]))
+                if len(names) > 1 and j:  # each residual has a color of its own, and so a bound
+                    for bound in (-found.bound[0], found.bound[0]):
+                        axis.axhline(bound, color=style(m).color, linewidth=0.8, linestyle=":", zorder=2)
             axis.axhspan(-wide, wide, color=BAND, linewidth=0, zorder=1, label="chance (99 % per lag)")
             axis.axhline(0.0, color=MEASURED, linewidth=0.7, zorder=2)
             if j:
