@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import control as ct
@@ -19,7 +20,7 @@ from ..refinement.assembly import priors
 from ..refinement.outcome import output_weights
 from ..refinement.problem import Problem
 from ..refinement.refinement import Refinement
-from ..refinement.search import starting_states
+from ..refinement.search import starting_states, sufficient_steps
 from ..refinement.starts import Motion
 from ..refinement.windows import as_records, windows
 from ..systems.linear import Array
@@ -32,6 +33,7 @@ from .whitening import FTest, Whitener
 
 __all__ = ["confirm"]
 
+_FINER = 5  # refinements of the substep at most
 _ROUNDS = 3  # descents, each under the whitening of the one before
 
 
@@ -155,11 +157,14 @@ def confirm(
         tuple(model.parameters[i].unit for i in own),
         tuple(estimates),
         significance,
-        _message(verdict, list(dict.fromkeys(labels)), further, p_value),
+        _message(verdict, list(dict.fromkeys(labels)), estimates, p_value, significance),
     )
 
 
-def _message(verdict: str, labels: list[str], further: Sequence[RecordEstimate], p_value: float) -> str:
+def _message(
+    verdict: str, labels: list[str], estimates: Sequence[RecordEstimate], p_value: float, level: float
+) -> str:
+    first, *further = estimates
     what = " with ".join(labels)
     if verdict == "confirmed":
         other = any(abs(np.log(e.level)) > 0.25 for e in further)
@@ -167,7 +172,10 @@ def _message(verdict: str, labels: list[str], further: Sequence[RecordEstimate],
         return f"The same {what} explains every record (p = {p_value:.2g}).{caution}"
     worst = min(further, key=lambda e: min(e.agreement, e.residual))
     why = "other coefficients" if worst.agreement <= worst.residual else "something more"
-    return f"{what} is refuted: {worst.name} needs {why} (p = {p_value:.2g}). It only mimics what is missing."
+    verdict = f"{what} is refuted: {worst.name} needs {why} (p = {p_value:.2g})."
+    if first.residual < level:
+        return f"{verdict} It does not explain the first record either (p = {first.residual:.2g})."
+    return f"{verdict} It only mimics what is missing."
 
 
 def _alone(
@@ -178,14 +186,23 @@ def _alone(
     segments, _ = windows(model.physical_model, [record], None)
     mean, sd = priors(structure, model.roles, tolerance)
 
-    def problem(weights: Array) -> Problem:
-        return Problem(structure, segments, weights, prior_mean=mean, prior_sd=sd, substeps=steps)
+    weights = output_weights(segments, noise) if noise is not None else 1.0 / model.rmse
 
-    made = problem(output_weights(segments, noise) if noise is not None else 1.0 / model.rmse)
+    def problem(pieces: Sequence[Measurement], steps: int, _unknown_start: bool = True) -> Problem:
+        return Problem(structure, pieces, weights, prior_mean=mean, prior_sd=sd, substeps=steps)
+
+    made = problem(segments, steps)
     point = made.pack(theta, starting_states(made, theta))
     point = descend(made, point, evaluations=15, tolerance=1e-6).point
-    if noise is None:
-        made = problem(output_weights(segments, None, made, point))
+    for _ in range(_FINER):  # a larger amplitude asks for finer substeps
+        if noise is None:
+            weights = output_weights(segments, None, made, point)
+        finer = sufficient_steps(problem, segments, problem(segments, made.substeps), point)
+        done = finer == made.substeps
+        made = problem(segments, finer)
+        if done:
+            break
+        point = descend(made, point, evaluations=15, tolerance=1e-6).point
     gain = observer_gain(structure, theta, segments[0], ratio) if ratio > 0 else None
     for _ in range(_ROUNDS):
         whitener = Whitener.fit([r for r, _ in evaluated(made, point, gain)])
@@ -199,7 +216,7 @@ def _alone(
     size[size == 0] = 1.0
     information = (J / size).T @ (J / size) + np.diag(prior / size**2)
     covariance = np.linalg.pinv(information, rcond=1e-12, hermitian=True) / np.outer(size, size)
-    fitted = Fitted(model, made, point, tolerance)
+    fitted = Fitted(replace(model, substeps=made.substeps), made, point, tolerance)
     if gain is not None:
         fitted._gains[ratio] = gain
     return fitted, covariance[: theta.size, : theta.size]
