@@ -17,6 +17,7 @@ from .whitening import autoregressive_filter
 __all__ = ["clipping", "delays", "drifts", "pinned", "signs", "stretches"]
 
 _SHORTEST = 8  # samples of a stretch: less is an outlier
+_RESTING = 0.2  # share of a record above which its extreme is where the output rests
 _STILL = 0.2  # of the usual movement, below which an output hangs
 _LOUDER = 2.0  # times the error elsewhere, from which on a stretch is one
 _SLOW = 6  # half-waves over the record that count as drift
@@ -341,7 +342,7 @@ def pinned(scene: Scene) -> list[Finding]:
             runs = int(np.sum(at[1:] & at[:-1]))
             # how often neighbors are equal elsewhere, as in a coarse or resting record
             usual = max((still.size - runs + 1) / y.size, 1.0 / y.size)
-            if runs < 4 or runs < 3.0 * usual * at.sum():
+            if runs < 4 or runs < 3.0 * usual * at.sum() or at.mean() > _RESTING:
                 continue
             chance = float(stats.binom.logsf(runs - 1, int(at.sum()), min(usual, 1.0)))
             fit = np.zeros_like(scene.residual)
@@ -355,7 +356,7 @@ def pinned(scene: Scene) -> list[Finding]:
                     Explanation(fit, -2.0 * chance, np.array([limit])),
                     1,
                     2,
-                    f"{name} stands still at {limit:.4g}{unit} in {at.sum()} samples: the end of the sensor's "
+                    f"{name} stands still at {limit:.4g}{unit} in {at.sum()} samples: the end of its "
                     "range, so the record itself is cut off.",
                     {"output": name, "limit": limit, "side": side, "kind": "pinned"},
                 )

@@ -180,11 +180,21 @@ def _motions(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[A
         inside = force.force[cell == c]
         if inside.size > 5:
             centers.append(float(motion[cell == c].mean()))
-            means.append(float(inside.mean()))
+            means.append(float(np.median(inside)))
             # neighbors in time say the same: a tenth of the samples counts
-            spreads.append(2.0 * float(inside.std()) / np.sqrt(max(inside.size / 10.0, 1.0)))
+            spreads.append(
+                2.0
+                * 1.4826
+                * float(np.median(np.abs(inside - np.median(inside))))
+                / np.sqrt(max(inside.size / 10.0, 1.0))
+            )
     drawn += list(axis.errorbar(centers, means, spreads, color="#7b3294", marker="o", markersize=3.5,
                                 linewidth=1.2, capsize=2, zorder=3).lines[:1])  # fmt: skip
+    # where a free run begins the estimate has no past yet: its first samples are not to set the scale
+    if means:
+        reach = 1.8 * max(float(np.max(np.abs(np.array(means)) + np.array(spreads))), 1e-300)
+        axis.set_ylim(-reach, reach)
+        axis.set_xlim(edges[0] - 0.05 * np.ptp(edges), edges[-1] + 0.05 * np.ptp(edges))
     axis.axhline(0.0, color=MEASURED, linewidth=0.7, zorder=2)
     axis.set_xlabel(unit_text(f"{letter} at {force.place}", unit))
     axis.set_ylabel("Force the\nmodel lacks")
