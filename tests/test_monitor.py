@@ -33,7 +33,7 @@ class Chain:
         self.c = 0.02 * np.sqrt(self.k)
         self.force, self.mass = int(rng.integers(n)), int(rng.integers(n))
         self.sensor = sensor or str(rng.choice(["displacement", "velocity", "acceleration"]))
-        self.link = int(rng.integers(n + 1))
+        self.link = int(rng.integers(n + 1)) if n > 1 else 0  # both springs of one mass act alike
         self.rng = rng
         modes = np.abs(np.linalg.eigvals(self.A(self.k)))
         self.dt = float(2 * np.pi / modes.max() / 15)

@@ -14,7 +14,9 @@ from .stream import Stream
 __all__ = ["Watch"]
 
 _SETTLE = 4  # periods in which more samples tell the time of the change better
-_WORSE = 1.5  # mean square, relative to that of the last name, up to which a new name is taken
+_WORSE = (
+    1.5  # mean square of what a name leaves, in units of the noise or of the last name's, that is too much
+)
 _FOLLOW = 8  # periods over which the coefficient is followed
 _GONE = 3.0  # standard deviations within which it counts as zero
 _SEEN = 6.0  # a coefficient must be this many of them to be missed
@@ -52,6 +54,7 @@ class Watch:
     crossed: int = 0
     mean: Array = field(default_factory=lambda: np.zeros(0))
     misfit: float = float("inf")
+    place: str = ""  # that led at the last look
     past: list[Alarm] = field(default_factory=list)
     rows: list[MonitorRow] = field(default_factory=list)
     gains: Array | None = None  # log-likelihoods of all candidates since the change
@@ -99,7 +102,7 @@ class Watch:
             ended=None,
             sentence="",
         )
-        self.crossed, self.confirmed, self.misfit = sample, False, float("inf")
+        self.crossed, self.confirmed, self.misfit, self.place = sample, False, float("inf"), ""
         self.mean = stream.memory["mean_e"].copy()
         self.next_naming = self._look(sample + 1, sample + 1 if self.patience == 0 else 0)
         self.next_follow = sample + 1 + 4 * self.period
@@ -136,11 +139,14 @@ class Watch:
             self.follow(stream)
 
     def _sure(self) -> bool:
-        """Whether one place has nearly all of the probability."""
+        """Whether one place has nearly all of the probability, twice in a row, and explains the change."""
         places: dict[str, float] = {}
         for row in self.rows:
             places[row.effect.place] = places.get(row.effect.place, 0.0) + row.probability
-        return max(places.values()) > _SURE * sum(places.values())
+        place = max(places, key=lambda name: places[name])
+        before, self.place = self.place, place
+        clear = places[place] > _SURE * sum(places.values()) and self.misfit < _WORSE
+        return clear and place == before
 
     def name(self, stream: Stream, *, settle: bool) -> None:
         """Fit the candidates to the samples since the change, and rank them."""
