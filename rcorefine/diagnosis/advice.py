@@ -98,6 +98,9 @@ def _contenders(found: Diagnosis, records: Sequence[Measurement]) -> tuple[list[
     segments, _ = windows(found.base.physical_model, list(records), None)
     if found.verdict == "adequate":
         return _near(found, fitted_from(found.base, segments, **options))
+    if found.best is None and found.verdict == "ambiguous":
+        why = "The record shows no motion from which rivals could be simulated: excite it, then diagnose."
+        return [], fitted_from(found.base, segments, **options), why
     if found.best is None or found.verdict == "unexplained":
         why = (
             "Nothing to separate: none of the candidates explains the record. A second record at another "
