@@ -106,6 +106,20 @@ def test_dead_zone_of_the_input_is_an_amplitude():
     assert row.values["level"] == pytest.approx(0.5, rel=0.1)
 
 
+@pytest.mark.parametrize("power, word", [(2, "even"), (3, "odd")])
+def test_distortion_at_harmonics_that_were_not_sent(power, word):
+    t = np.arange(4000)
+    w = sum(np.cos(2 * np.pi * k * t / 500 + k**2) for k in (3, 9, 15, 21))
+    y = np.array(ct.forced_response(model().sample(DT), DT * t, w).y).reshape(2, -1)
+    y[0] += 0.1 * y[0] ** power / y[0].std() ** (power - 1)
+    found = rco.compare(model(), record(w, y)).failures
+    rows = [row for row in found if row.values.get("parity") == word]
+    assert rows, str(found)
+    assert rows[0].values["output"] == "x1"
+    other = [row for row in found if row.values.get("parity") not in (None, word)]
+    assert not other, str(found)
+
+
 def test_two_failures_are_two_rows():
     changed = A.copy()
     changed[2, 2] = -2.4

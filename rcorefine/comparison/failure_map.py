@@ -16,6 +16,7 @@ from .in_frequency import bands, modes, modes_together, shifts
 from .in_state import forces_at_places
 from .in_time import clipping, delays, drifts, pinned, signs, stretches
 from .motion import estimated_motion
+from .periodic import distortions
 from .places import found_places
 from .scene import DIMENSIONS, Finding, Scene
 
@@ -253,7 +254,7 @@ def _searched(scene: Scene) -> list[Finding]:
     moved = shifts(scene)
     single = modes(scene, moved)
     found += [*single, *modes_together(scene, moved, single), *bands(scene)]
-    found += [*input_laws(scene), *level_dependence(scene)]
+    found += [*input_laws(scene), *level_dependence(scene), *distortions(scene)]
     if scene.places is not None:
         found += forces_at_places(scene)
     return found
@@ -353,7 +354,7 @@ def _region(finding: Finding) -> tuple[str, ...]:
         return "frequency", "mode", str(v["modes"][0]["mode"])
     owner = v.get("place") or v.get("input") or v.get("output") or ""
     if finding.dimension == "amplitude":
-        kind = "level" if kind == "level" else "input"
+        kind = kind + str(v.get("parity", "")) if kind in ("level", "distortion") else "input"
     return finding.dimension, kind, str(owner)
 
 
