@@ -256,8 +256,7 @@ class Diagnosis:
                     f"{d.effect.label} {d.smallest:.3g} {d.unit}".strip() for d in self.detectable[:4]
                 )
                 lines.append(f"It would have shown, with 95 % probability: {shown}.")
-        else:
-            assert worst is not None
+        elif worst is not None:  # without motion nothing could be tested
             lines.append(f"The model as it is fails: {worst.name}, p = {worst.p_value:.2g}.")
             if self.verdict == "unexplained" and self.winner_tests:
                 left = min(self.winner_tests, key=lambda t: t.p_value)
