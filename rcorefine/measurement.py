@@ -291,13 +291,32 @@ class Measurement(RecordReaders):
             )
         return self._part(slice(int(found[0]), int(found[-1]) + 1))
 
-    def _part(self, where: slice) -> Measurement:
+    def with_hold(self, hold: str) -> Measurement:
+        """The same record with another behaviour of the inputs between samples.
+
+        Parameters
+        ----------
+        hold : {"zoh", "foh", "bandlimited"}
+            Held, linear, or interpolated without content above half the sampling rate.
+
+        Returns
+        -------
+        Measurement
+
+        Examples
+        --------
+        >>> Measurement(np.ones(4), np.arange(4.0), dt=0.5).with_hold("foh").hold
+        'foh'
+        """
+        return self if hold == self.hold else self._part(slice(None), hold)
+
+    def _part(self, where: slice, hold: str | None = None) -> Measurement:
         return Measurement(
             self.inputs[:, where],
             self.outputs[:, where],
             dt=self.dt,
             timepts=self.timepts[where],
-            hold=self.hold,
+            hold=hold or self.hold,
             input_labels=self.input_labels,
             output_labels=self.output_labels,
             input_units=self.input_units,

@@ -21,6 +21,8 @@ from ..refinement.starts import Motion
 from ..refinement.windows import as_records, windows
 from .battery import Battery, run_battery
 from .columns import Candidate, candidate_columns
+from .excitation import no_motion, record_remarks
+from .holds import best_hold
 from .remarks import amplitude_test, remarks
 from .result import Detectable, Diagnosis, RankedEffect
 from .rivals import Race, run_race, shortlist
@@ -184,18 +186,24 @@ def investigate(
     ]
     if not library:
         raise ct.ControlArgument("no candidate is left that the model does not hold already")
-    scored = candidate_columns(fitted, library, motions[0], (0.0, *_OBSERVERS))
-
-    free_run = Battery(fitted)
-    tests = run_battery(free_run, scored, motions)
-    gate = _overall(tests)
-    loud = _excess(fitted, noise)
     about: dict[str, Any] = {
         "base": base,
         "records": tuple(records),
         "significance": significance,
         "settings": settings,
     }
+    still = no_motion(ordered)
+    if still:
+        unknown = Diagnosis(
+            "ambiguous", (), tuple(library), (), (), (), force_ratio=0.0, notes=(still,), **about
+        )
+        return unknown, None
+    scored = candidate_columns(fitted, library, motions[0], (0.0, *_OBSERVERS))
+
+    free_run = Battery(fitted)
+    tests = run_battery(free_run, scored, motions)
+    gate = _overall(tests)
+    loud = _excess(fitted, noise)
     if gate >= significance and loud <= _NOISE_EXCESS:
         return _adequate(free_run, scored, tests, about), None
     forced: tuple[Battery, list[FTest]] | None = None
@@ -234,6 +242,10 @@ def investigate(
         if 2 * (likelihoods[0] - value) <= _AMBIGUOUS
     )
     notes = remarks(race, scored, batteries)
+    if thorough:
+        options = {name: settings[name] for name in ("tolerance", "offset", "noise")}
+        _, sentence = best_hold(base, ordered, options)
+        notes = [*([sentence] if sentence else []), *record_remarks(ordered), *notes]
     agreement, sentence = amplitude_test(race) if judged.passed else (1.0, "")
     notes += [sentence] if sentence else []
     verdict = "effect" if len(alike) == 1 else "ambiguous"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Any
 
 import control as ct
@@ -17,13 +16,16 @@ from ..exceptions import DataError, DivergenceError, IdentifiabilityWarning
 from ..measurement import Measurement
 from ..physics.effects import Effect
 from ..physics.library import effect_library
-from ..refinement.refine import refine
+from ..refinement.refine import refine, refit
 from ..refinement.refinement import Refinement
 from ..refinement.windows import as_records, integrates, windows
 from ..systems.linear import Array
-from .diagnose import diagnose
+from .diagnose import investigate
+from .excitation import no_motion, record_remarks
+from .holds import best_hold
 from .ledger import Improvement, Step
-from .result import Diagnosis, RankedEffect
+from .result import Diagnosis
+from .rivals import Race
 from .state import fitted_from
 from .whitening import Whitener
 
@@ -32,14 +34,26 @@ __all__ = ["improve"]
 _FIT, _CHOOSE = 0.6, 0.2  # shares of the record; the rest judges
 _BETTER = 4.6  # log-likelihood by which a rival must win to be swapped in
 _GAIN = 0.05  # log of the held-out error that each coefficient must earn
-_PAIRS_FROM = 4  # effects of which pairs are tried where none helps alone
+_TRIED = 12  # effects of smallest error that are judged on the second part
+_REFITTED = 3  # of them, fitted to the end
+_WORSE = 0.02  # log of the held-out error that an effect taken on trust may cost
+_EXCERPT, _PIECES = 8000, 4  # samples of a long record on which the ladder climbs
+_PAIRS_FROM = 3  # first effects of which pairs are tried where none helps alone
 
 
 @dataclass(frozen=True, slots=True)
 class _Parts:
+    """Records to fit on (an excerpt where they are long), to choose on, to judge on, and all but the last."""
+
     fit: list[Measurement]
     choose: list[Measurement]
     judge: list[Measurement]
+    learn: list[Measurement]
+
+    def with_hold(self, hold: str) -> _Parts:
+        """The same records, all under one hold."""
+        every = (self.fit, self.choose, self.judge, self.learn)
+        return _Parts(*([record.with_hold(hold) for record in records] for records in every))
 
 
 def improve(
@@ -124,11 +138,14 @@ def improve(
         warnings.simplefilter("ignore", IdentifiabilityWarning)  # ties are in the ledger
         ladder = _Ladder(model, parts, free, settings)
         library = list(effect_library(ladder.start.physical_model) if candidates is None else candidates)
-        options = {"significance": significance, "executor": executor, "progress": progress, "free": free}
-        verdict, message = ladder.climb(library, max_effects, {**settings, **options})
+        options = {"significance": significance, "mapper": map if executor is None else executor.map}
+        verdict, message = ladder.climb(library, max_effects, options)
+        ladder.settle()
     linear = ladder.start.physical_model.linear
     units = tuple(parts.fit[0].output_units)
-    return Improvement(tuple(ladder.steps), verdict, message, linear.output_labels, units)
+    return Improvement(
+        tuple(ladder.steps), verdict, message, linear.output_labels, units, tuple(ladder.notes)
+    )
 
 
 class _Ladder:
@@ -140,16 +157,23 @@ class _Ladder:
         self.current = self.start
         self.effects: list[Effect] = []
         self._trust: list[bool] = []
-        self.steps = [self._step(None, "start", self.start, "", ())]
+        self._by_error = False
+        self.notes: list[str] = record_remarks(parts.fit)
+        still = no_motion(parts.fit)
+        if still:
+            raise DataError(still)
+        self.current = self._held(self.start)
+        self.steps = [self._step(None, "start", self.current, "", ())]
 
     # --------------------------------------------------------------------- climbing
     def climb(self, library: list[Effect], most: int, options: dict[str, Any]) -> tuple[str, str]:
         """Add, swap, drop; what was added on trust goes again unless it leads to an adequate model."""
         verdict, message = self._forward(library, most, options)
         if len(self.effects) > 1:
-            self._swap(library, options)
+            if not self._by_error:
+                self._swap(library, options)
             self._drop(library)
-            if verdict != "adequate" and len(self.steps) > 1:
+            if not self._by_error and verdict != "adequate" and len(self.steps) > 1:
                 verdict, message = self._forward(library, most, options)
         if verdict != "adequate":
             self._return_trust()
@@ -160,45 +184,76 @@ class _Ladder:
             rest = [e for e in library if not any(_same(e, held) for held in self.current.effects)]
             if not rest:
                 return "unexplained", "No candidate is left."
-            found = diagnose(self.current, self.parts.fit, candidates=rest, **options)
+            found, race = self._investigate(self.current, rest, options)
             if found.verdict == "adequate":
                 return "adequate", "Every test passes: nothing is missing that this record could show."
             if len(self.effects) >= most:
                 return found.verdict, f"Stopped at max_effects = {most}; the residual still speaks."
-            row, trusted = self._earned(found, len(rest))
-            if row is not None:
-                self._add([row.effect], "add", found, trusted)
+            chosen = self._earned(found, race, len(rest))
+            if chosen is not None:
+                effect, refinement, earned, ties = chosen
+                self._add([effect], "add", found, refinement, earned, ties)
                 continue
-            pair = self._pair(found)
+            pair = self._pair(race, rest, options)
             if pair is None:
                 return (
                     found.verdict,
                     "No effect, and no pair of them, lowers the held-out error enough to earn a place.",
                 )
-            self._add(pair, "pair", found, True)
+            both, refinement = pair
+            self._add(both, "pair", found, refinement, True)
 
-    def _earned(self, found: Diagnosis, choices: int) -> tuple[RankedEffect | None, bool]:
-        """The row to add, and whether it earned its place for good.
+    def _investigate(
+        self, model: Refinement, library: list[Effect], options: dict[str, Any]
+    ) -> tuple[Diagnosis, Race | None]:
+        settings = {"free": self.free, **self.settings}
+        return investigate(
+            model,
+            self.parts.fit,
+            asked=library,
+            validation=None,
+            settings=settings,
+            thorough=False,
+            **options,
+        )
 
-        The most probable where the tests pass with it; else the best per coefficient on the
-        second part; else, on trust, the most probable if its likelihood stands out.
+    def _earned(
+        self, found: Diagnosis, race: Race | None, choices: int
+    ) -> tuple[Effect, Refinement, bool, tuple[Effect, ...]] | None:
+        """The effect to add, the model with it, whether it earned its place for good, its ties.
+
+        The most probable where the tests pass with it; else the one whose plain error on the
+        second part falls most per coefficient; else, on trust, the most probable if its
+        likelihood stands out.
         """
-        if not found.ranking:
-            return None, False
-        if found.verdict in ("effect", "ambiguous"):
-            return found.ranking[0], True
-        before = _log_error(self.current, self.parts.choose)
-        best, gained = None, _GAIN
-        for row in found.ranking[:8]:
-            share = (before - _log_error(row.refinement, self.parts.choose)) / max(len(row.coefficients), 1)
-            if share > gained:
-                best, gained = row, share
-        if best is not None:
-            return best, True
+        if not found.ranking or race is None:
+            return None
         top = found.ranking[0]
+        if found.verdict in ("effect", "ambiguous"):
+            return top.effect, self._refit(top.refinement), True, found.ambiguous
+        before = _log_error(self.current, self.parts.choose)
+
+        def share(effect: Effect, refinement: Refinement) -> float:
+            size = max(len(_coefficients(effect, refinement)), 1)
+            return (before - _log_error(refinement, self.parts.choose)) / size
+
+        judged = [(share(*pair), i, *pair) for i, pair in enumerate(race.in_free_run(_TRIED))]
+        for gained, _, effect, refinement in sorted(judged, key=lambda row: -row[0])[:_REFITTED]:
+            if gained < _GAIN:
+                break
+            settled = self._refit(refinement)
+            if share(effect, settled) >= _GAIN:
+                self._by_error = True
+                ties = tuple(row[2] for row in judged if row[0] > gained - _GAIN)
+                return effect, settled, True, ties
         if 2 * self._gain(top.refinement, self.current) > self._price(choices) * len(top.coefficients):
-            return top, False
-        return None, False
+            settled = self._refit(top.refinement)
+            if share(top.effect, settled) > -_WORSE:
+                return top.effect, settled, False, found.ambiguous
+        return None
+
+    def _refit(self, refinement: Refinement, without: Effect | None = None) -> Refinement:
+        return refit(refinement, self.parts.fit, without=without, **self.settings)
 
     def _price(self, choices: int) -> float:
         """Twice the log-likelihood that one coefficient must earn: BIC plus the choice among many."""
@@ -221,13 +276,19 @@ class _Ladder:
         first, second = (whitener.apply(blocks) for blocks in both)
         return 0.5 * float(second @ second - first @ first)
 
-    def _add(self, effects: Sequence[Effect], action: str, found: Diagnosis, earned: bool) -> None:
-        starts = {(r.effect.kind, r.effect.place): r.coefficients for r in found.ranking}
-        new = [e.replace(start=starts.get((e.kind, e.place), dict(e.start))) for e in effects]
-        self.current = refine(self.current, self.parts.fit, new, **self.settings)
+    def _add(
+        self,
+        effects: Sequence[Effect],
+        action: str,
+        found: Diagnosis,
+        refinement: Refinement,
+        earned: bool,
+        ties: tuple[Effect, ...] = (),
+    ) -> None:
+        self.current = self._held(refinement)
         self.effects += list(effects)
         self._trust += [earned] * len(effects)
-        rivals = tuple(e for e in found.ambiguous if not any(_same(e, own) for own in effects))
+        rivals = tuple(e for e in ties if not any(_same(e, own) for own in effects))
         for effect in effects:
             self.steps.append(self._step(effect, action, self.current, found.verdict, rivals))
 
@@ -242,17 +303,15 @@ class _Ladder:
     def _swap(self, library: list[Effect], options: dict[str, Any]) -> None:
         """Whether another effect in the place of an older one explains the record better."""
         for position, effect in enumerate(self.effects[:-1]):
-            without = self._without(effect)
-            if without is None:
-                continue
+            without = self._refit(self.current, effect)
             rest = [e for e in library if not any(_same(e, held) for held in without.effects)]
-            found = diagnose(without, self.parts.fit, candidates=rest, **options)
+            found, _ = self._investigate(without, rest, options)
             if not found.ranking or _same(found.ranking[0].effect, effect):
                 continue
             row = found.ranking[0]
             if self._gain(row.refinement, self.current) > _BETTER:
                 self.effects[position] = row.effect
-                self.current = row.refinement
+                self.current = self._refit(row.refinement)
                 self.steps.append(self._step(row.effect, "swap", self.current, found.verdict, (effect,)))
 
     def _drop(self, library: list[Effect]) -> None:
@@ -260,44 +319,59 @@ class _Ladder:
         for effect in list(self.effects):
             if len(self.effects) < 2:
                 return
-            without = self._without(effect)
-            if without is None:
-                continue
-            loss = 2 * self._gain(self.current, without)
-            if loss < self._price(len(library)) * len(effect.coefficients):
+            without = self._refit(self.current, effect)
+            if self._needless(effect, without, len(library)):
                 index = next(i for i, held in enumerate(self.effects) if _same(held, effect))
                 self.effects.pop(index)
                 self._trust.pop(index)
                 self.current = without
                 self.steps.append(self._step(effect, "drop", without, "", ()))
 
-    def _without(self, effect: Effect) -> Refinement | None:
-        structure, theta, _ = self.current.simulation_structure()
-        kept = []
-        for index, (held, role) in enumerate(zip(self.current.effects, self.current.roles, strict=True)):
-            if role != "effect" or _same(held, effect):
-                continue
-            names = [n for n in held.coefficients if structure.position(index, n) >= 0]
-            kept.append(held.replace(start={n: float(structure.value(theta, index, n)) for n in names}))
-        try:
-            return refine(self.model, self.parts.fit, kept, free=self.free, **self.settings)
-        except DivergenceError:
-            return None
+    def _needless(self, effect: Effect, without: Refinement, choices: int) -> bool:
+        """Whether the model does as well without an effect, by the measure that chose the effects."""
+        size = len(effect.coefficients)
+        if self._by_error:
+            lost = _log_error(without, self.parts.choose) - _log_error(self.current, self.parts.choose)
+            return lost < _GAIN * size
+        return 2 * self._gain(self.current, without) < self._price(choices) * size
 
-    def _pair(self, found: Diagnosis) -> list[Effect] | None:
-        """Two effects that help only together."""
+    def _held(self, refinement: Refinement) -> Refinement:
+        """The model under the hold that suits it, which the records then get."""
+        hold, sentence = best_hold(refinement, self.parts.fit, self.settings)
+        if not sentence:
+            return refinement
+        self.notes.append(sentence)
+        self.parts = self.parts.with_hold(hold)
+        return self._refit(refinement)
+
+    def settle(self) -> None:
+        """Fit each model once more, on all that was not kept to judge."""
+        for i, step in enumerate(self.steps):
+            refinement = refit(step.refinement, self.parts.learn, **self.settings)
+            if not np.isfinite(_log_error(refinement, self.parts.choose)):
+                continue
+            self.steps[i] = self._step(step.effect, step.action, refinement, step.verdict, step.rivals)
+
+    def _pair(
+        self, race: Race | None, rest: list[Effect], options: dict[str, Any]
+    ) -> tuple[list[Effect], Refinement] | None:
+        """Two effects that help only together: every second one behind each of the best first ones."""
+        if race is None:
+            return None
         before = _log_error(self.current, self.parts.choose)
         best, gained = None, _GAIN
-        for one, two in combinations([row.effect for row in found.ranking[:_PAIRS_FROM]], 2):
-            try:
-                both = refine(self.current, self.parts.fit, [one, two], **self.settings)
-            except DivergenceError:
-                continue
-            size = len(one.coefficients) + len(two.coefficients)
-            share = (before - _log_error(both, self.parts.choose)) / size
-            if share > gained:
-                best, gained = [one, two], share
-        return best
+        for one, first in race.in_free_run(_PAIRS_FROM):
+            others = [effect for effect in rest if not _same(effect, one)]
+            _, second = self._investigate(first, others, options) if others else (None, None)
+            for two, both in second.in_free_run(_TRIED) if second is not None else []:
+                size = len(_coefficients(one, both)) + len(_coefficients(two, both))
+                share = (before - _log_error(both, self.parts.choose)) / max(size, 1)
+                if share > gained:
+                    best, gained = ([one, two], both), share
+        if best is None:
+            return None
+        effects, both = best
+        return effects, self._refit(both)
 
     # ---------------------------------------------------------------------- ledger
     def _step(
@@ -308,22 +382,14 @@ class _Ladder:
         verdict: str,
         rivals: tuple[Effect, ...],
     ) -> Step:
-        own = [
-            row
-            for row in refinement.parameters
-            if effect is not None and row.kind == effect.kind and row.place == effect.place
-        ]
-        names: list[str] = []
-        if effect is not None and own:
-            names = [n for n in effect.coefficients if n not in effect.fixed]
         return Step(
             effect=effect,
             action=action,
-            train_rmse=_rmse(refinement, self.parts.fit),
+            train_rmse=refinement.rmse.copy(),
             choice_rmse=_rmse(refinement, self.parts.choose),
             validation_rmse=_rmse(refinement, self.parts.judge),
-            coefficients={n: row.coefficient for n, row in zip(names, own, strict=True)},
-            std={n: row.std for n, row in zip(names, own, strict=True)},
+            coefficients={} if effect is None else _coefficients(effect, refinement),
+            std={} if effect is None else _coefficients(effect, refinement, "std"),
             verdict=verdict,
             rivals=rivals,
             refinement=refinement,
@@ -334,21 +400,41 @@ def _same(one: Effect, two: Effect) -> bool:
     return one.kind == two.kind and one.place == two.place
 
 
+def _coefficients(effect: Effect, refinement: Refinement, what: str = "coefficient") -> dict[str, float]:
+    """Coefficients of an effect in a model, or their standard deviations; none where it was dropped."""
+    own = [row for row in refinement.parameters if row.kind == effect.kind and row.place == effect.place]
+    names = [n for n in effect.coefficients if n not in effect.fixed]
+    return {n: float(getattr(row, what)) for n, row in zip(names, own, strict=True)} if own else {}
+
+
 def _split(records: list[Measurement], validation: Measurement | None) -> _Parts:
     """Fit, choose, judge: in the order of time, each record for itself."""
-    fit, choose, judge = [], [], []
+    fit, choose, judge, learn = [], [], [], []
     for record in records:
         if record.n_samples < 100:
             raise DataError(f"a record of {record.n_samples} samples is too short to be split in three")
         if validation is None:
-            first, rest = record.split(_FIT)
-            second, third = rest.split(_CHOOSE / (1 - _FIT))
-            judge.append(third)
+            both, last = record.split(_FIT + _CHOOSE)
+            judge.append(last)
         else:
-            first, second = record.split(_FIT / (_FIT + _CHOOSE))
+            both = record
+        first, second = both.split(_FIT / (_FIT + _CHOOSE))
         fit.append(first)
         choose.append(second)
-    return _Parts(fit, choose, [validation] if validation is not None else judge)
+        learn.append(both)
+    return _Parts(_excerpt(fit), choose, [validation] if validation is not None else judge, learn)
+
+
+def _excerpt(records: list[Measurement]) -> list[Measurement]:
+    """Pieces spread over records that are too long to climb on."""
+    if sum(record.n_samples for record in records) <= _EXCERPT:
+        return records
+    pieces = []
+    length = _EXCERPT // (_PIECES * len(records))
+    for record in records:
+        for start in np.linspace(0, max(record.n_samples - length, 0), _PIECES).astype(int):
+            pieces.append(record._part(slice(int(start), int(start) + length)))
+    return pieces
 
 
 def _errors(refinement: Refinement, records: Sequence[Measurement]) -> Array:

@@ -69,6 +69,8 @@ class Improvement:
         Why it ended, in words.
     output_labels, output_units : tuple of str
         Names and units of the outputs, units "" where unknown.
+    notes : tuple of str
+        What was noticed about the record: its hold, clipping, signs.
     """
 
     steps: tuple[Step, ...]
@@ -76,6 +78,7 @@ class Improvement:
     message: str
     output_labels: tuple[str, ...]
     output_units: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def refinement(self) -> Refinement:
@@ -108,7 +111,7 @@ class Improvement:
             )
         lines.append(self.message)
         home = self._homecoming()
-        return lines + ([home] if home else [])
+        return lines + ([home] if home else []) + list(self.notes)
 
     def _homecoming(self) -> str:
         """Linear parameters of the first and of the last fit, beside the model's."""
@@ -196,7 +199,6 @@ class Improvement:
             show_legend=show_legend,
         )
 
-
     def report(
         self,
         path: str | PathLike[str],
@@ -236,6 +238,7 @@ class Improvement:
         from ..reporting.page_of_models import report_improvement
 
         return report_improvement(self, path, data=data, title=title, code=code, overwrite=overwrite)
+
 
 _HEADER = ["step", "coefficient", "fitted", "chosen on", "held out"]
 

@@ -12,6 +12,7 @@ from ..comparison.channels import match_channels, record_for
 from ..exceptions import DataError
 from ..measurement import Measurement
 from ..physics.effects import Effect
+from ..physics.physical_model import PhysicalModel
 from ..physics.simulation import check_channels
 from ..physics.structure import Structure
 from ..systems.linear import Array
@@ -19,11 +20,11 @@ from .assembly import assemble, offset_variants, priors, unfold
 from .outcome import output_weights, package
 from .problem import Problem, residual_blocks
 from .refinement import Refinement
-from .search import search, sufficient_steps
+from .search import search, starting_states, sufficient_steps
 from .starts import Motion, estimated_motion, law_widths
 from .windows import as_records, windows
 
-__all__ = ["refine"]
+__all__ = ["Fit", "refine", "refit"]
 
 _ROUGHLY, _EXACTLY = 1e-7, 1e-12  # tolerances of a polish before and after the substep is settled
 
@@ -144,6 +145,68 @@ def refine(
     return package(best, physical, note)
 
 
+def refit(
+    model: Refinement,
+    data: Measurement | Sequence[Measurement],
+    *,
+    without: Effect | None = None,
+    tolerance: float = 0.0,
+    offset: bool = True,
+    noise: float | Sequence[float] | None = None,
+) -> Refinement:
+    """Fit a refinement again from where it stands, on these records, with no search.
+
+    Parameters
+    ----------
+    model : Refinement
+        Where to start.
+    data : Measurement or list of Measurement
+        Record, or several.
+    without : Effect, optional
+        An effect of the model to leave out.
+    tolerance, offset, noise
+        As in `refine`; behind a nonlinear model the offset tries its other place too.
+
+    Returns
+    -------
+    Refinement
+    """
+    physical, kept = unfold(model)
+    records = [record_for(r, match_channels(physical.linear, r)) for r in as_records(data)]
+    segments, note = windows(physical, records, None)
+    widths = {(e.kind, e.place): model.constants.get(i) for i, (e, _) in enumerate(kept)}
+    if without is not None:
+        kept = [(e, role) for e, role in kept if (e.kind, e.place) != (without.kind, without.place)]
+    best: Fit | None = None
+    for chosen in [kept, *_other_offsets(kept, physical, records[0], offset)]:
+        effects = [e for e, _ in chosen]
+        known = {i: w for i, e in enumerate(effects) if (w := widths.get((e.kind, e.place))) is not None}
+        structure = Structure(physical, effects, constants=known)
+        if best is not None and structure.is_linear:
+            break  # behind a linear model all offsets are the same
+        fit = Fit(structure, [role for _, role in chosen], segments, noise, None, tolerance)
+        states = model.initial_states if best is None else best.problem.unpack(best.result.x)[1]
+        fit.resume(model.substeps, states)
+        if best is None or fit.cost < best.cost:
+            best = fit
+    assert best is not None
+    return package(best, physical, note)
+
+
+def _other_offsets(
+    kept: list[tuple[Effect, str]], physical: PhysicalModel, record: Measurement, offset: bool
+) -> list[list[tuple[Effect, str]]]:
+    """The same effects with the constant offset at another place."""
+    mine = {(e.kind, e.place) for e, role in kept if role == "offset"}
+    rest = [(e, role) for e, role in kept if role != "offset"]
+    found = []
+    for offsets in offset_variants(physical, record, offset):
+        places = {(e.kind, e.place) for e in offsets}
+        if mine and places != mine and len(places) == len(mine):
+            found.append(rest + [(e, "offset") for e in offsets])
+    return found
+
+
 class Fit:
     """One set of effects on the records: search, polish, substeps, noise levels."""
 
@@ -198,6 +261,19 @@ class Fit:
             point, found = search(self.build, self.structure, self.segments, motion, self.steps)
             self.steps = substeps or found
             self.problem = self.build(self.segments, self.steps)
+        self._settle(point, substeps)
+
+    def resume(self, steps: int, states: Array) -> None:
+        """Polish from the starts of the effects themselves, and from known initial states if they suit."""
+        self.steps = max(steps, 1 if self.structure.is_linear else 2)
+        self.problem = self.build(self.segments, self.steps)
+        theta = self.structure.start()
+        points = [self.problem.pack(theta, starting_states(self.problem, theta))]
+        if states.shape == (len(self.segments), self.structure.n_states):
+            points.append(self.problem.pack(theta, states))
+        self._settle(min(points, key=self.problem.cost), None)
+
+    def _settle(self, point: Array, substeps: int | None) -> None:
         self._polish(point, _ROUGHLY)
         while True:
             self._reweigh()

@@ -1,0 +1,88 @@
+"""What a record can show at all: motion, levels, signs, clipping; looked at before anything is ranked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..measurement import Measurement
+from ..systems.linear import Array
+
+__all__ = ["no_motion", "record_remarks"]
+
+_FEW_LEVELS = 3  # distinct values of an output that does not move but for its last digit
+_CLIPPED = 0.005  # share of the samples that sit at the very same extreme
+_RUN = 4  # of them in a row
+
+
+def no_motion(records: Sequence[Measurement]) -> str:
+    """Why nothing can be told from these records, empty where they show motion.
+
+    Parameters
+    ----------
+    records : sequence of Measurement
+        Records.
+
+    Returns
+    -------
+    str
+    """
+    labels = records[0].output_labels
+    still = []
+    for i, label in enumerate(labels):
+        y = np.concatenate([record.outputs[i] for record in records])
+        moving = np.abs(np.diff(y)) > 1e-9 * max(float(np.abs(y).max()), 1e-300)
+        levels = np.unique(np.round(y / (1e-9 * max(float(np.abs(y).max()), 1e-300)))).size
+        if not moving.any() or (levels <= _FEW_LEVELS and moving.mean() < 0.05):
+            still.append(label)
+    if len(still) < len(labels):
+        return ""
+    return (
+        f"Cannot tell: {', '.join(still)} does not move in this record, so every effect that holds it still "
+        "explains it alike. Give a record with motion."
+    )
+
+
+def record_remarks(records: Sequence[Measurement]) -> list[str]:
+    """What should make the reader careful about the record itself.
+
+    Parameters
+    ----------
+    records : sequence of Measurement
+        Records.
+
+    Returns
+    -------
+    list of str
+    """
+    said = []
+    for record in records:
+        for label, y in zip(record.output_labels, record.outputs, strict=True):
+            side = _clipped(y)
+            if side:
+                said.append(
+                    f"{label} stays at exactly {side[0]:.6g} for up to {side[1]} samples: the sensor may be "
+                    "clipped (output_saturation)."
+                )
+        for label, w in zip(record.input_labels, record.inputs, strict=True):
+            if np.ptp(w) > 0 and (w.min() >= 0 or w.max() <= 0) and abs(w.mean()) > 0.2 * np.abs(w).max():
+                said.append(
+                    f"{label} never changes sign: laws that differ by direction cannot be told apart."
+                )
+    return list(dict.fromkeys(said))[:4]
+
+
+def _clipped(y: Array) -> tuple[float, int] | None:
+    """Extreme at which an output sits, and the longest time that it does, in samples."""
+    if np.unique(y).size < 20:
+        return None
+    for level in (y.max(), y.min()):
+        at = y == level
+        if at.mean() < _CLIPPED:
+            continue
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], at.astype(int), [0]])))
+        longest = int((edges[1::2] - edges[::2]).max())
+        if longest >= _RUN:
+            return float(level), longest
+    return None
