@@ -57,20 +57,18 @@ def record_remarks(records: Sequence[Measurement]) -> list[str]:
     list of str
     """
     said = []
-    for record in records:
-        for label, y in zip(record.output_labels, record.outputs, strict=True):
-            side = _clipped(y)
-            if side:
-                said.append(
-                    f"{label} stays at exactly {side[0]:.6g} for up to {side[1]} samples: the sensor may be "
-                    "clipped (output_saturation)."
-                )
-        for label, w in zip(record.input_labels, record.inputs, strict=True):
-            if np.ptp(w) > 0 and (w.min() >= 0 or w.max() <= 0) and abs(w.mean()) > 0.2 * np.abs(w).max():
-                said.append(
-                    f"{label} never changes sign: laws that differ by direction cannot be told apart."
-                )
-    return list(dict.fromkeys(said))[:4]
+    for i, label in enumerate(records[0].output_labels):
+        side = _clipped(np.concatenate([record.outputs[i] for record in records]))
+        if side:
+            said.append(
+                f"{label} stays at exactly {side[0]:.6g} for up to {side[1]} samples: the sensor may be "
+                "clipped (output_saturation)."
+            )
+    for i, label in enumerate(records[0].input_labels):
+        w = np.concatenate([record.inputs[i] for record in records])
+        if np.ptp(w) > 0 and (w.min() >= 0 or w.max() <= 0) and abs(w.mean()) > 0.2 * np.abs(w).max():
+            said.append(f"{label} never changes sign: laws that differ by direction may look alike.")
+    return said
 
 
 def _clipped(y: Array) -> tuple[float, int] | None:

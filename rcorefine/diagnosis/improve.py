@@ -36,6 +36,7 @@ _BETTER = 4.6  # log-likelihood by which a rival must win to be swapped in
 _GAIN = 0.05  # log of the held-out error that each coefficient must earn
 _TRIED = 12  # effects of smallest error that are judged on the second part
 _REFITTED = 3  # of them, fitted to the end
+_ALIKE = 0.2  # log of the error within which the linear parameters decide
 _WORSE = 0.02  # log of the held-out error that an effect taken on trust may cost
 _EXCERPT, _PIECES = 8000, 4  # samples of a long record on which the ladder climbs
 _PAIRS_FROM = 3  # first effects of which pairs are tried where none helps alone
@@ -237,20 +238,45 @@ class _Ladder:
             size = max(len(_coefficients(effect, refinement)), 1)
             return (before - _log_error(refinement, self.parts.choose)) / size
 
-        judged = [(share(*pair), i, *pair) for i, pair in enumerate(race.in_free_run(_TRIED))]
-        for gained, _, effect, refinement in sorted(judged, key=lambda row: -row[0])[:_REFITTED]:
-            if gained < _GAIN:
-                break
+        for effect, refinement, ties in self._by_pooled_error(race):
+            if share(effect, refinement) < _GAIN:
+                continue
             settled = self._refit(refinement)
             if share(effect, settled) >= _GAIN:
                 self._by_error = True
-                ties = tuple(row[2] for row in judged if row[0] > gained - _GAIN)
                 return effect, settled, True, ties
         if 2 * self._gain(top.refinement, self.current) > self._price(choices) * len(top.coefficients):
             settled = self._refit(top.refinement)
             if share(top.effect, settled) > -_WORSE:
                 return top.effect, settled, False, found.ambiguous
         return None
+
+    def _by_pooled_error(self, race: Race) -> list[tuple[Effect, Refinement, tuple[Effect, ...]]]:
+        """The rivals that lower the error on both first parts most per coefficient, each with its ties.
+
+        Where the errors hardly differ, the one behind which the linear parameters stay at the
+        model's own numbers goes first: the others bend them to imitate it.
+        """
+        before = self._pooled(self.current)
+        rows = []
+        for effect, refinement in race.in_free_run(_TRIED):
+            size = max(len(_coefficients(effect, refinement)), 1)
+            rows.append(((before - self._pooled(refinement)) / size, effect, refinement))
+        rows = sorted((row for row in rows if row[0] > _GAIN), key=lambda row: -row[0])[: 2 * _REFITTED]
+        if not rows:
+            return []
+        alike = [row for row in rows if row[0] > rows[0][0] - _ALIKE]
+        home = min(alike, key=lambda row: _far_from_home(row[2]))
+        if _far_from_home(home[2]) < 0.5 * _far_from_home(rows[0][2]):
+            rows.remove(home)
+            rows.insert(0, home)
+        return [
+            (effect, refinement, tuple(other[1] for other in alike if other[1] is not effect))
+            for _, effect, refinement in rows[:_REFITTED]
+        ]
+
+    def _pooled(self, refinement: Refinement) -> float:
+        return _log_error(refinement, [*self.parts.fit, *self.parts.choose])
 
     def _refit(self, refinement: Refinement, without: Effect | None = None) -> Refinement:
         return refit(refinement, self.parts.fit, without=without, **self.settings)
@@ -398,6 +424,16 @@ class _Ladder:
 
 def _same(one: Effect, two: Effect) -> bool:
     return one.kind == two.kind and one.place == two.place
+
+
+def _far_from_home(refinement: Refinement) -> float:
+    """Relative distance of the linear parameters from the model's own numbers."""
+    moved = [
+        abs(row.value - row.initial) / abs(row.initial)
+        for row in refinement.parameters
+        if row.role == "linear" and row.initial
+    ]
+    return float(np.sqrt(np.mean(np.square(moved)))) if moved else 0.0
 
 
 def _coefficients(effect: Effect, refinement: Refinement, what: str = "coefficient") -> dict[str, float]:
