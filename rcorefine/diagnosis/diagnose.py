@@ -125,7 +125,13 @@ def diagnose(
         records,
         asked=None if candidates is None else list(candidates),
         validation=validation,
-        settings={"free": free, "tolerance": tolerance, "offset": offset, "noise": noise},
+        settings={
+            "free": free,
+            "tolerance": tolerance,
+            "offset": offset,
+            "noise": noise,
+            "candidates": None if candidates is None else tuple(candidates),
+        },
         significance=significance,
         mapper=map if executor is None else executor.map,
     )[0]

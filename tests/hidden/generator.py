@@ -79,18 +79,22 @@ def linear_states(plant: Plant, w: Array) -> Array:
     return lsim(whole, w.T, t)[2].reshape(t.size, n).T
 
 
-def integrate(plant: Plant, w: Array, law: Law, place: Place, rtol: float = 1e-7) -> Array:
-    """States (n + memory, N) for inputs (n_w, N) that are linear between samples."""
+def integrate(
+    plant: Plant, w: Array, law: Law, place: Place, *more: tuple[Law, Place], rtol: float = 1e-7
+) -> Array:
+    """States (n + memory, N) for inputs (n_w, N) that are linear between samples; `more` without memory."""
     n, memory = plant.A.shape[0], MEMORY.get(law.kind, 0)
     x0 = linear_states(plant, w)
     size = x0.std(axis=1)
     at_place = [float(np.std(row @ x0)) for row in (place.d, place.v) if row is not None]
     inner = {"hidden mass": at_place}.get(law.kind, [float(law.p[1])])[:memory]
     atol = 1e-7 * np.concatenate([np.where(size > 0, size, 1.0), inner])
+    every = [(law, place), *more]
     x = march(
-        plant.A, np.ascontiguousarray((plant.B @ w).T), place.act,
-        place.d if place.d is not None else np.zeros(n), place.v,
-        LAWS[law.kind], law.p, memory, plant.dt, rtol, atol, 400 * w.shape[1],
+        plant.A, np.ascontiguousarray((plant.B @ w).T), np.array([at.act for _, at in every]),
+        np.array([at.d if at.d is not None else np.zeros(n) for _, at in every]),
+        np.array([at.v for _, at in every]), np.array([LAWS[one.kind] for one, _ in every]),
+        np.array([one.p for one, _ in every]), memory, plant.dt, rtol, atol, 400 * w.shape[1],
     )  # fmt: skip
     if not np.isfinite(x).all() or np.abs(x[:, :n]).max() > 1e3 * np.abs(x0).max():
         raise FloatingPointError("the plant with this effect runs away")
@@ -285,3 +289,43 @@ def _law(plant: Plant, place: Place, x0: Array, kind: str, strength: float, samp
     second = {"clearance": 0.7 * d_rms, "ramp": samples * plant.dt}.get(kind, slip)
     first = level / d_rms if kind in ("clearance", "ramp") else level
     return Law(kind, np.array([first, second, 0.0]))
+
+
+def several_hidden(
+    seed: int,
+    count: int,
+    *,
+    loss: tuple[float, float] = (0.05, 0.2),
+    noise: float = 0.03,
+    samples: int = 4000,
+) -> tuple[Plant, rco.Measurement, set[tuple[str, str]]]:
+    """A chain of 2 to 6 masses with effects at different links, each of a loss drawn at random.
+
+    Returns
+    -------
+    plant, data, hidden
+        Hidden holds (kind, place) of each effect.
+    """
+    rng = np.random.default_rng([seed, 79])
+    made = PLANTS["chain"](rng, 1)
+    while len(made.places) < max(count, 2) or len(made.B) < 4:
+        made = PLANTS["chain"](rng, 1)
+    w = excitation(rng, made, samples)
+    x0 = linear_states(made, w)
+    y0 = outputs(made, x0, w, None, None)
+    chosen = rng.permutation(len(made.places))[:count]
+    every = []
+    for index in chosen:
+        place = made.places[int(index)]
+        kind = str(rng.choice(list(SECOND_ORDER)))
+        strength, _ = _calibrated(made, w, kind, place, x0, y0, float(rng.uniform(*loss)))
+        every.append((_law(made, place, x0, kind, strength, samples), place))
+    x = integrate(made, w, *every[0], *every[1:])
+    y = made.C @ x + made.D @ w
+    if made.rates.any():
+        rate = made.A @ x + made.B @ w
+        for law, place in every:
+            rate = rate + np.outer(place.act, forces(made, x, law, place))
+        y = y + made.rates @ rate
+    y = y + noise * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
+    return made, rco.Measurement(w, y, dt=made.dt, hold="foh"), {(law.kind, at.name) for law, at in every}

@@ -73,26 +73,33 @@ def force_of(code, p, t, d, v, z, inner):
 
 
 @njit(cache=True)
-def _rate(A, drive, slope, s, act, sense_d, sense_v, code, p, t, x, n, out):
+def _rate(A, drive, slope, s, act, sense_d, sense_v, codes, p, t, x, n, out):
     inner = np.zeros(2)
-    d = 0.0
-    v = 0.0
-    for j in range(n):
-        d += sense_d[j] * x[j]
-        v += sense_v[j] * x[j]
-    force = force_of(code, p, t, d, v, x[n:], inner)
+    first = np.zeros(2)
     for i in range(n):
-        total = drive[i] + s * slope[i] + act[i] * force
+        total = drive[i] + s * slope[i]
         for j in range(n):
             total += A[i, j] * x[j]
         out[i] = total
+    for law in range(codes.size):
+        d = 0.0
+        v = 0.0
+        for j in range(n):
+            d += sense_d[law, j] * x[j]
+            v += sense_v[law, j] * x[j]
+        force = force_of(codes[law], p[law], t, d, v, x[n:], first if law == 0 else inner)
+        for i in range(n):
+            out[i] += act[law, i] * force
     for i in range(n, x.size):
-        out[i] = inner[i - n]
+        out[i] = first[i - n]
 
 
 @njit(cache=True)
-def march(A, steer, act, sense_d, sense_v, code, p, memory, dt, rtol, atol, most):
-    """States (N, n + memory); row 0 is rest; nan from where it runs away or gets too stiff."""
+def march(A, steer, act, sense_d, sense_v, codes, p, memory, dt, rtol, atol, most):
+    """States (N, n + memory); row 0 is rest; nan from where it runs away or gets too stiff.
+
+    One row of act, sense_d, sense_v and p per law; only the first may have inner states.
+    """
     N, n = steer.shape
     size = n + memory
     X = np.full((N, size), np.nan)
@@ -133,7 +140,7 @@ def march(A, steer, act, sense_d, sense_v, code, p, memory, dt, rtol, atol, most
                     act,
                     sense_d,
                     sense_v,
-                    code,
+                    codes,
                     p,
                     step * dt + at,
                     trial,
