@@ -4,42 +4,44 @@ from __future__ import annotations
 
 import sys
 import textwrap
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import control as ct
 import matplotlib.pyplot as plt
 import numpy as np
 from tqdm import tqdm
 
-from . import examples
 from .comparison import Comparison, compare
+from .diagnosis import Diagnosis, diagnose
+from .diagnosis.improve import improve
+from .diagnosis.ledger import Improvement
 from .jit import NUMBA
 from .measurement import Measurement
-from .rco import RCORefiner
+from .physics import Effect, PhysicalModel, mass_spring_damper
+from .physics.engine import Engine
+from .physics.structure import Structure
 
 __all__ = ["run_demo"]
 
-N_SAMPLES = 6000
-NOISE = 0.02
+N_SAMPLES, DT = 2000, 0.01
+NOISE = 0.03
 TRAINING = 0.7
-BLOCK = 50
-# Samples after which the model of the moment is judged on the held-out data.
-CHECKPOINTS = (100, 200, 500, 1000, 2000, 4200)
-# Stretch of the held-out record that is drawn in time, in s: short enough to see the curves.
-STRETCH = 0.012
+FRICTION, LOSS = 0.5, -20.0  # what the model lacks at link2 [N], and later at link3 [N/m]
+LAWS = ("stiffness", "damping", "cubic_stiffness", "coulomb_friction")
+STRETCH = 3.0  # s of the held-out record that are drawn: short enough to see the curves
 WIDTH = 78
+_SUBSTEPS, _SHARP = 16, 1e-3  # of the simulated truth: finer than the estimator, and a sharper sign(v)
+_STAGES = 6
 
 
 def run_demo(output: Path | str, *, seed: int = 1, progress: bool = True) -> None:
-    """Compare, refine, compare again; tell the story and draw it.
+    """Compare, diagnose, refine, compare again, and improve; tell the story and draw it.
 
     Parameters
     ----------
     output : path-like
-        Folder for the pictures ``time.png``, ``bode.png`` and
-        ``overview.png``, made if absent.
+        Folder for the pictures ``overview.png``, ``map.png``, ``diagnosis.png``
+        and ``staircase.png`` and for ``report.html``, made if absent.
     seed : int, optional
         Seed of the excitation and the noise.
     progress : bool, optional
@@ -49,6 +51,8 @@ def run_demo(output: Path | str, *, seed: int = 1, progress: bool = True) -> Non
     ------
     OSError
         If the folder or a picture cannot be written.
+    FileExistsError
+        If ``report.html`` is there and is no report.
     """
     folder = Path(output)
     folder.mkdir(parents=True, exist_ok=True)  # before the work, not after it
@@ -57,137 +61,135 @@ def run_demo(output: Path | str, *, seed: int = 1, progress: bool = True) -> Non
         sys.stderr.write(
             "(numba compiles on first use, which takes part of a minute; later runs take seconds)\n"
         )
-
-    example = examples.rlc()
-    data = example.record(N_SAMPLES, noise=NOISE, rng=seed)
-    train, test = data.split(TRAINING)
-    model = example.initial
-
-    _title("A circuit, a record of it, and a model that is wrong")
-    _say(
-        "A voltage drives a resistor, an inductor and a capacitor in series; the voltage across the "
-        f"resistor is recorded: {data.n_samples} samples, {1e3 * data.dt:g}~ms apart, with {NOISE:.0%} of "
-        "noise. The resistor is known, 250~ohm. The model takes L~=~2~uH and C~=~1~F; the circuit has 55~mH "
-        f"and 23.5~uF. The first {TRAINING:.0%} of the record is to learn from, the rest to judge by."
+    rng = np.random.default_rng(seed)
+    model = mass_spring_damper(
+        [1.0, 1.2], [0.4, 0.4, 0.4], [300.0, 250.0, 200.0], sensors=("velocity", 1), name="model"
     )
+    friction = Effect("coulomb_friction", "link2")
+    candidates = [Effect(law, f"link{i}") for i in (1, 2, 3) for law in LAWS]
+    with tqdm(total=_STAGES, unit="stage", disable=not progress, file=sys.stderr) as bar:
+        data = _record(model, {friction: FRICTION}, rng, "first test")
+        train, test = data.split(TRAINING)
+        _title("A structure, a record of it, and a model that lacks something")
+        _say(
+            "Two masses hang between two walls on three springs and dampers. A random force drives the "
+            f"first mass, and one sensor reads its velocity: {N_SAMPLES} samples, {1e3 * DT:g}~ms apart, "
+            f"with {100 * NOISE:g}~% of noise. Masses, springs and dampers of the model are right, but the "
+            f"structure does something that the model does not. The first {100 * TRAINING:g}~% of the record are "
+            "to learn from, the rest to judge by."
+        )
 
-    _title("1. Compare the model with the measurement")
-    _write(str(compare(model, test)))
-    _say(_where_it_fails(model, test))
+        _title("1. Compare the model with the measurement")
+        before = compare(model, test)
+        _write(str(before))
+        bar.update()
+        _say(_where_it_fails(before))
+        bar.update()
 
-    _title("2. Refine it, sample by sample")
+        _title("2. What is missing?")
+        _say(
+            f"{len(LAWS)} laws at 3 links are {len(candidates)} answers. Which one does the record support?\n"
+        )
+        found = diagnose(model, train, candidates=candidates)
+        _write(str(found))
+        bar.update()
+
+        _title("3. Refine: add it, and fit it to convergence")
+        better = found.refine()
+        _write(str(better))
+        bar.update()
+
+        _title("4. Compare again, on the data that was held out")
+        after = compare([model, better], test)
+        _write(str(after))
+        first, last = (float(fit) for fit in np.ravel(after.fit))
+        _say(
+            f"The fit rises from {first:.1f}~% to {last:.1f}~%. With {100 * NOISE:g}~% of noise on the record even "
+            f"the true model would stop at about {100 * (1 - NOISE):.0f}~%. The secret: {FRICTION:g}~N of dry "
+            "friction at link2, between the two masses, where there is no sensor."
+        )
+        bar.update()
+
+        _title("5. Two things at once: improve, step by step")
+        _say(
+            "A later record of the same structure: the friction is still there, and the spring at link3 has "
+            f"lost {-LOSS:g} of its 200~N/m. The same model, one effect after the other:\n"
+        )
+        later = _record(model, {friction: FRICTION, Effect("stiffness", "link3"): LOSS}, rng, "later test")
+        ladder = improve(model, later, candidates=candidates)
+        _write(str(ladder))
+        bar.update()
+
+    _title("6. Take it along")
     _say(
-        "Two estimators run side by side. Stage 1 puts a dynamic correction in feedback with the model until "
-        "both have the same output, and so makes the hidden charge and current of the real circuit visible. "
-        "Stage 2 looks for the constant correction of the model that explains them. The model of the moment, "
-        "judged on the held-out data:"
+        "The linear part of each refined model is a control.StateSpace with the signal names and the timebase "
+        "of the first one. It goes on into control.bode_plot, control.feedback, control.interconnect:"
     )
-    refiner = _refine(model, train, test, example.settings, progress)
-    better = refiner.system.copy(name="refined")
-    _say(
-        "Both stages see each sample once, and their memory does not grow: this could run beside the "
-        "circuit for as long as you like."
-    )
-
-    _title("3. What was learned")
-    _write(_parts(example, better))
-
-    _title("4. Compare again, on the data that was held out")
-    after = compare([model, better], test)
-    _write(str(after))
-    first, last = (float(fit) for fit in np.ravel(after.fit))
-    _say(
-        f"The fit rises from {first:.1f} % to {last:.1f} %. With {NOISE:.0%} of noise on the record even the "
-        f"true model would stop at about {100 * (1 - NOISE):.0f} %."
-    )
-
-    _title("5. Take it along")
-    _say(
-        "The refined model is a control.StateSpace with the signal names and the timebase of the first one. "
-        "It goes on into control.bode_plot, control.feedback, control.interconnect and the rest:"
-    )
-    _write(str(better))
-    stretch = test.segment(test.timepts[0], test.timepts[0] + STRETCH)
-    for name, words in _draw(after, compare([model, better], stretch), folder).items():
+    _write(f"\n{better.system}\n")
+    for name, words in _draw([model, better], test, before, found, ladder, folder).items():
         _write(f"{folder / name}\n{textwrap.indent(textwrap.fill(words, WIDTH - 4), '    ')}")
 
 
-def _where_it_fails(model: ct.StateSpace, data: Measurement) -> str:
-    """Name the frequency where model and measured response lie farthest apart."""
-    measured = data.frequency_response()
-    record = measured.frd.frdata[0, 0]
-    simulated = ct.frequency_response(model.sample(data.dt), measured.omega).frdata[0, 0]
-    trusted = measured.coherence[0, 0] > 0.9
-    worst = int(np.argmax(np.where(trusted, np.abs(simulated / record - 1), 0.0)))
-    return (
-        "Where does it fail? The measured frequency response tells: the two lie farthest apart near "
-        f"{measured.omega[worst] / (2 * np.pi):.0f}~Hz, where the circuit passes {abs(record[worst]):.2f} "
-        f"of the voltage and the model {abs(simulated[worst]):.2f}."
+def _record(
+    model: PhysicalModel, hidden: dict[Effect, float], rng: np.random.Generator, name: str
+) -> Measurement:
+    """What the sensor reads where the effects in `hidden` act."""
+    force = 20 * np.convolve(rng.standard_normal(N_SAMPLES + 4), np.ones(5) / 5, "valid")
+    blank = Measurement(force, np.zeros(N_SAMPLES), dt=DT)
+    structure = Structure(model, list(hidden), constants={0: _SHARP})  # the friction comes first
+    run = Engine(structure, blank, substeps=_SUBSTEPS).run(np.array(list(hidden.values())), sensitivity=False)
+    y = run.outputs[0]
+    return Measurement(
+        force,
+        y + NOISE * y.std() * rng.standard_normal(y.size),
+        dt=DT,
+        input_labels=model.linear.input_labels,
+        output_labels=model.linear.output_labels,
+        input_units="N",
+        output_units="m/s",
+        name=name,
     )
 
 
-def _refine(
-    model: ct.StateSpace,
-    train: Measurement,
+def _where_it_fails(comparison: Comparison) -> str:
+    """The most telling row of the failure map, in words."""
+    rows = comparison.failures.rows
+    if not rows:
+        return "Where does it fail? Nowhere that this record could show."
+    return f"Where does it fail? {rows[0].sentence}"
+
+
+def _draw(
+    models: list[Any],
     test: Measurement,
-    settings: Mapping[str, Any],
-    progress: bool,
-) -> RCORefiner:
-    """Stream the record through both stages, and judge the model now and then."""
-    refiner = RCORefiner(model, dt=train.dt, **settings)
-    _write("samples seen    L [mH]    C [uF]    fit on held-out data [%]")
-    with tqdm(total=train.n_samples, unit="sample", disable=not progress, file=sys.stderr) as bar:
-        for start in range(0, train.n_samples, BLOCK):
-            block = slice(start, start + BLOCK)
-            refiner.update(train.inputs[:, block], train.outputs[:, block])
-            seen = min(start + BLOCK, train.n_samples)
-            bar.update(seen - start)
-            if seen in CHECKPOINTS:
-                found = examples.rlc_parameters(refiner.system)
-                fit = float(np.ravel(compare(refiner.system, test).fit)[0])
-                henry, farad = found["inductance"], found["capacitance"]
-                with bar.external_write_mode(file=sys.stdout):
-                    _write(f"{seen:12d}  {1e3 * henry:8.2f}  {1e6 * farad:8.2f}  {fit:26.1f}")
-    return refiner
-
-
-def _parts(example: examples.Example, better: ct.StateSpace) -> str:
-    """Inductance and capacitance: believed, found, true."""
-    found = examples.rlc_parameters(better)
-    rows = [f"   {'in the model':>12}  {'found':>11}  {'in the circuit':>14}"]
-    for letter, key, (coarse, far), (fine, near) in (
-        ("L", "inductance", (1e6, "uH"), (1e3, "mH")),
-        ("C", "capacitance", (1.0, "F"), (1e6, "uF")),
-    ):
-        believed, true = coarse * example.initial_parameters[key], fine * example.true_parameters[key]
-        rows.append(
-            f"{letter}  {f'{believed:g} {far}':>12}  {fine * found[key]:8.2f} {near}  {true:11.2f} {near}"
-        )
-    return "\n".join(rows)
-
-
-def _draw(whole: Comparison, stretch: Comparison, folder: Path) -> dict[str, str]:
-    """Draw the pictures; return what each one shows."""
-    title = "Held-out record: circuit, initial and refined model"
-    responses = "Frequency response: circuit, initial and refined model"
-    stretch.plot(title=title).figure.savefig(folder / "time.png", dpi=120)
-    whole.plot("bode", title=responses).figure.savefig(folder / "bode.png", dpi=120)
-
+    before: Comparison,
+    found: Diagnosis,
+    ladder: Improvement,
+    folder: Path,
+) -> dict[str, str]:
+    """Draw the pictures and write the report; return what each one shows."""
     overview = plt.figure(figsize=(12, 5), layout="constrained")
     [[left, right]] = overview.subfigures(1, 2, squeeze=False)
     axes = left.subplots(2, 1, sharex=True, squeeze=False, height_ratios=(2, 1))
-    stretch.plot(ax=axes)
-    left.suptitle("In time, on data that was held out")
-    axes = right.subplots(3, 1, sharex=True, squeeze=False, height_ratios=(2, 1, 1))
-    whole.plot("bode", ax=axes)
-    right.suptitle("In frequency")
+    stretch = test.segment(test.timepts[0], test.timepts[0] + STRETCH)
+    compare(models, stretch).plot(ax=axes)
+    left.suptitle("One effect missing: held-out record, both models, what is left over")
+    right.suptitle("Two effects missing: each that is added takes its part of the error")
+    ladder.plot(ax=right.subplots(), title="")
     overview.savefig(folder / "overview.png", dpi=100)
+    before.plot("map").figure.savefig(folder / "map.png", dpi=100)
+    found.plot().figure.savefig(folder / "diagnosis.png", dpi=100)
+    found.report(folder / "report.html")
+    ladder.plot().figure.savefig(folder / "staircase.png", dpi=120)
     plt.close("all")
     return {
-        "time.png": f"{1e3 * STRETCH:g} ms of the held-out record, both models, and below what is left over",
-        "bode.png": "frequency response, measured (dots) and of both models; below, the relative error and "
-        "what the noise alone would cause",
-        "overview.png": "both in one",
+        "overview.png": f"{STRETCH:g} s of the held-out record, both models, what is left over; beside it the "
+        "staircase",
+        "map.png": "where the model fails, over time, frequency, state and place",
+        "diagnosis.png": "the rivals; the hidden force against the motion, estimated without any law; what is "
+        "left over",
+        "report.html": "the diagnosis on one page: to read, to send, to print",
+        "staircase.png": "the error on data that took part in nothing, after each effect that was added",
     }
 
 
@@ -197,9 +199,10 @@ def _title(text: str) -> None:
 
 def _say(text: str) -> None:
     # ~ ties a number to its unit
-    _write(textwrap.fill(text, WIDTH).replace("~", " "))
+    _write(textwrap.fill(text, WIDTH).replace("~", " ") + "\n" * text.endswith("\n"))
 
 
 def _write(text: str) -> None:
-    sys.stdout.write(text + "\n")
-    sys.stdout.flush()
+    with tqdm.external_write_mode(file=sys.stdout):
+        sys.stdout.write(text + "\n")
+        sys.stdout.flush()
