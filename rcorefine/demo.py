@@ -75,8 +75,8 @@ def run_demo(output: Path | str, *, seed: int = 1, progress: bool = True) -> Non
             "Two masses hang between two walls on three springs and dampers. A random force drives the "
             f"first mass, and one sensor reads its velocity: {N_SAMPLES} samples, {1e3 * DT:g}~ms apart, "
             f"with {100 * NOISE:g}~% of noise. Masses, springs and dampers of the model are right, but the "
-            f"structure does something that the model does not. The first {100 * TRAINING:g}~% of the record are "
-            "to learn from, the rest to judge by."
+            f"structure does something that the model does not. The first {100 * TRAINING:g}~% of the record "
+            "are to learn from, the rest to judge by."
         )
 
         _title("1. Compare the model with the measurement")
@@ -104,9 +104,9 @@ def run_demo(output: Path | str, *, seed: int = 1, progress: bool = True) -> Non
         _write(str(after))
         first, last = (float(fit) for fit in np.ravel(after.fit))
         _say(
-            f"The fit rises from {first:.1f}~% to {last:.1f}~%. With {100 * NOISE:g}~% of noise on the record even "
-            f"the true model would stop at about {100 * (1 - NOISE):.0f}~%. The secret: {FRICTION:g}~N of dry "
-            "friction at link2, between the two masses, where there is no sensor."
+            f"The fit rises from {first:.1f}~% to {last:.1f}~%. With {100 * NOISE:g}~% of noise on the record "
+            f"even the true model would stop at about {100 * (1 - NOISE):.0f}~%. The secret: {FRICTION:g}~N of "
+            "dry friction at link2, between the two masses, where there is no sensor."
         )
         bar.update()
 
@@ -122,8 +122,8 @@ def run_demo(output: Path | str, *, seed: int = 1, progress: bool = True) -> Non
 
     _title("6. Take it along")
     _say(
-        "The linear part of each refined model is a control.StateSpace with the signal names and the timebase "
-        "of the first one. It goes on into control.bode_plot, control.feedback, control.interconnect:"
+        "The linear part of each refined model is a control.StateSpace with the signal names and the "
+        "timebase of the first one. It goes on into control.bode_plot, control.feedback, control.interconnect:"
     )
     _write(f"\n{better.system}\n")
     for name, words in _draw([model, better], test, before, found, ladder, folder).items():
@@ -183,11 +183,11 @@ def _draw(
     ladder.plot().figure.savefig(folder / "staircase.png", dpi=120)
     plt.close("all")
     return {
-        "overview.png": f"{STRETCH:g} s of the held-out record, both models, what is left over; beside it the "
-        "staircase",
+        "overview.png": f"{STRETCH:g} s of the held-out record, both models, what is left over; beside it "
+        "the staircase",
         "map.png": "where the model fails, over time, frequency, state and place",
-        "diagnosis.png": "the rivals; the hidden force against the motion, estimated without any law; what is "
-        "left over",
+        "diagnosis.png": "the rivals; the hidden force against the motion, estimated without any law; what "
+        "is left over",
         "report.html": "the diagnosis on one page: to read, to send, to print",
         "staircase.png": "the error on data that took part in nothing, after each effect that was added",
     }

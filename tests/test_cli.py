@@ -149,6 +149,7 @@ def test_demo_writes_pictures_and_a_report(demo):
         assert np.ptp(pixels[..., :3]) > 0.5, f"{name} is blank"
 
 
+@pytest.mark.slow
 def test_demo_is_the_same_without_numba(demo, tmp_path):
     """Same text, figure by figure: one source, compiled or not. Quiet means quiet."""
     done, output, _ = demo
