@@ -104,9 +104,9 @@ def run_demo(output: Path | str, *, seed: int = 1, progress: bool = True) -> Non
         _write(str(after))
         first, last = (float(fit) for fit in np.ravel(after.fit))
         _say(
-            f"The fit rises from {first:.1f}~% to {last:.1f}~%. With {100 * NOISE:g}~% of noise on the record "
-            f"even the true model would stop at about {100 * (1 - NOISE):.0f}~%. The secret: {FRICTION:g}~N of "
-            "dry friction at link2, between the two masses, where there is no sensor."
+            f"The fit rises from {first:.1f}~% to {last:.1f}~%. With {100 * NOISE:g}~% of noise "
+            f"even the true model would stop at about {100 * (1 - NOISE):.0f}~%. The secret: {FRICTION:g}~N "
+            "of dry friction at link2, between the two masses, where there is no sensor."
         )
         bar.update()
 
@@ -123,7 +123,7 @@ def run_demo(output: Path | str, *, seed: int = 1, progress: bool = True) -> Non
     _title("6. Take it along")
     _say(
         "The linear part of each refined model is a control.StateSpace with the signal names and the "
-        "timebase of the first one. It goes on into control.bode_plot, control.feedback, control.interconnect:"
+        "timebase of the first one. It goes on into control.bode_plot, control.feedback, and the rest:"
     )
     _write(f"\n{better.system}\n")
     for name, words in _draw([model, better], test, before, found, ladder, folder).items():
