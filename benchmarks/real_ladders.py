@@ -81,7 +81,9 @@ def motor(folder: Path) -> Case:
         errors = [rco.simulate(refined, part).outputs[0] - part.outputs[0] for part in judged]
         return f"NRMSE {float(np.linalg.norm(np.concatenate(errors))) / spread:.4f} held out"
 
-    return Case(model, learnt, judged[-1], figure, "linear 0.253, dead zone 0.055, signed bias 0.034 (in sample)")
+    return Case(
+        model, learnt, judged[-1], figure, "linear 0.253, dead zone 0.055, signed bias 0.034 (in sample)"
+    )
 
 
 def silverbox(folder: Path) -> Case:
@@ -98,7 +100,12 @@ def silverbox(folder: Path) -> Case:
 
     def part(first: int, last: int) -> rco.Measurement:
         return rco.Measurement(
-            u[first:last], y[first:last], dt=1 / 610.35, input_labels="V1", output_labels="V2", name="silverbox"
+            u[first:last],
+            y[first:last],
+            dt=1 / 610.35,
+            input_labels="V1",
+            output_labels="V2",
+            name="silverbox",
         )
 
     def figure(refined: rco.Refinement) -> str:
@@ -107,9 +114,7 @@ def silverbox(folder: Path) -> Case:
             errors = []
             for hold in ("zoh", "foh", "bandlimited"):
                 held = data.with_hold(hold)
-                errors.append(
-                    1e3 * _rms((rco.simulate(refined, held).outputs - held.outputs)[0, 50:])
-                )
+                errors.append(1e3 * _rms((rco.simulate(refined, held).outputs - held.outputs)[0, 50:]))
             found.append(min(errors))
         return f"multisine {found[0]:.3f}, arrow {found[1]:.3f} mV"
 

@@ -183,8 +183,8 @@ def check_channels(model: LinearModel, data: Measurement) -> None:
             missing = [label for label in wanted if label not in present]
             named = f" (missing: {', '.join(missing)})" if 0 < len(missing) < len(wanted) else ""
             raise ct.ControlDimension(
-                f"record {data.name!r} has {have} {what} and the model {need}{named}; give the record's {what} "
-                f"that belong to {model.name!r}, or a model with the {what} that all records share"
+                f"record {data.name!r} has {have} {what} and the model {need}{named}; give the record's "
+                f"{what} that belong to {model.name!r}, or a model with the {what} that all records share"
             )
 
 
