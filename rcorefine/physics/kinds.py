@@ -253,7 +253,7 @@ _DAMPING = (
         ),
         "f = t z/D, dz/dt = v - |v| z/D (Dahl)",
         "The force at {place} depends on the path taken: a joint that gives a little before it slips.",
-        needs="velocity", inner_states=1,
+        needs="position velocity", inner_states=1,
     ),
 )  # fmt: skip
 
