@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rcorefine as rco
-from rcorefine.diagnosis.improve import improve
+from rcorefine.diagnosis.improve import _excerpt, improve
 
 DT = 0.01
 
@@ -110,3 +110,23 @@ def test_bad_input():
         improve(chain(), data, max_effects=-1)
     with pytest.raises(TypeError):
         improve(chain(), data, nonsense=1)
+
+
+@pytest.mark.parametrize(("count", "samples"), [(1, 50_000), (2, 9_000), (12, 1_000), (40, 600)])
+def test_a_long_record_is_climbed_on_in_pieces_of_all_of_it(count: int, samples: int) -> None:
+    """Pieces long enough to test, of records spread over all, and never more than the limit."""
+    records = [
+        rco.Measurement(np.full(samples, 1.0 + i), np.full(samples, float(i)), dt=0.1) for i in range(count)
+    ]
+    pieces = _excerpt(records)
+    assert sum(piece.n_samples for piece in pieces) <= 8000
+    assert min(piece.n_samples for piece in pieces) >= 500
+    levels = {float(piece.outputs[0, 0]) for piece in pieces}
+    assert {0.0, count - 1.0} <= levels
+    assert len(levels) == min(count, 16)
+
+
+def test_short_records_are_climbed_on_whole() -> None:
+    """What fits is not cut."""
+    records = [rco.Measurement(np.ones(3000), np.ones(3000), dt=0.1)] * 2
+    assert _excerpt(records) is records

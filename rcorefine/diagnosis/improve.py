@@ -39,6 +39,7 @@ _REFITTED = 3  # of them, fitted to the end
 _ALIKE = 0.2  # log of the error within which the linear parameters decide
 _WORSE = 0.02  # log of the held-out error that an effect taken on trust may cost
 _EXCERPT, _PIECES = 8000, 4  # samples of a long record on which the ladder climbs
+_SHORTEST, _MOST_RECORDS = 1000, 16  # samples of such a piece, records that it is made of
 _PAIRS_FROM = 3  # first effects of which pairs are tried where none helps alone
 
 
@@ -50,11 +51,13 @@ class _Parts:
     choose: list[Measurement]
     judge: list[Measurement]
     learn: list[Measurement]
+    remarks: tuple[str, ...] = ()
 
     def with_hold(self, hold: str) -> _Parts:
         """The same records, all under one hold."""
         every = (self.fit, self.choose, self.judge, self.learn)
-        return _Parts(*([record.with_hold(hold) for record in records] for records in every))
+        fit, choose, judge, learn = ([record.with_hold(hold) for record in records] for records in every)
+        return _Parts(fit, choose, judge, learn, self.remarks)
 
 
 def improve(
@@ -159,7 +162,7 @@ class _Ladder:
         self.effects: list[Effect] = []
         self._trust: list[bool] = []
         self._by_error = False
-        self.notes: list[str] = record_remarks(parts.fit)
+        self.notes: list[str] = [*parts.remarks, *record_remarks(parts.fit)]
         still = no_motion(parts.fit)
         if still:
             raise DataError(still)
@@ -458,17 +461,31 @@ def _split(records: list[Measurement], validation: Measurement | None) -> _Parts
         fit.append(first)
         choose.append(second)
         learn.append(both)
-    return _Parts(_excerpt(fit), choose, [validation] if validation is not None else judge, learn)
+    climbed, whole = _excerpt(fit), sum(record.n_samples for record in fit)
+    remarks: tuple[str, ...] = ()
+    if climbed is not fit:
+        remarks = (
+            f"The record is long: effects were sought on {len(climbed)} pieces spread over it "
+            f"({sum(record.n_samples for record in climbed)} of {whole} samples) and fitted once more "
+            "on all that does not judge.",
+        )
+    return _Parts(climbed, choose, [validation] if validation is not None else judge, learn, remarks)
 
 
 def _excerpt(records: list[Measurement]) -> list[Measurement]:
     """Pieces spread over records that are too long to climb on."""
     if sum(record.n_samples for record in records) <= _EXCERPT:
         return records
+    spread = np.unique(np.linspace(0, len(records) - 1, min(len(records), _MOST_RECORDS)).astype(int))
+    each = _EXCERPT // spread.size
     pieces = []
-    length = _EXCERPT // (_PIECES * len(records))
-    for record in records:
-        for start in np.linspace(0, max(record.n_samples - length, 0), _PIECES).astype(int):
+    for record in (records[int(i)] for i in spread):
+        count = min(_PIECES, max(1, each // _SHORTEST))
+        length = each // count
+        if record.n_samples <= each:
+            pieces.append(record)
+            continue
+        for start in np.linspace(0, record.n_samples - length, count).astype(int):
             pieces.append(record._part(slice(int(start), int(start) + length)))
     return pieces
 
