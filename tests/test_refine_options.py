@@ -10,10 +10,12 @@ import control as ct
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.signal import freqz
 from test_refine import STEP, chain, held_response
 
 import rcorefine as rco
 from rcorefine import DataError, Effect, IdentifiabilityWarning, Measurement, ModelError, refine
+from rcorefine.refinement.uncertainty import _stable
 
 N = 800
 
@@ -394,3 +396,12 @@ def test_bad_data_is_named():
         refine(chain(), Measurement(np.ones((2, 60)), data.outputs, dt=STEP), [SPRING])
     with pytest.raises((ct.ControlArgument, ModelError), match="StateSpace"):
         refine("a model", data)
+
+
+def test_a_noise_model_with_a_pole_outside_becomes_stable_with_the_same_spectrum():
+    a = np.real(np.poly([1.2, 0.5 + 0.9j, 0.5 - 0.9j, 0.3]))
+    stable, variance = _stable(a, 2.0)
+    assert np.abs(np.roots(stable)).max() < 1
+    omega, before = freqz([1.0], a)
+    _, after = freqz([1.0], stable, worN=omega)
+    np.testing.assert_allclose(variance * np.abs(after) ** 2, 2.0 * np.abs(before) ** 2, rtol=1e-10)

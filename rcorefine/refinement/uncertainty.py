@@ -79,6 +79,19 @@ class Uncertainty:
     unseen: Array
 
 
+def _stable(a: Array, variance: float) -> tuple[Array, float]:
+    """The same spectrum with every pole inside the unit circle: least squares may put one outside."""
+    if a.size == 1:
+        return a, variance
+    roots = np.roots(a)
+    outside = np.abs(roots) > 1.0
+    if not outside.any():
+        return a, variance
+    size = np.abs(roots[outside])
+    roots[outside] = 1.0 / roots[outside].conj()
+    return np.real(np.poly(roots)), variance / float(np.prod(size**2))
+
+
 def parameter_uncertainty(
     residuals: Sequence[Array], jacobians: Sequence[Array], prior_precision: Array
 ) -> Uncertainty:
@@ -105,7 +118,7 @@ def parameter_uncertainty(
     p = jacobians[0].shape[2]
     outputs = residuals[0].shape[0]
     joined = [np.concatenate([r[i] for r in residuals]) for i in range(outputs)]
-    filters = [autoregression(joined[i]) for i in range(outputs)]
+    filters = [_stable(*autoregression(joined[i])) for i in range(outputs)]
     n_points = sum(r.size for r in residuals)
     correction = n_points / max(n_points - p, 1)
     B = np.diag(prior_precision.astype(float))
