@@ -15,7 +15,7 @@ from test_refine import STEP, chain, held_response
 
 import rcorefine as rco
 from rcorefine import DataError, Effect, IdentifiabilityWarning, Measurement, ModelError, refine
-from rcorefine.refinement.uncertainty import _stable
+from rcorefine.refinement.uncertainty import stable_model
 
 N = 800
 
@@ -400,7 +400,7 @@ def test_bad_data_is_named():
 
 def test_a_noise_model_with_a_pole_outside_becomes_stable_with_the_same_spectrum():
     a = np.real(np.poly([1.2, 0.5 + 0.9j, 0.5 - 0.9j, 0.3]))
-    stable, variance = _stable(a, 2.0)
+    stable, variance = stable_model(a, 2.0)
     assert np.abs(np.roots(stable)).max() < 1
     omega, before = freqz([1.0], a)
     _, after = freqz([1.0], stable, worN=omega)

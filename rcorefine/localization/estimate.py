@@ -16,7 +16,7 @@ from ..refinement.outcome import output_weights
 from ..refinement.problem import Problem, residual_blocks
 from ..refinement.search import starting_states
 from ..refinement.starts import far_starts
-from ..refinement.uncertainty import autoregression
+from ..refinement.uncertainty import autoregression, stable_model
 from ..systems.linear import Array
 from .spectrum import sparse_starts, spectral_starts
 
@@ -316,7 +316,7 @@ def _gradient_covariance(residuals: Sequence[Array], jacobians: Sequence[Array],
     """Covariance of J' r, the residual of each output coloured as an autoregression sees it."""
     middle = np.diag(precision)
     for i in range(residuals[0].shape[0]):
-        a, variance = autoregression(np.concatenate([r[i] for r in residuals]))
+        a, variance = stable_model(*autoregression(np.concatenate([r[i] for r in residuals])))
         for jacobian in jacobians:
             J = jacobian[i]
             coloured = J if a.size == 1 else lfilter([1.0], a, J[::-1], axis=0)

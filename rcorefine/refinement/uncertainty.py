@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from ..systems.linear import Array
 
-__all__ = ["Uncertainty", "autoregression", "parameter_uncertainty", "unseen_combinations"]
+__all__ = ["Uncertainty", "autoregression", "parameter_uncertainty", "stable_model", "unseen_combinations"]
 
 _MAX_ORDER = 20
 _UNSEEN = 1e-7  # singular value of the unit-column Jacobian below which a direction is not seen
@@ -79,7 +79,7 @@ class Uncertainty:
     unseen: Array
 
 
-def _stable(a: Array, variance: float) -> tuple[Array, float]:
+def stable_model(a: Array, variance: float) -> tuple[Array, float]:
     """The same spectrum with every pole inside the unit circle: least squares may put one outside."""
     if a.size == 1:
         return a, variance
@@ -118,7 +118,7 @@ def parameter_uncertainty(
     p = jacobians[0].shape[2]
     outputs = residuals[0].shape[0]
     joined = [np.concatenate([r[i] for r in residuals]) for i in range(outputs)]
-    filters = [_stable(*autoregression(joined[i])) for i in range(outputs)]
+    filters = [stable_model(*autoregression(joined[i])) for i in range(outputs)]
     n_points = sum(r.size for r in residuals)
     correction = n_points / max(n_points - p, 1)
     B = np.diag(prior_precision.astype(float))
