@@ -33,6 +33,7 @@ __all__ = ["diagnose", "investigate"]
 
 _OBSERVERS = (1.0, 0.1)  # a high gain follows the record, a low one tells rivals apart
 _FORCES = (0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.128)  # unmeasured force over the measured one
+_FORCES_AT = ("everywhere", "inputs")
 _AS_LIKELY = 6.0  # log-likelihood within which another size of that force is as good
 _FORCE_GAIN = 15.0  # log-likelihood that an unmeasured force must earn
 _FORCE_BESIDE = 3.0  # the same beside an effect that fails without it: the battery decides
@@ -213,11 +214,11 @@ def investigate(
     if gate >= significance and loud <= _NOISE_EXCESS:
         return _adequate(free_run, scored, tests, about), None
     forced: tuple[Battery, list[FTest]] | None = None
-    for ratio in _unmeasured_force(fitted, free_run) if loud <= _NOISE_EXCESS else []:
-        # how strong it is, is not known: it explains the residual if one likely size does
-        _add_columns(scored, fitted, motions[0], ratio)
-        led = Battery(fitted, ratio)
-        led_tests = run_battery(led, scored, motions)
+    forced_columns: list[Candidate] = []
+    for led in _unmeasured_force(fitted, free_run) if loud <= _NOISE_EXCESS else []:
+        # how strong it is, and where, is not known: it explains the residual if one likely force does
+        forced_columns = candidate_columns(led.fitted, library, motions[0], (led.ratio,))
+        led_tests = run_battery(led, forced_columns, motions)
         if _overall(led_tests) >= significance:
             forced = led, led_tests
             break
@@ -231,7 +232,7 @@ def investigate(
     if forced is not None:
         # an unmeasured force alone explains the residual too: the likelier of the two
         if not judged.passed or Battery(race.model()).log_likelihood < forced[0].log_likelihood:
-            return _adequate(forced[0], scored, forced[1], about), None
+            return _adequate(forced[0], forced_columns, forced[1], about), None
     if not judged.passed:
         judged = _second_chance(
             judged, scored, chosen, library, motions, significance, noise, mapper, thorough
@@ -335,8 +336,8 @@ def _second_chance(
     fitted = race.fitted
     winner = race.model()
     likely = _unmeasured_force(winner, Battery(winner), _FORCE_BESIDE)
-    for allowed in likely[:2] if _excess(winner, noise) <= _NOISE_EXCESS else []:
-        again = run_race(fitted, [], allowed, entered=race.rivals)
+    for led in likely[:2] if _excess(winner, noise) <= _NOISE_EXCESS else []:
+        again = run_race(fitted.forced(led.fitted.force_at), [], led.ratio, entered=race.rivals)
         if again is not None:
             judged = _judge(again, library, motions, significance, noise)
             if judged.passed:
@@ -358,12 +359,6 @@ def _second_chance(
         if judged.passed:
             return judged
     return first
-
-
-def _add_columns(scored: Sequence[Candidate], fitted: Fitted, motion: Motion, ratio: float) -> None:
-    more = candidate_columns(fitted, [c.effect for c in scored], motion, (ratio,))
-    for candidate, extra in zip(scored, more, strict=True):
-        candidate.columns.update(extra.columns)
 
 
 def _adequate(
@@ -388,23 +383,26 @@ def _excess(fitted: Fitted, noise: Any) -> float:
     return float(np.sqrt(np.mean(residual**2, axis=1)).max())
 
 
-def _unmeasured_force(fitted: Fitted, free_run: Battery, least: float = _FORCE_GAIN) -> list[float]:
-    """Sizes of an unmeasured force that the residual speaks of, the likeliest first."""
-    found: dict[float, float] = {}
-    for ratio in _FORCES:
-        try:
-            value = Battery(fitted, ratio).log_likelihood
-        except (np.linalg.LinAlgError, ValueError):
-            continue
-        if np.isfinite(value):
-            found[ratio] = value
-        if value < max(found.values(), default=value) - 3 * _AS_LIKELY:
-            break  # it only falls from here
-    best = max(found.values(), default=-np.inf)
+def _unmeasured_force(fitted: Fitted, free_run: Battery, least: float = _FORCE_GAIN) -> list[Battery]:
+    """The residual led by each unmeasured force that it may speak of, the likeliest first."""
+    found: list[Battery] = []
+    for at in _FORCES_AT:
+        top = -np.inf
+        for ratio in _FORCES:
+            try:
+                led = Battery(fitted.forced(at), ratio)
+            except (np.linalg.LinAlgError, ValueError):
+                continue
+            if np.isfinite(led.log_likelihood):
+                found.append(led)
+                top = max(top, led.log_likelihood)
+            if not led.log_likelihood >= top - 3 * _AS_LIKELY:
+                break  # it only falls from here
+    best = max((led.log_likelihood for led in found), default=-np.inf)
     if best <= free_run.log_likelihood + least:
         return []
-    near = [ratio for ratio, value in found.items() if value >= best - _AS_LIKELY]
-    return sorted(near, key=lambda ratio: -found[ratio])
+    near = [led for led in found if led.log_likelihood >= best - _AS_LIKELY]
+    return sorted(near, key=lambda led: -led.log_likelihood)
 
 
 def _rows(

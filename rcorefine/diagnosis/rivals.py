@@ -372,7 +372,7 @@ def _model(fitted: Fitted, rival: Rival, whitener: Whitener, ratio: float) -> Fi
         message="Converged." if rival.descent.converged else "Not polished: far behind the best candidate.",
         warnings=(),
     )
-    extended = Fitted(refinement, problem, point, fitted.tolerance)
+    extended = Fitted(refinement, problem, point, fitted.tolerance, fitted.force_at)
     extended._blocks[ratio] = blocks
     if gain is not None:
         extended._gains[ratio] = gain

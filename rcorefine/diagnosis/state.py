@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -41,12 +41,15 @@ class Fitted:
         Minimum.
     tolerance : float
         Declared relative sd of the linear parameters.
+    force_at : str
+        Where an unmeasured force would act: "everywhere" or "inputs".
     """
 
     refinement: Refinement
     problem: Problem
     point: Array
     tolerance: float
+    force_at: str = "everywhere"
     _blocks: dict[float, list[tuple[Array, Array]]] = field(default_factory=dict)
     _gains: dict[float, Array] = field(default_factory=dict)
     _states: dict[float, list[Array]] = field(default_factory=dict)
@@ -66,8 +69,17 @@ class Fitted:
         if ratio == 0:
             return None
         if ratio not in self._gains:
-            self._gains[ratio] = observer_gain(self.structure, self.theta, self.problem.records[0], ratio)
+            self._gains[ratio] = observer_gain(
+                self.structure, self.theta, self.problem.records[0], ratio, at=self.force_at
+            )
         return self._gains[ratio]
+
+    def forced(self, at: str) -> Fitted:
+        """The same model with unmeasured forces elsewhere."""
+        if at == self.force_at:
+            return self
+        free = {ratio: blocks for ratio, blocks in self._blocks.items() if ratio == 0}
+        return replace(self, force_at=at, _blocks=free, _gains={}, _states={})
 
     def blocks(self, ratio: float = 0.0) -> list[tuple[Array, Array]]:
         """Residual (n_y, N) and Jacobian (n_y, N, p) of each record, free run or observer-led."""

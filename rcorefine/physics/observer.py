@@ -14,7 +14,13 @@ __all__ = ["observer_gain"]
 
 
 def observer_gain(
-    structure: Structure, theta: Array, data: Measurement, ratio: float, *, noise: float = 0.03
+    structure: Structure,
+    theta: Array,
+    data: Measurement,
+    ratio: float,
+    *,
+    at: str = "everywhere",
+    noise: float = 0.03,
 ) -> Array:
     """Steady Kalman gain (filter form) for unknown forces at inputs and ports.
 
@@ -29,6 +35,8 @@ def observer_gain(
     ratio : float
         Unknown force over the measured one, rms. A low ratio gives a low gain, which
         tells rivals apart; a high one follows the record whatever the model says.
+    at : str
+        "everywhere" for forces at inputs and ports, "inputs" for forces at the inputs alone.
     noise : float
         Sensor noise over the rms of each output.
 
@@ -43,7 +51,7 @@ def observer_gain(
     level = np.where(level > 0, level, 1.0)
     drives = [m.B[:, i] * level[i] for i in range(nw)]
     top = max((np.linalg.norm(d) for d in drives), default=1.0) or 1.0
-    acts = [port.act for port in structure.model.ports]
+    acts = [] if at == "inputs" and drives else [port.act for port in structure.model.ports]
     for act in acts:
         size = np.linalg.norm(act)
         if size > 0:
