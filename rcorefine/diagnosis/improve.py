@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import control as ct
@@ -40,6 +40,7 @@ _ALIKE = 0.2  # log of the error within which the linear parameters decide
 _WORSE = 0.02  # log of the held-out error that an effect taken on trust may cost
 _EXCERPT, _PIECES = 8000, 4  # samples of a long record on which the ladder climbs
 _SHORTEST, _MOST_RECORDS = 1000, 16  # samples of such a piece, records that it is made of
+_ROUNDS = 3  # times that a finished ladder is reconsidered
 _PAIRS_FROM = 3  # first effects of which pairs are tried where none helps alone
 
 
@@ -52,6 +53,15 @@ class _Parts:
     judge: list[Measurement]
     learn: list[Measurement]
     remarks: tuple[str, ...] = ()
+
+    @property
+    def whole(self) -> bool:
+        """Whether the first part is all of it, and no excerpt."""
+        return not self.remarks
+
+    def pooled(self) -> _Parts:
+        """Fit on all that does not judge."""
+        return replace(self, fit=self.learn)
 
     def with_hold(self, hold: str) -> _Parts:
         """The same records, all under one hold."""
@@ -171,27 +181,44 @@ class _Ladder:
 
     # --------------------------------------------------------------------- climbing
     def climb(self, library: list[Effect], most: int, options: dict[str, Any]) -> tuple[str, str]:
-        """Add, swap, drop; what was added on trust goes again unless it leads to an adequate model."""
+        """Add; drop and swap until all hold; what was added on trust goes unless the model is adequate."""
         verdict, message = self._forward(library, most, options)
-        if len(self.effects) > 1:
-            if not self._by_error:
-                self._swap(library, options)
-            self._drop(library)
-            if not self._by_error and verdict != "adequate" and len(self.steps) > 1:
-                verdict, message = self._forward(library, most, options)
+        if verdict == "adequate" and self.effects and self.parts.whole:
+            # what remains is noise: the likelihood decides from here on, and needs no second part
+            self.parts = self.parts.pooled()
+            self.current = self._refit(self.current)
+            verdict, message = self._forward(library, most, options)
+        for _ in range(_ROUNDS if len(self.effects) > 1 else 0):
+            by_error = self._by_error and verdict != "adequate"
+            dropped = self._drop(library, by_error)
+            swapped = not by_error and self._swap(library, options)
+            if by_error or not (dropped or swapped):
+                break
+            size = len(self.steps)
+            verdict, message = self._forward(library, most, options)
+            if not swapped and len(self.steps) == size:
+                break
         if verdict != "adequate":
             self._return_trust()
+        if len(self.effects) > most:
+            self._shorten(most)
+            verdict = self._investigate(self.current, self._rest(library), options)[0].verdict
+            message = f"Stopped at max_effects = {most}; the residual still speaks."
         return verdict, message
+
+    def _rest(self, library: list[Effect]) -> list[Effect]:
+        return [e for e in library if not any(_same(e, held) for held in self.current.effects)]
 
     def _forward(self, library: list[Effect], most: int, options: dict[str, Any]) -> tuple[str, str]:
         while True:
-            rest = [e for e in library if not any(_same(e, held) for held in self.current.effects)]
+            rest = self._rest(library)
             if not rest:
                 return "unexplained", "No candidate is left."
             found, race = self._investigate(self.current, rest, options)
             if found.verdict == "adequate":
                 return "adequate", "Every test passes: nothing is missing that this record could show."
-            if len(self.effects) >= most:
+            # one more where that passes every test: an early one may then turn out to be needless
+            if len(self.effects) >= most + (found.verdict != "unexplained" and most > 1):
                 return found.verdict, f"Stopped at max_effects = {most}; the residual still speaks."
             chosen = self._earned(found, race, len(rest))
             if chosen is not None:
@@ -281,8 +308,11 @@ class _Ladder:
     def _pooled(self, refinement: Refinement) -> float:
         return _log_error(refinement, [*self.parts.fit, *self.parts.choose])
 
-    def _refit(self, refinement: Refinement, without: Effect | None = None) -> Refinement:
-        return refit(refinement, self.parts.fit, without=without, **self.settings)
+    def _refit(self, refinement: Refinement) -> Refinement:
+        return refit(refinement, self.parts.fit, **self.settings)
+
+    def _without(self, effect: Effect) -> Refinement:
+        return refit(self.current, self.parts.fit, without=effect, elsewhere=False, **self.settings)
 
     def _price(self, choices: int) -> float:
         """Twice the log-likelihood that one coefficient must earn: BIC plus the choice among many."""
@@ -314,7 +344,8 @@ class _Ladder:
         earned: bool,
         ties: tuple[Effect, ...] = (),
     ) -> None:
-        self.current = self._held(refinement)
+        # a wrong hold looks like a missing effect, and a missing effect like a wrong hold: twice is enough
+        self.current = refinement if self.effects else self._held(refinement)
         self.effects += list(effects)
         self._trust += [earned] * len(effects)
         rivals = tuple(e for e in ties if not any(_same(e, own) for own in effects))
@@ -329,10 +360,13 @@ class _Ladder:
             self.steps.pop()
             self.current = self.steps[-1].refinement
 
-    def _swap(self, library: list[Effect], options: dict[str, Any]) -> None:
-        """Whether another effect in the place of an older one explains the record better."""
-        for position, effect in enumerate(self.effects[:-1]):
-            without = self._refit(self.current, effect)
+    def _swap(self, library: list[Effect], options: dict[str, Any]) -> bool:
+        """Put another effect in the place of an older one where that explains the record better."""
+        swapped = False
+        for position, effect in enumerate(list(self.effects)):
+            if self.steps[-1].action == "add" and effect is self.effects[-1]:
+                break  # it has just won against all others
+            without = self._without(effect)
             rest = [e for e in library if not any(_same(e, held) for held in without.effects)]
             found, _ = self._investigate(without, rest, options)
             if not found.ranking or _same(found.ranking[0].effect, effect):
@@ -342,27 +376,51 @@ class _Ladder:
                 self.effects[position] = row.effect
                 self.current = self._refit(row.refinement)
                 self.steps.append(self._step(row.effect, "swap", self.current, found.verdict, (effect,)))
+                swapped = True
+        return swapped
 
-    def _drop(self, library: list[Effect]) -> None:
-        """Backward step: effects whose absence costs less than their price go."""
-        for effect in list(self.effects):
-            if len(self.effects) < 2:
-                return
-            without = self._refit(self.current, effect)
-            if self._needless(effect, without, len(library)):
-                index = next(i for i, held in enumerate(self.effects) if _same(held, effect))
-                self.effects.pop(index)
-                self._trust.pop(index)
-                self.current = without
-                self.steps.append(self._step(effect, "drop", without, "", ()))
+    def _drop(self, library: list[Effect], by_error: bool) -> bool:
+        """Backward step: effects whose absence costs less than their price go, the cheapest first."""
+        dropped = False
+        while len(self.effects) > 1:
+            doubtful = [i for i in range(len(self.effects)) if by_error or not self._sure(i, len(library))]
+            costs = {i: self._cost(self.effects[i], len(library), by_error) for i in doubtful}
+            cheapest = min(costs, key=lambda i: costs[i][0], default=-1)
+            if cheapest < 0 or costs[cheapest][0] >= 0:
+                break
+            self._remove(cheapest, costs[cheapest][1])
+            dropped = True
+        return dropped
 
-    def _needless(self, effect: Effect, without: Refinement, choices: int) -> bool:
-        """Whether the model does as well without an effect, by the measure that chose the effects."""
+    def _sure(self, index: int, choices: int) -> bool:
+        """Whether an effect is so many standard deviations from nothing that it need not be tried without."""
+        effect = self.effects[index]
+        (value, *more), (std, *_) = (
+            _coefficients(effect, self.current, w).values() for w in ("coefficient", "std")
+        )
+        return not more and 0 < std < np.inf and (value / std) ** 2 > 4 * self._price(choices)
+
+    def _cost(self, effect: Effect, choices: int, by_error: bool) -> tuple[float, Refinement]:
+        """What the absence of an effect costs beyond its price, and the model without it."""
+        without = self._without(effect)
         size = len(effect.coefficients)
-        if self._by_error:
+        if by_error:
             lost = _log_error(without, self.parts.choose) - _log_error(self.current, self.parts.choose)
-            return lost < _GAIN * size
-        return 2 * self._gain(self.current, without) < self._price(choices) * size
+            return lost - _GAIN * size, without
+        return 2 * self._gain(self.current, without) - self._price(choices) * size, without
+
+    def _remove(self, index: int, without: Refinement) -> None:
+        effect = self.effects.pop(index)
+        self._trust.pop(index)
+        self.current = without
+        self.steps.append(self._step(effect, "drop", without, "", ()))
+
+    def _shorten(self, most: int) -> None:
+        """Drop what costs least until no more than `most` effects are left."""
+        while len(self.effects) > most:
+            costs = [self._cost(effect, 1, False) for effect in self.effects]
+            cheapest = min(range(len(costs)), key=lambda i: costs[i][0])
+            self._remove(cheapest, costs[cheapest][1])
 
     def _held(self, refinement: Refinement) -> Refinement:
         """The model under the hold that suits it, which the records then get."""

@@ -150,6 +150,7 @@ def refit(
     data: Measurement | Sequence[Measurement],
     *,
     without: Effect | None = None,
+    elsewhere: bool = True,
     tolerance: float = 0.0,
     offset: bool = True,
     noise: float | Sequence[float] | None = None,
@@ -164,8 +165,10 @@ def refit(
         Record, or several.
     without : Effect, optional
         An effect of the model to leave out.
+    elsewhere : bool
+        Whether the offset of a nonlinear model tries its other place too.
     tolerance, offset, noise
-        As in `refine`; behind a nonlinear model the offset tries its other place too.
+        As in `refine`.
 
     Returns
     -------
@@ -178,7 +181,7 @@ def refit(
     if without is not None:
         kept = [(e, role) for e, role in kept if (e.kind, e.place) != (without.kind, without.place)]
     best: Fit | None = None
-    for chosen in [kept, *_other_offsets(kept, physical, records[0], offset)]:
+    for chosen in [kept, *(_other_offsets(kept, physical, records[0], offset) if elsewhere else [])]:
         effects = [e for e, _ in chosen]
         known = {i: w for i, e in enumerate(effects) if (w := widths.get((e.kind, e.place))) is not None}
         structure = Structure(physical, effects, constants=known)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..systems.linear import Array
-from .figures import BAND, MEASURED
+from .figures import BAND, MEASURED, log_labels
 
 if TYPE_CHECKING:
     from ..spectral import FrequencyResponse
@@ -59,6 +59,7 @@ def bode_rows(axes: Any, outputs: Sequence[str], inputs: Sequence[str], *, extra
             magnitude, phase = axes[per_output * i, j], axes[per_output * i + 1, j]
             for axis in axes[per_output * i : per_output * (i + 1), j]:
                 axis.set_xscale("log")
+                log_labels(axis.xaxis)
                 axis.grid(True, which="major", alpha=0.35)
                 axis.grid(True, which="minor", alpha=0.12)
                 # python-control labels each axes and asks for these attributes when it draws on top

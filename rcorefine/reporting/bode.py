@@ -16,7 +16,7 @@ from ..systems.discretization import discretize
 from ..systems.linear import Array, LinearModel
 from ..systems.response import frequency_response
 from .axes_of_bode import BodeUnits, bode_rows, broken_phase, draw_measured, magnitude_limits
-from .figures import BAND, curve_labels, finish, make_axes, settings, style
+from .figures import BAND, curve_labels, finish, log_labels, make_axes, settings, style
 
 __all__ = ["as_sampled", "bode_comparison", "bode_grid"]
 
@@ -239,6 +239,7 @@ def _draw_measured(axes: Any, lines: Any, measured: FrequencyResponse, units: Bo
             measured.std[i, j], size, out=np.full_like(size, np.nan), where=size > 0
         )
         error.set_yscale("log")
+        log_labels(error.yaxis)
         drawn = np.concatenate([np.zeros(0), *(np.asarray(line.get_ydata()) for line in lines[3 * i + 2, j])])
         drawn = drawn[np.isfinite(drawn) & (drawn > 0)]
         usual = noise[np.isfinite(noise) & (noise > 0)]

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..exceptions import DataError
 from .axes_of_bode import BodeUnits
-from .figures import BAND, MEASURED, curve_labels, finish, make_axes, settings, style, unit_text
+from .figures import BAND, MEASURED, curve_labels, finish, log_labels, make_axes, settings, style, unit_text
 from .tables import clip
 
 if TYPE_CHECKING:
@@ -150,6 +150,7 @@ def _frequencies(axis: Any, result: Comparison, m: int, found: FailureMap) -> li
                          color=_MARK, zorder=0, alpha=0.5)  # fmt: skip
     axis.set_xscale("log")
     axis.set_yscale("log")
+    log_labels(axis.xaxis)
     axis.set_xlim(x[0], x[-1])
     axis.set_ylim(low, max(3.0, min(2.0 * float(np.nanmax(ratio)), 100.0)))
     axis.grid(True, which="major", alpha=0.3)

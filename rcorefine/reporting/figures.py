@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import control as ct
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.ticker import LogFormatter
 
 __all__ = [
     "BAND",
@@ -16,6 +17,7 @@ __all__ = [
     "Style",
     "curve_labels",
     "finish",
+    "log_labels",
     "make_axes",
     "settings",
     "style",
@@ -130,6 +132,18 @@ def finish(
     if title is not None:
         figure.suptitle(title)
     return ct.ControlPlot(lines, axes, figure, legend)
+
+
+class _Short(LogFormatter):
+    """Labels as numbers, where matplotlib would label at all."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        return f"{x:g}" if super().__call__(x, pos) else ""
+
+
+def log_labels(axis: Any) -> None:
+    """Short labels between the decades of a logarithmic x or y axis: 0.02 and not 2 x 10^-2."""
+    axis.set_minor_formatter(_Short())
 
 
 def unit_text(label: str, unit: str) -> str:
