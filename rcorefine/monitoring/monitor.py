@@ -480,7 +480,7 @@ class Monitor:
         DataError
             If the file is none of a monitor, or damaged.
         """
-        return restored(cls, read_file(path, laws))
+        return restored(cls, read_file(path, laws, "monitor"))
 
     def __str__(self) -> str:
         return text_table(**summary(self))

@@ -65,13 +65,15 @@ def write_file(path: str | os.PathLike[str], content: Any) -> None:
         raise
 
 
-def read_file(path: str | os.PathLike[str], laws: Mapping[str, Callable[..., Any]] | None = None) -> Any:
+def read_file(
+    path: str | os.PathLike[str], laws: Mapping[str, Callable[..., Any]] | None = None, what: str = "refiner"
+) -> Any:
     """Read what `write_file` wrote.
 
     Raises
     ------
     DataError
-        If the file is none of a refiner, is damaged, or comes from a newer version.
+        If the file holds something else, is damaged, or comes from a newer version.
     """
     try:
         with np.load(path, allow_pickle=False) as stored:
@@ -80,7 +82,7 @@ def read_file(path: str | os.PathLike[str], laws: Mapping[str, Callable[..., Any
     except FileNotFoundError:
         raise
     except Exception as error:
-        raise DataError(f"{os.fspath(path)!r} is not a saved refiner, or it is damaged: {error}") from error
+        raise DataError(f"{os.fspath(path)!r} is not a saved {what}, or it is damaged") from error
     schema = meta.get("schema") if isinstance(meta, dict) else None
     if schema != SCHEMA:
         raise DataError(
