@@ -35,7 +35,7 @@ _OBSERVERS = (1.0, 0.1)  # a high gain follows the record, a low one tells rival
 _FORCES = (0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.128)  # unmeasured force over the measured one
 _FORCES_AT = ("everywhere", "inputs")
 _AS_LIKELY = 6.0  # log-likelihood within which another size of that force is as good
-_FORCE_GAIN = 15.0  # log-likelihood that an unmeasured force must earn
+_FORCE_GAIN = 15.0  # log-likelihood that an unmeasured force must earn, or an effect beside one
 _FORCE_BESIDE = 3.0  # the same beside an effect that fails without it: the battery decides
 _NOISE_EXCESS = 1.2  # residual over declared noise beyond which coloured noise is no excuse
 _AMBIGUOUS = 9.2  # twice the log-likelihood within which rivals stay rivals
@@ -229,10 +229,12 @@ def investigate(
     if race is None:
         return Diagnosis("unexplained", (), (), tuple(tests), (), (), force_ratio=0.0, **about), None
     judged = _judge(race, library, motions, significance, noise)
-    if forced is not None:
-        # an unmeasured force alone explains the residual too: the likelier of the two
-        if not judged.passed or Battery(race.model()).log_likelihood < forced[0].log_likelihood:
+    if forced is not None and not _outweighs(judged, forced[0], 0.0):
+        # an unmeasured force alone explains the residual: an effect beside it must earn its place
+        beside = _beside_force(judged, library, motions, significance, noise)
+        if beside is None or not _outweighs(beside, forced[0], _FORCE_GAIN):
             return _adequate(forced[0], forced_columns, forced[1], about), None
+        judged = beside
     if not judged.passed:
         judged = _second_chance(
             judged, scored, chosen, library, motions, significance, noise, mapper, thorough
@@ -320,6 +322,31 @@ def _judge(
     return _Judged(race, tests, passed)
 
 
+def _outweighs(judged: _Judged, forced: Battery, price: float) -> bool:
+    """Whether a winner that passes is likelier than an unmeasured force alone."""
+    if not judged.passed:
+        return False
+    own = Battery(judged.race.model(), judged.race.ratio).log_likelihood
+    return own >= forced.log_likelihood + price
+
+
+def _beside_force(
+    first: _Judged, library: Sequence[Effect], motions: Sequence[Motion], significance: float, noise: Any
+) -> _Judged | None:
+    """The rivals with an unmeasured force beside them, where the winner then passes."""
+    race = first.race
+    winner = race.model()
+    if _excess(winner, noise) > _NOISE_EXCESS:
+        return None
+    for led in _unmeasured_force(winner, Battery(winner), _FORCE_BESIDE)[:2]:
+        again = run_race(race.fitted.forced(led.fitted.force_at), [], led.ratio, entered=race.rivals)
+        if again is not None:
+            judged = _judge(again, library, motions, significance, noise)
+            if judged.passed:
+                return judged
+    return None
+
+
 def _second_chance(
     first: _Judged,
     scored: Sequence[Candidate],
@@ -334,14 +361,9 @@ def _second_chance(
     """What may be wrong when the winner fails: an unmeasured force, a stuck fit, a name left out."""
     race = first.race
     fitted = race.fitted
-    winner = race.model()
-    likely = _unmeasured_force(winner, Battery(winner), _FORCE_BESIDE)
-    for led in likely[:2] if _excess(winner, noise) <= _NOISE_EXCESS else []:
-        again = run_race(fitted.forced(led.fitted.force_at), [], led.ratio, entered=race.rivals)
-        if again is not None:
-            judged = _judge(again, library, motions, significance, noise)
-            if judged.passed:
-                return judged
+    beside = _beside_force(first, library, motions, significance, noise)
+    if beside is not None:
+        return beside
     rest = [c for i, c in enumerate(scored) if i not in set(chosen)]
     again = run_race(fitted, rest, entered=race.rivals, mapper=mapper)
     if again is not None and again.rivals[0].effect != race.rivals[0].effect:
