@@ -40,7 +40,7 @@ ROWS: dict[str, list[tuple[str, dict[str, object], dict[str, object]]]] = {
         ("5 % at 3 %, two sensors", {"sensors": 2}, {}),
         ("5 % at 3 %, AR 0.9", {"noise_kind": "ar"}, {}),
         ("20 % at 3 %, unmeasured force 3 %", {"loss": 0.2, "unmeasured": 0.03}, {}),
-        ("20 % at 3 %, parameters 1 % off", {"loss": 0.2, "detuned": 0.01}, {"tolerance": 0.01}),
+        ("20 % at 3 %, parameters 1 % off (nonlinear)", {"loss": 0.2, "detuned": 0.01}, {"tolerance": 0.01}),
     ],
     "plants": [
         (f"{plant}, {loss} % at 3 %", {"plant": plant, "loss": loss / 100}, {})
@@ -84,6 +84,8 @@ def run_row(first: int, seeds: int, record: dict, settings: dict, verbose: bool)
         except FloatingPointError:
             counts["no record"] += 1
             continue
+        if settings.get("tolerance") and hidden.kind in ("stiffness", "damping"):
+            continue  # a linear parameter off by its tolerance is no effect
         started = time.process_time()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -132,7 +134,7 @@ def main() -> None:
         if group in given.rows or any(g in row[0] for g in given.rows)
     ]
     print(
-        f"{'row':36} {'n':>4} {'adequate':>9} {'right':>6} {'with truth':>10} {'wrong':>6} {'without':>8} "
+        f"{'row':44} {'n':>4} {'adequate':>9} {'right':>6} {'with truth':>10} {'wrong':>6} {'without':>8} "
         f"{'unexplained':>11} {'link':>5} {'s':>5} {'z sd':>5} {'cover':>6}  interval of the figure wanted"
     )
     for name, record, settings in rows:
@@ -151,7 +153,7 @@ def main() -> None:
         z = np.array(result["deviations"])
         link = result["link"]
         print(
-            f"{name:36} {n:4d} {counts['adequate']:9d} {counts['right']:6d} {counts['with truth']:10d} "
+            f"{name:44} {n:4d} {counts['adequate']:9d} {counts['right']:6d} {counts['with truth']:10d} "
             f"{counts['wrong']:6d} {counts['without']:8d} {counts['unexplained']:11d} "
             f"{100 * np.mean(link) if link else np.nan:5.0f} "
             f"{np.median(result['times']):5.2f} {np.std(z) if z.size else np.nan:5.2f} "

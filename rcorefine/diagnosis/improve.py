@@ -405,7 +405,10 @@ class _Ladder:
         without = self._without(effect)
         size = len(effect.coefficients)
         if by_error:
-            lost = _log_error(without, self.parts.choose) - _log_error(self.current, self.parts.choose)
+            both = [*self.parts.fit, *self.parts.choose]
+            lost = max(
+                _log_error(without, p) - _log_error(self.current, p) for p in (self.parts.choose, both)
+            )
             return lost - _GAIN * size, without
         return 2 * self._gain(self.current, without) - self._price(choices) * size, without
 
@@ -432,9 +435,10 @@ class _Ladder:
         return self._refit(refinement)
 
     def settle(self) -> None:
-        """Fit each model once more, on all that was not kept to judge."""
-        for i, step in enumerate(self.steps):
-            refinement = refit(step.refinement, self.parts.learn, **self.settings)
+        """Fit each model once more, on all that was not kept to judge; of a long record only the last."""
+        first = 0 if self.parts.whole else len(self.steps) - 1
+        for i, step in enumerate(self.steps[first:], start=first):
+            refinement = refit(step.refinement, self.parts.learn, elsewhere=False, **self.settings)
             if not np.isfinite(_log_error(refinement, self.parts.choose)):
                 continue
             self.steps[i] = self._step(step.effect, step.action, refinement, step.verdict, step.rivals)
@@ -524,8 +528,8 @@ def _split(records: list[Measurement], validation: Measurement | None) -> _Parts
     if climbed is not fit:
         remarks = (
             f"The record is long: effects were sought on {len(climbed)} pieces spread over it "
-            f"({sum(record.n_samples for record in climbed)} of {whole} samples) and fitted once more "
-            "on all that does not judge.",
+            f"({sum(record.n_samples for record in climbed)} of {whole} samples); the last model was fitted "
+            "once more on all that does not judge.",
         )
     return _Parts(climbed, choose, [validation] if validation is not None else judge, learn, remarks)
 
