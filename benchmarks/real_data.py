@@ -153,7 +153,9 @@ def emps(folder: Path) -> Case:
                 test.inputs[:, first : first + length], test.outputs[:, first : first + length], dt=test.dt,
                 input_labels="force", output_labels="q",
             )  # fmt: skip
-            run = rco.simulate(refined, window, np.array([position[first], speed[first]]))
+            state = np.zeros(refined.initial_states.shape[1])  # inner states of effects start at rest
+            state[:2] = position[first], speed[first]
+            run = rco.simulate(refined, window, state)
             errors.append(run.outputs - window.outputs)
         whole = rco.simulate(refined, data)
         return (

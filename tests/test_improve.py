@@ -130,3 +130,30 @@ def test_short_records_are_climbed_on_whole() -> None:
     """What fits is not cut."""
     records = [rco.Measurement(np.ones(3000), np.ones(3000), dt=0.1)] * 2
     assert _excerpt(records) is records
+
+
+def test_coulomb_friction_with_an_offset_is_tied_with_asymmetric_friction() -> None:
+    """F+ and F- are one force and one constant: no record tells them apart."""
+    from scipy.integrate import solve_ivp
+
+    rng = np.random.default_rng(3)
+    push = 10 * rng.standard_normal(3000)
+
+    def rate(t, v, held):
+        return held + 0.7 - 1.5 * np.tanh(v / 1e-3) - 2.0 * v
+
+    speed, seen = np.zeros(1), []
+    for value in push:
+        seen.append(speed[0])
+        speed = solve_ivp(rate, (0, 0.05), speed, args=(value,), rtol=1e-6, atol=1e-9, method="LSODA").y[
+            :, -1
+        ]
+    y = np.array(seen)
+    data = rco.Measurement(push, y + 0.01 * y.std() * rng.standard_normal(y.size), dt=0.05, hold="zoh")
+    model = rco.dc_motor(gain=0.5, time_constant=0.5)
+    laws = [rco.Effect(kind, "shaft") for kind in ("coulomb_friction", "damping")]
+    ladder = rco.improve(model, data, candidates=laws)
+    step = ladder.steps[1]
+    assert step.effect.kind == "coulomb_friction"
+    assert [effect.kind for effect in step.rivals] == ["asymmetric_friction"]
+    assert any("by another name" in note for note in ladder.notes)

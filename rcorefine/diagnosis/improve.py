@@ -437,6 +437,14 @@ class _Ladder:
     def settle(self) -> None:
         """Fit each model once more, on all that was not kept to judge; of a long record only the last."""
         first = 0 if self.parts.whole else len(self.steps) - 1
+        for i, step in enumerate(self.steps):
+            other = _other_name(step)
+            if step.effect is not None and other is not None:
+                self.steps[i] = replace(step, rivals=(*step.rivals, other))
+                self.notes.append(
+                    f"{step.effect.label} with the constant offset is {other.label} by another name: "
+                    "the record cannot tell them apart."
+                )
         for i, step in enumerate(self.steps[first:], start=first):
             refinement = refit(step.refinement, self.parts.learn, elsewhere=False, **self.settings)
             if not np.isfinite(_log_error(refinement, self.parts.choose)):
@@ -489,6 +497,28 @@ class _Ladder:
 
 def _same(one: Effect, two: Effect) -> bool:
     return one.kind == two.kind and one.place == two.place
+
+
+def _other_name(step: Step) -> Effect | None:
+    """Asymmetric friction for Coulomb friction where a constant offset acts at the same place."""
+    effect, held = step.effect, step.refinement
+    if effect is None or effect.kind != "coulomb_friction" or step.action == "drop":
+        return None
+    linear = held.physical_model.linear
+    act = held.physical_model.port(effect.place).act
+    for offset, role in zip(held.effects, held.roles, strict=True):
+        if role != "offset":
+            continue
+        if offset.kind == "input_offset":
+            push = np.asarray(linear.B)[:, linear.input_labels.index(offset.place)]
+        elif offset.kind == "constant_force":
+            push = held.physical_model.port(offset.place).act
+        else:
+            continue
+        if abs(push @ act) > (1 - 1e-9) * np.linalg.norm(push) * np.linalg.norm(act):
+            other = Effect("asymmetric_friction", effect.place)
+            return None if any(_same(other, e) for e in (*held.effects, *step.rivals)) else other
+    return None
 
 
 def _far_from_home(refinement: Refinement) -> float:
