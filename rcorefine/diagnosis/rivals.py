@@ -226,11 +226,25 @@ def _laps(task: tuple[Fitted, Candidate, float, bool]) -> Rival | None:
             points += _regressed(fitted, candidate)
         else:
             points += [_observed(fitted, candidate, start, ratio) for start in starts[:2]]
-        costs = [_plain_cost(problem, point, gain) for point in points]
-        order = np.argsort(costs)[: 1 if len(starts) == 1 else 2]
-        runs = [descend(problem, points[i], gain=gain, evaluations=4) for i in order]
+        runs = []
+        for group in (points, _at_home(problem, points)):
+            costs = [_plain_cost(problem, point, gain) for point in group]
+            order = np.argsort(costs)[: 1 if len(starts) == 1 else 2]
+            runs += [descend(problem, group[i], gain=gain, evaluations=4) for i in order]
     best = min(runs, key=lambda run: run.cost)
     return Rival(candidate, best) if np.isfinite(best.cost) else None
+
+
+def _at_home(problem: Problem, points: Sequence[Array]) -> list[Array]:
+    """The same points with the linear parameters as declared: the fit without the effect bent them."""
+    held = np.isfinite(problem.prior_sd)
+    if not held.any():
+        return []
+    found = []
+    for point in points:
+        theta, starts = problem.unpack(point)
+        found.append(problem.pack(np.where(held, problem.prior_mean, theta), starts))
+    return found
 
 
 def _regressed(fitted: Fitted, candidate: Candidate) -> list[Array]:
