@@ -37,6 +37,7 @@ _FORCES_AT = ("everywhere", "inputs")
 _AS_LIKELY = 6.0  # log-likelihood within which another size of that force is as good
 _FORCE_GAIN = 15.0  # log-likelihood that an unmeasured force must earn, or an effect beside one
 _FORCE_BESIDE = 3.0  # the same beside an effect that fails without it: the battery decides
+_HOPELESS = 1e-9  # p-value of the winner beside an unmeasured force below which it is not refitted there
 _NOISE_EXCESS = 1.2  # residual over declared noise beyond which coloured noise is no excuse
 _AMBIGUOUS = 9.2  # twice the log-likelihood within which rivals stay rivals
 _POWER = 1.645  # 95 %
@@ -338,7 +339,11 @@ def _beside_force(
     winner = race.model()
     if _excess(winner, noise) > _NOISE_EXCESS:
         return None
-    for led in _unmeasured_force(winner, Battery(winner), _FORCE_BESIDE)[:2]:
+    likely = _unmeasured_force(winner, Battery(winner), _FORCE_BESIDE)[:2]
+    moved = [Motion(winner.structure, winner.theta, motion.data) for motion in motions] if likely else []
+    for led in likely:
+        if _overall(run_battery(led, [], moved)) < _HOPELESS:
+            continue  # no refit mends that, and all rivals take long
         again = run_race(race.fitted.forced(led.fitted.force_at), [], led.ratio, entered=race.rivals)
         if again is not None:
             judged = _judge(again, library, motions, significance, noise)
