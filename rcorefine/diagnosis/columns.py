@@ -210,11 +210,17 @@ def _own_columns(candidate: Candidate, ratio: float) -> list[Array]:
     K = None if gain is None else np.pad(gain, ((0, problem.n_states - gain.shape[0]), (0, 0)))
     wide: list[list[Array]] = [[] for _ in problem.records]
     for start in candidate.starts:
-        for i, (residual, jacobian) in enumerate(evaluated(problem, start, K)):
-            if candidate.effect.kind in _SECANT:
-                wide[i].append((residual - fitted.blocks(ratio)[i][0])[:, :, None])
-            else:
-                wide[i].append(jacobian[:, :, p : problem.n_theta])
+        if candidate.effect.kind in _SECANT:  # a difference: no derivatives, which take most of the time
+            theta, states = problem.unpack(start)
+            for i, engine in enumerate(problem.engines):
+                run = engine.run(theta, states[i], sensitivity=False, gain=K, check=False)
+                residual = problem.weights[:, None] * (run.outputs - engine.data.outputs)
+                ok = run.blew_up < 0 and np.isfinite(residual).all()
+                change = residual - fitted.blocks(ratio)[i][0] if ok else np.zeros_like(residual)
+                wide[i].append(change[:, :, None])
+            continue
+        for i, (_, jacobian) in enumerate(evaluated(problem, start, K)):
+            wide[i].append(jacobian[:, :, p : problem.n_theta])
     return [np.nan_to_num(np.concatenate(parts, axis=2)) for parts in wide]
 
 

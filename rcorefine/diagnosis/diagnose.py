@@ -218,6 +218,8 @@ def investigate(
     forced_columns: list[Candidate] = []
     for led in _unmeasured_force(fitted, free_run) if loud <= _NOISE_EXCESS else []:
         # how strong it is, and where, is not known: it explains the residual if one likely force does
+        if _overall(run_battery(led, [], motions)) < significance:
+            continue  # the library cannot mend what fails without it
         forced_columns = candidate_columns(led.fitted, library, motions[0], (led.ratio,))
         led_tests = run_battery(led, forced_columns, motions)
         if _overall(led_tests) >= significance:
