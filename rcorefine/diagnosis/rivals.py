@@ -24,6 +24,7 @@ __all__ = ["Race", "Rival", "run_race", "shortlist"]
 _SHORT = 5  # best of each score
 _OBSERVERS = (1.0, 0.1)
 _SHAPES = 3  # starts of a law that has a shape
+_BENT = 0.5  # standard deviations of the declared tolerance that count as bent
 _FIRST_LAP = (60.0, 0.25)  # twice the log-likelihood behind the best, plus that per sample
 _SECOND_LAP = (60.0, 0.02)
 _NEAR = 60.0  # twice the log-likelihood behind the leader within which rivals get its substeps
@@ -238,12 +239,12 @@ def _laps(task: tuple[Fitted, Candidate, float, bool]) -> Rival | None:
 def _at_home(problem: Problem, points: Sequence[Array]) -> list[Array]:
     """The same points with the linear parameters as declared: the fit without the effect bent them."""
     held = np.isfinite(problem.prior_sd)
-    if not held.any():
-        return []
     found = []
     for point in points:
         theta, starts = problem.unpack(point)
-        found.append(problem.pack(np.where(held, problem.prior_mean, theta), starts))
+        home = np.where(held, problem.prior_mean, theta)
+        if np.any(np.abs(home - theta) > _BENT * problem.prior_sd, where=held):
+            found.append(problem.pack(home, starts))
     return found
 
 
