@@ -72,14 +72,16 @@ def staircase_plot(
                 label=name,
             )
         held = [float(np.sqrt(np.mean(step.validation_rmse**2))) for step in steps]
-        for i, value in enumerate(held):
+        for i, (value, step) in enumerate(zip(held, steps, strict=True)):
+            others = (float(np.sqrt(np.mean(rmse**2))) for rmse in (step.train_rmse, step.choice_rmse))
+            above = value >= max(others)  # the side on which no other line runs
             ax.annotate(
                 f"{value:.3g}",
                 (i, value),
-                xytext=(0, -5),
+                xytext=(0, 5 if above else -5),
                 textcoords="offset points",
                 ha="center",
-                va="top",
+                va="bottom" if above else "top",
                 fontsize="small",
             )
         if min(held) > 0 and base[0] / min(held) > 5:
