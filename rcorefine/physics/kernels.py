@@ -64,7 +64,7 @@ else:
         out += S @ M.T
 
     def _add_forcing(out, index, dM, z):
-        if index.shape[0]:
+        if dM.shape[0]:  # none where no parameter reaches this matrix
             out[index] += dM @ z
 
 
