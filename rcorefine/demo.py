@@ -20,6 +20,7 @@ from .measurement import Measurement
 from .physics import Effect, PhysicalModel, mass_spring_damper
 from .physics.engine import Engine
 from .physics.structure import Structure
+from .writing import replacing
 
 __all__ = ["run_demo"]
 
@@ -176,11 +177,16 @@ def _draw(
     left.suptitle("One effect missing: held-out record, both models, what is left over")
     right.suptitle("Two effects missing: each that is added takes its part of the error")
     ladder.plot(ax=right.subplots(), title="")
-    overview.savefig(folder / "overview.png", dpi=100)
-    before.plot("map").figure.savefig(folder / "map.png", dpi=100)
-    found.plot().figure.savefig(folder / "diagnosis.png", dpi=100)
+    pictures = {
+        "overview.png": (overview, 100),
+        "map.png": (before.plot("map").figure, 100),
+        "diagnosis.png": (found.plot().figure, 100),
+        "staircase.png": (ladder.plot().figure, 120),
+    }
+    for name, (figure, dpi) in pictures.items():
+        with replacing(folder / name) as stream:
+            figure.savefig(stream, format="png", dpi=dpi)
     found.report(folder / "report.html")
-    ladder.plot().figure.savefig(folder / "staircase.png", dpi=120)
     plt.close("all")
     return {
         "overview.png": f"{STRETCH:g} s of the held-out record, both models, what is left over; beside it "

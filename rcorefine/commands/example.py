@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ..writing import replacing
+
 __all__ = ["NAMES", "example_csv", "example_toml", "run_example"]
 
 
@@ -244,8 +246,9 @@ def run_example(arguments: Namespace) -> int:
             if path.exists():
                 raise FileExistsError(f"{path} exists; choose another folder or remove it")
         folder.mkdir(parents=True, exist_ok=True)
-        model.write_text(toml, encoding="utf-8")
-        record.write_text(csv, encoding="utf-8")
+        with replacing(model) as first, replacing(record) as second:  # both, or none
+            first.write(toml.encode())
+            second.write(csv.encode())
         sys.stdout.write(f"{model}\n{record}\n\nTry:\n{commands}")
         return 0
     head = "".join(csv.splitlines(keepends=True)[:_SHOWN])

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
-import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
-from pathlib import Path
 from typing import Any
 
 import control as ct
@@ -19,6 +16,7 @@ from ..physics.effects import Effect
 from ..physics.physical_model import NominalParameter, PhysicalModel
 from ..physics.ports import Port
 from ..systems.linear import LinearModel
+from ..writing import replacing
 from .effects_memory import EffectsMemory
 from .effects_stage import EffectsRecord
 from .kernels import Design, Plant, Record, Stage
@@ -51,18 +49,8 @@ def write_file(path: str | os.PathLike[str], content: Any) -> None:
     """
     arrays: dict[str, np.ndarray[Any, Any]] = {}
     meta = json.dumps({"schema": SCHEMA, "content": _encoded(content, arrays)})
-    target = Path(path)
-    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".tmp")
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            np.savez(stream, allow_pickle=False, **{_META: np.array(meta)}, **arrays)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(name, target)
-    except BaseException:
-        with contextlib.suppress(FileNotFoundError):
-            os.unlink(name)
-        raise
+    with replacing(path) as stream:
+        np.savez(stream, allow_pickle=False, **{_META: np.array(meta)}, **arrays)
 
 
 def read_file(

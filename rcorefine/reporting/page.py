@@ -9,6 +9,7 @@ from html import escape
 from os import PathLike
 from pathlib import Path
 
+from ..writing import replacing
 from .page_pictures import Picture
 from .page_style import STYLE
 from .tables import html_table
@@ -169,7 +170,9 @@ def write_page(page: Page, path: str | PathLike[str], *, overwrite: bool = False
     """
     target = check_target(path, overwrite=overwrite)
     # names may hold what no text can (lone surrogates); it is shown as an escape
-    target.write_text(page.html(), encoding="utf-8", errors="backslashreplace")
+    content = page.html().encode("utf-8", errors="backslashreplace")
+    with replacing(target) as stream:
+        stream.write(content)
     return target
 
 
@@ -198,10 +201,10 @@ def check_target(path: str | PathLike[str], *, overwrite: bool = False) -> Path:
         raise IsADirectoryError(f"{target} is a folder; give the name of a file in it, such as report.html")
     if not target.parent.is_dir():
         raise FileNotFoundError(f"the folder {target.parent} does not exist; make it first")
-    if target.exists() and not overwrite:
+    if target.is_file() and not overwrite:
         with target.open("rb") as file:
-            own = _GENERATOR.encode() in file.read(2000)
-        if not own:
+            head = file.read(2000)
+        if head and _GENERATOR.encode() not in head:  # an empty file holds nothing to lose
             raise FileExistsError(
                 f"{target} exists and is no report of rcorefine; choose another name or say overwrite=True"
             )

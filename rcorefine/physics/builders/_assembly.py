@@ -119,17 +119,22 @@ class SecondOrder:
             output_state=state,
             output_rate=rate,
             output_input=direct,
-            ports=tuple(self._port(place) for place in places),
+            ports=self._ports(places),
             parameters=tuple(parameters),
             input_units=input_units,
             output_units=tuple(item.unit for item in sensors),
             state_units=(self.units.of("position"),) * n + (self.units.of("velocity"),) * n,
         )
 
-    def _port(self, place: Place) -> Port:
-        n = self.size
-        nothing = np.zeros(n)
-        moved = np.linalg.solve(self.M, place.direction)
+    def _ports(self, places: Sequence[Place]) -> tuple[Port, ...]:
+        """Ports, with one factorization of M for all: a long chain has thousands."""
+        if not places:
+            return ()
+        moved = np.linalg.solve(self.M, np.column_stack([place.direction for place in places]))
+        return tuple(self._port(place, column) for place, column in zip(places, moved.T, strict=True))
+
+    def _port(self, place: Place, moved: Array) -> Port:
+        nothing = np.zeros(self.size)
         moved[np.abs(moved) <= 1e-14 * np.abs(moved).max()] = 0.0
         return Port(
             place.name,

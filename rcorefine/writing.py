@@ -1,0 +1,149 @@
+"""Files are written beside and put in place whole: a reader finds the old one or the new one."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import re
+import secrets
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO, cast
+
+try:
+    import fcntl
+except ImportError:  # Windows, where nobody removes or replaces a file that is open
+    fcntl = None  # type: ignore[assignment]
+
+__all__ = ["replacing"]
+
+_SHOWN = 60  # characters of the file's name in that of its draft: names may have 255 bytes
+
+
+@contextlib.contextmanager
+def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+    """Open a draft that takes the place of a file once it is written whole.
+
+    Parameters
+    ----------
+    path : str or path
+        File to write. A link is followed; an older file hands on its mode and,
+        where the system allows it, its owner. What is no file (a pipe,
+        ``/dev/stdout``) is written to directly.
+
+    Yields
+    ------
+    binary stream
+        To write to. Where the block raises, or the process dies, the older file stays.
+
+    Raises
+    ------
+    IsADirectoryError
+        If a folder is there.
+    PermissionError
+        If the file is write-protected, or the folder does not let one write.
+    OSError
+        If the disk is full, the folder missing and the like; the file is named.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "notes.txt"
+    >>> with replacing(path) as stream:
+    ...     _ = stream.write(b"whole")
+    >>> path.read_bytes()
+    b'whole'
+    """
+    target = Path(path)
+    old = _status(target)
+    if old is not None and not stat.S_ISREG(old.st_mode):
+        with target.open("wb") as straight:
+            yield straight
+        return
+    target = Path(os.path.realpath(target))
+    if old is not None and not os.access(target, os.W_OK):
+        raise PermissionError(errno.EACCES, "the file is write-protected", str(target))
+    beside = target.with_name(f".{target.name[:_SHOWN]}.")
+    _sweep(beside)
+    try:
+        draft, stream = _draft(beside)
+        try:
+            yield stream
+            stream.flush()
+            os.fsync(stream.fileno())
+            if old is not None:
+                _hand_on(old, draft)
+            if fcntl is None:
+                stream.close()
+            os.replace(draft, target)  # before the lock goes with the stream
+        except BaseException:
+            with contextlib.suppress(OSError):  # what it still held has no place on a full disk
+                stream.close()
+            draft.unlink(missing_ok=True)
+            raise
+        stream.close()
+    except OSError as error:
+        if error.errno is None or not str(error.filename or beside).startswith(str(beside)):
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error  # the draft is nobody's business
+    _keep_entry(target.parent)
+
+
+def _status(target: Path) -> os.stat_result | None:
+    try:
+        return target.stat()
+    except FileNotFoundError:
+        return None
+
+
+def _draft(beside: Path) -> tuple[Path, BinaryIO]:
+    """New file in the same folder, locked for as long as it is open."""
+    while True:
+        draft = beside.with_name(f"{beside.name}{secrets.token_hex(4)}.tmp")
+        stream = cast(BinaryIO, draft.open("xb"))
+        if fcntl is None:
+            return draft, stream
+        with contextlib.suppress(OSError):  # a file system without locks is one without sweeping
+            fcntl.flock(stream, fcntl.LOCK_EX)
+        if os.fstat(stream.fileno()).st_nlink:
+            return draft, stream
+        stream.close()  # swept between the two lines above
+
+
+def _sweep(beside: Path) -> None:
+    """Remove drafts of this file whose writer has died; those in the works are locked."""
+    pattern = re.compile(rf"{re.escape(beside.name)}[0-9a-f]{{8}}\.tmp")
+    with contextlib.suppress(OSError):  # what cannot be removed is no hindrance to writing
+        with os.scandir(beside.parent) as entries:
+            left = [entry.path for entry in entries if pattern.fullmatch(entry.name)]
+        for draft in left:
+            with contextlib.suppress(OSError), open(draft, "rb") as stream:
+                if fcntl is not None:
+                    fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    os.unlink(draft)
+            if fcntl is None:
+                with contextlib.suppress(OSError):
+                    os.unlink(draft)
+
+
+def _hand_on(old: os.stat_result, draft: Path) -> None:
+    """Group, owner and mode of the older file, in this order: a new owner clears bits of the mode."""
+    if hasattr(os, "chown"):
+        for owner in ((-1, old.st_gid), (old.st_uid, -1)):
+            with contextlib.suppress(PermissionError):  # only the administrator gives files away
+                os.chown(draft, *owner)
+    os.chmod(draft, stat.S_IMODE(old.st_mode))
+
+
+def _keep_entry(folder: Path) -> None:
+    """Write the folder itself to the disk, so that the new name outlives a power cut."""
+    if os.name == "nt":  # folders cannot be opened there
+        return
+    with contextlib.suppress(OSError):  # some file systems cannot; the file itself is there
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
