@@ -21,7 +21,7 @@ from scipy.stats import beta
 import rcorefine as rco
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-from hidden.generator import OUTSIDE, Hidden, hidden_record
+from hidden.generator import OUTSIDE, Hidden, fed_back, hidden_record
 
 ROWS: dict[str, list[tuple[str, dict[str, object], dict[str, object]]]] = {
     "null": [
@@ -31,6 +31,19 @@ ROWS: dict[str, list[tuple[str, dict[str, object], dict[str, object]]]] = {
         ("nothing, heavy tails t3", {"effect": None, "noise_kind": "t3"}, {}),
         ("nothing, unmeasured force 3 %", {"effect": None, "unmeasured": 0.03}, {}),
         ("nothing, parameters 1 % off", {"effect": None, "detuned": 0.01}, {"tolerance": 0.01}),
+        ("nothing, 5 % of reading", {"effect": None, "noise": 0.05, "noise_kind": "reading"}, {}),
+        (
+            "nothing, 5 % of reading, input in bursts",
+            {"effect": None, "noise": 0.05, "noise_kind": "reading", "drive": "bursts"},
+            {},
+        ),
+        ("nothing, input in bursts", {"effect": None, "drive": "bursts"}, {}),
+        ("nothing, hammer", {"effect": None, "drive": "hammer"}, {}),
+        ("nothing, 1 % spikes", {"effect": None, "noise_kind": "spikes"}, {}),
+        ("nothing, dropouts", {"effect": None, "noise_kind": "dropouts"}, {}),
+        ("nothing, hum", {"effect": None, "noise_kind": "hum"}, {}),
+        ("nothing, 500 samples", {"effect": None, "samples": 500}, {}),
+        ("nothing, direct feedback, unmeasured force 10 %", {"effect": "fed back"}, {}),
     ],
     "effects": [
         (f"{loss} % at {noise} % noise", {"loss": loss / 100, "noise": noise / 100}, {})
@@ -74,13 +87,28 @@ def outcome(hidden: Hidden, found: rco.Diagnosis) -> str:
     return "with truth" if truth in names else "without"
 
 
+def _wanted(record: dict) -> str:
+    """What a perfect diagnosis would say."""
+    effect = record.get("effect", "any")
+    return {None: "adequate", "fed back": "adequate"}.get(
+        effect, "unexplained" if effect in OUTSIDE else "right"
+    )
+
+
+def _record(seed: int, *, effect: str | None = "any", **settings: object) -> Hidden:
+    """The record of a row."""
+    if effect == "fed back":
+        return fed_back(seed, **settings)
+    return hidden_record(seed, effect=effect, **settings)
+
+
 def run_row(first: int, seeds: int, record: dict, settings: dict, verbose: bool) -> dict[str, object]:
     """Rates of one row, error of the coefficient over its standard deviation, times."""
     counts: Counter[str] = Counter()
     times, deviations, claims, link = [], [], [], []
     for seed in range(first, first + seeds):
         try:
-            hidden = hidden_record(seed, **record)
+            hidden = _record(seed, **record)
         except FloatingPointError:
             counts["no record"] += 1
             continue
@@ -103,7 +131,7 @@ def run_row(first: int, seeds: int, record: dict, settings: dict, verbose: bool)
                 if (row.effect.kind, row.effect.place) == (hidden.kind, hidden.place):
                     name = next(iter(row.coefficients))
                     deviations.append((row.coefficients[name] - hidden.coefficient) / row.std[name])
-        usual = {None: "adequate", "any": "right"}.get(record.get("effect", "any"), "unexplained")
+        usual = _wanted(record)
         if verbose and word not in (usual, "with truth"):
             tests = found.winner_tests or found.tests
             worst = min(tests, key=lambda t: t.p_value)
@@ -142,13 +170,7 @@ def main() -> None:
         result = run_row(given.first, given.seeds, record, settings, given.verbose)
         counts = result["counts"]
         n = sum(counts.values()) - counts["no record"]
-        wanted = (
-            "adequate"
-            if record.get("effect", "any") is None
-            else "unexplained"
-            if "outside" in name
-            else "right"
-        )
+        wanted = _wanted(record)
         low, high = interval(counts[wanted], n)
         z = np.array(result["deviations"])
         link = result["link"]

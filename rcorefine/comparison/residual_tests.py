@@ -268,6 +268,7 @@ def input_correlation(
     inputs: ArrayLike,
     lags: int = 25,
     *,
+    at_once: bool = True,
     labels: Sequence[str] | None = None,
     input_labels: Sequence[str] | None = None,
 ) -> TestTable:
@@ -285,6 +286,9 @@ def input_correlation(
         Inputs over the same time.
     lags : int
         Largest lag.
+    at_once : bool
+        Whether the input can act in the sample in which it is applied. It
+        cannot where it is held and D = 0; lag 0 is then left to feedback.
     labels, input_labels : sequence of str, optional
         Names.
 
@@ -308,13 +312,13 @@ def input_correlation(
     [True, False]
     """
     e, u = _pair(residual, inputs)
-    count = _lags(lags, e.shape[1] // 2)
+    count, first = _lags(lags, e.shape[1] // 2), 0 if at_once else 1
     rows = []
     for out, row in zip(_names(labels, e.shape[0], "e"), e, strict=True):
         for source, drive in zip(_names(input_labels, u.shape[0], "u"), u, strict=True):
             pair = f"{source} -> {out}"
-            rows.append(_portmanteau("input", pair, drive, row, range(count + 1)))
-            rows.append(_portmanteau("feedback", f"{out} -> {source}", drive, row, range(-count, 0)))
+            rows.append(_portmanteau("input", pair, drive, row, range(first, count + 1)))
+            rows.append(_portmanteau("feedback", f"{out} -> {source}", drive, row, range(-count, first)))
     return TestTable(
         tuple(rows),
         "input: the residual follows the input, so the model leaves out linear dynamics. feedback: the input "
@@ -432,6 +436,7 @@ def free_run_tests(
     inputs: ArrayLike,
     lags: int = 25,
     *,
+    at_once: bool = True,
     labels: Sequence[str] | None = None,
     input_labels: Sequence[str] | None = None,
 ) -> TestTable:
@@ -445,6 +450,9 @@ def free_run_tests(
         Inputs over the same time.
     lags : int
         Largest lag.
+    at_once : bool
+        Whether the input can act in the sample in which it is applied. It
+        cannot where it is held and D = 0; the lags then start at 1.
     labels, input_labels : sequence of str, optional
         Names.
 
@@ -466,7 +474,7 @@ def free_run_tests(
     (0, True)
     """
     e, u = _pair(residual, inputs)
-    count = _lags(lags, e.shape[1] // 2)
+    every = range(0 if at_once else 1, _lags(lags, e.shape[1] // 2) + 1)
     rows = []
     for out, row in zip(_names(labels, e.shape[0], "e"), e, strict=True):
         if np.ptp(row) == 0.0:
@@ -476,9 +484,7 @@ def free_run_tests(
             if np.ptp(drive) == 0.0:
                 continue
             for name, shape in _SHAPES:
-                rows.append(
-                    _portmanteau(name, f"{source} -> {out}", shape(_unit(drive)), row, range(count + 1))
-                )
+                rows.append(_portmanteau(name, f"{source} -> {out}", shape(_unit(drive)), row, every))
     return TestTable(
         tuple(rows),
         "mean: an offset. input, its size or its cube: the model leaves out what follows from the input. "

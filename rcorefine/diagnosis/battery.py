@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ..measurement import Measurement
 from ..physics.effects import Effect
 from ..refinement.starts import Motion
 from ..systems.linear import Array
@@ -96,10 +98,9 @@ def run_battery(battery: Battery, candidates: Sequence[Candidate], motions: Sequ
             blocks.append(force_responses(fitted, i, make(fitted, ratio, i), gain))
         tests.append(battery.test(name, blocks))
     tests.append(_parameters(battery, motions[0]))
-    tests.append(battery.test("input", [_lagged(r.inputs, r.n_outputs, {1: _LAGS}) for r in records]))
-    tests.append(
-        battery.test("powers of the input", [_lagged(r.inputs, r.n_outputs, _POWER_LAGS) for r in records])
-    )
+    at_once = _at_once(fitted)
+    for name, powers in (("input", {1: _LAGS}), ("powers of the input", _POWER_LAGS)):
+        tests.append(battery.test(name, [_lagged(r, at_once, powers) for r in records]))
     return tests
 
 
@@ -130,20 +131,32 @@ def _parameters(battery: Battery, motion: Motion) -> FTest:
     return battery.test("parameters", parameter_columns(fitted, effects, motion, battery.ratio))
 
 
-def _lagged(w: Array, n_outputs: int, powers: dict[int, int]) -> Array:
+def _at_once(fitted: Fitted) -> NDArray[np.bool_]:
+    """Whether an output can show an input in the very sample in which it is applied: (n_y, n_w).
+
+    A held input needs a direct path for that. Where there is none, the input of the same sample
+    says nothing about the model, and under feedback it is made of the noise of that sample.
+    """
+    records = fitted.problem.records
+    direct = fitted.structure.matrices(fitted.theta).D[:, : records[0].n_inputs].real
+    moved = np.concatenate([r.inputs for r in records], axis=1).std(axis=1)
+    shown = np.concatenate([r.outputs for r in records], axis=1).std(axis=1)
+    seen = np.abs(direct) * moved > 1e-9 * shown[:, None]
+    return np.asarray(seen | any(record.hold != "zoh" for record in records))
+
+
+def _lagged(record: Measurement, at_once: NDArray[np.bool_], powers: dict[int, int]) -> Array:
     """Lagged powers of the inputs, for each output on its own: (n_y, N, k)."""
-    columns = []
-    for row in w:
-        centred = row - row.mean()
-        size = float(np.std(row)) or 1.0
+    rows: list[tuple[int, Array]] = []
+    for j, row in enumerate(record.inputs):
+        unit = (row - row.mean()) / (float(np.std(row)) or 1.0)
         for power, lags in powers.items():
-            signal = (centred / size) ** power
+            signal = unit**power
             signal = signal - signal.mean()
             for lag in range(lags):
-                columns.append(np.concatenate([np.zeros(lag), signal[: signal.size - lag]]))
-    base = np.array(columns).T  # (N, k)
-    n, k = base.shape
-    full = np.zeros((n_outputs, n, k * n_outputs))
-    for i in range(n_outputs):
-        full[i, :, i * k : (i + 1) * k] = base
+                moved = np.concatenate([np.zeros(lag), signal[: signal.size - lag]])
+                rows += [(i, moved) for i in range(record.n_outputs) if lag or at_once[i, j]]
+    full = np.zeros((record.n_outputs, record.n_samples, len(rows)))
+    for k, (i, moved) in enumerate(rows):
+        full[i, :, k] = moved
     return full

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import StateSpace, lfilter, lsim
+from scipy.signal import StateSpace, cont2discrete, lfilter, lsim
 
 import rcorefine as rco
 
@@ -26,7 +26,8 @@ FIRST_ORDER = {
     kind: SECOND_ORDER[kind] for kind in ("damping", "coulomb_friction", "quadratic_damping", "cubic_damping")
 }
 OUTSIDE = ("clearance", "jenkins", "bouc-wen", "dahl", "hidden mass", "input saturation", "ramp")
-NOISES = ("white", "ar", "resonant", "t3")
+NOISES = ("white", "ar", "resonant", "t3", "reading", "spikes", "dropouts", "hum")
+DRIVES = ("steady", "bursts", "hammer")
 
 
 @dataclass
@@ -126,9 +127,15 @@ def outputs(plant: Plant, x: Array, w: Array, force: Array | None, place: Place 
     return y
 
 
-def excitation(rng: np.random.Generator, plant: Plant, N: int) -> Array:
-    """Broadband up to a quarter of the sampling rate, in steps that no sample misses."""
+def excitation(rng: np.random.Generator, plant: Plant, N: int, drive: str = "steady") -> Array:
+    """Broadband up to a quarter of the sampling rate: all the time, in five bursts, or six blows."""
     w = lfilter([1.0], [1.0, -0.6], rng.standard_normal((plant.B.shape[1], N)))
+    if drive == "bursts":
+        w = w * (np.arange(N) % (N // 5) < N // 25)
+    elif drive == "hammer":
+        blow = np.zeros(N)
+        blow[10 :: N // 6] = rng.uniform(0.5, 1.5, blow[10 :: N // 6].size)
+        w = np.tile(lfilter(np.sin(np.pi * np.arange(1, 5) / 5), [1.0], blow), (plant.B.shape[1], 1))
     return plant.amplitude[:, None] * (w / w.std(axis=1, keepdims=True) + plant.lift)
 
 
@@ -146,6 +153,47 @@ def coloured(rng: np.random.Generator, what: str, shape: tuple[int, int]) -> Arr
     return e / e.std(axis=1, keepdims=True)
 
 
+def disturbed(rng: np.random.Generator, what: str, truth: Array, noise: float) -> Array:
+    """What a sensor shows of the truth (n_y, N); noise is a share of its rms, or of the reading."""
+    level = truth.std(axis=1, keepdims=True)
+    if what == "reading":
+        return truth + (noise * np.abs(truth) + 1e-3 * level) * rng.standard_normal(truth.shape)
+    if what not in ("spikes", "dropouts", "hum"):
+        return truth + noise * level * coloured(rng, what, truth.shape)
+    shown = truth + noise * level * rng.standard_normal(truth.shape)
+    if what == "spikes":  # one sample in a hundred, as large as the signal
+        return shown + level * rng.standard_normal(truth.shape) * (rng.random(truth.shape) < 0.01)
+    if what == "hum":
+        omega = rng.uniform(0.3, 2.8, (len(truth), 1))
+        return shown + noise * level * np.sqrt(2) * np.sin(omega * np.arange(truth.shape[1]) + 1.0)
+    for row in shown:  # a few samples read nothing, once in a thousand
+        for first in rng.integers(0, row.size - 5, max(row.size // 1000, 1)):
+            row[first : first + int(rng.integers(1, 5))] = 0.0
+    return shown
+
+
+def fed_back(seed: int, *, samples: int = 2000, noise: float = 0.03, unmeasured: float = 0.1) -> Hidden:
+    """Nothing is missing, but the held input is u(k) = r(k) - g y(k), beside an unmeasured force."""
+    rng = np.random.default_rng([seed, 81])
+    made = PLANTS["chain"](rng, 1)
+    while made.rates.any() or made.D.any():
+        made = PLANTS["chain"](rng, 1)
+    held = cont2discrete((made.A, made.B, made.C, made.D), made.dt, "zoh")
+    omega = np.linspace(0.0, np.pi, 2000)
+    n = len(made.A)
+    response = [made.C @ np.linalg.solve(np.exp(1j * w) * np.eye(n) - held[0], held[1]) for w in omega]
+    g = 0.5 / np.abs(response).max()  # stable, as the loop gain stays below one
+    r = excitation(rng, made, samples)
+    force = unmeasured * r.std() * rng.standard_normal(r.shape)
+    level = noise * float(lsim((made.A, made.B, made.C, made.D), r[0], np.arange(samples) * made.dt)[1].std())
+    u, y, x = np.zeros_like(r), np.zeros((1, samples)), np.zeros(n)
+    for k in range(samples):
+        y[:, k] = made.C @ x + level * rng.standard_normal(1)
+        u[:, k] = r[:, k] - g * y[0, k]
+        x = held[0] @ x + held[1] @ (u[:, k] + force[:, k])
+    return Hidden(made, rco.Measurement(u, y, dt=made.dt), None, None, 0.0, 0.0, noise, np.nan)
+
+
 def hidden_record(
     seed: int,
     *,
@@ -159,6 +207,7 @@ def hidden_record(
     unmeasured: float = 0.0,
     detuned: float = 0.0,
     scale: float = 1.0,
+    drive: str = "steady",
 ) -> Hidden:
     """A record with one hidden effect.
 
@@ -173,7 +222,8 @@ def hidden_record(
     loss : float
         Free-run loss of the nominal model that the strength is set to, over the output.
     noise, noise_kind : float, str
-        Sensor noise over the rms of the output; one of `NOISES`.
+        Sensor noise over the rms of the output ("reading": over its size in the sample); one
+        of `NOISES`.
     sensors, samples : int
         Outputs and length.
     unmeasured : float
@@ -182,6 +232,8 @@ def hidden_record(
         Relative sd of the plant's A entries about the model's (places scaled).
     scale : float
         Factor on the input, for a second record of the same plant.
+    drive : str
+        One of `DRIVES`.
     """
     rng = np.random.default_rng([seed, 77])
     made = PLANTS[plant](rng, sensors)
@@ -190,7 +242,7 @@ def hidden_record(
     place = made.places[int(rng.integers(len(made.places)))]
     laws = place.laws or tuple(SECOND_ORDER if place.d is not None else FIRST_ORDER)
     kind = str(rng.choice(laws)) if effect == "any" else effect
-    w = scale * excitation(rng, made, samples)
+    w = scale * excitation(rng, made, samples, drive)
     quiet = w if not unmeasured else w + unmeasured * np.std(w) * rng.standard_normal(w.shape)
     x0 = linear_states(made, w)
     y0 = outputs(made, x0, w, None, None)
@@ -206,8 +258,7 @@ def hidden_record(
         strength, truth = _calibrated(made, quiet, kind, place, x0, y0, loss)
         reached = float(np.linalg.norm(truth - y0) / spread)
     coefficient = _unit(made, place, x0, kind) * strength if kind in SECOND_ORDER else np.nan
-    level = truth.std(axis=1, keepdims=True)
-    measured = truth + noise * level * coloured(rng, noise_kind, truth.shape)
+    measured = disturbed(rng, noise_kind, truth, noise)
     data = rco.Measurement(w, measured, dt=made.dt, hold="foh")
     return Hidden(
         made, data, kind, None if where is None else where.name, strength, reached, noise, coefficient
