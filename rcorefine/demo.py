@@ -9,7 +9,6 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from tqdm import tqdm
 
 from .comparison import Comparison, compare
 from .diagnosis import Diagnosis, diagnose
@@ -32,7 +31,6 @@ LAWS = ("stiffness", "damping", "cubic_stiffness", "coulomb_friction")
 STRETCH = 3.0  # s of the held-out record that are drawn: short enough to see the curves
 WIDTH = 78
 _SUBSTEPS, _SHARP = 16, 1e-3  # of the simulated truth: finer than the estimator, and a sharper sign(v)
-_STAGES = 6
 
 
 def run_demo(output: Path | str, *, seed: int = 1, progress: bool = True) -> None:
@@ -46,7 +44,7 @@ def run_demo(output: Path | str, *, seed: int = 1, progress: bool = True) -> Non
     seed : int, optional
         Seed of the excitation and the noise.
     progress : bool, optional
-        Whether to show a progress bar on standard error.
+        Whether to show the steps of the long parts on standard error.
 
     Raises
     ------
@@ -68,58 +66,49 @@ def run_demo(output: Path | str, *, seed: int = 1, progress: bool = True) -> Non
     )
     friction = Effect("coulomb_friction", "link2")
     candidates = [Effect(law, f"link{i}") for i in (1, 2, 3) for law in LAWS]
-    with tqdm(total=_STAGES, unit="stage", disable=not progress, file=sys.stderr) as bar:
-        data = _record(model, {friction: FRICTION}, rng, "first test")
-        train, test = data.split(TRAINING)
-        _title("A structure, a record of it, and a model that lacks something")
-        _say(
-            "Two masses hang between two walls on three springs and dampers. A random force drives the "
-            f"first mass, and one sensor reads its velocity: {N_SAMPLES} samples, {1e3 * DT:g}~ms apart, "
-            f"with {100 * NOISE:g}~% of noise. Masses, springs and dampers of the model are right, but the "
-            f"structure does something that the model does not. The first {100 * TRAINING:g}~% of the record "
-            "are to learn from, the rest to judge by."
-        )
+    data = _record(model, {friction: FRICTION}, rng, "first test")
+    train, test = data.split(TRAINING)
+    _title("A structure, a record of it, and a model that lacks something")
+    _say(
+        "Two masses hang between two walls on three springs and dampers. A random force drives the "
+        f"first mass, and one sensor reads its velocity: {N_SAMPLES} samples, {1e3 * DT:g}~ms apart, "
+        f"with {100 * NOISE:g}~% of noise. Masses, springs and dampers of the model are right, but the "
+        f"structure does something that the model does not. The first {100 * TRAINING:g}~% of the record "
+        "are to learn from, the rest to judge by."
+    )
 
-        _title("1. Compare the model with the measurement")
-        before = compare(model, test)
-        _write(str(before))
-        bar.update()
-        _say(_where_it_fails(before))
-        bar.update()
+    _title("1. Compare the model with the measurement")
+    before = compare(model, test)
+    _write(str(before))
+    _say(_where_it_fails(before))
 
-        _title("2. What is missing?")
-        _say(
-            f"{len(LAWS)} laws at 3 links are {len(candidates)} answers. Which one does the record support?\n"
-        )
-        found = diagnose(model, train, candidates=candidates)
-        _write(str(found))
-        bar.update()
+    _title("2. What is missing?")
+    _say(f"{len(LAWS)} laws at 3 links are {len(candidates)} answers. Which one does the record support?\n")
+    found = diagnose(model, train, candidates=candidates, progress=progress)
+    _write(str(found))
 
-        _title("3. Refine: add it, and fit it to convergence")
-        better = found.refine()
-        _write(str(better))
-        bar.update()
+    _title("3. Refine: add it, and fit it to convergence")
+    better = found.refine()
+    _write(str(better))
 
-        _title("4. Compare again, on the data that was held out")
-        after = compare([model, better], test)
-        _write(str(after))
-        first, last = (float(fit) for fit in np.ravel(after.fit))
-        _say(
-            f"The fit rises from {first:.1f}~% to {last:.1f}~%. With {100 * NOISE:g}~% of noise "
-            f"even the true model would stop at about {100 * (1 - NOISE):.0f}~%. The secret: {FRICTION:g}~N "
-            "of dry friction at link2, between the two masses, where there is no sensor."
-        )
-        bar.update()
+    _title("4. Compare again, on the data that was held out")
+    after = compare([model, better], test)
+    _write(str(after))
+    first, last = (float(fit) for fit in np.ravel(after.fit))
+    _say(
+        f"The fit rises from {first:.1f}~% to {last:.1f}~%. With {100 * NOISE:g}~% of noise "
+        f"even the true model would stop at about {100 * (1 - NOISE):.0f}~%. The secret: {FRICTION:g}~N "
+        "of dry friction at link2, between the two masses, where there is no sensor."
+    )
 
-        _title("5. Two things at once: improve, step by step")
-        _say(
-            "A later record of the same structure: the friction is still there, and the spring at link3 has "
-            f"lost {-LOSS:g} of its 200~N/m. The same model, one effect after the other:\n"
-        )
-        later = _record(model, {friction: FRICTION, Effect("stiffness", "link3"): LOSS}, rng, "later test")
-        ladder = improve(model, later, candidates=candidates)
-        _write(str(ladder))
-        bar.update()
+    _title("5. Two things at once: improve, step by step")
+    _say(
+        "A later record of the same structure: the friction is still there, and the spring at link3 has "
+        f"lost {-LOSS:g} of its 200~N/m. The same model, one effect after the other:\n"
+    )
+    later = _record(model, {friction: FRICTION, Effect("stiffness", "link3"): LOSS}, rng, "later test")
+    ladder = improve(model, later, candidates=candidates, progress=progress)
+    _write(str(ladder))
 
     _title("6. Take it along")
     _say(
@@ -209,6 +198,5 @@ def _say(text: str) -> None:
 
 
 def _write(text: str) -> None:
-    with tqdm.external_write_mode(file=sys.stdout):
-        sys.stdout.write(text + "\n")
-        sys.stdout.flush()
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()

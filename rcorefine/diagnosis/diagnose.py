@@ -16,6 +16,7 @@ from ..measurement import Measurement
 from ..physics.effects import Effect
 from ..physics.library import effect_library
 from ..physics.simulation import simulate
+from ..progress import Progress
 from ..refinement.refinement import Refinement
 from ..refinement.starts import Motion
 from ..refinement.windows import as_records, windows
@@ -83,7 +84,7 @@ def diagnose(
     executor : concurrent.futures.Executor, optional
         Refits candidates in parallel (`map`).
     progress : bool
-        Show a progress bar on standard error.
+        Whether to show steps and remaining time on standard error.
 
     Returns
     -------
@@ -119,24 +120,25 @@ def diagnose(
     if not 0 < significance < 1:
         raise ct.ControlArgument(f"significance must lie between 0 and 1, not {significance!r}")
     records = as_records(data)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", IdentifiabilityWarning)
-        base = base_fit(model, records, free=free, tolerance=tolerance, offset=offset, noise=noise)
-    return investigate(
-        base,
-        records,
-        asked=None if candidates is None else list(candidates),
-        validation=validation,
-        settings={
-            "free": free,
-            "tolerance": tolerance,
-            "offset": offset,
-            "noise": noise,
-            "candidates": None if candidates is None else tuple(candidates),
-        },
-        significance=significance,
-        mapper=map if executor is None else executor.map,
-    )[0]
+    with Progress(progress, executor) as steps:
+        with warnings.catch_warnings(), steps.step("model as it is"):
+            warnings.simplefilter("ignore", IdentifiabilityWarning)
+            base = base_fit(model, records, free=free, tolerance=tolerance, offset=offset, noise=noise)
+        return investigate(
+            base,
+            records,
+            asked=None if candidates is None else list(candidates),
+            validation=validation,
+            settings={
+                "free": free,
+                "tolerance": tolerance,
+                "offset": offset,
+                "noise": noise,
+                "candidates": None if candidates is None else tuple(candidates),
+            },
+            significance=significance,
+            progress=steps,
+        )[0]
 
 
 def investigate(
@@ -147,7 +149,7 @@ def investigate(
     validation: Measurement | None,
     settings: dict[str, Any],
     significance: float,
-    mapper: Any,
+    progress: Progress,
     thorough: bool = True,
 ) -> tuple[Diagnosis, Race | None]:
     """Diagnose a model that was fitted to the records already.
@@ -162,8 +164,8 @@ def investigate(
         Candidates; the library for None.
     validation, settings, significance
         As in `diagnose`; settings holds its options of fitting.
-    mapper : callable
-        As the built-in `map`.
+    progress : Progress
+        What does the steps and counts them.
     thorough : bool
         Whether to try harder where no candidate passes, and pairs of them.
 
@@ -206,17 +208,18 @@ def investigate(
             "ambiguous", (), tuple(library), (), (), (), force_ratio=0.0, notes=(still,), **about
         )
         return unknown, None
-    scored = candidate_columns(fitted, library, motions[0], (0.0, *_OBSERVERS))
-
-    free_run = Battery(fitted)
-    tests = run_battery(free_run, scored, motions)
+    with progress.step("tests"):
+        scored = candidate_columns(fitted, library, motions[0], (0.0, *_OBSERVERS))
+        free_run = Battery(fitted)
+        tests = run_battery(free_run, scored, motions)
     gate = _overall(tests)
     loud = _excess(fitted, noise)
     if gate >= significance and loud <= _NOISE_EXCESS:
         return _adequate(free_run, scored, tests, about), None
     forced: tuple[Battery, list[FTest]] | None = None
     forced_columns: list[Candidate] = []
-    for led in _unmeasured_force(fitted, free_run) if loud <= _NOISE_EXCESS else []:
+    likely = _unmeasured_force(fitted, free_run) if loud <= _NOISE_EXCESS else []
+    for led in progress.over(likely, "unmeasured force"):
         # how strong it is, and where, is not known: it explains the residual if one likely force does
         if _overall(run_battery(led, [], motions)) < significance:
             continue  # the library cannot mend what fails without it
@@ -228,10 +231,11 @@ def investigate(
 
     batteries = [free_run, *(Battery(fitted, r) for r in _OBSERVERS)]
     chosen, scores = shortlist(scored, batteries)
-    race = run_race(fitted, [scored[i] for i in chosen], mapper=mapper)
+    race = run_race(fitted, [scored[i] for i in chosen], progress=progress)
     if race is None:
         return Diagnosis("unexplained", (), (), tuple(tests), (), (), force_ratio=0.0, **about), None
-    judged = _judge(race, library, motions, significance, noise)
+    with progress.step("tests"):
+        judged = _judge(race, library, motions, significance, noise)
     if forced is not None and not _outweighs(judged, forced[0], 0.0):
         # an unmeasured force alone explains the residual: an effect beside it must earn its place
         beside = _beside_force(judged, library, motions, significance, noise)
@@ -240,7 +244,7 @@ def investigate(
         judged = beside
     if not judged.passed:
         judged = _second_chance(
-            judged, scored, chosen, library, motions, significance, noise, mapper, thorough
+            judged, scored, chosen, library, motions, significance, noise, progress, thorough
         )
     race = judged.race
     likelihoods = np.array([r.log_likelihood for r in race.rivals])
@@ -256,7 +260,8 @@ def investigate(
     notes = remarks(race, scored, batteries)
     if thorough:
         options = {name: settings[name] for name in ("tolerance", "offset", "noise")}
-        _, sentence = best_hold(base, ordered, options)
+        with progress.step("holds"):
+            _, sentence = best_hold(base, ordered, options)
         notes = [*([sentence] if sentence else []), *record_remarks(ordered), *notes]
     agreement, sentence = amplitude_test(race) if judged.passed else (1.0, "")
     notes += [sentence] if sentence else []
@@ -264,7 +269,8 @@ def investigate(
     if not judged.passed or agreement < _DISAGREE:
         verdict = "unexplained"
         if thorough:
-            notes += _pair_hint(judged, scored, motions, significance, noise)
+            with progress.step("pairs"):
+                notes += _pair_hint(judged, scored, motions, significance, noise)
     found = Diagnosis(
         verdict,
         ranking,
@@ -362,7 +368,7 @@ def _second_chance(
     motions: Sequence[Motion],
     significance: float,
     noise: Any,
-    mapper: Any,
+    progress: Progress,
     thorough: bool,
 ) -> _Judged:
     """What may be wrong when the winner fails: an unmeasured force, a stuck fit, a name left out."""
@@ -372,7 +378,7 @@ def _second_chance(
     if beside is not None:
         return beside
     rest = [c for i, c in enumerate(scored) if i not in set(chosen)]
-    again = run_race(fitted, rest, entered=race.rivals, mapper=mapper)
+    again = run_race(fitted, rest, entered=race.rivals, progress=progress)
     if again is not None and again.rivals[0].effect != race.rivals[0].effect:
         judged = _judge(again, library, motions, significance, noise)
         if judged.passed:
@@ -382,7 +388,7 @@ def _second_chance(
     if not thorough:
         return _Judged(again, first.tests, False) if again is not None else first
     stuck = [r.candidate for r in race.rivals[:3]]
-    again = run_race(fitted, stuck, entered=race.rivals, thorough=True, mapper=mapper)
+    again = run_race(fitted, stuck, entered=race.rivals, thorough=True, progress=progress)
     if again is not None and again.rivals[0].log_likelihood > race.rivals[0].log_likelihood + 1.0:
         judged = _judge(again, library, motions, significance, noise)
         if judged.passed:

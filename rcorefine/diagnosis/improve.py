@@ -16,6 +16,7 @@ from ..exceptions import DataError, DivergenceError, IdentifiabilityWarning
 from ..measurement import Measurement
 from ..physics.effects import Effect
 from ..physics.library import effect_library
+from ..progress import Progress
 from ..refinement.refine import refine, refit
 from ..refinement.refinement import Refinement
 from ..refinement.windows import as_records, integrates, windows
@@ -111,7 +112,7 @@ def improve(
     executor : concurrent.futures.Executor, optional
         Refits candidates in parallel.
     progress : bool
-        Show a progress bar on standard error.
+        Whether to show steps and remaining time on standard error.
 
     Returns
     -------
@@ -148,11 +149,11 @@ def improve(
         raise ct.ControlArgument(f"max_effects must be a whole number >= 0, not {max_effects!r}")
     parts = _split(as_records(data), validation)
     settings = {"tolerance": tolerance, "offset": offset, "noise": noise}
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), Progress(progress, executor) as bar:
         warnings.simplefilter("ignore", IdentifiabilityWarning)  # ties are in the ledger
-        ladder = _Ladder(model, parts, free, settings)
+        ladder = _Ladder(model, parts, free, settings, bar)
         library = list(effect_library(ladder.start.physical_model) if candidates is None else candidates)
-        options = {"significance": significance, "mapper": map if executor is None else executor.map}
+        options = {"significance": significance, "progress": bar}
         verdict, message = ladder.climb(library, max_effects, options)
         ladder.settle()
     linear = ladder.start.physical_model.linear
@@ -165,9 +166,13 @@ def improve(
 class _Ladder:
     """The state of the climb: the present model and the steps that led to it."""
 
-    def __init__(self, model: Any, parts: _Parts, free: Any, settings: dict[str, Any]) -> None:
+    def __init__(
+        self, model: Any, parts: _Parts, free: Any, settings: dict[str, Any], progress: Progress
+    ) -> None:
         self.model, self.parts, self.free, self.settings = model, parts, free, settings
-        self.start = refine(model, parts.fit, free=free, **settings)
+        self.progress = progress
+        with progress.step("model as it is"):
+            self.start = refine(model, parts.fit, free=free, **settings)
         self.current = self.start
         self.effects: list[Effect] = []
         self._trust: list[bool] = []
@@ -214,6 +219,7 @@ class _Ladder:
             rest = self._rest(library)
             if not rest:
                 return "unexplained", "No candidate is left."
+            self.progress.round(ahead=max(most - len(self.effects), 0))
             found, race = self._investigate(self.current, rest, options)
             if found.verdict == "adequate":
                 return "adequate", "Every test passes: nothing is missing that this record could show."
@@ -427,7 +433,8 @@ class _Ladder:
 
     def _held(self, refinement: Refinement) -> Refinement:
         """The model under the hold that suits it, which the records then get."""
-        hold, sentence = best_hold(refinement, self.parts.fit, self.settings)
+        with self.progress.step("holds"):
+            hold, sentence = best_hold(refinement, self.parts.fit, self.settings)
         if not sentence:
             return refinement
         self.notes.append(sentence)
@@ -445,7 +452,8 @@ class _Ladder:
                     f"{step.effect.label} with the constant offset is {other.label} by another name: "
                     "the record cannot tell them apart."
                 )
-        for i, step in enumerate(self.steps[first:], start=first):
+        for i in self.progress.over(range(first, len(self.steps)), "last fits"):
+            step = self.steps[i]
             refinement = refit(step.refinement, self.parts.learn, elsewhere=False, **self.settings)
             if not np.isfinite(_log_error(refinement, self.parts.choose)):
                 continue

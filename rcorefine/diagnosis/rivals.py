@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ..physics.effects import Effect
+from ..progress import Progress
 from ..refinement.outcome import _fit, _rows
 from ..refinement.problem import Problem
 from ..refinement.refinement import Refinement
@@ -121,7 +122,7 @@ def run_race(
     *,
     entered: Sequence[Rival] = (),
     thorough: bool = False,
-    mapper: Callable[..., object] = map,
+    progress: Progress | None = None,
 ) -> Race | None:
     """Refit candidates, all with the parameters of the fitted model.
 
@@ -141,24 +142,27 @@ def run_race(
         From an earlier race, continued from where they stand.
     thorough : bool
         More laps and more starts: for when nothing fits.
-    mapper : callable
-        As the built-in `map`.
+    progress : Progress, optional
+        What does the steps and counts them.
 
     Returns
     -------
     Race or None
         None where nothing could be refitted.
     """
+    progress = progress or Progress()
     tasks = [(fitted, c, ratio, thorough) for c in candidates]
-    new = [r for r in mapper(_laps, tasks) if r is not None]  # type: ignore[attr-defined]
-    old = [Rival(r.candidate, _continued(fitted, r, ratio, None, 4)) for r in entered]
+    new = [r for r in progress.map(_laps, tasks, "first laps") if r is not None]
+    old = [
+        Rival(r.candidate, _continued(fitted, r, ratio, None, 4)) for r in progress.over(entered, "more laps")
+    ]
     rivals = [r for r in [*new, *old] if np.isfinite(r.descent.cost)]
     if not rivals:
         return None
     n = fitted.problem.n_points
     for (constant, share), laps in ((_FIRST_LAP, 4), (_SECOND_LAP, 6)):
         best = min(r.descent.cost for r in rivals)
-        for rival in rivals:
+        for rival in progress.over(rivals, "more laps"):
             behind = n * np.log(max(rival.descent.cost, 1e-300) / max(best, 1e-300))
             if behind <= constant + share * n and not rival.descent.converged:
                 rival.descent = _continued(fitted, rival, ratio, None, laps)
@@ -169,13 +173,14 @@ def run_race(
     near = best * np.exp(_SECOND_LAP[0] / n + _SECOND_LAP[1])
     polished = [r for r in rivals if r.descent.cost <= near]
     for evaluations in (10, 6):
-        for rival in polished:
+        for rival in progress.over(polished, "polishing"):
             rival.descent = _continued(fitted, rival, ratio, whitener, evaluations, 1e-7)
         leader = min(polished, key=lambda r: r.descent.cost)
         previous, whitener = whitener, _whitener_of(leader)
         if previous.orders == whitener.orders and np.allclose(previous.scales, whitener.scales, rtol=2e-3):
             break
-    whitener = _settle_substeps(fitted, polished, ratio, whitener)
+    with progress.step("substeps"):
+        whitener = _settle_substeps(fitted, polished, ratio, whitener)
     for rival in rivals:
         rival.log_likelihood = _log_likelihood(rival, whitener)
     rivals.sort(key=lambda r: -r.log_likelihood)

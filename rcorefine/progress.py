@@ -1,0 +1,123 @@
+"""One bar for steps that become known on the way, and the map that does them."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from types import TracebackType
+from typing import Any, TypeVar
+
+from tqdm import tqdm
+
+__all__ = ["Progress"]
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+class Progress:
+    """Does the steps of a computation, on an executor where one is given, and counts them.
+
+    The number of steps is not known when a computation begins: each part announces its own,
+    and rounds that are still expected count as the mean of those that were done.
+
+    Parameters
+    ----------
+    show : bool
+        Whether to draw a bar on standard error.
+    executor : concurrent.futures.Executor, optional
+        Where `map` runs; in this process by default.
+    """
+
+    def __init__(self, show: bool = False, executor: Any = None) -> None:
+        self._map: Callable[..., Iterable[Any]] = map if executor is None else executor.map
+        self._bar = tqdm(total=0, unit="step", file=sys.stderr, disable=not show)
+        self._announced = self._rounds = self._ahead = 0
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self.round(0)  # what was expected and did not come is no step
+        self._bar.close()
+
+    def map(self, function: Callable[[Task], Result], tasks: Sequence[Task], what: str) -> list[Result]:
+        """Results of a function, each task one step.
+
+        Parameters
+        ----------
+        function : callable
+            Takes one task.
+        tasks : sequence
+            What to do.
+        what : str
+            What the bar says meanwhile.
+
+        Returns
+        -------
+        list
+            In the order of the tasks.
+        """
+        return list(self._counted(self._map(function, tasks), len(tasks), what))
+
+    def over(self, items: Sequence[Task], what: str) -> Iterable[Task]:
+        """The items, each one step of a loop; what the loop leaves out is no step.
+
+        Parameters
+        ----------
+        items : sequence
+            What to go through.
+        what : str
+            What the bar says meanwhile.
+
+        Returns
+        -------
+        iterable
+        """
+        return self._counted(items, len(items), what)
+
+    @contextmanager
+    def step(self, what: str) -> Iterator[None]:
+        """One step.
+
+        Parameters
+        ----------
+        what : str
+            What the bar says meanwhile.
+        """
+        for _ in self.over((None,), what):
+            yield
+
+    def round(self, ahead: int) -> None:
+        """Say that a round of steps begins.
+
+        Parameters
+        ----------
+        ahead : int
+            Rounds that are expected after it.
+        """
+        self._rounds, self._ahead = self._rounds + 1, ahead
+        self._refresh()
+
+    def _counted(self, results: Iterable[Result], count: int, what: str) -> Iterator[Result]:
+        self._announced += count
+        self._bar.set_description(what, refresh=False)
+        self._refresh()
+        left = count
+        try:
+            for result in results:
+                yield result
+                left -= 1
+                self._bar.update()
+        finally:
+            self._announced -= left
+            self._refresh()
+
+    def _refresh(self) -> None:
+        expected = self._ahead * self._announced / max(self._rounds, 1)
+        self._bar.total = self._announced + round(expected)
+        self._bar.refresh()

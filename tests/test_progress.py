@@ -1,0 +1,86 @@
+"""The bar: only when asked for, on standard error, every announced step done, no effect on the answer."""
+
+from __future__ import annotations
+
+import re
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+import rcorefine as rco
+from rcorefine.progress import Progress
+
+LAWS = [rco.Effect(kind, "link1") for kind in ("stiffness", "damping", "cubic_stiffness")]
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return rco.mass_spring_damper([1.0], [0.5], [60.0], sensors="velocity")
+
+
+@pytest.fixture(scope="module")
+def data(plant):
+    """A spring that hardens, solved by scipy."""
+    from scipy.integrate import solve_ivp
+
+    rng = np.random.default_rng(11)
+    force, dt, x, seen = 6 * rng.standard_normal(1500), 0.02, np.zeros(2), []
+
+    def rate(t, x, held):
+        return [x[1], held - 0.5 * x[1] - 60.0 * x[0] - 500.0 * x[0] ** 3]
+
+    for held in force:
+        seen.append(x[1])
+        x = solve_ivp(rate, (0, dt), x, args=(held,), rtol=1e-7, atol=1e-9).y[:, -1]
+    y = np.array(seen)
+    return rco.Measurement(force, y + 0.02 * y.std() * rng.standard_normal(y.size), dt=dt)
+
+
+def last_count(text: str) -> tuple[int, int]:
+    """Steps done and steps in all, as the bar ends."""
+    done, total = re.findall(r"(\d+)/(\d+) \[", text)[-1]
+    return int(done), int(total)
+
+
+@pytest.mark.parametrize("work", [rco.diagnose, rco.improve])
+def test_the_bar_is_shown_only_when_asked_for_and_changes_nothing(work, plant, data, capsys) -> None:
+    """The same answer with bar, without it, and on threads; all steps that were announced are done."""
+    quiet = work(plant, data, candidates=LAWS)
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    assert captured.out == ""
+    with ThreadPoolExecutor(2) as pool:
+        answers = [
+            work(plant, data, candidates=LAWS, progress=True),
+            work(plant, data, candidates=LAWS, progress=True, executor=pool),
+        ]
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    done, total = last_count(captured.err)
+    assert done == total > 5
+    assert "100%" in captured.err
+    assert all(str(answer) == str(quiet) for answer in answers)
+
+
+def test_steps_are_counted_as_they_become_known(capsys) -> None:
+    """Rounds ahead count as the mean round; steps that did not come are taken off at the end."""
+    with Progress(show=True) as bar:
+        bar.round(ahead=3)
+        assert bar.map(lambda k: k * k, [1, 2, 3, 4], "squares") == [1, 4, 9, 16]
+        assert (bar._bar.n, bar._bar.total) == (4, 16)
+        bar.round(ahead=1)
+        for item in bar.over(range(6), "loop"):
+            if item == 2:
+                break
+        assert (bar._bar.n, bar._bar.total) == (6, 9)
+    assert last_count(capsys.readouterr().err) == (6, 6)
+
+
+def test_an_error_in_a_step_is_passed_on() -> None:
+    """And the step that failed is not counted as done."""
+    bar = Progress()
+    with pytest.raises(ZeroDivisionError), bar, bar.step("fails"):
+        raise ZeroDivisionError
+    with pytest.raises(ValueError, match="no"), bar:
+        bar.map(int, ["1", "no"], "parses")
