@@ -22,6 +22,7 @@ import rcorefine as rco
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from hidden.generator import OUTSIDE, Hidden, fed_back, hidden_record
+from hidden.strong import servo_record, strong_record
 
 ROWS: dict[str, list[tuple[str, dict[str, object], dict[str, object]]]] = {
     "null": [
@@ -60,6 +61,8 @@ ROWS: dict[str, list[tuple[str, dict[str, object], dict[str, object]]]] = {
         for plant in ("motor", "quarter car", "RLC", "tanks", "thermal", "ring")
         for loss in (5, 20)
     ],
+    "servo": [("servo, dry friction, 2 % noise", {"effect": "servo", "samples": 3500}, {})],
+    "strong": [("strong effects, whole library", {"effect": "strong", "samples": 6000}, {})],
     "outside": [(f"outside: {kind}, 15 % at 3 %", {"effect": kind, "loss": 0.15}, {}) for kind in OUTSIDE],
 }
 
@@ -87,6 +90,9 @@ def outcome(hidden: Hidden, found: rco.Diagnosis) -> str:
     return "with truth" if truth in names else "without"
 
 
+_NAMED = ("any", "servo", "strong")  # records whose effect is in the library
+
+
 def _wanted(record: dict) -> str:
     """What a perfect diagnosis would say."""
     effect = record.get("effect", "any")
@@ -97,8 +103,9 @@ def _wanted(record: dict) -> str:
 
 def _record(seed: int, *, effect: str | None = "any", **settings: object) -> Hidden:
     """The record of a row."""
-    if effect == "fed back":
-        return fed_back(seed, **settings)
+    made = {"fed back": fed_back, "servo": servo_record, "strong": strong_record}.get(effect)
+    if made is not None:
+        return made(seed, **settings)
     return hidden_record(seed, effect=effect, **settings)
 
 
@@ -126,7 +133,7 @@ def run_row(first: int, seeds: int, record: dict, settings: dict, verbose: bool)
             link.append(hidden.plant.alike(best.effect.place, hidden.place))
         if best is not None and found.verdict == "effect" and best.probability >= 0.95:
             claims.append(word == "right")
-        if word in ("right", "with truth") and record.get("effect", "any") == "any":
+        if word in ("right", "with truth") and record.get("effect", "any") in _NAMED:
             for row in found.ranking:
                 if (row.effect.kind, row.effect.place) == (hidden.kind, hidden.place):
                     name = next(iter(row.coefficients))

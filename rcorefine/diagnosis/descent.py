@@ -73,24 +73,22 @@ def descend(
     -------
     Descent
     """
-    lower, upper = problem.bounds()
-    low = np.where(np.isfinite(lower), lower + 1e-9 * np.abs(np.nan_to_num(lower)), -np.inf)
-    high = np.where(np.isfinite(upper), upper - 1e-9 * np.abs(np.nan_to_num(upper)), np.inf)
-    x = problem.inside(point)
+    low, high = problem.box()
+    x = np.clip(problem.to_box(point), low, high)  # where every constraint is a bound
     cost, r, J, plain = _rows(problem, x, gain, whitener)
     damping, converged = 1e-6, False
     if not np.isfinite(cost):
-        return Descent(x, cost, *plain, False)
+        return Descent(problem.from_box(x), cost, *plain, False)
     for _ in range(evaluations - 1):
         slope = J.T @ r
-        stuck = ((x <= low) & (slope > 0)) | ((x >= high) & (slope < 0))
-        step = _step(J, r, damping, ~stuck)
+        pressed = ((x <= low) & (slope > 0)) | ((x >= high) & (slope < 0))
+        step = _step(J, r, damping, ~pressed)
         predicted = float(-(slope @ step) - 0.5 * np.sum((J @ step) ** 2))
         if predicted <= tolerance * max(cost, 1e-300) and damping <= 1e-3:
             converged = True
             if predicted <= 0.01 * tolerance * max(cost, 1e-300):
                 break
-        trial = problem.inside(x + step)
+        trial = np.clip(x + step, low, high)
         new_cost, new_r, new_J, new_plain = _rows(problem, trial, gain, whitener)
         if new_cost < cost:
             x, cost, r, J, plain = trial, new_cost, new_r, new_J, new_plain
@@ -101,7 +99,7 @@ def descend(
             if converged:
                 break
             damping = max(30 * damping, 1e-3)
-    return Descent(x, cost, *plain, converged)
+    return Descent(problem.from_box(x), cost, *plain, converged)
 
 
 def _step(J: Array, r: Array, damping: float, active: NDArray[np.bool_]) -> Array:
@@ -123,11 +121,11 @@ def _rows(
 ) -> tuple[float, Array, Array, tuple[Array, Array]]:
     problem.gain, problem._cache = gain, None
     try:
-        evaluation = problem.evaluate(x)
+        evaluation = problem.evaluate(problem.from_box(x))
     finally:
         problem.gain, problem._cache = None, None
-    r, J = evaluation.residual, evaluation.jacobian
-    plain = r, J
+    r, J = evaluation.residual, problem.columns_in_box(evaluation.jacobian)
+    plain = r, evaluation.jacobian
     if not evaluation.finite or not np.isfinite(r).all():
         return np.inf, r, J, plain
     if whitener is not None:

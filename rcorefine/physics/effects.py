@@ -145,6 +145,13 @@ class Effect:
                     if not lower <= number <= upper:
                         raise ModelError(f"{where} = {number:g} is outside [{lower:g}, {upper:g}]")
                 values[key] = number
+        known = {**self._start, **self._fixed}
+        for larger, smaller in self.spec.order:
+            if larger in known and smaller in known and known[larger] < known[smaller]:
+                raise ModelError(
+                    f"{larger} = {known[larger]:g} of {self.kind} at {self.place} is below {smaller} = "
+                    f"{known[smaller]:g}; it is at least as large"
+                )
         twice = sorted(set(self._fixed) & (set(self._start) | set(self._prior)))
         if twice and self.kind != "custom":
             raise ModelError(

@@ -73,6 +73,8 @@ class Kind:
         What the port must sense: ``"position"``, ``"velocity"``.
     inner_states : int
         Number of states that the effect itself has.
+    order : tuple of (str, str)
+        Pairs of coefficients of which the first is never below the second.
     """
 
     name: str
@@ -85,6 +87,7 @@ class Kind:
     explanation_first_order: str = ""
     needs: frozenset[str] = frozenset()
     inner_states: int = 0
+    order: tuple[tuple[str, str], ...] = ()
 
     @property
     def coefficient_names(self) -> tuple[str, ...]:
@@ -119,6 +122,7 @@ def _make(
     needs: str = "",
     inner_states: int = 0,
     constants: Mapping[str, float | None] | None = None,
+    order: tuple[tuple[str, str], ...] = (),
 ) -> Kind:
     return Kind(
         name=name,
@@ -131,6 +135,7 @@ def _make(
         explanation_first_order=first_order,
         needs=frozenset(needs.split()),
         inner_states=inner_states,
+        order=order,
     )
 
 
@@ -225,8 +230,9 @@ _DAMPING = (
                explanation="speed at which the static part has faded"),
         ),
         "f = sgn(v) (Fc + (Fs - Fc) exp(-(v/vs)^2))",
-        "Friction at {place} is highest at breakaway and falls as the motion gets faster (stick and slip).",
-        needs="velocity", constants=_WIDTH,
+        "Dry friction at {place} is at least as high at breakaway as in motion; any excess fades with speed "
+        "(stick and slip).",
+        needs="velocity", constants=_WIDTH, order=(("static_force", "coulomb_force"),),
     ),
     _make(
         "quadratic_damping", "mechanical first_order",

@@ -26,6 +26,7 @@ __all__ = ["Discrete", "Matrices", "Parameter", "Structure"]
 _STATIC_INPUT = ("input_deadzone", "input_saturation", "input_delay")
 _STATIC_OUTPUT = {"output_saturation": 1, "output_rectification": 2}
 _TINY_STEP = 1e-30
+_FASTEST = 1e5  # widths of sgn(v), some hundred times the motion
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,10 +144,28 @@ class Structure:
                 high = min(high, -float(rate))  # a decay does not turn into growth
         if effect.kind == "mass":
             low = max(low, -self.inertia(effect.place) * (1 - 1e-9))
+        for larger, smaller in effect.spec.order:
+            if name == larger and smaller in effect.fixed:
+                low = max(low, effect.fixed[smaller])
+            if name == smaller and larger in effect.fixed:
+                high = min(high, effect.fixed[larger])
+        if name == "velocity" and index in self.constants and "width" not in effect.fixed:
+            # the width of sgn(v) is a share of the motion: below it, or far beyond it, nothing fades
+            low, high = max(low, self.constants[index]), min(high, _FASTEST * self.constants[index])
         self._position[index, name] = len(self.parameters)
         single = len(effect.coefficients) == 1
         label = effect.label if single else f"{effect.label}: {name}"
         self.parameters.append(Parameter(index, name, label, low, high))
+
+    @property
+    def ordered(self) -> list[tuple[int, int]]:
+        """Pairs of columns of theta of which the first is never below the second."""
+        pairs = [
+            (self.position(index, larger), self.position(index, smaller))
+            for index, effect in enumerate(self.effects)
+            for larger, smaller in effect.spec.order
+        ]
+        return [pair for pair in pairs if min(pair) >= 0]
 
     # ------------------------------------------------------------------- values
     @property

@@ -75,11 +75,7 @@ def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
     message = str(result.message) if result.status <= 0 else "Converged."
     if result.status == 0:
         message = "Stopped at the largest number of evaluations; the minimum may not be reached."
-    at_bound = [
-        q.label
-        for q, value in zip(structure.parameters, theta, strict=True)
-        if np.isfinite(q.lower) and value - q.lower < 1e-6 * max(1.0, abs(q.lower)) and value != 0
-    ]
+    at_bound = problem.at_bound(point, problem.evaluate(point).jacobian)
     if at_bound:
         message += f" At its bound: {', '.join(at_bound)}."
     return Refinement(

@@ -126,22 +126,66 @@ class Problem:
         residual = self.evaluate(point).residual
         return 0.5 * float(residual @ residual)
 
+    def to_box(self, point: Array) -> Array:
+        """Coordinates whose constraints are bounds: a coefficient that exceeds another becomes the excess."""
+        box = point.copy()
+        for larger, smaller in self.structure.ordered:
+            box[larger] -= point[smaller]
+        return box
+
+    def from_box(self, box: Array) -> Array:
+        """The point of these coordinates."""
+        point = box.copy()
+        for larger, smaller in self.structure.ordered:
+            point[larger] += box[smaller]
+        return point
+
+    def columns_in_box(self, jacobian: Array) -> Array:
+        """Derivatives (rows, size) for the point, turned into those for `to_box` of it."""
+        pairs = self.structure.ordered
+        if not pairs:
+            return jacobian
+        turned = jacobian.copy()
+        for larger, smaller in pairs:
+            turned[:, smaller] += jacobian[:, larger]
+        return turned
+
     def bounds(self) -> tuple[Array, Array]:
-        """Bounds of a point; initial states are free."""
+        """Bounds of `to_box` of a point; initial states are free."""
         lower, upper = np.full(self.size, -np.inf), np.full(self.size, np.inf)
         for i, parameter in enumerate(self.structure.parameters):
             lower[i], upper[i] = parameter.lower, parameter.upper
+        for larger, _ in self.structure.ordered:
+            lower[larger] = 0.0
         return lower, upper
 
-    def inside(self, point: Array) -> Array:
-        """The point moved strictly inside its bounds."""
+    def box(self) -> tuple[Array, Array]:
+        """The bounds, moved inward by a margin."""
         lower, upper = self.bounds()
         margin = 1e-10 * np.maximum(1.0, np.minimum(np.abs(lower), 1e300))
         width = np.where(np.isfinite(upper - lower), upper - lower, 1.0)
         margin = np.minimum(margin, 1e-6 * width)
         low = np.where(np.isfinite(lower), lower + margin, -np.inf)
         high = np.where(np.isfinite(upper), upper - margin, np.inf)
-        return np.clip(point, low, high)
+        return low, high
+
+    def inside(self, point: Array) -> Array:
+        """The point moved strictly inside its bounds."""
+        low, high = self.box()
+        return self.from_box(np.clip(self.to_box(point), low, high))
+
+    def at_bound(self, point: Array, jacobian: Array) -> list[str]:
+        """Labels of the coefficients that stand on a bound, judged by what the residual feels of them."""
+        felt = np.linalg.norm(self.columns_in_box(jacobian), axis=0)
+        box, found = self.to_box(point), []
+        for bound, inner in zip(self.bounds(), self.box(), strict=True):
+            for i, parameter in enumerate(self.structure.parameters):
+                near = 1e-6 * abs(bound[i]) if bound[i] or not felt[i] else 1e-3 / felt[i]
+                if np.isfinite(bound[i]) and abs(box[i] - bound[i]) <= max(
+                    near, 2 * abs(inner[i] - bound[i])
+                ):
+                    found.append(parameter.label)
+        return found
 
     def minimize(
         self, point: Array, *, max_nfev: int = 50, tol: float = 1e-12, gain: Array | None = None
@@ -166,8 +210,9 @@ class Problem:
         """
         self.gain, self._cache = gain, None
         scale = self._scales(point)
-        fun: Callable[[Array], Array] = lambda q: self.evaluate(q * scale).residual  # noqa: E731
-        jac: Callable[[Array], Array] = lambda q: self.evaluate(q * scale).jacobian * scale  # noqa: E731
+        at: Callable[[Array], Evaluation] = lambda q: self.evaluate(self.from_box(q * scale))  # noqa: E731
+        fun: Callable[[Array], Array] = lambda q: at(q).residual  # noqa: E731
+        jac: Callable[[Array], Array] = lambda q: self.columns_in_box(at(q).jacobian) * scale  # noqa: E731
         lower, upper = self.bounds()
         options: dict[str, Any] = {
             "jac": jac,
@@ -178,20 +223,20 @@ class Problem:
             "gtol": 1e-14,
             "x_scale": "jac",
         }
-        start = self.inside(point) / scale
+        start = self.to_box(self.inside(point)) / scale
         try:
             result = least_squares(fun, start, **options)
         except np.linalg.LinAlgError:
             # LAPACK's SVD can fail on many like windows (equal singular values): iterate instead
             result = least_squares(fun, start, tr_solver="lsmr", **options)
-        result.x = result.x * scale
+        result.x = self.from_box(result.x * scale)
         result.jac = result.jac / scale
         self.gain, self._cache = None, None
         return result
 
     def _scales(self, point: Array) -> Array:
         """Column scales that bring the Jacobian at `point` to unit columns."""
-        columns = np.linalg.norm(self.evaluate(self.inside(point)).jacobian, axis=0)
+        columns = np.linalg.norm(self.columns_in_box(self.evaluate(self.inside(point)).jacobian), axis=0)
         top = columns[np.isfinite(columns) & (columns > 0)]
         if top.size == 0:
             return np.ones(self.size)

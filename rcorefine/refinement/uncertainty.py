@@ -134,7 +134,7 @@ def parameter_uncertainty(
                 coloured = lfilter([1.0], a, J[::-1], axis=0)
                 middle += variance * correction * (coloured.T @ coloured)
     size = np.sqrt(np.diag(B))
-    size[size == 0] = 1.0
+    size[size <= 1e-100 * size.max(initial=0.0)] = 1.0  # not felt at all: its squares would overflow
     values, vectors = np.linalg.eigh(B / np.outer(size, size))
     seen = values > _UNSEEN**2 * values[-1]
     inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T

@@ -95,10 +95,11 @@ def _rate(A, drive, slope, s, act, sense_d, sense_v, codes, p, t, x, n, out):
 
 
 @njit(cache=True)
-def march(A, steer, act, sense_d, sense_v, codes, p, memory, dt, rtol, atol, most):
+def march(A, steer, act, sense_d, sense_v, codes, p, memory, dt, rtol, atol, most, held=False):
     """States (N, n + memory); row 0 is rest; nan from where it runs away or gets too stiff.
 
     One row of act, sense_d, sense_v and p per law; only the first may have inner states.
+    steer runs linearly between samples, or is held.
     """
     N, n = steer.shape
     size = n + memory
@@ -123,6 +124,9 @@ def march(A, steer, act, sense_d, sense_v, codes, p, memory, dt, rtol, atol, mos
     taken = 0
     for step in range(N - 1):
         slope = (steer[step + 1] - steer[step]) / dt
+        if held:
+            slope[:] = 0.0
+            h = min(h, 0.05 * dt)  # the input has jumped
         s = 0.0
         while s < dt * (1 - 1e-12):
             h = min(h, dt - s)

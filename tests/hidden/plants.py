@@ -43,7 +43,10 @@ class Plant:
 
     def alike(self, one: str, two: str) -> bool:
         """Whether two places are the same one: same motion, same force."""
-        a, b = (next(p for p in self.places if p.name == name) for name in (one, two))
+        known = {p.name: p for p in self.places}
+        if one == two or one not in known or two not in known:
+            return one == two
+        a, b = known[one], known[two]
         pairs = [(a.d, b.d), (a.v, b.v), (a.act, b.act)]
         return all(p is q or (p is not None and q is not None and np.array_equal(p, q)) for p, q in pairs)
 
@@ -67,9 +70,19 @@ def chain(rng: np.random.Generator, sensors: int = 1, masses: int | None = None)
     k = rng.uniform(120, 350, links)
     c = 2 * rng.uniform(0.008, 0.02) * np.sqrt(k * m.mean())
     force = int(rng.integers(n))
+    spots = rng.permutation(n)[: min(sensors, n)]
+    kinds = [str(rng.choice(["velocity", "displacement", "acceleration"])) for _ in spots]
+    return chain_of(m, c, k, force, [(kind, int(i)) for kind, i in zip(kinds, spots, strict=True)])
+
+
+def chain_of(
+    m: Array, c: Array, k: Array, force: int, sensors: list[tuple[str, int]], dt: float | None = None
+) -> Plant:
+    """Masses in a row, the first link at a wall, one more link than masses for a wall at the end too."""
+    n = m.size
     K, Cd = np.zeros((n, n)), np.zeros((n, n))
     places = []
-    for i in range(links):
+    for i in range(k.size):
         e = np.zeros(n)
         if i < n:
             e[i] = 1
@@ -91,17 +104,22 @@ def chain(rng: np.random.Generator, sensors: int = 1, masses: int | None = None)
     A = np.block([[np.zeros((n, n)), np.eye(n)], [-K / m[:, None], -Cd / m[:, None]]])
     B = np.zeros((2 * n, 1))
     B[n + force, 0] = 1 / m[force]
-    spots = rng.permutation(n)[: min(sensors, n)]
-    kinds = [str(rng.choice(["velocity", "displacement", "acceleration"])) for _ in spots]
-    rows = [_sensor(n, kind, int(i)) for kind, i in zip(kinds, spots, strict=True)]
-    model = rco.mass_spring_damper(
-        m, c, k, force=force + 1, sensors=[(kind, int(i) + 1) for kind, i in zip(kinds, spots, strict=True)]
-    )
+    rows = [_sensor(n, kind, i) for kind, i in sensors]
+    model = rco.mass_spring_damper(m, c, k, force=force + 1, sensors=[(kind, i + 1) for kind, i in sensors])
     fast = np.abs(np.linalg.eigvals(A)).max() / (2 * np.pi)
     C = np.array([r[0] for r in rows])
     R = np.array([r[1] for r in rows])
     return Plant(
-        f"chain{n}", model, A, B, C, np.zeros((len(rows), 1)), R, places, 1 / (12 * fast), np.array([10.0])
+        f"chain{n}",
+        model,
+        A,
+        B,
+        C,
+        np.zeros((len(rows), 1)),
+        R,
+        places,
+        dt or 1 / (12 * fast),
+        np.array([10.0]),
     )
 
 
