@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Any, overload
 
 import control as ct
@@ -11,7 +10,9 @@ import numpy as np
 
 from ..exceptions import DataError, DivergenceError
 from ..measurement import Measurement
+from ..physics.physical_model import PhysicalModel
 from ..physics.simulation import simulate
+from ..physics.windows import free_runs
 from ..spectral import FrequencyResponse
 from ..systems.linear import Array, LinearModel
 from .channels import Channels, aligned, match_channels, record_for, with_outputs
@@ -64,10 +65,11 @@ def compare(
         Initial state: the one that fits this record best, rest, or given.
     horizon : float, optional
         Length in s of windows that start anew, each from its own estimated
-        initial state. For models with integrators or slow modes, whose free
-        run drifts away however good they are. The record is cut in the
-        whole number of equal windows that comes nearest. Default: one free
-        run over the whole record.
+        initial state (so it excludes a given `x0`). For models with slow or
+        unstable modes, whose free run drifts away however good they are. The
+        record is cut in the whole number of equal windows that comes nearest.
+        Default: the whole record; one tenth of it where a model integrates.
+        The same in `refine`, `diagnose` and `improve`.
 
     Returns
     -------
@@ -128,7 +130,8 @@ def compare(
             "the models have no output of the record in common; compare them one by one"
         )
     notes = [note for each in channels for note in each.notes]
-    windows = _windows(data, horizon, x0, max(each.n_states for each in linear), len(outputs))
+    windows, note = _windows(data, horizon, x0, [*linear, *_origins(models)], len(outputs))
+    notes += [note] if note else []
     data.check_excitation("compare", stacklevel=2)
     runs, starts, states = [], [], []
     for each, flat, places, name in zip(models, linear, channels, names, strict=True):
@@ -159,28 +162,27 @@ def compare(
     )
 
 
-def _windows(data: Measurement, horizon: float | None, x0: Any, n_states: int, n_outputs: int) -> list[slice]:
-    """Windows that cover the record, each long enough to estimate a state in."""
-    n = data.n_samples
-    count = 1
-    if horizon is not None:
-        if isinstance(horizon, (bool, np.bool_)) or not isinstance(horizon, (int, float, np.number)):
-            raise ct.ControlArgument(f"horizon must be a time in seconds, not {horizon!r}")
-        if not np.isfinite(horizon) or horizon <= 0:
-            raise DataError(f"horizon must be a positive time in seconds, not {horizon}")
-        if not isinstance(x0, str):
-            raise ct.ControlArgument("a given x0 holds for one start only; leave horizon or x0 out")
-        count = max(1, min(n, round(data.duration / float(horizon))))
-    if isinstance(x0, str) and x0 == "estimate":
-        shortest = n // count
-        if shortest * n_outputs <= n_states:
-            what = "the record" if count == 1 else f"a window of horizon = {horizon} s"
-            raise DataError(
-                f"{what} holds {shortest} samples of {n_outputs} output(s), too few to estimate {n_states} "
-                "initial states from and to judge by; give a longer one, or x0='zero'"
-            )
-    edges = np.linspace(0, n, count + 1).round().astype(int)
-    return [slice(int(a), int(b)) for a, b in pairwise(edges)]
+def _windows(
+    data: Measurement, horizon: float | None, x0: Any, models: Sequence[LinearModel], n_outputs: int
+) -> tuple[list[slice], str]:
+    """Windows that cover the record, each long enough to estimate a state in, and why there are any."""
+    if isinstance(horizon, (int, float)) and not (np.isfinite(horizon) and horizon > 0):
+        raise DataError(f"horizon must be a positive time in seconds, not {horizon}")
+    estimated = isinstance(x0, str) and x0 == "estimate"
+    (windows,), note = free_runs(models, [data], horizon, known_start=not estimated)
+    n_states = max(each.n_states for each in models)
+    if estimated and data.n_samples * n_outputs <= n_states:
+        raise DataError(
+            f"the record holds {data.n_samples} samples of {n_outputs} output(s), too few to estimate "
+            f"{n_states} initial states from and to judge by; give a longer one, or x0='zero'"
+        )
+    return windows, note
+
+
+def _origins(models: Sequence[Any]) -> list[LinearModel]:
+    """The initial model of each refinement: what `refine` judged by whether it integrates."""
+    known = [getattr(each, "physical_model", None) for each in models]
+    return [each.linear for each in known if isinstance(each, PhysicalModel)]
 
 
 def _simulate(

@@ -95,7 +95,7 @@ def _contenders(found: Diagnosis, records: Sequence[Measurement]) -> tuple[list[
     """Explanations that the record leaves standing, and the fitted model of the best."""
     settings = found.settings
     options = {"tolerance": settings["tolerance"], "noise": settings["noise"]}
-    segments, _ = windows(found.base.physical_model, list(records), None)
+    segments, _ = windows(found.base.physical_model, list(records), settings["horizon"])
     if found.verdict == "adequate":
         return _near(found, fitted_from(found.base, segments, **options))
     if found.best is None and found.verdict == "ambiguous":

@@ -11,11 +11,11 @@ import control as ct
 import numpy as np
 
 from ..comparison.channels import match_channels, record_for
+from ..comparison.compare import compare
 from ..exceptions import DataError, IdentifiabilityWarning
 from ..measurement import Measurement
 from ..physics.effects import Effect
 from ..physics.library import effect_library
-from ..physics.simulation import simulate
 from ..progress import Progress
 from ..refinement.refinement import Refinement
 from ..refinement.starts import Motion
@@ -43,6 +43,7 @@ _NOISE_EXCESS = 1.2  # residual over declared noise beyond which coloured noise 
 _AMBIGUOUS = 9.2  # twice the log-likelihood within which rivals stay rivals
 _POWER = 1.645  # 95 %
 _DISAGREE = 0.005  # p-value below which two amplitudes refute a law
+_SHORTEST = 200  # samples of a record that can be tested
 _PAIRS = 3  # seconds that are tried for a hint
 
 
@@ -56,6 +57,7 @@ def diagnose(
     tolerance: float = 0.0,
     offset: bool = True,
     noise: float | Sequence[float] | None = None,
+    horizon: float | None = None,
     significance: float = 0.01,
     executor: Any = None,
     progress: bool = False,
@@ -77,8 +79,9 @@ def diagnose(
         What could be missing, default `effect_library(model)`.
     validation : Measurement, optional
         Record on which `fit_before` and `fit_after` are judged.
-    free, tolerance, offset, noise
-        As in `refine`: what of the linear model floats, and the declared sensor noise.
+    free, tolerance, offset, noise, horizon
+        As in `refine`: what of the linear model floats, the declared sensor noise, and the
+        length of the free runs.
     significance : float
         Level of the gate: the rate of false alarms where nothing is missing.
     executor : concurrent.futures.Executor, optional
@@ -123,7 +126,9 @@ def diagnose(
     with Progress(progress, executor) as steps:
         with warnings.catch_warnings(), steps.step("model as it is"):
             warnings.simplefilter("ignore", IdentifiabilityWarning)
-            base = base_fit(model, records, free=free, tolerance=tolerance, offset=offset, noise=noise)
+            base = base_fit(
+                model, records, free=free, tolerance=tolerance, offset=offset, noise=noise, horizon=horizon
+            )
         return investigate(
             base,
             records,
@@ -134,6 +139,7 @@ def diagnose(
                 "tolerance": tolerance,
                 "offset": offset,
                 "noise": noise,
+                "horizon": horizon,
                 "candidates": None if candidates is None else tuple(candidates),
             },
             significance=significance,
@@ -175,15 +181,16 @@ def investigate(
     race : Race or None
         The refitted rivals, where there were any.
     """
-    tolerance, noise = settings["tolerance"], settings["noise"]
+    tolerance, noise, horizon = settings["tolerance"], settings["noise"], settings["horizon"]
     physical = base.physical_model
     ordered = [record_for(r, match_channels(physical.linear, r)) for r in records]
-    segments, _ = windows(physical, ordered, None)
-    if min(r.n_samples for r in segments) < 200:
-        raise DataError(
-            f"a record of {min(r.n_samples for r in segments)} samples is too short to test; "
-            "give at least 200"
-        )
+    for record in ordered:
+        if record.n_samples < _SHORTEST:
+            raise DataError(
+                f"record {record.name!r} of {record.n_samples} samples is too short to test; "
+                f"give at least {_SHORTEST}"
+            )
+    segments, _ = windows(physical, ordered, horizon)
     fitted = fitted_from(base, segments, tolerance=tolerance, noise=noise)
     motions = [Motion(fitted.structure, fitted.theta, record) for record in segments]
     if len(records) > 1:
@@ -251,7 +258,7 @@ def investigate(
     weights = np.exp(likelihoods - likelihoods[0])
     by_effect = {c.effect: test for c, test in zip(scored, scores, strict=True)}
     p_values = [by_effect[rival.effect].p_value for rival in race.rivals]
-    ranking = _rows(race, p_values, weights / weights.sum(), base, validation)
+    ranking = _rows(race, p_values, weights / weights.sum(), base, validation, horizon)
     alike = tuple(
         rival.effect
         for rival, value in zip(race.rivals, likelihoods, strict=True)
@@ -259,7 +266,7 @@ def investigate(
     )
     notes = remarks(race, scored, batteries)
     if thorough:
-        options = {name: settings[name] for name in ("tolerance", "offset", "noise")}
+        options = {name: settings[name] for name in ("tolerance", "offset", "noise", "horizon")}
         with progress.step("holds"):
             _, sentence = best_hold(base, ordered, options)
         notes = [*([sentence] if sentence else []), *record_remarks(ordered), *notes]
@@ -446,8 +453,9 @@ def _rows(
     probabilities: Any,
     base: Refinement,
     validation: Measurement | None,
+    horizon: float | None,
 ) -> tuple[RankedEffect, ...]:
-    before = _validated(base, validation)
+    before = _validated(base, validation, horizon)
     rows = []
     for i, (rival, p, probability) in enumerate(zip(race.rivals, p_values, probabilities, strict=True)):
         refinement = race.model(i).refinement
@@ -463,7 +471,7 @@ def _rows(
                 coefficients={n: row.coefficient for n, row in zip(names, own, strict=True)},
                 std={n: row.std for n, row in zip(names, own, strict=True)},
                 fit_before=before,
-                fit_after=_validated(refinement, validation if i < 8 else None),
+                fit_after=_validated(refinement, validation if i < 8 else None, horizon),
                 p_value=float(p),
                 probability=float(probability),
                 log_likelihood_gain=rival.log_likelihood - race.base_log_likelihood,
@@ -473,15 +481,11 @@ def _rows(
     return tuple(rows)
 
 
-def _validated(refinement: Refinement, validation: Measurement | None) -> float:
+def _validated(refinement: Refinement, validation: Measurement | None, horizon: float | None) -> float:
     """Mean fit on the validation record, or on the fitted one where there is none."""
     if validation is None:
         return float(np.mean(refinement.fit))
-    record = record_for(validation, match_channels(refinement.physical_model.linear, validation))
-    outputs = simulate(refinement, record).outputs
-    error = np.linalg.norm(outputs - record.outputs, axis=1)
-    spread = np.linalg.norm(record.outputs - record.outputs.mean(axis=1, keepdims=True), axis=1)
-    return float(np.mean(100 * (1 - error / np.where(spread > 0, spread, np.nan))))
+    return float(np.mean(compare(refinement, validation, horizon=horizon).fit))
 
 
 def _detectable(battery: Battery, scored: Sequence[Candidate], significance: float) -> tuple[Detectable, ...]:

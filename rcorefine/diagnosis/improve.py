@@ -19,7 +19,7 @@ from ..physics.library import effect_library
 from ..progress import Progress
 from ..refinement.refine import refine, refit
 from ..refinement.refinement import Refinement
-from ..refinement.windows import as_records, integrates, windows
+from ..refinement.windows import as_records, windows
 from ..systems.linear import Array
 from .diagnose import investigate
 from .excitation import no_motion, record_remarks
@@ -82,6 +82,7 @@ def improve(
     tolerance: float = 0.0,
     offset: bool = True,
     noise: float | Sequence[float] | None = None,
+    horizon: float | None = None,
     significance: float = 0.01,
     executor: Any = None,
     progress: bool = False,
@@ -105,7 +106,7 @@ def improve(
         Effects at most.
     candidates : sequence of Effect, optional
         What could be missing, default `effect_library(model)`.
-    free, tolerance, offset, noise
+    free, tolerance, offset, noise, horizon
         As in `refine`.
     significance : float
         Level of the gate of `diagnose`.
@@ -148,7 +149,7 @@ def improve(
     if isinstance(max_effects, bool) or not isinstance(max_effects, (int, np.integer)) or max_effects < 0:
         raise ct.ControlArgument(f"max_effects must be a whole number >= 0, not {max_effects!r}")
     parts = _split(as_records(data), validation)
-    settings = {"tolerance": tolerance, "offset": offset, "noise": noise}
+    settings = {"tolerance": tolerance, "offset": offset, "noise": noise, "horizon": horizon}
     with warnings.catch_warnings(), Progress(progress, executor) as bar:
         warnings.simplefilter("ignore", IdentifiabilityWarning)  # ties are in the ledger
         ladder = _Ladder(model, parts, free, settings, bar)
@@ -170,6 +171,7 @@ class _Ladder:
         self, model: Any, parts: _Parts, free: Any, settings: dict[str, Any], progress: Progress
     ) -> None:
         self.model, self.parts, self.free, self.settings = model, parts, free, settings
+        self.horizon: float | None = settings["horizon"]
         self.progress = progress
         with progress.step("model as it is"):
             self.start = refine(model, parts.fit, free=free, **settings)
@@ -268,11 +270,11 @@ class _Ladder:
         top = found.ranking[0]
         if found.verdict in ("effect", "ambiguous"):
             return top.effect, self._refit(top.refinement), True, found.ambiguous
-        before = _log_error(self.current, self.parts.choose)
+        before = _log_error(self.current, self.parts.choose, self.horizon)
 
         def share(effect: Effect, refinement: Refinement) -> float:
             size = max(len(_coefficients(effect, refinement)), 1)
-            return (before - _log_error(refinement, self.parts.choose)) / size
+            return (before - _log_error(refinement, self.parts.choose, self.horizon)) / size
 
         for effect, refinement, ties in self._by_pooled_error(race):
             if share(effect, refinement) < _GAIN:
@@ -312,7 +314,7 @@ class _Ladder:
         ]
 
     def _pooled(self, refinement: Refinement) -> float:
-        return _log_error(refinement, [*self.parts.fit, *self.parts.choose])
+        return _log_error(refinement, [*self.parts.fit, *self.parts.choose], self.horizon)
 
     def _refit(self, refinement: Refinement) -> Refinement:
         return refit(refinement, self.parts.fit, **self.settings)
@@ -333,7 +335,7 @@ class _Ladder:
         """
         both = []
         for refinement in (one, two):
-            segments, _ = windows(refinement.physical_model, self.parts.fit, None)
+            segments, _ = windows(refinement.physical_model, self.parts.fit, self.settings["horizon"])
             tolerance = self.settings["tolerance"]
             both.append(fitted_from(refinement, segments, tolerance=tolerance, noise=1.0).residuals())
         closer = min(both, key=lambda blocks: sum(float(np.sum(r**2)) for r in blocks))
@@ -413,7 +415,8 @@ class _Ladder:
         if by_error:
             both = [*self.parts.fit, *self.parts.choose]
             lost = max(
-                _log_error(without, p) - _log_error(self.current, p) for p in (self.parts.choose, both)
+                _log_error(without, p, self.horizon) - _log_error(self.current, p, self.horizon)
+                for p in (self.parts.choose, both)
             )
             return lost - _GAIN * size, without
         return 2 * self._gain(self.current, without) - self._price(choices) * size, without
@@ -455,7 +458,7 @@ class _Ladder:
         for i in self.progress.over(range(first, len(self.steps)), "last fits"):
             step = self.steps[i]
             refinement = refit(step.refinement, self.parts.learn, elsewhere=False, **self.settings)
-            if not np.isfinite(_log_error(refinement, self.parts.choose)):
+            if not np.isfinite(_log_error(refinement, self.parts.choose, self.horizon)):
                 continue
             self.steps[i] = self._step(step.effect, step.action, refinement, step.verdict, step.rivals)
 
@@ -465,14 +468,14 @@ class _Ladder:
         """Two effects that help only together: every second one behind each of the best first ones."""
         if race is None:
             return None
-        before = _log_error(self.current, self.parts.choose)
+        before = _log_error(self.current, self.parts.choose, self.horizon)
         best, gained = None, _GAIN
         for one, first in race.in_free_run(_PAIRS_FROM):
             others = [effect for effect in rest if not _same(effect, one)]
             _, second = self._investigate(first, others, options) if others else (None, None)
             for two, both in second.in_free_run(_TRIED) if second is not None else []:
                 size = len(_coefficients(one, both)) + len(_coefficients(two, both))
-                share = (before - _log_error(both, self.parts.choose)) / max(size, 1)
+                share = (before - _log_error(both, self.parts.choose, self.horizon)) / max(size, 1)
                 if share > gained:
                     best, gained = ([one, two], both), share
         if best is None:
@@ -493,8 +496,8 @@ class _Ladder:
             effect=effect,
             action=action,
             train_rmse=refinement.rmse.copy(),
-            choice_rmse=_rmse(refinement, self.parts.choose),
-            validation_rmse=_rmse(refinement, self.parts.judge),
+            choice_rmse=_rmse(refinement, self.parts.choose, self.horizon),
+            validation_rmse=_rmse(refinement, self.parts.judge, self.horizon),
             coefficients={} if effect is None else _coefficients(effect, refinement),
             std={} if effect is None else _coefficients(effect, refinement, "std"),
             verdict=verdict,
@@ -590,13 +593,12 @@ def _excerpt(records: list[Measurement]) -> list[Measurement]:
     return pieces
 
 
-def _errors(refinement: Refinement, records: Sequence[Measurement]) -> Array:
-    """Free-run residual on all records, (n_y, N); in windows where the model integrates."""
+def _errors(refinement: Refinement, records: Sequence[Measurement], horizon: float | None) -> Array:
+    """Free-run residual on all records, (n_y, N), in the windows that `compare` chooses."""
     linear = refinement.physical_model.linear
     found = []
     for record in records:
         ordered = record_for(record, match_channels(linear, record))
-        horizon = ordered.duration / 10 if integrates(linear, ordered) else None
         try:
             residual = compare(refinement, ordered, horizon=horizon).residual
         except DivergenceError:
@@ -605,10 +607,10 @@ def _errors(refinement: Refinement, records: Sequence[Measurement]) -> Array:
     return np.concatenate(found, axis=1)
 
 
-def _rmse(refinement: Refinement, records: Sequence[Measurement]) -> Array:
-    return np.asarray(np.sqrt(np.mean(_errors(refinement, records) ** 2, axis=1)))
+def _rmse(refinement: Refinement, records: Sequence[Measurement], horizon: float | None) -> Array:
+    return np.asarray(np.sqrt(np.mean(_errors(refinement, records, horizon) ** 2, axis=1)))
 
 
-def _log_error(refinement: Refinement, records: Sequence[Measurement]) -> float:
+def _log_error(refinement: Refinement, records: Sequence[Measurement], horizon: float | None) -> float:
     """Mean over the outputs of the log error."""
-    return float(np.mean(np.log(_rmse(refinement, records) + 1e-300)))
+    return float(np.mean(np.log(_rmse(refinement, records, horizon) + 1e-300)))

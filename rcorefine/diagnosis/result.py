@@ -135,7 +135,8 @@ class Diagnosis:
 
         if self.best is None:
             return self.base
-        settings = {k: self.settings[k] for k in ("tolerance", "offset", "noise") if k in self.settings}
+        options = ("tolerance", "offset", "noise", "horizon")
+        settings = {k: self.settings[k] for k in options if k in self.settings}
         ranked = self.best.refinement
         polished = refit(ranked, list(self.records), elsewhere=False, **settings)
         # priors and weights may trade one output for another: what was shown is not given away

@@ -176,19 +176,22 @@ def base_fit(
     tolerance: float,
     offset: bool,
     noise: Any,
+    horizon: float | None = None,
 ) -> Refinement:
     """The model fitted as far as it is declared to be free.
 
     Where its numbers are trusted, the minimum is next to them and no search is needed.
     """
     if len(free) and tolerance == 0:
-        return refine(model, records, free=free, tolerance=tolerance, offset=offset, noise=noise)
+        return refine(
+            model, records, free=free, tolerance=tolerance, offset=offset, noise=noise, horizon=horizon
+        )
     physical, kept = unfold(model)
     ordered = [record_for(r, match_channels(physical.linear, r)) for r in records]
     for record in ordered:
         check_channels(physical.linear, record)
         record.check_excitation("diagnose", stacklevel=3)
-    segments, note = windows(physical, ordered, None)
+    segments, note = windows(physical, ordered, horizon)
     chosen = assemble(physical, kept, (), free, tolerance, offset_variants(physical, ordered[0], offset)[0])
     constants = dict(getattr(model, "constants", {}))
     structure = Structure(physical, [e for e, _ in chosen], constants=constants)

@@ -13,9 +13,9 @@ from ..measurement import Measurement
 from ..physics.effects import Effect
 from ..physics.physical_model import PhysicalModel, as_physical
 from ..physics.structure import Structure
+from ..physics.windows import integrates
 from ..systems.linear import Array
 from .refinement import Refinement
-from .windows import integrates
 
 __all__ = ["assemble", "offset_variants", "priors", "unfold"]
 

@@ -71,8 +71,10 @@ def refine(
         Known sensor noise (standard deviation per output); estimated by default.
     horizon : float, optional
         Length in seconds of the free runs: the record is cut into windows with an estimated
-        initial state each (so it excludes a given `x0`). Default: the whole record; one tenth
-        of it where the model integrates, because a free run then drifts without bound.
+        initial state each (so it excludes a given `x0`), in the whole number of equal windows
+        that comes nearest. Default: the whole record; one tenth of it where the model
+        integrates, because a free run then drifts without bound. The same in `compare`,
+        `diagnose` and `improve`.
     substeps : int, optional
         Substeps per sample for nonlinear effects; by default as many as shift no
         coefficient by a third of its standard deviation when they are doubled.
@@ -154,6 +156,7 @@ def refit(
     tolerance: float = 0.0,
     offset: bool = True,
     noise: float | Sequence[float] | None = None,
+    horizon: float | None = None,
 ) -> Refinement:
     """Fit a refinement again from where it stands, on these records, with no search.
 
@@ -167,7 +170,7 @@ def refit(
         An effect of the model to leave out.
     elsewhere : bool
         Whether the offset of a nonlinear model tries its other place too.
-    tolerance, offset, noise
+    tolerance, offset, noise, horizon
         As in `refine`.
 
     Returns
@@ -176,7 +179,7 @@ def refit(
     """
     physical, kept = unfold(model)
     records = [record_for(r, match_channels(physical.linear, r)) for r in as_records(data)]
-    segments, note = windows(physical, records, None)
+    segments, note = windows(physical, records, horizon)
     widths = {(e.kind, e.place): model.constants.get(i) for i, (e, _) in enumerate(kept)}
     if without is not None:
         kept = [(e, role) for e, role in kept if (e.kind, e.place) != (without.kind, without.place)]
