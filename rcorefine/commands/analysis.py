@@ -150,6 +150,7 @@ def _options(arguments: Namespace, model: Any) -> dict[str, Any]:
         "noise": arguments.noise
         if arguments.noise is None or len(arguments.noise) > 1
         else arguments.noise[0],
+        "horizon": arguments.horizon,
         "significance": arguments.significance,
         "progress": sys.stderr.isatty() and not arguments.json,
     }

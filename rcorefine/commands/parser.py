@@ -108,12 +108,7 @@ def _compare(commands: Any) -> None:
     parser.add_argument(
         "--x0", choices=("estimate", "zero"), default="estimate", help="initial state (%(default)s)"
     )
-    parser.add_argument(
-        "--horizon",
-        type=_positive,
-        metavar="SECONDS",
-        help="start anew every so many seconds (for models that integrate)",
-    )
+    _horizon_option(parser)
     _output_options(parser)
 
 
@@ -212,6 +207,15 @@ def _record_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _horizon_option(parser: Any) -> None:
+    parser.add_argument(
+        "--horizon",
+        type=_positive,
+        metavar="SECONDS",
+        help="start anew every so many seconds (default: a tenth of the record where the model integrates)",
+    )
+
+
 def _search_options(parser: argparse.ArgumentParser) -> None:
     """What may be missing, and what of the model may move."""
     group = parser.add_argument_group("what may be missing")
@@ -240,6 +244,7 @@ def _search_options(parser: argparse.ArgumentParser) -> None:
         metavar="SIZE",
         help="known standard deviation of the sensor noise, once or once per output",
     )
+    _horizon_option(group)
     group.add_argument(
         "--significance",
         type=_share,

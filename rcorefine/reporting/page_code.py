@@ -289,6 +289,7 @@ def _options(options: Mapping[str, Any]) -> str:
         "tolerance": 0.0,
         "offset": True,
         "noise": None,
+        "horizon": None,
         "significance": 0.01,
     }
     text = ""
