@@ -6,6 +6,8 @@ Healthy plants are integrated exactly (`scipy.signal.lsim`), changing ones by
     python benchmarks/monitor.py --null white ar --seeds 100 --first 1000 --samples 100000
     python benchmarks/monitor.py --change step ramp heal coulomb cubic --seeds 40 --first 2000
     python benchmarks/monitor.py --change step --plant "quarter car" --seeds 20 --first 3000
+    python benchmarks/monitor.py --fault spike burst many early --size 1000 --seeds 40 --first 4000
+    python benchmarks/monitor.py --fault jump --size 5 --seeds 40 --first 4000
 """
 
 from __future__ import annotations
@@ -231,12 +233,56 @@ def change(name: str, seeds: range, plant: str, loss: float, noise_kind: str) ->
     print(text, flush=True)
 
 
+def faulty(seed: int, fault: str, size: float, plant: str) -> tuple[Plant, np.ndarray, np.ndarray]:
+    """A healthy plant with a sensor that fails for moments, or drifts and jumps back."""
+    made, w, y = healthy_record(seed, "white", HEALTHY, plant)
+    rng = np.random.default_rng([seed, 47])
+    sigma = 0.03 * y.std(axis=1)
+    at, sign = int(rng.integers(2500, HEALTHY - 500)), rng.choice([-1.0, 1.0])
+    if fault == "spike":
+        y[:, at] += sign * size * sigma
+    elif fault == "burst":
+        y[:, at : at + 3] += size * sigma[:, None] * rng.standard_normal((len(y), 3))
+    elif fault == "many":  # one in 500
+        y[:, rng.integers(2100, HEALTHY, HEALTHY // 500)] += sign * size * sigma[:, None]
+    elif fault == "early":  # in the learning phase
+        y[:, int(rng.integers(100, 1900))] += sign * size * sigma
+    else:
+        y[:, :at] += sign * size * sigma[:, None] * np.linspace(0, 1, at)
+    return made, w, y
+
+
+def fault(name: str, seeds: range, size: float, plant: str) -> None:
+    """Streams that ring, and streams that die, for a sensor fault on a healthy plant."""
+    rung, dead, names = 0, 0, []
+    for seed in seeds:
+        made, w, y = faulty(seed, name, size, plant)
+        monitor = rco.Monitor(made.model, dt=made.dt, hold="foh", learn=2000)
+        try:
+            for k in range(0, HEALTHY, 50):
+                monitor.update(w[:, k : k + 50], y[:, k : k + 50])
+        except (ValueError, ArithmeticError, np.linalg.LinAlgError):
+            dead += 1
+            continue
+        found = [*monitor.past_alarms, *([monitor.alarm] if monitor.alarm else [])]
+        rung += bool(found)
+        names += [found[0].effect.kind] if found else []
+    print(
+        f"{name:8s} {size:g} sigma, {plant}: rang in {rung}, died in {dead} of {len(seeds)} {names}",
+        flush=True,
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--null", nargs="*", default=[], choices=list(NULLS))
     parser.add_argument("--change", nargs="*", default=[], choices=list(PROFILES))
+    parser.add_argument("--fault", nargs="*", default=[], choices=["spike", "burst", "many", "early", "jump"])
+    parser.add_argument(
+        "--size", type=float, default=1000.0, help="of a fault, in standard deviations of the noise"
+    )
     parser.add_argument("--plant", default="chain", choices=list(PLANTS))
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
@@ -250,6 +296,8 @@ def main() -> None:
         null(case, seeds, options.samples, options.false_alarms)
     for name in options.change:
         change(name, seeds, options.plant, options.loss, options.noise)
+    for name in options.fault:
+        fault(name, seeds, options.size, options.plant)
 
 
 if __name__ == "__main__":

@@ -365,6 +365,86 @@ def test_saved_or_pickled_in_the_middle_it_goes_on_the_same(tmp_path):
         rco.Monitor.load(tmp_path / "refiner.npz")
 
 
+@pytest.mark.parametrize("seed", [31, 32, 33])
+def test_a_sensor_that_drifts_while_learning_and_jumps_back_does_not_end_the_monitor(seed):
+    plant = Chain(seed, n=1)  # a period of few samples, less than the whitening filter looks back
+    w, y = plant.record(np.zeros(1400))
+    y[:700] += 5 * y.std() * np.minimum(np.arange(700) / 500, 1)
+    monitor = rco.Monitor(plant.model, few(plant), dt=plant.dt, learn=500)
+    for k in range(0, w.size, 35):
+        monitor.update(w[k : k + 35], y[k : k + 35])
+    assert monitor.n_samples == w.size
+    assert np.isfinite(monitor.probability).all()
+
+
+class Trap:
+    """A law of a user that fails when it is told to."""
+
+    armed = False
+
+    def __call__(self, d, v):
+        if self.armed and abs(d) > 0.02:
+            raise ZeroDivisionError("the user's law")
+        return d
+
+
+@pytest.mark.parametrize("start", [300, 700, 1500])
+def test_a_failed_update_changes_nothing(start):
+    plant = Chain(34, n=2, sensor="displacement")
+    w, y = plant.record(step(1000, 5000))
+    traps = Trap(), Trap()
+    one, two = (
+        rco.Monitor(
+            plant.model, [*few(plant), rco.Effect("custom", "link1", law=trap)], dt=plant.dt, learn=600
+        )
+        for trap in traps
+    )
+    for monitor in (one, two):
+        monitor.update(w[:start], y[:start])
+    traps[0].armed = True
+    with pytest.raises(ZeroDivisionError):
+        one.update(w[start:], y[start:])
+    assert one.n_samples == start
+    traps[0].armed = False
+    for k in range(start, start + 800, 100):
+        for monitor in (one, two):
+            monitor.update(w[k : k + 100], y[k : k + 100])
+    assert str(one.alarm) == str(two.alarm)
+    assert np.array_equal(_figures(one), _figures(two), equal_nan=True)
+    for key, value in two._stream.memory.items():
+        assert np.array_equal(one._stream.memory[key], value, equal_nan=True), key
+
+
+@pytest.mark.parametrize("learned", [True, False])
+def test_single_outliers_ring_nothing_and_damage_is_found_all_the_same(learned):
+    for seed, size in ((35, 50), (36, 1000), (37, 1e6)):
+        plant = Chain(seed)
+        w, y = plant.record(step(SHORT, int(12 * plant.period), loss=0.2))
+        sigma = 0.03 * y[:SHORT].std()
+        y[2200 if learned else 900] += size * sigma
+        y[2600:2602] -= size * sigma
+        monitor = rco.Monitor(plant.model, few(plant), dt=plant.dt, learn=2000)
+        monitor.update(w[:SHORT], y[:SHORT])
+        assert monitor.alarm is None
+        assert monitor.past_alarms == ()
+        assert monitor.statistic.max() < 1
+        monitor.update(w[SHORT:], y[SHORT:])
+        assert monitor.alarm is not None
+        assert monitor.alarm.effect.place == f"link{plant.link + 1}"
+
+
+def test_a_jump_of_a_sensor_is_no_outlier():
+    plant = Chain(38, n=2, sensor="velocity")
+    w, y = plant.record(np.zeros(3500))
+    y[3000:] += 100 * 0.03 * y.std()
+    offset = rco.Effect("output_offset", plant.model.system.output_labels[0])
+    monitor = rco.Monitor(plant.model, [*few(plant), offset], dt=plant.dt)
+    monitor.update(w, y)
+    assert monitor.alarm is not None
+    assert abs(monitor.alarm.since_sample - 3000) < 2 * plant.period
+    assert monitor.alarm.effect == offset
+
+
 def test_reset_starts_again():
     plant = Chain(14, n=2, sensor="velocity")
     w, y = plant.record(step(1000, 300))

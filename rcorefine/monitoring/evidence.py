@@ -214,9 +214,11 @@ def fit_all(
             stretch = stretch_of(stream, max(start, stream.n_samples - window, stream.oldest), True, mean)
         else:
             stretch = stretch_of(stream, max(start, stream.oldest), start < stream.oldest, mean)
+        found: list[tuple[Fit, float]] = []
+        if not stretch.judged.any():  # a change of a moment ago: the filters have no past yet
+            return found
         motion = Motion(stretch.structure, stretch.theta, stretch.data)
         nothing = fit_candidate(stretch, None, motion)
-        found: list[tuple[Fit, float]] = []
         worst = math.inf
         for i in which:
             effect = effects[i]

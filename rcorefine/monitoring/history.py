@@ -41,9 +41,10 @@ class Course:
         if self.count == _ROWS:
             self.stride *= 2
             kept = self.samples % self.stride == 0
-            n = int(kept.sum())
-            self.rows[:n], self.samples[:n] = self.rows[kept], self.samples[kept]
-            self.count = n
+            n = self.count = int(kept.sum())
+            rows, samples = np.zeros_like(self.rows), np.zeros_like(self.samples)
+            rows[:n], samples[:n] = self.rows[kept], self.samples[kept]
+            self.rows, self.samples = rows, samples  # new ones: what a failed update goes back to stays
             if sample % self.stride:
                 return
         self.rows[self.count], self.samples[self.count] = row, sample

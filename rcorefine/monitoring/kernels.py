@@ -26,6 +26,9 @@ CODES = {
     "delay": 107,  # minus the rate of v
 }
 BORROWED = 10.0  # independent values that the scatter in the next shorter window is worth
+ALONE = 2  # mark of such a sample
+GATE = 8.0  # standard deviations from which an innovation stands out
+FEW = 3.0  # samples that may do so before it is taken for a change
 CLIP = 3.0  # standard deviations at which one innovation stops counting for more
 
 
@@ -143,7 +146,7 @@ def _calibrate(N_, V_, keep, counted, spread, factor):  # type: ignore[no-untype
 @compiled
 def scores(  # type: ignore[no-untyped-def]
     E,  # (N, ny)         innovations; anything where missing
-    use,  # (N, ny) uint8 whether measured
+    use,  # (N, ny) uint8 1: measured, 0: missing; on return `ALONE`: left out, for it stands out alone
     calm,  # (N,) uint8   whether the sample counts (the observer has settled)
     F,  # (N, k)
     Phi,  # (n, n)
@@ -170,12 +173,18 @@ def scores(  # type: ignore[no-untyped-def]
     mean_s,  # (ny, k)
     spread,  # (M, k + 1) mean square of the statistics; the last entry counts
     factor,  # (M, k)     by how much the statistics scatter more than by theory
+    spread_r,  # (ny,)    standard deviation of the innovations, whitened but not yet made independent
+    thinning,  # weight of a sample in `crowd`
+    crowd,  # (ny,)       samples that stood out of late, fading
     size,  # (ny,)        variance of the whitened innovations, followed slowly
     sums,  # (2, blocks, k) scores and informations of the blocks, a ring
     counters,  # (2,) int64: samples taken, samples counted
     ratio,  # (N,)        largest squared statistic over its threshold, on return
 ):
-    """Send the forces through the observer, whiten, and update the windows; return samples done."""
+    """Send the forces through the observer, whiten, and update the windows; return samples done.
+
+    Ends early at a sample that is left out, for the observer must not follow it either.
+    """
     total, k = F.shape
     n = Phi.shape[0]
     ny = E.shape[1]
@@ -201,13 +210,11 @@ def scores(  # type: ignore[no-untyped-def]
             for a in range(n):
                 if C[i, a] != 0.0:
                     _add(y[i], C[i, a], Xc[a])
+        alone = False
         # whiten: filter of each output with its own past
         for i in range(ny):
             there = use[step, i] != 0
-            e[i] = 0.0
-            if there:  # offsets and slow drift of a sensor are none of the candidates
-                e[i] = E[step, i] - mean_e[i]
-                mean_e[i] += fading * e[i]
+            e[i] = E[step, i] - mean_e[i] if there else 0.0
             level_s[i] = y[i] - mean_s[i]
             mean_s[i] += fading * level_s[i]
             white[i] = level_s[i]
@@ -217,8 +224,18 @@ def scores(  # type: ignore[no-untyped-def]
                 if f != 0.0:
                     w += f * past_e[a, i]
                     _add(white[i], f, past_s[a, i])
+            crowd[i] -= thinning * crowd[i]
+            if there and known[i] >= q and abs(w) > GATE * spread_r[i] * math.sqrt(size[i]):
+                crowd[i] = min(crowd[i] + 1.0, 2.0 * FEW)
+                if crowd[i] <= FEW:  # as the past of the filter would have it
+                    e[i] -= w
+                    w = 0.0
+                    use[step, i] = ALONE
+                    alone = True
+            if there and use[step, i] != ALONE:  # slow drift of a sensor is none of the candidates
+                mean_e[i] += fading * e[i]
             r[i] = w
-            ready[i] = 1 if there and known[i] >= q and calm[step] else 0
+            ready[i] = 1 if there and use[step, i] != ALONE and known[i] >= q and calm[step] else 0
             known[i] = known[i] + 1 if there else 0
         for i in range(ny - 1, -1, -1):  # in place: each row needs those before it
             whole = ready[i]
@@ -273,7 +290,7 @@ def scores(  # type: ignore[no-untyped-def]
             past_s[0] = level_s
         # correct and step on
         for i in range(ny):
-            if use[step, i]:
+            if use[step, i] == 1:
                 for a in range(n):
                     if K[a, i] != 0.0:
                         _add(Xc[a], -K[a, i], y[i])
@@ -284,6 +301,6 @@ def scores(  # type: ignore[no-untyped-def]
                     _add(fresh[a], Phi[a, b], Xc[b])
         Xc[:, :] = fresh
         counters[0] += 1
-        if stop and top > 1.0:
+        if alone or (stop and top > 1.0):
             return step + 1
     return total

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
 
 from ..exceptions import DataError
 from ..measurement import Measurement
@@ -25,6 +26,9 @@ _FREE = 0.9999  # spectral radius up to which the model may run free
 _WORTH = 3.0  # log-likelihood that another gain has to earn
 _MOST_MISSING = 0.2
 _MAX_ORDER = 40
+_STANDS_OUT = 8.0  # standard deviations at which a sample is left out of what is learned
+_MOST_ALONE = 0.05  # share of samples up to which they are outliers, not the noise itself
+_PASSES = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +105,29 @@ def learn(
         if np.ptp(data.outputs[i][there]) == 0:
             raise DataError(f"output {label!r} is constant over the learning phase; check the sensor")
     engine = Engine(structure, data, substeps=substeps)
-    best: tuple[float, Healthy] | None = None
+    sound = use
+    for _ in range(_PASSES):
+        healthy, white = _chosen(engine, theta, data, disturbance, sound)
+        before, sound = sound, np.where(_alone(white, sound), 0, sound).astype(np.uint8)
+        if np.array_equal(before, sound):
+            break
+    return healthy
+
+
+def _alone(white: Array, use: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Samples that stand out of the whitened innovations, shape (N, n_y); none where they are many."""
+    size = np.abs(white.T)
+    usual = np.array([np.median(row[there > 0]) for row, there in zip(size.T, use.T, strict=True)])
+    out = (size > _STANDS_OUT / norm.ppf(0.75) * usual) & (use > 0) & (usual > 0)
+    return np.asarray(out & (out.mean(axis=0) < _MOST_ALONE))
+
+
+def _chosen(
+    engine: Engine, theta: Array, data: Measurement, disturbance: float | None, use: NDArray[np.uint8]
+) -> tuple[Healthy, Array]:
+    """The likeliest observer, and its whitened innovations."""
+    structure = engine.structure
+    best: tuple[float, Healthy, Array] | None = None
     for ratio in RATIOS if disturbance is None else (disturbance,):
         for everywhere in (False, True):
             gain, radius = _gain(structure, theta, data, ratio, everywhere)
@@ -109,9 +135,9 @@ def learn(
                 if disturbance is None:
                     continue  # what was once wrong about the state would stay wrong
                 gain, radius = _gain(structure, theta, data, RATIOS[1], everywhere)
-            found, cost = _evaluated(engine, theta, gain, ratio, radius, use)
-            if found is not None and (best is None or cost < best[0] - _WORTH):
-                best = cost, found
+            found = _evaluated(engine, theta, gain, ratio, radius, use)
+            if found is not None and (best is None or found[0] < best[0] - _WORTH):
+                best = found
             if ratio == 0:
                 break
     if best is None:
@@ -119,7 +145,7 @@ def learn(
             "no observer of the healthy model follows the learning phase; check model, units and channels "
             "with compare(), or refine the model first"
         )
-    return best[1]
+    return best[1:]
 
 
 def _gain(
@@ -147,7 +173,8 @@ def _gain(
 
 def _evaluated(
     engine: Engine, theta: Array, gain: Array, ratio: float, radius: float, use: NDArray[np.uint8]
-) -> tuple[Healthy | None, float]:
+) -> tuple[float, Healthy, Array] | None:
+    """Minus log-likelihood, the observer and what its filter leaves; None where it cannot follow."""
     y, flags = engine.data.outputs, use.T > 0
     x0 = np.zeros(engine.structure.n_states)
     spread = np.maximum(y.std(axis=1), 1e-300)
@@ -164,7 +191,7 @@ def _evaluated(
         x0 = x0 + np.linalg.lstsq(slopes[flags] / scale, error[flags], rcond=1e-6)[0] / scale
     run = engine.run(theta, x0, sensitivity=False, gain=K, use=use > 0, check=False)
     if run.blew_up >= 0 or not np.isfinite(run.outputs).all():
-        return None, math.inf
+        return None
     e = y - run.outputs
     mean = np.array([row[there].mean() for row, there in zip(e, flags, strict=True)])
     e = np.where(flags, e - mean[:, None], 0.0)
@@ -192,7 +219,7 @@ def _evaluated(
     settle = math.ceil(math.log(0.01) / math.log(radius)) if 0 < radius < 1 else 1
     mix = np.linalg.inv(lower)
     healthy = Healthy(ratio, gain, x0, filters, np.tril(mix), settle, tuple(orders), mean)
-    return healthy, cost
+    return cost, healthy, np.array(white)
 
 
 def burg(signal: Array, known: NDArray[np.bool_], max_order: int = _MAX_ORDER) -> tuple[Array, float]:

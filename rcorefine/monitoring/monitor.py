@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from types import SimpleNamespace
 from typing import Any
 
@@ -106,10 +107,11 @@ class Monitor:
     a healthy structure of unit variance whatever the input does. Thresholds
     follow from the rate at which such a process crosses a level by chance (Siegmund),
     the stated rate shared out evenly among columns and windows, which errs to the
-    safe side because they are correlated. One innovation counts for 3 standard deviations at most,
-    so that single outliers ring nothing. While nothing is wrong the noise level is followed,
-    and where the statistics of a candidate scatter more than by theory (an unmeasured
-    force of unknown color, say) its thresholds rise by as much.
+    safe side because they are correlated. One innovation counts for 3 standard deviations at most, and
+    up to three samples in a short while that stand out by more than 8 are left out altogether, in the
+    observer too, so that single outliers of a sensor ring nothing. While nothing is wrong the
+    noise level is followed, and where the statistics of a candidate scatter more than by
+    theory (an unmeasured force of unknown color, say) its thresholds rise by as much.
 
     *Name.* After a crossing the candidates are fitted to the samples since the change
     (nonlinear, in the observer's form) until one place is clear, then from time to time to the last 8
@@ -228,12 +230,35 @@ class Monitor:
 
         Notes
         -----
-        The result does not depend on how the stream is cut into blocks.
+        The result does not depend on how the stream is cut into blocks. An update that raises
+        changes nothing; where the learning phase itself is of no use, begin anew with `reset`.
         """
         if self.missing == "raise":
             block = whole_block(*checked_block(self._view, w, y, self._count))  # type: ignore[arg-type]
         else:
             block = block_with_gaps(self._view, w, y, self._count, self._latest)  # type: ignore[arg-type]
+        restore = self._way_back(len(block.inputs))
+        try:
+            self._go_on(block)
+        except BaseException:
+            restore()
+            raise
+
+    def _way_back(self, coming: int) -> Callable[[], None]:
+        """What restores the present state after an update of `coming` samples that failed."""
+        names = ("_stream", "_count", "_latest", "remarks")
+        before: dict[str, Any] = {name: getattr(self, name) for name in names}
+        before |= {name: copy(getattr(self, name)) for name in ("_waiting", "_watch", "_course")}
+        stream = None if self._stream is None else self._stream.way_back(coming)
+
+        def restore() -> None:
+            self.__dict__.update(before)
+            if stream is not None:
+                stream()
+
+        return restore
+
+    def _go_on(self, block: Block) -> None:
         self._latest = block.inputs[-1].copy()
         position = 0
         if self._stream is None:

@@ -63,15 +63,20 @@ class Stretch:
     mix: Array
     free_state: bool
 
+    @property
+    def judged(self) -> NDArray[np.bool_]:
+        """Samples that are whitened, shape (N,): they and the past of the filters were measured."""
+        whole = self.use.all(axis=1)
+        q = self.filters.shape[1]
+        if whole.size <= q:
+            return np.zeros(whole.size, dtype=bool)
+        known = np.lib.stride_tricks.sliding_window_view(whole, q + 1).all(axis=1)
+        return np.concatenate([np.zeros(q, dtype=bool), known])
+
     def whiten(self, errors: Array) -> Array:
         """Innovations (n_y, N) or (n_y, N, p) as independent rows of unit variance."""
         ny, N = errors.shape[:2]
-        q = self.filters.shape[1]
-        known = np.ones((N, ny), dtype=bool)
-        for lag in range(q + 1):
-            known[lag:] &= self.use[: N - lag] > 0
-        known[:q] = False
-        there = known.all(axis=1)
+        there = self.judged
         flags = self.use.T > 0
         shape = flags.reshape(ny, N, *([1] * (errors.ndim - 2)))
         filled = np.where(shape, errors, 0.0)
@@ -205,7 +210,8 @@ def _descend(
         J = stretch.whiten(-run.sensitivity[:, :, p0:]) if slopes else np.zeros((r.size, 0))
         if not (np.abs(r).max(initial=0.0) < _HUGE and np.abs(J).max(initial=0.0) < _HUGE):
             return math.inf, np.zeros(0), np.zeros((0, 0))
-        return float(r @ r), r, J
+        # no more points than unknowns tell nothing
+        return float(r @ r) if r.size > point.size else math.inf, r, J
 
     point = np.concatenate([start, np.zeros(free)])
     low = np.concatenate([lower, np.full(free, -np.inf)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,7 +17,9 @@ from .learning import Healthy
 
 __all__ = ["Stream", "Windows"]
 
+_RINGS = ("ring_w", "ring_y", "ring_use", "ring_x")  # the last samples
 _FIND = 64  # blocks after a missing input from which the state is found anew
+_CROWDED = 400  # most samples over which those that stand out are counted
 _SLOWEST = 1.0 / 50_000  # least weight of a sample in the noise level
 
 
@@ -76,6 +79,8 @@ class Stream:
     memory: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        self._spread = np.linalg.norm(np.linalg.inv(self.healthy.mix), axis=1)
+        self._thinning = max(4 * self.windows.fading, 1 / _CROWDED)  # four periods
         if self.memory:
             return
         k, M = self.bank.size, self.windows.keep.size
@@ -98,6 +103,7 @@ class Stream:
             "mean_s": np.zeros((ny, k)),
             "spread": np.ones((M, k + 1)) * np.r_[np.ones(k), 0.0],
             "factor": np.ones((M, k)),
+            "crowd": np.zeros(ny),
             "size": np.ones(ny),
             "sums": np.zeros((2, self.windows.blocks, k)),
             "counters": np.zeros(2, dtype=np.int64),
@@ -113,6 +119,21 @@ class Stream:
     def n_samples(self) -> int:
         """Samples taken, those of the learning phase included."""
         return int(self.memory["counters"][0])
+
+    def way_back(self, coming: int) -> Callable[[], None]:
+        """What restores the present state after up to `coming` samples more."""
+        mem = self.memory
+        kept = len(mem["ring_w"])
+        place = (self.n_samples + np.arange(min(coming, kept))) % kept
+        rings = {key: mem[key][place] for key in _RINGS}
+        others = {key: value.copy() for key, value in mem.items() if key not in _RINGS}
+
+        def restore() -> None:
+            mem.update(others)
+            for key, rows in rings.items():
+                mem[key][place] = rows
+
+        return restore
 
     def advance(
         self, W: Array, Y: Array, use: NDArray[np.uint8], known: NDArray[np.uint8], *, stop: bool
@@ -139,6 +160,7 @@ class Stream:
         """
         mem, bank, w = self.memory, self.bank, self.windows
         first = self.n_samples
+        use = use.copy()  # samples that stand out alone are marked in it
         calm, pause = self._calm(known)
         state = {key: mem[key] for key in ("x", "z", "w")}
         after, before, F, inner = self._motion(state, W, Y, use, first)
@@ -147,11 +169,13 @@ class Stream:
             Y - after[1], use, calm, F, bank.Phi, bank.drive, bank.C, bank.through, self.observer.gain,
             self.healthy.filters, self.healthy.mix, w.keep, w.levels**2, stop, _SLOWEST, w.fading,
             stop, w.block, mem["Xc"], mem["past_e"], mem["past_s"], mem["known"], mem["N"], mem["V"],
-            mem["mean_e"], mem["mean_s"], mem["spread"], mem["factor"], mem["size"], mem["sums"],
-            mem["counters"], ratio,
+            mem["mean_e"], mem["mean_s"], mem["spread"], mem["factor"], self._spread, self._thinning,
+            mem["crowd"], mem["size"], mem["sums"], mem["counters"], ratio,
         ))  # fmt: skip
-        if done < len(W):  # an alarm: the observer stops at the same sample
-            after, before, _, inner = self._motion(state, W[:done], Y[:done], use[:done], first)
+        left_out = bool((use[:done] == kernels.ALONE).any())
+        use = (use[:done] == 1).astype(np.uint8)
+        if done < len(W) or left_out:  # the observer stops at the same sample, and does not follow it
+            after, before, _, inner = self._motion(state, W[:done], Y[:done], use, first)
             _, pause = self._calm(known[:done])
         mem.update(after[0])
         mem["inner"] = inner

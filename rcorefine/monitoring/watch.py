@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -163,14 +164,14 @@ class Watch:
         scored, since, misfit = fit_all(
             stream, since, self.mean, before, latest=self.crossed if settle else None, window=window
         )
-        if not settle and (misfit > _WORSE * self.misfit or scored[0][1] < _NOTHING):
+        if not settle and (not scored or misfit > _WORSE * self.misfit or scored[0][1] < _NOTHING):
             return  # the change itself is changing, or going: the name that fitted well stays
         self.misfit = misfit
         self.found = replace(self.found, since_sample=since, since=since * self.dt)
         estimates, spreads, gains = linear_estimates(stream, since)
         effects, owner = stream.bank.effects, stream.bank.owner
         fitted = {fit.effect: (fit, gain) for fit, gain in scored}
-        worst = min((gain for _, gain in scored), default=0.0)
+        worst = min((gain for _, gain in scored), default=math.inf)
         all_gains = np.zeros(len(effects))
         rows: list[MonitorRow] = []
         for i, effect in enumerate(effects):
