@@ -170,6 +170,7 @@ def _model(refinement: Refinement) -> dict[str, Any]:
     keys = ("name", "kind", "place", "role", "initial", "value", "coefficient", "std", "unit")
     return {
         "parameters": [{key: getattr(row, key) for key in keys} for row in refinement.parameters],
+        "hold": refinement.hold,
         "system": {
             **{key: np.asarray(getattr(system, key)) for key in "ABCD"},
             "inputs": system.input_labels,

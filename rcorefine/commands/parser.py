@@ -35,7 +35,7 @@ _JSON = {
     "improve": "Keys of --json: command, rcorefine, exit_code, answer (3 sentences), record, verdict, "
     "message, steps (action, effect, coefficients, std, train_rmse, choice_rmse, "
     "validation_rmse, rivals), parameters (name, kind, place, role, initial, value, "
-    "coefficient, std, unit), system (A, B, C, D, inputs, outputs, states), report.",
+    "coefficient, std, unit), hold, system (A, B, C, D, inputs, outputs, states), report.",
 }
 
 

@@ -58,6 +58,7 @@ def compare(
         Continuous, or discrete with the record's sampling time. Channels are
         matched by name where model and record have names, in any order;
         by position otherwise. Outputs that were not measured are left out.
+        A model with a `hold` of its own (`improve` found it) keeps to it.
     data : Measurement, FrequencyResponseData or FrequencyResponse
         Record; its hold decides how continuous models see the inputs. A
         measured frequency response (`control.frd`) is compared directly.
@@ -124,6 +125,7 @@ def compare(
         named = [each.with_arrays(name=name) for each, name in zip(linear, names, strict=True)]
         return compare_responses(named, data, several=several)
     channels = [match_channels(each, data) for each in linear]
+    holds = [_hold(each) or data.hold for each in models]
     outputs = [i for i in range(data.n_outputs) if all(i in each.outputs for each in channels)]
     if not outputs:
         raise ct.ControlDimension(
@@ -132,6 +134,11 @@ def compare(
     notes = [note for each in channels for note in each.notes]
     windows, note = _windows(data, horizon, x0, [*linear, *_origins(models)], len(outputs))
     notes += [note] if note else []
+    notes += [
+        f"{name!r} takes the inputs with hold={hold!r} as it was fitted; the record declares {data.hold!r}"
+        for name, hold in zip(names, holds, strict=True)
+        if hold != data.hold
+    ]
     data.check_excitation("compare", stacklevel=2)
     runs, starts, states = [], [], []
     for each, flat, places, name in zip(models, linear, channels, names, strict=True):
@@ -157,6 +164,7 @@ def compare(
         starts=tuple(int(window.start) for window in windows),
         horizon=None if horizon is None else float(horizon),
         x0=x0 if isinstance(x0, str) else "given",
+        holds=tuple(holds),
         notes=tuple(dict.fromkeys(notes)),
         several=several,
     )
@@ -183,6 +191,12 @@ def _origins(models: Sequence[Any]) -> list[LinearModel]:
     """The initial model of each refinement: what `refine` judged by whether it integrates."""
     known = [getattr(each, "physical_model", None) for each in models]
     return [each.linear for each in known if isinstance(each, PhysicalModel)]
+
+
+def _hold(model: Any) -> str | None:
+    """The hold that goes with a model."""
+    physical = getattr(model, "physical_model", model)
+    return physical.hold if isinstance(physical, PhysicalModel) else None
 
 
 def _simulate(

@@ -235,7 +235,7 @@ def _scene(comparison: Comparison, index: int) -> tuple[Scene, list[str]]:
         places = None
         notes.append("State space and place were not searched: no ports were found in this model")
     scene = Scene(
-        comparison.data, model, comparison.runs[index], comparison.states[index], comparison.starts,
+        comparison.seen_by(index), model, comparison.runs[index], comparison.states[index], comparison.starts,
         estimated=comparison.x0 == "estimate", places=places,
     )  # fmt: skip
     return scene, notes

@@ -87,7 +87,7 @@ def horizon_error(comparison: Comparison, steps: Any = None) -> HorizonError:
 def _errors(comparison: Comparison, index: int, ahead: NDArray[np.int64]) -> Array:
     """Errors (n_y, n_horizons) of one model; the linear part carries the correction."""
     scene = Scene(
-        comparison.data, comparison.models[index], comparison.runs[index], comparison.states[index],
+        comparison.seen_by(index), comparison.models[index], comparison.runs[index], comparison.states[index],
         comparison.starts, estimated=False, places=None,
     )  # fmt: skip
     residual = (scene.measured - scene.run).T.copy()

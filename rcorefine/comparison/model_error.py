@@ -101,7 +101,7 @@ def model_error(comparison: Comparison, model: int = 0, *, segment_length: int |
     """
     from ..reporting.bode import as_sampled
 
-    data = comparison.data
+    data = comparison.seen_by(model)
     residual = Measurement(
         data.inputs, data.outputs - comparison.runs[model], dt=data.dt, hold=data.hold,
         input_labels=data.input_labels, output_labels=data.output_labels,

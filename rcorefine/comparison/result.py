@@ -55,8 +55,11 @@ class Comparison:
         Length of the windows in s as asked for.
     x0 : str
         "estimate", "zero" or "given".
+    holds : tuple of str
+        How each model takes the inputs between samples: as the record declares, or
+        as the model itself was found to.
     notes : tuple of str
-        Channels that were reordered or left out.
+        Channels that were reordered or left out, holds that differ.
     several : bool
         Whether a list of models was compared.
     """
@@ -71,6 +74,7 @@ class Comparison:
     starts: tuple[int, ...]
     horizon: float | None
     x0: str
+    holds: tuple[str, ...]
     notes: tuple[str, ...]
     several: bool
     # searched once, when first asked for
@@ -140,6 +144,20 @@ class Comparison:
             for name, run in zip(self.names, self.runs, strict=True)
         )
 
+    def seen_by(self, index: int) -> Measurement:
+        """The record with the hold by which one of the models takes its inputs.
+
+        Parameters
+        ----------
+        index : int
+            Position of the model in `names`.
+
+        Returns
+        -------
+        Measurement
+        """
+        return self.data.with_hold(self.holds[index])
+
     def select(self, name: str | int) -> Comparison:
         """Comparison of one of the models.
 
@@ -172,6 +190,7 @@ class Comparison:
             self,
             names=(self.names[index],),
             models=(self.models[index],),
+            holds=(self.holds[index],),
             runs=self.runs[index : index + 1],
             states=(self.states[index],),
             places=(self.places[index],),

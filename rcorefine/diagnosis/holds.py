@@ -28,7 +28,7 @@ def hold_errors(
     model : Refinement
         Where each fit starts.
     records : sequence of Measurement
-        Records, at the hold that they declare.
+        Records.
     settings : dict
         tolerance, offset and noise as in `refine`.
 
@@ -40,7 +40,7 @@ def hold_errors(
     found = {}
     for hold in HOLDS:
         try:
-            fitted = refit(model, [record.with_hold(hold) for record in records], **settings)
+            fitted = refit(model.with_hold(hold), records, **settings)
         except DivergenceError:
             continue
         found[hold] = float(np.mean(np.log(fitted.rmse + 1e-300)))
@@ -58,20 +58,21 @@ def best_hold(model: Refinement, records: Sequence[Measurement], settings: dict[
     Returns
     -------
     hold : str
-        The declared one unless another lowers the error by more than 5 %; records that
-        declare different holds are taken at their word.
+        The declared one (the model's own where it has one) unless another lowers the error by
+        more than 5 %; records that declare different holds are taken at their word.
     sentence : str
         What was found, empty where the declared hold is right.
     """
-    declared = records[0].hold
-    if any(record.hold != declared for record in records):
+    declared = model.hold or records[0].hold
+    if model.hold is None and any(record.hold != declared for record in records):
         return declared, ""  # several holds were declared on purpose
     errors = hold_errors(model, records, settings)
     best = min(errors, key=lambda hold: errors[hold], default=declared)
     if declared in errors and errors[declared] - errors[best] < _MATTERS:
         return declared, ""
     figures = ", ".join(f"{hold} {np.exp(value):.4g}" for hold, value in errors.items())
+    said = "the record declares" if model.hold is None else "the model was fitted with"
     return best, (
-        f"The hold matters more than most effects: the record declares hold={declared!r}, a {_NAMES[best]} "
+        f"The hold matters more than most effects: {said} hold={declared!r}, a {_NAMES[best]} "
         f"(hold={best!r}) fits better (error {figures})."
     )

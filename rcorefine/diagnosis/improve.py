@@ -64,12 +64,6 @@ class _Parts:
         """Fit on all that does not judge."""
         return replace(self, fit=self.learn)
 
-    def with_hold(self, hold: str) -> _Parts:
-        """The same records, all under one hold."""
-        every = (self.fit, self.choose, self.judge, self.learn)
-        fit, choose, judge, learn = ([record.with_hold(hold) for record in records] for records in every)
-        return _Parts(fit, choose, judge, learn, self.remarks)
-
 
 def improve(
     model: Any,
@@ -435,14 +429,13 @@ class _Ladder:
             self._remove(cheapest, costs[cheapest][1])
 
     def _held(self, refinement: Refinement) -> Refinement:
-        """The model under the hold that suits it, which the records then get."""
+        """The model under the hold that suits it, and keeps from then on."""
         with self.progress.step("holds"):
             hold, sentence = best_hold(refinement, self.parts.fit, self.settings)
         if not sentence:
             return refinement
         self.notes.append(sentence)
-        self.parts = self.parts.with_hold(hold)
-        return self._refit(refinement)
+        return self._refit(refinement.with_hold(hold))
 
     def settle(self) -> None:
         """Fit each model once more, on all that was not kept to judge; of a long record only the last."""

@@ -82,7 +82,7 @@ class Improvement:
 
     @property
     def refinement(self) -> Refinement:
-        """The model after the last step."""
+        """The model after the last step; its `hold` is the one that was found to suit the inputs."""
         return self.steps[-1].refinement
 
     @property

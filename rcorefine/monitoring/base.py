@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..exceptions import DivergenceError, ModelError
+from ..physics.consistency import check_stream_hold
 from ..physics.engine import _PIECES, _kernel
 from ..physics.inputs import InputSignal
 from ..physics.simulation import structure_of
@@ -21,13 +22,13 @@ from ..systems.linear import Array
 __all__ = ["Observer", "Pace", "as_base", "pace_of"]
 
 
-def as_base(model: Any) -> tuple[Structure, Array, int]:
+def as_base(model: Any, hold: str) -> tuple[Structure, Array, int]:
     """Structure, coefficients and substeps of the model that is taken for healthy.
 
     Raises
     ------
     ModelError
-        If the model is discrete, or holds what needs the future.
+        If the model is discrete, was found to have another hold, or holds what needs the future.
     """
     given = getattr(model, "system", model)
     if isinstance(given, ct.StateSpace) and given.dt != 0:
@@ -36,6 +37,7 @@ def as_base(model: Any) -> tuple[Structure, Array, int]:
             "give the continuous model, or convert it with rcorefine.d2c"
         )
     structure, theta, substeps = structure_of(model)
+    check_stream_hold(structure.model, hold)
     if structure.output_delays:
         raise ModelError(
             "the refinement holds an output_delay, which needs the future on a stream; refine with an "

@@ -158,7 +158,7 @@ class Monitor:
         windows: tuple[int, int] | None = None,
         patience: float = 4.0,
     ) -> None:
-        self._structure, self._theta, self._substeps = as_base(model)
+        self._structure, self._theta, self._substeps = as_base(model, hold)
         name = self._structure.linear_model.name
         if dt is None:
             raise ModelError(f"model {name!r} is continuous: give dt, the sampling time in seconds")

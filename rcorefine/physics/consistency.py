@@ -14,7 +14,7 @@ from .ports import Port
 if TYPE_CHECKING:
     from .physical_model import PhysicalModel
 
-__all__ = ["check_outputs", "check_places", "check_sizes"]
+__all__ = ["check_outputs", "check_places", "check_sizes", "check_stream_hold"]
 
 
 def check_sizes(model: PhysicalModel) -> None:
@@ -124,3 +124,26 @@ def check_places(model: PhysicalModel) -> None:
         twice = sorted({label for label in labels if labels.count(label) > 1})
         if twice:
             raise ModelError(f"{what} names must be unique, but {twice[0]!r} occurs more than once")
+
+
+def check_stream_hold(model: PhysicalModel, hold: str) -> None:
+    """Check that a stream is held as the model was found to take its inputs.
+
+    Parameters
+    ----------
+    model : PhysicalModel
+        Model.
+    hold : str
+        Hold of the stream.
+
+    Raises
+    ------
+    ModelError
+        If the model has a hold of its own that is another one.
+    """
+    if model.hold not in (None, hold):
+        raise ModelError(
+            f"model {model.name!r} was found to take its inputs with hold={model.hold!r}, and the stream has "
+            f"hold={hold!r}; give that hold, or a model without one of its own "
+            "(dataclasses.replace(physical_model, hold=None)) that was fitted to a record of the stream"
+        )

@@ -62,13 +62,15 @@ class Engine:
     structure : Structure
         Model and effects.
     data : Measurement
-        Record; its channels stand in the order of the model's.
+        Record; its channels stand in the order of the model's. A model with a `hold` of its
+        own takes the inputs by that one.
     substeps : int, optional
         Substeps per sampling interval; 1 is exact for linear effects. Rounded up
         to a multiple of 4 for a band-limited input.
     """
 
     def __init__(self, structure: Structure, data: Measurement, *, substeps: int = 1) -> None:
+        data = structure.model.held(data)
         self.structure, self.data = structure, data
         if structure.output_delays:
             substeps = max(substeps, _NODES_FOR_DELAY)

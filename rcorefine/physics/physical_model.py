@@ -9,6 +9,7 @@ from typing import Any
 import control as ct
 
 from ..exceptions import ModelError
+from ..measurement import HOLDS, Measurement
 from ..systems.linear import Array, LinearModel
 from .consistency import check_outputs, check_places, check_sizes
 from .description import model_html, model_text
@@ -76,6 +77,9 @@ class PhysicalModel:
         Numbers that the initial model was built from.
     input_units, output_units, state_units : tuple of str
         Units, ``""`` where they are unknown.
+    hold : {"zoh", "foh", "bandlimited"}, optional
+        How the inputs run between samples, where that is known better than the records
+        declare it; `improve` finds it out. By default it is as each record declares.
 
     Attributes
     ----------
@@ -108,6 +112,7 @@ class PhysicalModel:
     input_units: tuple[str, ...] = ()
     output_units: tuple[str, ...] = ()
     state_units: tuple[str, ...] = ()
+    hold: str | None = None
 
     def __post_init__(self) -> None:
         linear = self.linear
@@ -119,6 +124,8 @@ class PhysicalModel:
         check_sizes(self)
         check_outputs(self)
         check_places(self)
+        if self.hold is not None and self.hold not in HOLDS:
+            raise ct.ControlArgument(f"hold must be None or one of {', '.join(HOLDS)}, not {self.hold!r}")
 
     @property
     def system(self) -> ct.StateSpace:
@@ -218,6 +225,21 @@ class PhysicalModel:
             ports=found,
             parameters=parameters,
         )
+
+    def held(self, data: Measurement) -> Measurement:
+        """The record as this model takes its inputs between the samples.
+
+        Parameters
+        ----------
+        data : Measurement
+            Record.
+
+        Returns
+        -------
+        Measurement
+            The record itself, unless `hold` says otherwise.
+        """
+        return data if self.hold is None else data.with_hold(self.hold)
 
     def port(self, name: str) -> Port:
         """Port of a given name.

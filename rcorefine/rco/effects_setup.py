@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..exceptions import ModelError
+from ..physics.consistency import check_stream_hold
 from ..physics.effects import Effect
 from ..physics.engine import Engine, _kernel
 from ..physics.physical_model import PhysicalModel, as_physical
@@ -300,6 +301,7 @@ def make_effects_setup(
             f"hold must be 'zoh' or 'foh' on a stream, not {hold!r}; a band-limited input needs the future: "
             "use refine() on the record"
         )
+    check_stream_hold(physical, hold)
     ny = physical.linear.n_outputs
     levels = np.zeros(ny)
     if noise is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -158,6 +158,25 @@ class Refinement:
     def ports(self) -> tuple[Any, ...]:
         """Ports of the initial model."""
         return self.physical_model.ports
+
+    @property
+    def hold(self) -> str | None:
+        """Hold that was found to suit the inputs, whatever a record declares; None where none was sought."""
+        return self.physical_model.hold
+
+    def with_hold(self, hold: str | None) -> Refinement:
+        """The same coefficients with the inputs taken otherwise between the samples.
+
+        Parameters
+        ----------
+        hold : {"zoh", "foh", "bandlimited"} or None
+            The model's own, or None for what each record declares. Nothing is fitted again.
+
+        Returns
+        -------
+        Refinement
+        """
+        return replace(self, physical_model=replace(self.physical_model, hold=hold))
 
     def simulate(self, data: Measurement, x0: Any = "estimate") -> ct.TimeResponseData:
         """Free run over a record.
@@ -344,6 +363,8 @@ class Refinement:
             ),
             self.message,
         ]
+        if self.hold is not None:
+            lines.append(f"The inputs are taken with hold={self.hold!r}, whatever a record declares.")
         return lines + list(self.warnings)
 
     def __str__(self) -> str:

@@ -145,9 +145,11 @@ def model_code(model: Any, name: str = "model") -> list[str]:
 def _plain(model: PhysicalModel) -> bool:
     """Whether the same places follow from the matrices alone."""
     again = as_physical(model.system)
-    return [p.name for p in again.ports] == [
-        p.name for p in model.ports
-    ] and again.parameters == model.parameters
+    return (
+        model.hold is None
+        and [p.name for p in again.ports] == [p.name for p in model.ports]
+        and again.parameters == model.parameters
+    )
 
 
 def effects_code(effects: Sequence[Effect]) -> str:
