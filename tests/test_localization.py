@@ -381,3 +381,73 @@ def test_log_likelihood_of_white_noise(rng):
     r = 3.0 * rng.standard_normal((1, 20_000))
     value, _ = log_likelihood(r)
     assert value == pytest.approx(-0.5 * 20_000 * np.log(9.0), abs=5 * np.sqrt(20_000 / 2) + 20)
+
+
+# --------------------------------------------------------------- sensors and residual
+def three_masses(k, gains, seed, sensors="velocity", offsets=(0.0, 0.0), n=2500, delay=0):
+    """Model and record of a chain that `mass_spring_damper` builds, its sensors not as declared."""
+
+    def build(springs):
+        return rco.mass_spring_damper(
+            [1.2, 0.9, 1.1], [0.25, 0.2, 0.15], springs, force=2, sensors=(sensors, (1, 3))
+        )
+
+    rng = np.random.default_rng([seed, 3])
+    w = rng.standard_normal(n)
+    blank = rco.Measurement(np.roll(w, delay), np.zeros((2, n)), dt=0.02)
+    y = rco.simulate(build(k), blank, "zero").outputs
+    size = y.std(axis=1, keepdims=True)
+    shown = np.array(gains)[:, None] * y + np.array(offsets)[:, None] * size
+    noisy = shown + 0.02 * size * rng.standard_normal(y.shape)
+    return build([110.0, 85.0, 70.0]), rco.Measurement(w, noisy, dt=0.02)
+
+
+@pytest.mark.parametrize(
+    "sensors, gains, offsets",
+    [("velocity", (0.97, 1.03), (0.2, 0.0)), ("displacement", (1.3, 1.0), (0.0, -0.5))],
+)
+def test_gains_and_offsets_of_sensors_are_no_damage(sensors, gains, offsets):
+    model, data = three_masses([110.0, 85.0, 70.0], gains, 4, sensors, offsets)
+    found = localize_damage(model, data)
+    assert found.named == ()
+    assert found.explained
+    shown = {row.name: row for row in found.nuisances}
+    for label, gain in zip(model.linear.output_labels, gains, strict=True):
+        row = shown[f"output_gain at {label}"]
+        assert abs(row.value - (gain - 1)) < 4 * row.std
+
+
+def test_damage_is_found_through_wrong_gains():
+    model, data = three_masses([110.0, 85.0, 56.0], (1.04, 0.95), 5)
+    found = localize_damage(model, data)
+    (row,) = found.named
+    assert row.label == "stiffness at link3"
+    assert abs(row.change + 14.0) < 4 * row.std
+    assert found.explained
+    assert found.message == "Converged."
+
+
+def test_what_no_change_explains_is_said():
+    model, data = three_masses([110.0, 85.0, 70.0], (1.0, 1.0), 6, delay=2)
+    found = localize_damage(model, data)
+    assert not found.explained
+    assert "do not explain the record" in str(found)
+    assert min(test.p_value for test in found.tests) < 1e-10
+    short = data.segment(0, 3)
+    assert "too short to test" in localize_damage(model, short).message
+
+
+def test_a_sensor_that_a_scenario_blames_is_no_nuisance():
+    model, data = three_masses([110.0, 85.0, 70.0], (1.1, 1.0), 7)
+    label = model.linear.output_labels[0]
+    found = localize_damage(
+        model, data, hypotheses={"sensor": rco.Effect("output_gain", label), "spring": "link2"}
+    )
+    assert found.ranking[0].name == "sensor"
+    assert found.ranking[0].probability > 0.99
+
+
+@pytest.mark.parametrize("x0", [None, float("nan"), True, [0.0, np.nan, 0, 0, 0, 0], np.zeros(9), "rest"])
+def test_initial_states_that_mean_nothing_are_refused(x0):
+    with pytest.raises((rco.DataError, ct.ControlArgument, ct.ControlDimension), match="x0"):
+        localize_damage(chain([10, 8, 6]), chain_record([10, 8, 6], 0.05, 0, n=300), x0=x0)

@@ -8,9 +8,11 @@ from typing import Any
 
 import control as ct
 
+from ..diagnosis.whitening import FTest
 from ..exceptions import ModelError
 from ..physics.effects import Effect
 from ..systems.linear import Array, LinearModel
+from .residual import overall
 
 __all__ = ["DamageMap", "DamageRow", "HypothesisRow", "NuisanceRow"]
 
@@ -162,6 +164,8 @@ class DamageMap:
         Of the free run with the named changes, and fit of the model as it was.
     residual_orders : tuple of int
         Autoregressive order of each output's residual (0: white).
+    tests : tuple of FTest
+        Tests of the residual, as in `Diagnosis.tests`; empty where a record is too short.
     n_samples, duration : float
         Samples per output, and seconds.
     success : bool
@@ -184,10 +188,16 @@ class DamageMap:
     rmse: Array
     initial_fit: Array
     residual_orders: tuple[int, ...]
+    tests: tuple[FTest, ...]
     n_samples: int
     duration: float
     success: bool
     message: str
+
+    @property
+    def explained(self) -> bool:
+        """Whether the residual passes its tests: nothing but the named changes is missing."""
+        return bool(self.tests) and overall(self.tests) >= self.significance
 
     @property
     def named(self) -> tuple[DamageRow, ...]:

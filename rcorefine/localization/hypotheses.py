@@ -146,9 +146,16 @@ def rank_hypotheses(setting: Setting, hypotheses: Any) -> tuple[HypothesisRow, .
     tuple of HypothesisRow
         The most probable first.
     """
-    rows = []
-    for name, effects in named_hypotheses(hypotheses).items():
-        rows.append(_fitted(setting, name, effects))
+    scenarios = named_hypotheses(hypotheses)
+    # what a scenario blames is no nuisance, or "no damage" would explain it as well
+    blamed = {(e.kind, e.place) for effects in scenarios.values() for e in effects}
+    rest = [
+        (e, sd)
+        for e, sd in zip(setting.nuisances, setting.nuisance_sd, strict=True)
+        if (e.kind, e.place) not in blamed
+    ]
+    setting = replace(setting, nuisances=tuple(e for e, _ in rest), nuisance_sd=tuple(sd for _, sd in rest))
+    rows = [_fitted(setting, name, effects) for name, effects in scenarios.items()]
     criterion = np.array([row.bic for row in rows])
     weight = np.exp(-0.5 * (criterion - criterion.min()))
     weight /= weight.sum()

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.stats import norm
 
 from ..comparison.channels import match_channels, record_for
+from ..diagnosis.whitening import FTest
 from ..exceptions import IdentifiabilityWarning, ModelError
 from ..measurement import Measurement
 from ..physics.effects import Effect
@@ -19,6 +20,7 @@ from ..physics.simulation import check_channels
 from ..physics.structure import Structure
 from ..refinement.assembly import assemble, offset_variants
 from ..refinement.outcome import _initial_fit
+from ..refinement.refine import _given_state, _resized
 from ..refinement.refinement import Refinement
 from ..refinement.starts import estimated_motion
 from ..refinement.windows import as_records, windows
@@ -28,6 +30,7 @@ from .damping import RATIO_NAMES, RatioStructure
 from .decision import Candidate, Decision, decide
 from .estimate import Joint
 from .hypotheses import Setting, rank_hypotheses
+from .residual import overall, residual_tests
 
 __all__ = ["localize_damage"]
 
@@ -35,6 +38,12 @@ _OTHER_VALLEY = (
     "Another set of changes, at more places, would explain the record about as well (few sensors); the "
     "sparser one is given."
 )
+_UNEXPLAINED = (
+    "The changes do not explain the record: {name} (p = {p:.1g}). Something else is missing in the model, "
+    "and may have been taken for a change; diagnose() says what."
+)
+_UNTESTED = "The record is too short to test whether the changes explain it."
+_CALIBRATION = 0.1  # relative sd of a sensor gain, where the record does not say
 _RULES = ("links", "ratio", "fixed")
 
 
@@ -89,7 +98,8 @@ def localize_damage(
         Relative standard deviation to which the linear parameters of the model are known. Others
         than the candidates float within it, and a candidate's change must exceed it.
     offset : bool
-        Estimate a constant offset of sensors (or actuators) along.
+        Estimate a constant offset of sensors (or actuators) along. Sensor gains are always
+        estimated along (a prior of 10 percent, which matters where the record cannot tell).
     x0 : {"estimate", "zero"} or ndarray of shape (n,)
         Initial state.
     noise : float or sequence of float, optional
@@ -109,7 +119,7 @@ def localize_damage(
     control.ControlDimension
         If the record's channels are not the model's.
     DataError
-        If the record is too short.
+        If the record is too short, or `x0` is not finite.
 
     Warns
     -----
@@ -119,8 +129,10 @@ def localize_damage(
     Notes
     -----
     Estimates are those of the output-error fit of `refine`, their covariance robust to coloured
-    residuals. With ``damping="ratio"`` the true rule of damping need not be known: the
-    matrix may stay that of the undamaged structure, or follow the damaged one.
+    residuals. What is left passes the tests of `diagnose`, or the message says that it does not
+    (`DamageMap.explained`): then something other than the candidates is wrong. With
+    ``damping="ratio"`` the true rule of damping need not be known: the matrix may stay that of
+    the undamaged structure, or follow the damaged one.
 
     Examples
     --------
@@ -138,6 +150,7 @@ def localize_damage(
     [('stiffness at link2', -30)]
     """
     _check_options(damping, significance, power, least)
+    initial = _given_state(x0)
     physical, base, substeps = _baseline(model)
     records = [record_for(r, match_channels(physical.linear, r)) for r in as_records(data)]
     for record in records:
@@ -153,15 +166,17 @@ def localize_damage(
         for e, role in chosen[len(effects) :]
         if not (role == "linear" and e.kind == "damping" and rule == "ratio")
     ]
+    gains = [Effect("output_gain", label) for label in physical.linear.output_labels]
+    nuisances += [(gain, "gain") for gain in gains if gain not in base]
     setting = Setting(
         physical,
         base,
         tuple(e for e, _ in nuisances),
-        tuple(_tolerated(e, nominal, tolerance) if role == "linear" else np.inf for e, role in nuisances),
+        tuple(_spread(e, role, nominal, tolerance) for e, role in nuisances),
         rule == "ratio",
         tuple(segments),
         noise,
-        _given_state(x0),
+        None if initial is None else _resized(initial, physical.linear.n_states),
         substeps,
         estimated_motion(Structure(physical, base), np.zeros(0), records[0]),
         nominal,
@@ -171,7 +186,8 @@ def localize_damage(
     joint.start()
     decision = decide(joint, rows, significance)
     ranking = () if hypotheses is None else rank_hypotheses(setting, hypotheses)
-    result = _package(joint, rows, decision, rule, significance, power, ranking, note)
+    tests = residual_tests(joint)
+    result = _package(joint, rows, decision, tests, rule, significance, power, ranking, note)
     for group in result.groups:
         warnings.warn(
             f"the record sees only together: {', '.join(group)}", IdentifiabilityWarning, stacklevel=2
@@ -187,14 +203,6 @@ def _check_options(damping: str | None, significance: float, power: float, least
             raise ct.ControlArgument(f"{name} must be a probability between 0 and 1, not {value!r}")
     if not (np.isfinite(least) and least >= 0):
         raise ct.ControlArgument(f"least must be a percentage >= 0, not {least!r}")
-
-
-def _given_state(x0: str | Array) -> Array | None:
-    if isinstance(x0, str):
-        if x0 not in ("estimate", "zero"):
-            raise ct.ControlArgument(f"x0 must be 'estimate', 'zero' or an array, not {x0!r}")
-        return None if x0 == "estimate" else np.zeros(0)
-    return np.asarray(x0, dtype=float)
 
 
 def _baseline(model: Any) -> tuple[PhysicalModel, tuple[Effect, ...], int]:
@@ -261,7 +269,10 @@ def _candidates(
     return effects
 
 
-def _tolerated(effect: Effect, nominal: Mapping[tuple[str, str], float], tolerance: float) -> float:
+def _spread(effect: Effect, role: str, nominal: Mapping[tuple[str, str], float], tolerance: float) -> float:
+    """Prior standard deviation of a nuisance."""
+    if role != "linear":
+        return _CALIBRATION if role == "gain" else np.inf
     size = 1.0 if effect.kind == "input_gain" else abs(nominal.get((effect.kind, effect.place), 0.0))
     return tolerance * size if size > 0 else np.inf
 
@@ -299,6 +310,7 @@ def _package(
     joint: Joint,
     candidates: Sequence[Candidate],
     decision: Decision,
+    tests: tuple[FTest, ...],
     rule: str,
     significance: float,
     power: float,
@@ -357,6 +369,7 @@ def _package(
         rmse=np.sqrt(np.mean(residual**2, axis=1)),
         initial_fit=_initial_fit(Structure(structure.model), joint.records),
         residual_orders=joint.orders,
+        tests=tests,
         n_samples=measured.shape[1],
         duration=sum(r.n_samples * r.dt for r in joint.records),
         success=joint.converged,
@@ -364,12 +377,23 @@ def _package(
             part
             for part in (
                 "Converged." if joint.converged else "Not converged; the figures may be off.",
+                _explained(tests, significance),
                 _OTHER_VALLEY if decision.other_valley else "",
                 note,
             )
             if part
         ),
     )
+
+
+def _explained(tests: Sequence[FTest], significance: float) -> str:
+    """What the residual says about the changes, "" where it is noise."""
+    if not tests:
+        return _UNTESTED
+    if overall(tests) >= significance:
+        return ""
+    worst = min((test for test in tests if test.dof), key=lambda test: test.p_value)
+    return _UNEXPLAINED.format(name=worst.name, p=worst.p_value)
 
 
 def _nuisances(joint: Joint, candidates: Sequence[Candidate]) -> tuple[NuisanceRow, ...]:

@@ -1,0 +1,97 @@
+"""Whether the changes explain the record: the residual through the tests of `diagnose`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
+
+from ..diagnosis.battery import Battery, run_battery
+from ..diagnosis.columns import candidate_columns
+from ..diagnosis.state import Fitted
+from ..diagnosis.whitening import FTest
+from ..physics.effects import Effect
+from ..physics.library import effect_library
+from ..physics.physical_model import PhysicalModel
+from ..physics.structure import Structure
+from ..refinement.problem import Problem
+from ..refinement.starts import Motion
+from ..systems.linear import Array
+from .damping import RatioStructure
+from .estimate import Joint
+
+__all__ = ["overall", "residual_tests"]
+
+_SHORTEST = 200  # samples of a record that can be tested
+_CHANGES = ("stiffness", "damping")
+
+
+@dataclass(frozen=True, slots=True)
+class _Held:
+    """What `Fitted` asks of a refinement."""
+
+    physical_model: PhysicalModel
+    effects: tuple[Effect, ...]
+    constants: dict[int, float]
+    roles: tuple[str, ...]
+    substeps: int
+
+
+def residual_tests(joint: Joint) -> tuple[FTest, ...]:
+    """Tests of what is left where the estimate stands, all candidates and nuisances projected off.
+
+    Parameters
+    ----------
+    joint : Joint
+        Estimate at its end.
+
+    Returns
+    -------
+    tuple of FTest
+        As `Diagnosis.tests`; empty where a record is too short to test.
+    """
+    if min(record.n_samples for record in joint.records) < _SHORTEST:
+        return ()
+    physical, effects, theta = _plain(joint.structure, joint.theta)
+    structure = Structure(physical, effects, constants=joint.structure.constants)
+    problem = Problem(
+        structure,
+        joint.records,
+        joint.weights,
+        prior_mean=joint.prior_mean[: theta.size],
+        prior_sd=joint.prior_sd[: theta.size],
+        substeps=joint.substeps,
+        initial=joint.initial,
+    )
+    held = _Held(physical, effects, dict(structure.constants), ("effect",) * len(effects), joint.substeps)
+    starts = joint.problem.unpack(joint.point)[1]
+    fitted = Fitted(cast(Any, held), problem, problem.pack(theta, starts), 0.0)
+    motions = [Motion(structure, theta, record) for record in joint.records]
+    motions[0].companions = motions[1:]
+    taken = {(effect.kind, effect.place) for effect in effects}
+    library = [e for e in effect_library(physical) if (e.kind, e.place) not in taken]
+    return tuple(
+        run_battery(Battery(fitted), candidate_columns(fitted, library, motions[0], (0.0,)), motions)
+    )
+
+
+def _plain(structure: Structure, theta: Array) -> tuple[PhysicalModel, tuple[Effect, ...], Array]:
+    """The same model without the rule of damping, which goes into its state matrix as it stands."""
+    if not isinstance(structure, RatioStructure):
+        return structure.model, tuple(structure.effects), theta
+    changes = [structure.effects[q.effect].kind in _CHANGES for q in structure.parameters]
+    masses = [structure.effects[q.effect].kind == "mass" for q in structure.parameters]
+    model = structure.model
+    A = structure.matrices(np.where(masses, 0.0, theta)).A.real
+    C, D = model.output_state + model.output_rate @ A, model.linear.D
+    ruled = replace(model, linear=model.linear.with_arrays(A=A, B=model.linear.B, C=C, D=D))
+    count = structure.ratio_columns[0]
+    return ruled, tuple(structure.effects[:-1]), np.where(changes, 0.0, theta)[:count]
+
+
+def overall(tests: Sequence[FTest]) -> float:
+    """Smallest p-value, corrected for the number of tests."""
+    valid = [test.p_value for test in tests if test.dof]
+    return min(1.0, min(valid, default=1.0) * len(valid))
