@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import control as ct
 import numpy as np
 import pytest
 from hidden.generator import Law, excitation, integrate, linear_states, outputs
 from hidden.plants import PLANTS
 from hidden.strong import servo_record
+from scipy.signal import cont2discrete, dlsim
 
 import rcorefine as rco
 
@@ -59,3 +61,63 @@ def test_refine_of_a_diagnosis_ends_no_lower_than_the_ranking(seed):
     offered[2] = rco.Effect("input_gain", "voltage")
     found = rco.diagnose(hidden.plant.model, hidden.data, candidates=offered)
     assert np.mean(found.refine().fit) >= found.best.fit_after - 1e-6
+
+
+@pytest.fixture(scope="module")
+def servo():
+    hidden = servo_record(5, samples=3500)
+    return hidden, rco.diagnose(hidden.plant.model, hidden.data)
+
+
+def test_the_true_law_is_not_left_in_a_wrong_valley(servo):
+    """Coulomb friction from zero sits where the offset was bent: thousands behind laws that contain it."""
+    hidden, found = servo
+    assert found.verdict in ("effect", "ambiguous")
+    assert (hidden.kind, hidden.place) in [(e.kind, e.place) for e in found.ambiguous]
+    row = next(r for r in found.ranking if r.effect.kind == hidden.kind)
+    (value,), (std,) = row.coefficients.values(), row.std.values()
+    assert abs(value - hidden.coefficient) < 4 * std
+
+
+def test_nested_laws_keep_their_order(servo):
+    """A law that contains another is at least as likely before the price of its further coefficients."""
+    _, found = servo
+    gains = {row.effect.kind: row.log_likelihood_gain for row in found.ranking}
+    price = 0.5 * np.log(found.records[0].n_samples)
+    for general, special, more in (
+        ("asymmetric_friction", "coulomb_friction", 1),
+        ("stribeck_friction", "coulomb_friction", 2),
+        ("asymmetric_damping", "damping", 1),
+    ):
+        assert gains[general] + more * price >= gains[special] - 0.5
+
+
+def test_no_row_is_below_the_model_without_it(servo):
+    _, found = servo
+    assert all(row.fit_after >= row.fit_before - 0.05 for row in found.ranking)
+
+
+@pytest.mark.parametrize("seed", [7, 8])
+def test_a_sensor_in_other_units_is_named(seed):
+    """x 1000 behind free initial states: the states that the wrong unit bent held its gain at zero."""
+    rng = np.random.default_rng([seed, 84])
+    mass, drag, push = rng.uniform(0.5, 2.0), rng.uniform(2.0, 8.0), rng.uniform(5.0, 20.0)
+    A, B, C = np.array([[0, 1], [0, -drag / mass]]), np.array([[0], [push / mass]]), np.array([[1.0, 0]])
+    motor = ct.ss(A, B, C, 0, inputs=["current"], outputs=["y"], states=["position", "speed"])
+    w = np.repeat(rng.uniform(-3, 3, 100), 25)
+    Ad, Bd, *_ = cont2discrete((A, B, C, np.zeros((1, 1))), 0.01)
+    y = 1000 * dlsim((Ad, Bd, C, np.zeros((1, 1)), 0.01), w)[1][:, 0]
+    y += 0.02 * y.std() * rng.standard_normal(y.size)
+    offered = [
+        rco.Effect(*name)
+        for name in (
+            ("output_gain", "y"),
+            ("input_gain", "current"),
+            ("damping", "position"),
+            ("input_lag", "current"),
+        )
+    ]
+    found = rco.diagnose(motor, rco.Measurement(w, y, dt=0.01), candidates=offered)
+    assert {e.kind for e in found.ambiguous} == {"output_gain", "input_gain"}  # one thing, the motor linear
+    for row in found.ranking[:2]:
+        assert abs(row.coefficients["gain"] - 999) < 4 * row.std["gain"]

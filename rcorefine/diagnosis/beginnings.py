@@ -8,6 +8,7 @@ import numpy as np
 
 from ..physics.observer import observer_gain
 from ..refinement.problem import Problem
+from ..refinement.search import starting_states
 from ..systems.linear import Array
 from .columns import Candidate
 from .descent import Descent, descend
@@ -87,7 +88,33 @@ def regressed(fitted: Fitted, candidate: Candidate) -> list[Array]:
         point = start.copy()
         point[:q] += step
         points.append(problem.inside(point))
+    if problem.structure.is_linear and problem.free_start:
+        points.append(_from_rest(problem, _home(fitted, problem.unpack(start)[0]), p))
     return points
+
+
+def _home(fitted: Fitted, theta: Array) -> Array:
+    """The coefficients with linear parameters and offsets as declared, before any fit bent them."""
+    roles, parameters = fitted.refinement.roles, fitted.structure.parameters
+    theta = theta.copy()
+    theta[[i for i, q in enumerate(parameters) if roles[q.effect] in ("linear", "offset")]] = 0.0
+    return theta
+
+
+def _from_rest(problem: Problem, theta: Array, p: int) -> Array:
+    """The effect after one linear step from rest, the initial states such as suit it.
+
+    States and offsets that were fitted without the effect hold it back: a gain multiplies them.
+    """
+    rest = problem.pack(theta, np.zeros((len(problem.records), problem.n_states)))
+    evaluation = problem.evaluate(rest)
+    J = evaluation.jacobian
+    size = np.linalg.norm(J, axis=0)
+    size[size == 0] = 1.0
+    unit = J / size
+    step = np.linalg.lstsq(unit.T @ unit, -unit.T @ evaluation.residual, rcond=1e-10)[0] / size
+    theta = np.append(theta[:p], problem.inside(rest + step)[p : problem.n_theta])
+    return problem.pack(theta, starting_states(problem, theta))
 
 
 def observed(fitted: Fitted, candidate: Candidate, start: Array, ratio: float) -> Array:
@@ -106,12 +133,9 @@ def led(fitted: Fitted, candidate: Candidate, start: Array, ratio: float) -> Des
     A strong effect moves the resonances, and what the fit without it bent holds every
     rival in its valley. The observer's gain is that of the model as it then is.
     """
-    problem, old = candidate.problem, fitted.refinement
+    problem = candidate.problem
     theta, starts = problem.unpack(start)
-    theta = theta.copy()
-    nuisances = [old.roles[q.effect] in ("linear", "offset") for q in fitted.structure.parameters]
-    theta[: len(nuisances)][nuisances] = 0.0
-    point = problem.inside(problem.pack(theta, starts))
+    point = problem.inside(problem.pack(_home(fitted, theta), starts))
     gain = gain_for(fitted, candidate, ratio)
     tries = []
     for observer in _FALLING:

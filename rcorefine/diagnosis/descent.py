@@ -11,7 +11,9 @@ from ..refinement.problem import Problem
 from ..systems.linear import Array
 from .whitening import Whitener
 
-__all__ = ["Descent", "descend"]
+__all__ = ["Descent", "descend", "lacking"]
+
+_FULL = 1e-9  # damping of a step that is as good as none
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,6 +32,8 @@ class Descent:
         Its derivatives.
     converged : bool
         Whether the last step changed the cost by less than the tolerance.
+    lack : float
+        How much the next full step would lower the cost (half g' H^-1 g): small only at a minimum.
     """
 
     point: Array
@@ -37,6 +41,7 @@ class Descent:
     residual: Array
     slopes: Array
     converged: bool
+    lack: float = np.inf
 
     def blocks(self, problem: Problem) -> list[tuple[Array, Array]]:
         """Residual (n_y, N) and Jacobian (n_y, N, p) of each record."""
@@ -99,7 +104,22 @@ def descend(
             if converged:
                 break
             damping = max(30 * damping, 1e-3)
-    return Descent(problem.from_box(x), cost, *plain, converged)
+    return Descent(problem.from_box(x), cost, *plain, converged, _lack(problem, x, r, J))
+
+
+def lacking(problem: Problem, run: Descent, whitener: Whitener) -> float:
+    """What a run lacks in the metric of a filter: the log-likelihood that the next full step would gain."""
+    box = problem.to_box(run.point)
+    r, J = _whitened(problem, run.residual, problem.columns_in_box(run.slopes), whitener)
+    return _lack(problem, box, r, J)
+
+
+def _lack(problem: Problem, box: Array, r: Array, J: Array) -> float:
+    low, high = problem.box()
+    near = 1e-12 * np.abs(box)
+    slope = J.T @ r
+    pressed = ((box <= low + near) & (slope > 0)) | ((box >= high - near) & (slope < 0))
+    return float(-0.5 * slope @ _step(J, r, _FULL, ~pressed))
 
 
 def _step(J: Array, r: Array, damping: float, active: NDArray[np.bool_]) -> Array:
@@ -129,11 +149,17 @@ def _rows(
     if not evaluation.finite or not np.isfinite(r).all():
         return np.inf, r, J, plain
     if whitener is not None:
-        blocks = _split(problem, r, J)
-        row = problem.n_points
-        r = np.concatenate([whitener.apply([b for b, _ in blocks]), r[row:]])
-        J = np.concatenate([whitener.apply([b for _, b in blocks]), J[row:]])
+        r, J = _whitened(problem, r, J, whitener)
     return 0.5 * float(r @ r), r, J, plain
+
+
+def _whitened(problem: Problem, r: Array, J: Array, whitener: Whitener) -> tuple[Array, Array]:
+    """Residual and derivatives in the metric of a filter, the rows of the priors as they are."""
+    blocks, row = _split(problem, r, J), problem.n_points
+    return (
+        np.concatenate([whitener.apply([b for b, _ in blocks]), r[row:]]),
+        np.concatenate([whitener.apply([b for _, b in blocks]), J[row:]]),
+    )
 
 
 def _split(problem: Problem, r: Array, J: Array) -> list[tuple[Array, Array]]:

@@ -24,7 +24,7 @@ from .battery import Battery, run_battery
 from .columns import Candidate, candidate_columns
 from .excitation import no_motion, record_remarks
 from .holds import best_hold
-from .remarks import amplitude_test, remarks
+from .remarks import amplitude_test, fit_remarks, remarks
 from .result import Detectable, Diagnosis, RankedEffect
 from .rivals import Race, run_race, shortlist
 from .state import Fitted, base_fit, fitted_from
@@ -262,9 +262,9 @@ def investigate(
     alike = tuple(
         rival.effect
         for rival, value in zip(race.rivals, likelihoods, strict=True)
-        if 2 * (likelihoods[0] - value) <= _AMBIGUOUS
+        if 2 * (likelihoods[0] - value) <= _AMBIGUOUS + (0.0 if rival.settled else 2 * rival.lack)
     )
-    notes = remarks(race, scored, batteries)
+    notes = [*fit_remarks(race), *remarks(race, scored, batteries)]
     if thorough:
         options = {name: settings[name] for name in ("tolerance", "offset", "noise", "horizon")}
         with progress.step("holds"):
@@ -394,7 +394,9 @@ def _second_chance(
         race = again
     if not thorough:
         return _Judged(again, first.tests, False) if again is not None else first
-    stuck = [r.candidate for r in race.rivals[:3]]
+    # what the winner's own residual points at counts among those that may be stuck
+    pointed = [c for c in scored if any(t.name == f"library (most: {c.effect.label})" for t in first.tests)]
+    stuck = list(dict.fromkeys([*(r.candidate for r in race.rivals[:3]), *pointed]))
     again = run_race(fitted, stuck, entered=race.rivals, thorough=True, progress=progress)
     if again is not None and again.rivals[0].log_likelihood > race.rivals[0].log_likelihood + 1.0:
         judged = _judge(again, library, motions, significance, noise)

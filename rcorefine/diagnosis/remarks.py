@@ -16,8 +16,9 @@ from .rivals import Race
 from .state import Fitted
 from .whitening import Whitener
 
-__all__ = ["amplitude_test", "remarks"]
+__all__ = ["amplitude_test", "fit_remarks", "remarks"]
 
+_SHOWN = 8  # rows of the ranking that are printed
 _OTHER_AMPLITUDE = 1.3  # rms of the inputs over that of another record
 _LAWS_OF_DIRECTION = frozenset({"coulomb_friction", "asymmetric_friction", "stribeck_friction", "hysteresis"})
 
@@ -92,6 +93,20 @@ def _alone(fitted: Fitted, record: int) -> tuple[Array, Array]:
     covariance = np.linalg.pinv(information, rcond=1e-12, hermitian=True) / np.outer(size, size)
     p = problem.n_theta
     return problem.unpack(run.point)[0].copy(), covariance[:p, :p]
+
+
+def fit_remarks(race: Race) -> list[str]:
+    """Sentences on fits of the ranking that stand at a bound, or did not reach a minimum."""
+    bound, loose = [], []
+    for rival in race.rivals[:_SHOWN]:
+        run = rival.descent
+        bound += rival.candidate.problem.at_bound(run.point, run.slopes)
+        if not rival.settled:
+            loose.append(rival.effect.label)
+    said = [f"At its bound, so no estimate: {', '.join(dict.fromkeys(bound))}."] if bound else []
+    if loose:
+        said.append(f"Not converged, so neither named nor excluded for certain: {', '.join(loose)}.")
+    return said
 
 
 def remarks(race: Race, scored: Sequence[Candidate], batteries: Sequence[Battery]) -> list[str]:

@@ -15,19 +15,24 @@ from ..refinement.refinement import Refinement
 from ..refinement.search import step_matters
 from ..systems.linear import Array
 from .battery import Battery
+from .beginnings import at_home, gain_for, imitated, led, observed, plain_cost, regressed
 from .columns import Candidate
-from .descent import Descent, descend
+from .descent import Descent, descend, lacking
 from .state import Fitted, evaluated
 from .whitening import FTest, Whitener
 
 __all__ = ["Race", "Rival", "run_race", "shortlist"]
 
 _SHORT = 5  # best of each score
-_OBSERVERS = (1.0, 0.1)
 _SHAPES = 3  # starts of a law that has a shape
-_BENT = 0.5  # standard deviations of the declared tolerance that count as bent
-_FIRST_LAP = (60.0, 0.25)  # twice the log-likelihood behind the best, plus that per sample
-_SECOND_LAP = (60.0, 0.02)
+_LAPS = (4, 6, 8)
+_ROUNDS = 3
+_EXCHANGES = 2
+_LACK = 0.1  # log-likelihood that the next full step would gain, at most, at a minimum
+_LACK_SHARE = 0.05  # the same over what a rival is behind: no such step brings it near
+_AS_GOOD = 1.0  # twice the log-likelihood that makes no difference
+_STRONG = 75.0  # fit in percent of the model without the effect, below which it may move the resonances
+_POLISHED = (60.0, 0.02)  # twice the log-likelihood behind the best, plus that per sample
 _NEAR = 60.0  # twice the log-likelihood behind the leader within which rivals get its substeps
 _STEP_SHARE = 0.25  # of a standard deviation that halving the substep may shift a coefficient
 _MOST_HALVINGS = 4
@@ -41,11 +46,18 @@ class Rival:
     descent: Descent
     log_likelihood: float = -np.inf
     free_run: Descent | None = None  # its minimum of the plain error, before any whitening
+    settled: bool = False  # at a minimum, or lacking too little to come near the best
+    lack: float = np.inf  # log-likelihood that its next full step would gain
 
     @property
     def effect(self) -> Effect:
         """Its effect."""
         return self.candidate.effect
+
+    @property
+    def converged(self) -> bool:
+        """Whether its gradient is small against its standard deviation."""
+        return self.lack <= _LACK
 
     @property
     def n_coefficients(self) -> int:
@@ -151,7 +163,8 @@ def run_race(
         None where nothing could be refitted.
     """
     progress = progress or Progress()
-    tasks = [(fitted, c, ratio, thorough) for c in candidates]
+    strong = float(np.min(fitted.refinement.fit)) < _STRONG
+    tasks = [(fitted, c, ratio, thorough, strong) for c in candidates]
     new = [r for r in progress.map(_laps, tasks, "first laps") if r is not None]
     old = [
         Rival(r.candidate, _continued(fitted, r, ratio, None, 4)) for r in progress.over(entered, "more laps")
@@ -160,17 +173,16 @@ def run_race(
     if not rivals:
         return None
     n = fitted.problem.n_points
-    for (constant, share), laps in ((_FIRST_LAP, 4), (_SECOND_LAP, 6)):
-        best = min(r.descent.cost for r in rivals)
-        for rival in progress.over(rivals, "more laps"):
-            behind = n * np.log(max(rival.descent.cost, 1e-300) / max(best, 1e-300))
-            if behind <= constant + share * n and not rival.descent.converged:
-                rival.descent = _continued(fitted, rival, ratio, None, laps)
+    _run_laps(fitted, rivals, ratio, progress)
+    for _ in range(_EXCHANGES):
+        if not _exchange(fitted, rivals, ratio):
+            break
+        _run_laps(fitted, rivals, ratio, progress)
     for rival in rivals:
         rival.free_run = rival.descent
     whitener = _whitener_of(min(rivals, key=lambda r: r.descent.cost))
     best = min(r.descent.cost for r in rivals)
-    near = best * np.exp(_SECOND_LAP[0] / n + _SECOND_LAP[1])
+    near = best * np.exp(_POLISHED[0] / n + _POLISHED[1])
     polished = [r for r in rivals if r.descent.cost <= near]
     for evaluations in (10, 6):
         for rival in progress.over(polished, "polishing"):
@@ -181,13 +193,62 @@ def run_race(
             break
     with progress.step("substeps"):
         whitener = _settle_substeps(fitted, polished, ratio, whitener)
-    for rival in rivals:
-        rival.log_likelihood = _log_likelihood(rival, whitener)
-    rivals.sort(key=lambda r: -r.log_likelihood)
+    _settle(fitted, rivals, ratio, whitener, progress)
     white = whitener.apply(fitted.residuals(ratio))
-    return Race(
-        fitted, rivals, ratio, whitener, -0.5 * (float(white @ white) + _prior(fitted.problem, fitted.point))
-    )
+    base = -0.5 * (float(white @ white) + _prior(fitted.problem, fitted.point))
+    # each holds the model without it: one that is less likely is no estimate
+    rivals = [r for r in rivals if r.log_likelihood + _penalty(r, white.size) >= base - _LACK]
+    rivals.sort(key=lambda r: -r.log_likelihood)
+    return Race(fitted, rivals, ratio, whitener, base) if rivals else None
+
+
+def _settle(
+    fitted: Fitted, rivals: Sequence[Rival], ratio: float, whitener: Whitener, progress: Progress
+) -> None:
+    """Likelihoods, each with its certificate: polished until what it lacks cannot change the order."""
+    open_, rounds = list(rivals), 0
+    while open_:
+        for rival in open_:
+            rival.log_likelihood = _log_likelihood(rival, whitener)
+            rival.lack = lacking(rival.candidate.problem, rival.descent, whitener)
+        top = max(r.log_likelihood for r in rivals)
+        for rival in rivals:
+            rival.settled = rival.lack <= max(_LACK, _LACK_SHARE * (top - rival.log_likelihood))
+        open_, rounds = [r for r in rivals if not r.settled], rounds + 1
+        if rounds > _ROUNDS:
+            break
+        for rival in progress.over(open_, "polishing"):
+            rival.descent = _continued(fitted, rival, ratio, whitener, 10, 1e-9)
+
+
+def _run_laps(fitted: Fitted, rivals: Sequence[Rival], ratio: float, progress: Progress) -> None:
+    """Laps until each stands at a minimum, or where what it lacks cannot bring it near the best."""
+    n = fitted.problem.n_points
+    for laps in _LAPS:
+        best = min(r.descent.cost for r in rivals)
+        for rival in progress.over(rivals, "more laps"):
+            behind = 0.5 * n * np.log(max(rival.descent.cost, 1e-300) / max(best, 1e-300))
+            share = rival.descent.lack / max(rival.descent.cost, 1e-300)
+            lack = -0.5 * n * np.log1p(-min(share, 1 - 1e-12))
+            if lack > max(_LACK, _LACK_SHARE * behind):
+                rival.descent = _continued(fitted, rival, ratio, None, laps)
+
+
+def _exchange(fitted: Fitted, rivals: Sequence[Rival], ratio: float) -> bool:
+    """Start the laws at the leader's place again from the leader's force; whether any gained."""
+    n = fitted.problem.n_points
+    leader = min(rivals, key=lambda r: r.descent.cost)
+    gained = False
+    for rival in rivals:
+        behind = n * np.log(max(rival.descent.cost, 1e-300) / max(leader.descent.cost, 1e-300))
+        if rival is leader or behind <= _AS_GOOD:
+            continue
+        gain = gain_for(fitted, rival.candidate, ratio)
+        for point in imitated(leader.candidate, leader.descent.point, rival.candidate):
+            again = descend(rival.candidate.problem, point, gain=gain, evaluations=4)
+            if n * np.log(max(again.cost, 1e-300) / max(rival.descent.cost, 1e-300)) < -_AS_GOOD:
+                rival.descent, gained = again, True
+    return gained
 
 
 def _settle_substeps(fitted: Fitted, rivals: Sequence[Rival], ratio: float, whitener: Whitener) -> Whitener:
@@ -209,105 +270,30 @@ def _settle_substeps(fitted: Fitted, rivals: Sequence[Rival], ratio: float, whit
     return whitener
 
 
-def _gain(fitted: Fitted, candidate: Candidate, ratio: float) -> Array | None:
-    """One gain for all, so that all are compared in the same metric."""
-    gain = fitted.gain(ratio)
-    if gain is None:
-        return None
-    return np.pad(gain, ((0, candidate.problem.n_states - gain.shape[0]), (0, 0)))
-
-
-def _laps(task: tuple[Fitted, Candidate, float, bool]) -> Rival | None:
+def _laps(task: tuple[Fitted, Candidate, float, bool, bool]) -> Rival | None:
     """First laps of one candidate: from absent, and from where an observer takes it."""
-    fitted, candidate, ratio, thorough = task
+    fitted, candidate, ratio, thorough, strong = task
     problem = candidate.problem
-    gain = _gain(fitted, candidate, ratio)
+    gain = gain_for(fitted, candidate, ratio)
     starts = candidate.starts[: 6 if thorough else _SHAPES]
     if thorough:
-        points = [*starts, *(_observed(fitted, candidate, start, ratio) for start in starts)]
+        points = [*starts, *(observed(fitted, candidate, start, ratio) for start in starts)]
         runs = [descend(problem, point, gain=gain, evaluations=12) for point in points]
     else:
         points = list(starts)
         if len(starts) == 1:
-            points += _regressed(fitted, candidate)
+            points += regressed(fitted, candidate)
         else:
-            points += [_observed(fitted, candidate, start, ratio) for start in starts[:2]]
+            points += [observed(fitted, candidate, start, ratio) for start in starts[:2]]
         runs = []
-        for group in (points, _at_home(problem, points)):
-            costs = [_plain_cost(problem, point, gain) for point in group]
+        for group in (points, at_home(problem, points)):
+            costs = [plain_cost(problem, point, gain) for point in group]
             order = np.argsort(costs)[: 1 if len(starts) == 1 else 2]
             runs += [descend(problem, group[i], gain=gain, evaluations=4) for i in order]
+    if strong or thorough:
+        runs += [led(fitted, candidate, start, ratio) for start in starts[: 3 if thorough else 1]]
     best = min(runs, key=lambda run: run.cost)
     return Rival(candidate, best) if np.isfinite(best.cost) else None
-
-
-def _at_home(problem: Problem, points: Sequence[Array]) -> list[Array]:
-    """The same points with the linear parameters as declared: the fit without the effect bent them."""
-    held = np.isfinite(problem.prior_sd)
-    found = []
-    for point in points:
-        theta, starts = problem.unpack(point)
-        home = np.where(held, problem.prior_mean, theta)
-        if np.any(np.abs(home - theta) > _BENT * problem.prior_sd, where=held):
-            found.append(problem.pack(home, starts))
-    return found
-
-
-def _regressed(fitted: Fitted, candidate: Candidate) -> list[Array]:
-    """One linear step per observer: right where the law is linear in its coefficients."""
-    problem, start = candidate.problem, candidate.starts[0]
-    p, q = fitted.problem.n_theta, problem.n_theta
-    points = []
-    for observer in _OBSERVERS:
-        columns = candidate.columns.get(observer)
-        if columns is None or columns[0].shape[2] != q - p:
-            continue
-        blocks = fitted.blocks(observer)
-        r = np.concatenate([block.ravel() for block, _ in blocks])
-        J = np.concatenate(
-            [
-                np.concatenate([jacobian[:, :, :p], column], axis=2).reshape(block.size, q)
-                for (block, jacobian), column in zip(blocks, columns, strict=True)
-            ]
-        )
-        held = np.isfinite(problem.prior_sd)
-        rows = np.diag(1.0 / problem.prior_sd[held])
-        J = np.vstack([J, np.pad(rows, ((0, 0), (0, 0))) @ np.eye(q)[held]]) if held.any() else J
-        theta = problem.unpack(start)[0]
-        pull = (theta[held] - problem.prior_mean[held]) / problem.prior_sd[held]
-        size = np.linalg.norm(J, axis=0)
-        size[size == 0] = 1.0
-        step = (
-            np.linalg.lstsq((J / size).T @ (J / size), -(J / size).T @ np.append(r, pull), rcond=1e-10)[0]
-            / size
-        )
-        point = start.copy()
-        point[:q] += step
-        points.append(problem.inside(point))
-    return points
-
-
-def _observed(fitted: Fitted, candidate: Candidate, start: Array, ratio: float) -> Array:
-    """Where observer-led fits of falling gain take a start."""
-    problem, point = candidate.problem, start
-    for observer in _OBSERVERS:
-        if observer > ratio:
-            gain = _gain(fitted, candidate, observer)
-            point = descend(problem, point, gain=gain, evaluations=4, tolerance=1e-2).point
-    return problem.pack(problem.unpack(point)[0], problem.unpack(start)[1])
-
-
-def _plain_cost(problem: Problem, point: Array, gain: Array | None) -> float:
-    """Half the sum of squares, without derivatives; inf where the simulation blows up."""
-    theta, starts = problem.unpack(problem.inside(point))
-    total = 0.0
-    for engine, start in zip(problem.engines, starts, strict=True):
-        run = engine.run(theta, start, sensitivity=False, gain=gain, check=False)
-        error = problem.weights[:, None] * (run.outputs - engine.data.outputs)
-        if run.blew_up >= 0 or not np.isfinite(error).all():
-            return np.inf
-        total += 0.5 * float(np.sum(error**2))
-    return total
 
 
 def _continued(
@@ -321,7 +307,7 @@ def _continued(
     return descend(
         rival.candidate.problem,
         rival.descent.point,
-        gain=_gain(fitted, rival.candidate, ratio),
+        gain=gain_for(fitted, rival.candidate, ratio),
         whitener=whitener,
         evaluations=evaluations,
         tolerance=tolerance,
@@ -346,15 +332,26 @@ def _prior(problem: Problem, point: Array) -> float:
 def _log_likelihood(rival: Rival, whitener: Whitener) -> float:
     """Each coefficient beyond the first costs half the log of the number of samples."""
     white = whitener.apply([r for r, _ in _blocks(rival)])
-    penalty = max(rival.n_coefficients - 1, 0) * np.log(white.size)
     prior = _prior(rival.candidate.problem, rival.descent.point)
-    return -0.5 * (float(white @ white) + prior + float(penalty))
+    return -0.5 * (float(white @ white) + prior) - _penalty(rival, white.size)
+
+
+def _penalty(rival: Rival, samples: int) -> float:
+    return 0.5 * max(rival.n_coefficients - 1, 0) * float(np.log(samples))
+
+
+def _words(rival: Rival) -> list[str]:
+    """How far its fit got, and what stands at a bound."""
+    bound = rival.candidate.problem.at_bound(rival.descent.point, rival.descent.slopes)
+    far = "Not polished: far behind the best candidate." if rival.settled else "Not converged."
+    state = "Converged." if rival.converged else far
+    return [state, f"At its bound: {', '.join(bound)}."] if bound else [state]
 
 
 def _model(fitted: Fitted, rival: Rival, whitener: Whitener, ratio: float) -> Fitted:
     """The rival as a refinement; its covariance is that of generalized least squares."""
     problem, point = rival.candidate.problem, rival.descent.point
-    gain = _gain(fitted, rival.candidate, ratio)
+    gain = gain_for(fitted, rival.candidate, ratio)
     blocks = _blocks(rival)
     white = whitener.apply([r for r, _ in blocks])
     J = whitener.apply([j for _, j in blocks])
@@ -362,11 +359,13 @@ def _model(fitted: Fitted, rival: Rival, whitener: Whitener, ratio: float) -> Fi
     prior = np.zeros(problem.size)
     prior[: problem.n_theta][held] = problem.prior_sd[held] ** -2.0
     size = np.linalg.norm(J, axis=0)
-    size[size == 0] = 1.0
+    unfelt = np.flatnonzero(size <= 1e-100 * size.max())
+    size[unfelt] = 1.0
     information = (J / size).T @ (J / size) + np.diag(prior / size**2)
     freedom = max(white.size - problem.size, 1)
     scale = float(white @ white) / freedom
     covariance = scale * np.linalg.pinv(information, rcond=1e-12, hermitian=True) / np.outer(size, size)
+    covariance[unfelt, unfelt] = np.inf
     p = problem.n_theta
     spread = np.sqrt(np.maximum(np.diag(covariance)[:p], 0.0))
     old = fitted.refinement
@@ -388,8 +387,8 @@ def _model(fitted: Fitted, rival: Rival, whitener: Whitener, ratio: float) -> Fi
         initial_states=starts.copy(),
         substeps=problem.engines[0].substeps,
         residual_orders=whitener.orders,
-        success=rival.descent.converged,
-        message="Converged." if rival.descent.converged else "Not polished: far behind the best candidate.",
+        success=rival.converged,
+        message=" ".join(_words(rival)),
         warnings=(),
     )
     extended = Fitted(refinement, problem, point, fitted.tolerance, fitted.force_at)
