@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -34,11 +34,14 @@ class Explanation:
         Twice the log-likelihood that it adds.
     values : ndarray
         What was fitted: coefficients, then what was searched for.
+    level : ndarray of shape (n_y, N) or None
+        What it says about constant offsets, of which `fit` is free; None for nothing.
     """
 
     fit: Array
     gain: float
     values: Array
+    level: Array | None = None
 
 
 class Evidence:
@@ -120,11 +123,11 @@ class Evidence:
             out[:, a:b] = (flat - basis @ best).reshape(self.n_outputs, b - a)
         return out
 
-    def after(self, fit: Array) -> Evidence:
-        """Evidence on what an explanation leaves."""
+    def after(self, fit: Array, whole: Array) -> Evidence:
+        """Evidence on what an explanation leaves, beside constant offsets and with them."""
         rest = copy.copy(self)
         rest.residual = self.residual - fit
-        rest.with_offset = self.with_offset - fit
+        rest.with_offset = self.with_offset - whole
         rest.use(rest.residual)
         rest.base = rest.log_likelihood(rest.residual)
         return rest
@@ -169,7 +172,8 @@ class Evidence:
         white = np.array([self._filtered(c) for c in left]).T
         values = _least_squares(white, self._white)
         fit = np.tensordot(values, np.array(left), 1)
-        return Explanation(fit, self.gain(fit), values)
+        whole = self._initial_out(np.tensordot(values, np.array(columns), 1))
+        return Explanation(fit, self.gain(fit), values, whole - fit)
 
     def best_of(self, groups: Sequence[Sequence[Array]], most: int = 3) -> list[tuple[int, Explanation]]:
         """The groups of columns that explain most under the present noise model, each judged."""
@@ -215,9 +219,8 @@ class Evidence:
                 best = float(found.x)
         if scaled:
             linear = self.linear([shape(best)])
-            return Explanation(linear.fit, linear.gain, np.append(linear.values, best))
-        fit = self.without_nuisance(shape(best))
-        return Explanation(fit, self.gain(fit), np.array([best]))
+            return replace(linear, values=np.append(linear.values, best))
+        return self._explained(shape(best), np.array([best]))
 
     def descended(
         self, shape: Callable[[Array], Array], start: Array, *, iterations: int = 8, step: float = 1e-3
@@ -248,11 +251,27 @@ class Evidence:
             point, error, damping = point + np.clip(move, -0.5, 0.5), trial, damping * 0.2
             if done:
                 break
-        fit = self.without_nuisance(shape(point))
-        return Explanation(fit, self.gain(fit), point)
+        return self._explained(shape(point), point)
+
+    def _explained(self, shape: Array, values: Array) -> Explanation:
+        fit = self.without_nuisance(shape)
+        return Explanation(fit, self.gain(fit), values, self._initial_out(shape) - fit)
+
+    def whole(self, one: Explanation) -> Array:
+        """What an explanation takes off the error, the constant offset included where that fits."""
+        if one.level is None:
+            return one.fit
+        both = one.fit + one.level
+        return max(one.fit, both, key=lambda part: -float(np.sum((self.with_offset - part) ** 2)))
+
+    def share_of_error(self, part: Array) -> float:
+        """Share of the error's energy, constant offsets included, that a part takes away, 0 to 1."""
+        total = float(np.sum(self.with_offset**2))
+        left = float(np.sum((self.with_offset - part) ** 2))
+        return float(np.clip(1.0 - left / total, 0.0, 1.0)) if total > 0 else 0.0
 
     def share(self, fit: Array) -> float:
-        """Share of the residual's energy that an explanation takes away, 0 to 1."""
+        """Share of the energy beside constant offsets that an explanation takes away, 0 to 1."""
         total = float(np.sum(self.residual**2))
         left = float(np.sum((self.residual - fit) ** 2))
         return float(np.clip(1.0 - left / total, 0.0, 1.0)) if total > 0 else 0.0

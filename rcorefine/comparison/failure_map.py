@@ -33,6 +33,7 @@ _RIVAL = 0.5
 _EQUAL = 0.9
 _SOME = 0.1  # ... of the best row of its dimension
 _MUCH = 4.0
+_REMAINS = 0.02  # of its worth: what a row may add to the leader that causes it
 _BESIDES = 2
 _LEAST = 0.005  # of the error's energy that a second failure must explain
 _SHOWN = 10
@@ -290,38 +291,63 @@ def _rows(scene: Scene) -> tuple[Failure, ...]:
     if not ranked:
         return ()
     rows = [_row(ranked[0], scene, count, "first", whole)]
-    fit = ranked[0].explanation.fit
+    fit, all_of_it = ranked[0].explanation.fit, whole.whole(ranked[0].explanation)
     lead = whole.share(fit)
     shown = [_region(ranked[0])]
     for _ in range(_BESIDES):
-        scene.evidence, scene.known, scene.laws = whole.after(fit), {}, None
+        scene.evidence, scene.known, scene.laws = whole.after(fit, all_of_it), {}, None
         left = [
             f
             for f in _ranked(_searched(scene), scene, count)
             if f.dimension != "place"
             and _region(f) not in shown
-            and whole.share(fit + f.explanation.fit) - whole.share(fit) >= _LEAST
+            and max(
+                whole.share(fit + f.explanation.fit) - whole.share(fit),
+                scene.evidence.share_of_error(scene.evidence.whole(f.explanation))
+                * (1.0 - whole.share_of_error(all_of_it)),
+            )
+            >= _LEAST
         ]
         if not left:
             break
         rows.append(_row(left[0], scene, count, "besides", whole))
         shown.append(_region(left[0]))
-        fit = fit + left[0].explanation.fit
+        fit, all_of_it = fit + left[0].explanation.fit, all_of_it + scene.evidence.whole(left[0].explanation)
     scene.evidence = whole
     dimensions = {ranked[0].dimension}
     for f in ranked[1:]:
         share = whole.share(f.explanation.fit)
         # the best row of each dimension, and what explains nearly as much as the leader
-        if share >= _RIVAL * lead or (f.dimension not in dimensions and share >= _SOME * lead):
+        seen = share >= _RIVAL * lead or (f.dimension not in dimensions and share >= _SOME * lead)
+        if seen and not _follows(f, ranked[0], whole):
             rows.append(_row(f, scene, count, "instead", whole))
             dimensions.add(f.dimension)
     return tuple(rows[:_SHOWN])
 
 
+def _follows(f: Finding, leader: Finding, whole: Evidence) -> bool:
+    """Whether a row is but a consequence of the leader, and no view of the error by its own right.
+
+    Beside the leader it says nothing more, while the leader beside it does (or says the same
+    with fewer numbers). Bands and places only describe where the error lies: they stay.
+    """
+    if f.dimension == "place" or f.measure == "band":
+        return False
+    price = float(np.log(whole.n_samples))
+
+    def more(one: Finding, than: Finding) -> float:
+        left = whole.after(than.explanation.fit, than.explanation.fit)
+        return left.linear([one.explanation.fit]).gain
+
+    if more(f, leader) > max(f.dof * price, _REMAINS * f.explanation.gain):
+        return False
+    return more(leader, f) > leader.dof * price or (f.dimension == leader.dimension and f.dof > leader.dof)
+
+
 def _row(f: Finding, scene: Scene, count: int, role: str, whole: Evidence) -> Failure:
     return Failure(
         f.dimension, f.where, f.measure, f.explanation.gain, _p_value(f, scene, count),
-        whole.share(f.explanation.fit), f.sentence, role, f.values,
+        whole.share_of_error(whole.whole(f.explanation)), f.sentence, role, f.values,
     )  # fmt: skip
 
 

@@ -26,6 +26,7 @@ def input_laws(scene: Scene) -> list[Finding]:
         levels = np.unique(np.quantile(size, np.linspace(0.05, 0.98, 24)))
         levels = levels[levels > 0]
         spread = float(w.std())
+        plain = scene.evidence.linear(scene.driven([(j, w)]))
         searches: tuple[tuple[str, Callable[[Array, float], Array], str, str], ...] = (
             (
                 "dead zone",
@@ -50,6 +51,8 @@ def input_laws(scene: Scene) -> list[Finding]:
             if levels.size < 3:
                 continue
             one = scene.evidence.searched(shape, levels[::2], scaled=True)
+            if one.gain <= plain.gain + np.log(scene.n_samples):
+                continue  # it is but the gain: the level lies where the input hardly comes
             g = float(one.values[-1])
             text = {"n": name, "g": f"{g:.3g}{' ' + unit if unit else ''}"}
             found.append(

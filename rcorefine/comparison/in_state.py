@@ -21,6 +21,8 @@ __all__ = ["forces_at_places"]
 _STEPS = 6
 _WORTH = 30.0  # twice the log-likelihood from which on a law is tried in the loop
 _FINE = 8
+_SEEN = 0.1  # of a response, beside offset and initial state, from which on it can be told from them
+_UNLIKE = 0.2  # of the larger of two steps, from which on they count as different
 _QUANTILES = (0.3, 0.5, 0.65, 0.8, 0.9)
 
 
@@ -56,6 +58,7 @@ def forces_at_places(scene: Scene) -> list[Finding]:
         cuts = np.cumsum([len(law["forces"]) for law in laws])[:-1]
         groups = [columns[a:b] for a, b in zip([0, *cuts], [*cuts, len(columns)], strict=True)]
         curved = [k for k, law in enumerate(laws) if not law["linear"]]
+        curved = [k for k in curved if laws[k]["name"] != "dry by direction" or _apart(scene, *groups[k])]
         judged = scene.evidence.best_of([groups[k] for k in curved])
         found += [_finding(place, laws[curved[k]], one, len(laws) * count) for k, one in judged]
         if judged:
@@ -78,7 +81,7 @@ def forces_at_places(scene: Scene) -> list[Finding]:
                 len(together),
                 count,
                 f"A force at {place.name} that follows the motion there would explain "
-                f"{100 * scene.evidence.share(whole.fit):.3g} % of the error.",
+                f"{100 * scene.evidence.share_of_error(scene.evidence.whole(whole)):.3g} % of the error.",
                 {"place": place.name, "kind": "force"},
             )
         )
@@ -93,7 +96,7 @@ def forces_at_places(scene: Scene) -> list[Finding]:
                 len(straight),
                 count,
                 f"A change of the linear law at {place.name} alone would explain "
-                f"{100 * scene.evidence.share(linear.fit):.3g} % of the error.",
+                f"{100 * scene.evidence.share_of_error(scene.evidence.whole(linear)):.3g} % of the error.",
                 {"place": place.name, "kind": "linear force"},
             )
         )
@@ -101,6 +104,16 @@ def forces_at_places(scene: Scene) -> list[Finding]:
         if gain > _WORTH:
             found.append(_finding(place, *_settled(scene, index, law, one), tried))
     return found
+
+
+def _apart(scene: Scene, forward: Array, backward: Array) -> bool:
+    """Whether steps that differ with the direction would show as more than a constant offset."""
+    both = forward - backward
+    left = scene.evidence.without_nuisance(both)
+    if np.linalg.norm(left) < _SEEN * np.linalg.norm(both):
+        return False
+    steps = scene.evidence.linear([forward, backward]).values
+    return bool(min(steps * np.sign(steps.sum())) > 0 and np.ptp(steps) > _UNLIKE * np.abs(steps).max())
 
 
 def _settled(

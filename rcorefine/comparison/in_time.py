@@ -19,6 +19,9 @@ __all__ = ["clipping", "delays", "drifts", "pinned", "signs", "stretches"]
 _SHORTEST = 8  # samples of a stretch: less is an outlier
 _RESTING = 0.2  # share of a record above which its extreme is where the output rests
 _STILL = 0.2  # of the usual movement, below which an output hangs
+_NEAR = 3  # samples around the edge of a stretch
+_JUMP = 4.0  # times the usual step between samples, from which on it is a jump
+_FAST = 0.3  # usual step over the spread of a signal, from which on jumps are no sign of anything
 _LOUDER = 2.0  # times the error elsewhere, from which on a stretch is one
 _SLOW = 6  # half-waves over the record that count as drift
 
@@ -70,13 +73,14 @@ def _stretch(scene: Scene, i: int, masked: NDArray[np.bool_]) -> Finding | None:
     fit[a0:b0] += left[a0:b0] * max(1.0 - outside_level / max(inside_level, 1e-300), 0.0)
     fits = np.zeros_like(scene.residual)
     fits[i] = fit
-    stuck = _stuck(scene, i, a0, b0)
+    seen = scene.measured[i]
+    hangs = _jumps(seen, a0, b0)
+    stuck = _stuck(scene, i, a0, b0) if hangs else None
     gain, dof, measure = worth, 3, "error level"
     text = "the error is larger than anywhere else: a disturbance or a change"
     if stuck is not None and stuck.gain > gain:
         gain, dof, fits = stuck.gain, 4, stuck.fit
-    seen = scene.measured[i]
-    if stuck is not None or seen[a0:b0].std() < _STILL * np.delete(seen, slice(a0, b0)).std():
+    if stuck is not None or (hangs and seen[a0:b0].std() < _STILL * np.delete(seen, slice(a0, b0)).std()):
         measure = "dropout"
         text = "the output does not follow the model at all: the record dropped out or hung"
     start, stop = scene.time(a0), scene.time(b0)
@@ -175,6 +179,21 @@ def _worth(r: Array, left: Array, masked: NDArray[np.bool_], a: int, b: int, ord
     return float(total.size * np.log(np.mean(total**2) + 1e-300) - own_levels)
 
 
+def _jumps(seen: Array, a: int, b: int) -> bool:
+    """Whether a record jumps where a stretch begins or ends: one that hangs must catch up.
+
+    What moves fast against the sampling jumps anywhere, but does not rest by itself either.
+    """
+    steps = np.abs(np.diff(seen))
+    near = np.zeros(steps.size, dtype=bool)
+    for edge in (a, b):
+        near[max(edge - _NEAR, 0) : edge + _NEAR] = 0 < edge < seen.size
+    if not near.any() or near.all():
+        return False
+    usual = float(np.sqrt(np.mean(steps[~near] ** 2)))
+    return usual > _FAST * seen.std() or float(steps[near].max()) > _JUMP * usual
+
+
 def _stuck(scene: Scene, i: int, a: int, b: int) -> Explanation | None:
     """Within a..b the record shows a constant instead of the output."""
     run = np.zeros_like(scene.residual)
@@ -231,14 +250,13 @@ def _offset(scene: Scene, i: int) -> Finding:
     kept = evidence.residual.copy()
     kept[i] += height * constant[i]
     gain = -evidence.gain(evidence.residual - kept)
-    fit = np.zeros_like(scene.residual)
-    fit[i] = height
+    nothing = np.zeros_like(scene.residual)  # all rows are judged beside constant offsets
     size = height * scene.scale[i, 0]
     return Finding(
         "time",
         f"whole record, {scene.named(i)}",
         "offset",
-        Explanation(fit, gain, np.array([height])),
+        Explanation(nothing, gain, np.array([height]), height * constant),
         1,
         1,
         f"{scene.named(i)} lies {size:+.3g}{_unit(scene, i)} off the model throughout: zero of the sensor, "
@@ -300,7 +318,8 @@ def signs(scene: Scene) -> list[Finding]:
         column = np.zeros_like(scene.run)
         column[i] = scene.run[i]
         # the initial state was estimated with this output as it is: it may be another one
-        one = scene.evidence.linear([column, *scene.free(i)])
+        starts = scene.free(i)
+        one = scene.evidence.linear([column, *starts])
         factor = 1.0 + float(one.values[0])
         name = scene.named(i)
         if -1.3 < factor < -0.7:
@@ -310,7 +329,7 @@ def signs(scene: Scene) -> list[Finding]:
                     f"whole record, {name}",
                     "sign",
                     one,
-                    1 + scene.model.n_states,
+                    1 + len(starts),
                     1,
                     f"{name} has the wrong sign: it is {factor:.3g} times the model's throughout.",
                     {"output": name, "factor": factor, "kind": "sign"},
@@ -323,7 +342,7 @@ def signs(scene: Scene) -> list[Finding]:
                     f"all frequencies, {name}",
                     "gain",
                     one,
-                    1 + scene.model.n_states,
+                    1 + len(starts),
                     1,
                     f"{name} is {factor:.4g} times the model's at all frequencies: a gain is wrong.",
                     {"output": name, "factor": factor, "kind": "gain", "low": 0.0, "high": np.inf},
