@@ -17,6 +17,7 @@ from ..measurement import Measurement
 from ..physics.effects import Effect
 from ..refinement.refinement import Refinement
 from ..systems.linear import Array
+from .absorbed import what_was_absorbed
 from .whitening import FTest
 
 if TYPE_CHECKING:
@@ -251,6 +252,7 @@ class Diagnosis:
         lines = [_VERDICTS[self.verdict].format(best=self._best_text(), alike=self._alike_text())]
         worst = min(self.tests, key=lambda t: t.p_value) if self.tests else None
         if self.verdict == "adequate":
+            lines[0] = f"{lines[0]} {what_was_absorbed(self.base)}".rstrip()
             lines.append(
                 f"No test fires at the level {self.significance:g}"
                 + (f" (smallest p-value {worst.p_value:.2g}, {worst.name})." if worst else ".")

@@ -1,0 +1,54 @@
+"""What a fit took up before nothing was missing: offsets and parameters, in words."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..refinement.refinement import EstimatedParameter, Refinement
+
+__all__ = ["what_was_absorbed"]
+
+_SURE = 3.0  # standard deviations from which on a number has moved
+_MOST = 6  # numbers that are listed
+
+
+def what_was_absorbed(base: Refinement) -> str:
+    """What lies between the model as it was given and one from which nothing is missing.
+
+    Parameters
+    ----------
+    base : Refinement
+        The model with its nuisances and free parameters fitted.
+
+    Returns
+    -------
+    str
+        One sentence, empty where no number moved by more than chance.
+    """
+    moved = [
+        row
+        for row in base.parameters
+        if row.role != "effect" and abs(row.value - row.initial) > _SURE * row.std
+    ]
+    if not moved:
+        return ""
+    moved.sort(key=lambda row: -abs(row.value - row.initial) / max(row.std, 1e-300))
+    said = [_one(row) for row in moved[:_MOST]]
+    if len(moved) > _MOST:
+        said.append(f"{len(moved) - _MOST} numbers more")
+    return (
+        f"To get there the fit absorbed {', '.join(said)}: the free run of the initial model explains "
+        f"{_percent(base.initial_fit)} of the record, with that {_percent(base.fit)}."
+    )
+
+
+def _one(row: EstimatedParameter) -> str:
+    unit = f" {row.unit}" if row.unit else ""
+    if row.role == "offset":
+        return f"an offset of {row.value:.3g}{unit} at {row.place}"
+    change = f" ({100 * (row.value / row.initial - 1):+.3g} %)" if row.initial else ""
+    return f"{row.name} from {row.initial:.4g} to {row.value:.4g}{unit}{change}"
+
+
+def _percent(fit: np.ndarray) -> str:
+    return " / ".join(f"{value:.4g} %" for value in np.atleast_1d(fit))
