@@ -11,7 +11,7 @@ import numpy as np
 from ..exceptions import DataError, DivergenceError
 from ..measurement import Measurement
 from ..physics.physical_model import PhysicalModel
-from ..physics.simulation import simulate
+from ..physics.simulation import simulate, unjudged_samples
 from ..physics.windows import free_runs
 from ..spectral import FrequencyResponse
 from ..systems.linear import Array, LinearModel
@@ -140,12 +140,19 @@ def compare(
         if hold != data.hold
     ]
     data.check_excitation("compare", stacklevel=2)
+    hidden = _hidden(models, channels, data, x0, windows[0].stop)
     runs, starts, states = [], [], []
     for each, flat, places, name in zip(models, linear, channels, names, strict=True):
-        run, start, motion = _simulate(each, flat, places, data, x0, windows, name, outputs)
+        run, start, motion = _simulate(each, flat, places, data, x0, windows, hidden, name, outputs)
         runs.append(run)
         starts.append(start)
         states.append(motion)
+    if hidden:
+        notes.append(
+            f"the first {hidden} sample(s) are not compared: by a delay of the model they hang on what was "
+            "before the record"
+        )
+        data = data.segment(float(data.timepts[hidden]))
     straight = tuple(
         aligned(each, places, data, outputs).with_arrays(name=name)
         for each, places, name in zip(linear, channels, names, strict=True)
@@ -161,7 +168,7 @@ def compare(
             for each, flat, where in zip(models, straight, channels, strict=True)
         ),
         initial_states=tuple(starts),
-        starts=tuple(int(window.start) for window in windows),
+        starts=tuple(max(0, int(window.start) - hidden) for window in windows),
         horizon=None if horizon is None else float(horizon),
         x0=x0 if isinstance(x0, str) else "given",
         holds=tuple(holds),
@@ -199,6 +206,16 @@ def _hold(model: Any) -> str | None:
     return physical.hold if isinstance(physical, PhysicalModel) else None
 
 
+def _hidden(
+    models: Sequence[Any], channels: Sequence[Channels], data: Measurement, x0: Any, first: int
+) -> int:
+    """First samples that a delay hides from one of the models where its initial state is estimated."""
+    if not (isinstance(x0, str) and x0 == "estimate"):
+        return 0
+    lost = [unjudged_samples(m, record_for(data, places)) for m, places in zip(models, channels, strict=True)]
+    return min(max(lost), first // 2)
+
+
 def _simulate(
     model: Any,
     linear: LinearModel,
@@ -206,10 +223,14 @@ def _simulate(
     data: Measurement,
     x0: Any,
     windows: list[slice],
+    hidden: int,
     name: str,
     outputs: Sequence[int],
 ) -> tuple[Array, Array, Array]:
-    """Outputs (compared ones, in the record's order), the initial state of each window, and the states."""
+    """Outputs (compared ones, in the record's order), the initial state of each window, and the states.
+
+    Each window begins `hidden` samples early, and these are left out.
+    """
     record = record_for(data, channels)
     rows = [i for i, place in enumerate(channels.outputs) if place >= 0]
     if len(rows) < len(channels.outputs):
@@ -229,18 +250,20 @@ def _simulate(
     states = np.empty((len(windows), linear.n_states))
     motion = np.empty((linear.n_states, data.n_samples))
     for index, window in enumerate(windows):
+        early = min(hidden, window.start)
+        around = slice(window.start - early, window.stop)
         try:
-            simulation = simulate(model, _window(record, window) if len(windows) > 1 else record, start)
+            simulation = simulate(model, _window(record, around) if len(windows) > 1 else record, start)
         except DivergenceError as error:
             raise DivergenceError(_DIVERGED.format(name=name, why=error)) from error
-        run[:, window] = simulation.outputs[order]
-        states[index] = simulation.x0[: linear.n_states]
-        motion[:, window] = simulation.states[: linear.n_states]
+        run[:, window] = simulation.outputs[order][:, early:]
+        motion[:, window] = simulation.states[: linear.n_states, early:]
+        states[index] = motion[:, max(window.start, hidden)]
     if not np.isfinite(run).all():
         k = int(np.argmin(np.isfinite(run).all(axis=0)))
         why = f"its output is not finite from t = {data.timepts[k]:g} s on"
         raise DivergenceError(_DIVERGED.format(name=name, why=why))
-    return run, states, motion
+    return run[:, hidden:], states, motion[:, hidden:]
 
 
 def _window(record: Measurement, window: slice) -> Measurement:

@@ -40,18 +40,24 @@ class Battery:
         blocks = fitted.blocks(ratio)
         self.whitener = whitener or Whitener.fit([r for r, _ in blocks])
         self.residual = self.whitener.apply([r for r, _ in blocks])
+        self._judged = fitted.problem.judged(fitted.theta)
         self.basis = rank_basis(self.whitener.apply([j for _, j in blocks]))
         self.left = project(self.residual, self.basis)
 
     def test(self, name: str, blocks: Sequence[Array]) -> FTest:
         """F-test of columns given as blocks (n_y, N, k) per record."""
-        return f_test(name, self.left, self.whitener.apply(blocks), self.basis)
+        return f_test(name, self.left, self.whiten(blocks), self.basis)
+
+    def whiten(self, blocks: Sequence[Array]) -> Array:
+        """Columns (n_y, N, k) per record, whitened as the residual is; nothing where it is not judged."""
+        judged = [weight[:, :, None] * block for weight, block in zip(self._judged, blocks, strict=True)]
+        return self.whitener.apply(judged)
 
     def each(self, candidates: Sequence[Candidate]) -> list[FTest]:
         """F-test of each candidate on its own."""
         columns = [c.columns[self.ratio] for c in candidates]
         joined = [np.concatenate(parts, axis=2) for parts in zip(*columns, strict=True)]
-        white = self.whitener.apply(joined)
+        white = self.whiten(joined)
         size = np.linalg.norm(white, axis=0)
         left = project(white, self.basis)
         tests, first = [], 0
@@ -137,7 +143,7 @@ def _at_once(fitted: Fitted) -> NDArray[np.bool_]:
     A held input needs a direct path for that. Where there is none, the input of the same sample
     says nothing about the model, and under feedback it is made of the noise of that sample.
     """
-    records = fitted.problem.records
+    records = [engine.data for engine in fitted.problem.engines]  # with the hold of the model
     direct = fitted.structure.matrices(fitted.theta).D[:, : records[0].n_inputs].real
     moved = np.concatenate([r.inputs for r in records], axis=1).std(axis=1)
     shown = np.concatenate([r.outputs for r in records], axis=1).std(axis=1)

@@ -212,9 +212,11 @@ def _own_columns(candidate: Candidate, ratio: float) -> list[Array]:
     for start in candidate.starts:
         if candidate.effect.kind in _SECANT:  # a difference: no derivatives, which take most of the time
             theta, states = problem.unpack(start)
+            judged = fitted.problem.judged(fitted.theta)
             for i, engine in enumerate(problem.engines):
                 run = engine.run(theta, states[i], sensitivity=False, gain=K, check=False)
-                residual = problem.weights[:, None] * (run.outputs - engine.data.outputs)
+                weights = problem.weights[:, None] * judged[i]
+                residual = weights * (run.outputs - engine.data.outputs)
                 ok = run.blew_up < 0 and np.isfinite(residual).all()
                 change = residual - fitted.blocks(ratio)[i][0] if ok else np.zeros_like(residual)
                 wide[i].append(change[:, :, None])

@@ -499,7 +499,7 @@ def _detectable(battery: Battery, scored: Sequence[Candidate], significance: flo
     for candidate in scored:
         if len(candidate.effect.coefficients) != 1 or len(candidate.starts) != 1:
             continue
-        white = battery.whitener.apply(candidate.columns[battery.ratio])
+        white = battery.whiten(candidate.columns[battery.ratio])
         size = float(np.linalg.norm(project(white[:, :1], battery.basis)))
         if size > 1e-9 * max(float(np.linalg.norm(white[:, :1])), 1e-300):
             parameter = candidate.problem.structure.parameters[-1]

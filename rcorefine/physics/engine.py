@@ -26,6 +26,7 @@ from .structure import Structure
 __all__ = ["Engine", "Trajectory"]
 
 _PIECES = 16  # of a substep in which a friction force jumps
+_WHOLE = 0.05  # of a sample by which an estimated delay may exceed a whole number and count as one
 _NODES_FOR_DELAY = 8  # output nodes per sample where an output delay must be interpolated
 
 
@@ -67,17 +68,24 @@ class Engine:
     substeps : int, optional
         Substeps per sampling interval; 1 is exact for linear effects. Rounded up
         to a multiple of 4 for a band-limited input.
+    initial : ndarray, shape (n,), optional
+        Initial state, where it is known and not to be estimated. Zero means rest: nothing
+        acted before the record.
     """
 
-    def __init__(self, structure: Structure, data: Measurement, *, substeps: int = 1) -> None:
+    def __init__(
+        self, structure: Structure, data: Measurement, *, substeps: int = 1, initial: Array | None = None
+    ) -> None:
         data = structure.model.held(data)
         self.structure, self.data = structure, data
+        self._known_start = initial is not None
         if structure.output_delays:
             substeps = max(substeps, _NODES_FOR_DELAY)
         if data.hold == "bandlimited":
             substeps = BAND_LIMITED_FACTOR * -(-substeps // BAND_LIMITED_FACTOR)
         self.substeps = substeps
-        self._signal = InputSignal(data.inputs, data.dt, data.hold, substeps)
+        at_rest = initial is not None and not initial.any()
+        self._signal = InputSignal(data.inputs, data.dt, data.hold, substeps, at_rest)
         self._measured = np.ascontiguousarray(data.outputs.T)
         self._march = _kernel(structure)
 
@@ -190,6 +198,28 @@ class Engine:
             np.ascontiguousarray(F.T),
             int(blew_up),
         )
+
+    def unjudged(self, theta: Array) -> NDArray[np.int64]:
+        """First samples of each output that say nothing about the model, shape (n_y,).
+
+        Over one delay they hang on inputs, or on motion, from before the record, which nobody
+        knows. With an initial state that is free nothing else is lost there.
+        """
+        s = self.structure
+        lost = np.zeros(s.n_outputs, dtype=np.int64)
+        if self._known_start:
+            return lost
+        for index, effect in enumerate(s.effects):
+            if effect.kind not in ("input_delay", "output_delay"):
+                continue
+            delay = float(s.value(theta, index, "delay")) / self.data.dt
+            here = int(np.ceil(np.clip(delay - _WHOLE, 0.0, self.data.n_samples // 2)))
+            if effect.kind == "input_delay":
+                lost = np.maximum(lost, here)
+            else:
+                channel = s.linear_model.output_labels.index(effect.place)
+                lost[channel] = max(lost[channel], here)
+        return lost
 
     def _state_bound(self) -> float:
         """A scale above which no state of this record can be meant."""

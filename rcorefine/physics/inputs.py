@@ -74,10 +74,14 @@ class InputSignal:
         How the input runs between its samples.
     substeps : int
         Substeps per sampling interval; a multiple of 4 for "bandlimited".
+    at_rest : bool
+        Whether the input was zero before the first sample; else a delay brings in its
+        first value, for want of a better one.
     """
 
-    def __init__(self, inputs: Array, dt: float, hold: str, substeps: int) -> None:
+    def __init__(self, inputs: Array, dt: float, hold: str, substeps: int, at_rest: bool = False) -> None:
         self.inputs, self.dt, self.hold, self.substeps = inputs, dt, hold, substeps
+        self._before = 0.0 if at_rest else 1.0  # over the first value
         n = inputs.shape[1]
         self._fine: Array | None = None
         if hold == "bandlimited":
@@ -141,15 +145,17 @@ class InputSignal:
             means = []
             for signal in signals:
                 area = np.concatenate([[0.0], np.cumsum(signal) * self.dt])
-                integral = np.interp(edges, knots, area) + np.minimum(edges, 0.0) * signal[0]
+                integral = np.interp(edges, knots, area)
+                integral += np.minimum(edges, 0.0) * self._before * signal[0]
                 means.append(np.diff(integral) / width)
-            held = signals[:, np.clip(np.floor(samples / self.dt + 1e-9).astype(int), 0, n - 1)]
-            at_edges = signals[0][np.clip(np.floor(edges / self.dt + 1e-9).astype(int), 0, n - 1)]
+            levels = np.hstack([self._before * signals[:, :1], signals])  # before, then of each sample
+            held = levels[:, np.clip(np.floor(samples / self.dt + 1e-9).astype(int), -1, n - 1) + 1]
+            at_edges = levels[0][np.clip(np.floor(edges / self.dt + 1e-9).astype(int), -1, n - 1) + 1]
             return np.array(means), held, np.diff(at_edges) / width, np.zeros(n)
         step = self.dt / self.substeps
         grid = np.arange(signals.shape[1]) * step
         shifted = grid - delay
-        at_nodes = np.array([np.interp(shifted, grid, signal) for signal in signals])
+        at_nodes = np.array([np.interp(shifted, grid, s, left=self._before * s[0]) for s in signals])
         cell = np.clip(np.floor(shifted / step + 1e-9).astype(int), 0, len(grid) - 2)
         rate = np.where(shifted < 0, 0.0, np.diff(signals[0])[cell] / step)
         return at_nodes, at_nodes[:, :: self.substeps], rate, rate[:: self.substeps]

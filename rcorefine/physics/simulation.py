@@ -14,7 +14,7 @@ from ..systems.linear import Array, LinearModel
 from .engine import Engine
 from .structure import Structure
 
-__all__ = ["Simulation", "estimate_initial_state", "simulate", "structure_of"]
+__all__ = ["Simulation", "estimate_initial_state", "simulate", "structure_of", "unjudged_samples"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,6 +82,8 @@ def estimate_initial_state(engine: Engine, theta: Array, weights: Array | None =
     if weights is None:
         weights = 1.0 / np.maximum(y.std(axis=1), 1e-300 + 1e-12 * np.abs(y).max(axis=1))
         weights = np.where(np.isfinite(weights), weights, 1.0)
+    judged = np.arange(y.shape[1]) >= engine.unjudged(theta)[:, None]
+    weights = weights[:, None] * judged
     calm = theta.copy()
     if not engine.structure.is_linear:
         calm[engine.structure.port_columns] = 0.0  # without its nonlinear forces: a safe first guess
@@ -92,13 +94,13 @@ def estimate_initial_state(engine: Engine, theta: Array, weights: Array | None =
 
 
 def _gauss_newton(engine: Engine, theta: Array, x0: Array, weights: Array, iterations: int) -> Array:
-    """Damped Gauss-Newton on the initial state."""
+    """Damped Gauss-Newton on the initial state, each sample with a weight (n_y, N)."""
 
     def errors(point: Array, slope: bool) -> tuple[float, Array, Array]:
         run = engine.run(theta, point, sensitivity=False, initial_state=slope, check=False)
-        error = (weights[:, None] * (engine.data.outputs - run.outputs)).ravel()
+        error = (weights * (engine.data.outputs - run.outputs)).ravel()
         cost = float(error @ error) if run.blew_up < 0 and np.isfinite(error).all() else np.inf
-        return cost, error, (weights[:, None, None] * run.sensitivity).reshape(error.size, -1)
+        return cost, error, (weights[:, :, None] * run.sensitivity).reshape(error.size, -1)
 
     cost, error, jacobian = errors(x0, True)
     damping = 0.0
@@ -164,13 +166,22 @@ def simulate(model: Any, data: Measurement, x0: str | Array = "estimate") -> Sim
     if isinstance(inner, ct.StateSpace) and inner.dt != 0:
         return _simulate_discrete(LinearModel.from_statespace(inner), data, x0)
     structure, theta, substeps = structure_of(model)
-    engine = Engine(structure, data, substeps=substeps)
     start = _initial(x0, structure.n_states)
+    engine = Engine(structure, data, substeps=substeps, initial=start)
     check_channels(structure.linear_model, data)
     if start is None:
         start = estimate_initial_state(engine, theta)
     run = engine.run(theta, start, sensitivity=False, histories=True)
     return Simulation(run.outputs, run.states, run.forces, start)
+
+
+def unjudged_samples(model: Any, data: Measurement) -> int:
+    """First samples by which a model that holds a delay cannot be judged, its initial state being free."""
+    known = getattr(model, "simulation_structure", None)
+    if known is None:  # a delay is an effect: linear models hold none
+        return 0
+    structure, theta, _ = known()
+    return int(Engine(structure, data).unjudged(theta).max(initial=0))
 
 
 def check_channels(model: LinearModel, data: Measurement) -> None:

@@ -64,7 +64,7 @@ class Problem:
         self.structure, self.records, self.weights = structure, list(records), weights
         self.prior_mean, self.prior_sd = prior_mean, prior_sd
         self.initial, self.substeps = initial, substeps
-        self.engines = [Engine(structure, record, substeps=substeps) for record in records]
+        self.engines = [Engine(structure, r, substeps=substeps, initial=initial) for r in records]
         self.n_theta, self.n_states = structure.n_parameters, structure.n_states
         self.free_start = initial is None
         self.gain: Array | None = None
@@ -94,6 +94,7 @@ class Problem:
             return self._cache[1]
         theta, starts = self.unpack(point)
         rows, blocks, finite = [], [], True
+        judged = self.judged(theta)
         for i, engine in enumerate(self.engines):
             run = engine.run(theta, starts[i], initial_state=self.free_start, gain=self.gain, check=False)
             ok = run.blew_up < 0 and _bounded(run.outputs) and _bounded(run.sensitivity)
@@ -101,8 +102,9 @@ class Problem:
             width = run.sensitivity.shape[2]
             block = np.zeros((engine.data.outputs.size, self.size))
             if ok:
-                error = (self.weights[:, None] * (run.outputs - engine.data.outputs)).ravel()
-                slope = (self.weights[:, None, None] * run.sensitivity).reshape(-1, width)
+                weights = self.weights[:, None] * judged[i]
+                error = (weights * (run.outputs - engine.data.outputs)).ravel()
+                slope = (weights[:, :, None] * run.sensitivity).reshape(-1, width)
                 block[:, : self.n_theta] = slope[:, : self.n_theta]
                 if self.free_start:
                     first = self.n_theta + i * self.n_states
@@ -120,6 +122,18 @@ class Problem:
         result = Evaluation(np.concatenate(rows), np.vstack(blocks), finite)
         self._cache = (point.copy(), result)
         return result
+
+    def judged(self, theta: Array) -> list[Array]:
+        """Weight (n_y, N) of the samples of each record: nothing for those that a delay hides.
+
+        The others stand in for them, so that no delay gains by hiding what does not fit, and
+        sums of squares stay comparable.
+        """
+        found = []
+        for engine in self.engines:
+            n, lost = engine.data.n_samples, engine.unjudged(theta)[:, None]
+            found.append(np.where(np.arange(n) >= lost, np.sqrt(n / (n - lost)), 0.0))
+        return found
 
     def cost(self, point: Array) -> float:
         """Half the sum of squares."""
