@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import csv
-import zipfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import control as ct
 import numpy as np
 
+from .archives import read_archive
 from .exceptions import DataError, MissingExtraError
+from .matlab import Other, read_matlab
 from .systems.linear import Array
 
 __all__ = [
@@ -20,8 +21,6 @@ __all__ = [
     "read_frame",
     "read_mat",
     "read_npz",
-    "variables_of_mat",
-    "variables_of_npz",
 ]
 
 _DELIMITERS = ",;\t|"
@@ -60,8 +59,13 @@ def read_csv(path: Any, names: Sequence[str], *, delimiter: str | None = None) -
     ------
     DataError
         A column that is not there (those that are, are listed), a missing or
-        unreadable cell (line and column are named), no data lines.
+        unreadable cell (line and column are named), a quote that its line does
+        not close, a line with more cells than the header, no data lines.
     """
+    if delimiter is not None and (
+        not isinstance(delimiter, str) or len(delimiter) != 1 or delimiter in '"\r\n'
+    ):
+        raise ct.ControlArgument(f"delimiter must be one character such as ';', not {delimiter!r}")
     try:
         lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
@@ -70,27 +74,28 @@ def read_csv(path: Any, names: Sequence[str], *, delimiter: str | None = None) -
     if start is None:
         raise DataError(f"{path} holds no header line with the names of the columns")
     head = lines[start].lstrip("#% ")
-    split_at = _sniff(head, names) if delimiter is None else delimiter
-    reader = _rows([head, *lines[start + 1 :]], split_at)
+    here = f"{path}, line"
+    split_at = _sniff(head, names, here, start) if delimiter is None else delimiter
+    reader = _rows([head, *lines[start + 1 :]], split_at, here, start)
     header = [cell.strip() for cell in next(reader)[1]]
-    _require(names, header, f"{path}, line {start + 1}")
+    _require(names, header, f"{here} {start + 1}")
     where = {name: header.index(name) for name in names}
     columns: dict[str, list[float]] = {name: [] for name in names}
     blank: int | None = None
-    for number, row in reader:
-        line = number + start
+    for line, row in reader:
         if not any(cell.strip() for cell in row):
             blank = line if blank is None else blank
             continue
         if blank is not None:
+            raise DataError(f"{here} {blank} is empty in the midst of the data; remove it or fill the gap")
+        if any(row[len(header) :]):
             raise DataError(
-                f"{path}, line {blank} is empty in the midst of the data; remove it or fill the gap"
+                f"{here} {line} has {len(row)} cells and the header {len(header)}; remove a delimiter, or "
+                "name every column"
             )
         for name, index in where.items():
             cell = row[index].strip() if index < len(row) else ""
-            columns[name].append(
-                _number(cell, f"{path}, line {line}, column {name!r} ({index + 1})", split_at)
-            )
+            columns[name].append(_number(cell, f"{here} {line}, column {name!r} ({index + 1})", split_at))
     if not columns[names[0]]:
         raise DataError(f"{path} has a header but no data lines")
     return {name: np.array(values) for name, values in columns.items()}
@@ -105,28 +110,39 @@ def _header_line(lines: list[str], names: Sequence[str]) -> int | None:
     return None
 
 
-def _sniff(header: str, names: Sequence[str]) -> str:
+def _sniff(header: str, names: Sequence[str], here: str, start: int) -> str:
     """Delimiter that finds most of the names; ties go to the one that splits most."""
 
     def score(delimiter: str) -> tuple[int, int]:
-        cells = [cell.strip() for cell in next(_rows([header], delimiter))[1]]
+        cells = [cell.strip() for cell in next(_rows([header], delimiter, here, start))[1]]
         return sum(name in cells for name in names), len(cells)
 
     best: str = max([*_DELIMITERS, " "], key=score)
     return best
 
 
-def _rows(lines: list[str], delimiter: str) -> Any:
-    """Pairs of line number (from 1) and cells."""
-    reader = csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
-    for row in reader:
-        yield reader.line_num, row
+def _rows(lines: list[str], delimiter: str, here: str, start: int) -> Iterator[tuple[int, list[str]]]:
+    """Pairs of line number in the file and cells; a quote that is left open would swallow lines."""
+    reader = csv.reader([*lines, ""], delimiter=delimiter, skipinitialspace=True)
+    try:
+        for number, row in enumerate(reader, start=1):
+            if reader.line_num != number:
+                raise DataError(
+                    f"{here} {start + number}: a quote opens a cell that does not close in this line; "
+                    "close it or remove it"
+                )
+            if number <= len(lines):
+                yield start + number, row
+    except csv.Error as error:
+        raise DataError(f"{here} {start + reader.line_num} cannot be read: {error}") from error
 
 
 def _number(cell: str, place: str, delimiter: str) -> float:
     if cell == "":
         raise DataError(f"{place} is missing; fill the gap or cut the file before it")
     try:
+        if "_" in cell:  # which Python would take as a separator of digits
+            raise ValueError
         return float(cell)
     except ValueError:
         hint = ""
@@ -166,31 +182,7 @@ def read_mat(path: Any, names: Sequence[str]) -> dict[str, Array]:
         A variable that is not there or not a vector (those that are, are
         listed with their shapes), or a file of version 7.3.
     """
-    return _vectors(path, variables_of_mat(path), names)
-
-
-def variables_of_mat(path: Any) -> dict[str, Any]:
-    """All variables of a MATLAB file, by name.
-
-    Raises
-    ------
-    DataError
-        If scipy cannot read the file; for version 7.3 the message says what to do.
-    """
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
-
-    Path(path).open("rb").close()  # loadmat would look for path + ".mat" instead of saying that it is missing
-    try:
-        content = loadmat(str(path), appendmat=False)
-    except NotImplementedError as error:
-        raise DataError(
-            f"{path} is a MATLAB 7.3 (HDF5) file; save it anew in MATLAB with save(..., '-v7'), "
-            "or read it with h5py and pass the arrays to Measurement"
-        ) from error
-    except (ValueError, MatReadError) as error:
-        raise DataError(f"{path} is not a MATLAB file that scipy can read: {error}") from error
-    return {key: value for key, value in content.items() if not key.startswith("__")}
+    return _vectors(path, read_matlab(path), names)
 
 
 def read_npz(path: Any, names: Sequence[str]) -> dict[str, Array]:
@@ -214,26 +206,7 @@ def read_npz(path: Any, names: Sequence[str]) -> dict[str, Array]:
         An array that is not there or not a vector (those that are, are listed
         with their shapes), or another kind of file.
     """
-    return _vectors(path, variables_of_npz(path), names)
-
-
-def variables_of_npz(path: Any) -> dict[str, Any]:
-    """All arrays of a file of `numpy.savez`, by name.
-
-    Raises
-    ------
-    DataError
-        If it is another kind of file, or holds Python objects.
-    """
-    try:
-        content = np.load(path, allow_pickle=False)
-        arrays = dict(content.items()) if isinstance(content, np.lib.npyio.NpzFile) else None
-    except (ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise DataError(f"{path} is not a file of named arrays as numpy.savez writes it: {error}") from error
-    if arrays is None:
-        raise DataError(f"{path} holds one array without a name; save named arrays with numpy.savez")
-    content.close()
-    return arrays
+    return _vectors(path, read_archive(path), names)
 
 
 def _vectors(path: Any, variables: dict[str, Any], names: Sequence[str]) -> dict[str, Array]:
@@ -244,33 +217,37 @@ def _vectors(path: Any, variables: dict[str, Any], names: Sequence[str]) -> dict
         value = _variable(variables, name)
         if value is None:
             raise DataError(f"{path} has no variable {name!r}; there are: {listed}")
-        array = np.asarray(value)
-        if array.dtype.kind not in "fiubc" or array.ndim > 2 or (array.ndim == 2 and 1 not in array.shape):
+        if not _is_vector(value):
             raise DataError(
                 f"{path}: variable {name!r} is {_shape(value)}, not a vector of numbers; there are: {listed}"
             )
-        columns[name] = array.ravel()
+        columns[name] = value.ravel()
     return columns
 
 
+def _is_vector(value: Any) -> bool:
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiubc":
+        return False
+    return value.ndim < 2 or (value.ndim == 2 and 1 in value.shape)
+
+
 def _variable(variables: dict[str, Any], name: str) -> Any:
-    """Variable, or the field of a 1 x 1 structure by its dotted name."""
+    """Variable, or the field of a structure by its dotted name."""
     if name in variables:
         return variables[name]
     head, *fields = name.split(".")
     value = variables.get(head)
     for field in fields:
-        if value is None or value.dtype.names is None or field not in value.dtype.names or value.size != 1:
-            return None
-        value = value.ravel()[0][field]
+        value = value.get(field) if isinstance(value, dict) else None
     return value
 
 
 def _shape(value: Any) -> str:
-    array = np.asarray(value)
-    if array.dtype.names is not None:
-        return f"structure with fields {', '.join(array.dtype.names)}"
-    return " x ".join(map(str, array.shape)) + ("" if array.dtype.kind in "fiub" else f" {array.dtype}")
+    if isinstance(value, dict):
+        return f"structure with fields {', '.join(value)}"
+    if isinstance(value, Other):
+        return value.kind
+    return " x ".join(map(str, value.shape)) + ("" if value.dtype.kind in "fiub" else f" {value.dtype}")
 
 
 def read_frame(frame: Any, names: Sequence[str]) -> dict[str, Array]:

@@ -282,6 +282,8 @@ class Measurement(RecordReaders):
                 continue
             if isinstance(bound, (bool, np.bool_)) or not isinstance(bound, (int, float, np.number)):
                 raise ct.ControlArgument(f"start and stop are times in seconds, not {bound!r}")
+            if np.isnan(bound):
+                raise DataError("start and stop are times in seconds, not NaN; leave one out for the end")
             inside &= (self.timepts >= bound - slack) == after
         found = np.flatnonzero(inside)
         if found.size == 0:

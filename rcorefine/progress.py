@@ -10,6 +10,8 @@ from typing import Any, TypeVar
 
 from tqdm import tqdm
 
+from .arguments import as_flag, as_mapper
+
 __all__ = ["Progress"]
 
 Task = TypeVar("Task")
@@ -26,13 +28,13 @@ class Progress:
     ----------
     show : bool
         Whether to draw a bar on standard error.
-    executor : concurrent.futures.Executor, optional
+    executor : concurrent.futures.Executor or dask.distributed.Client, optional
         Where `map` runs; in this process by default.
     """
 
     def __init__(self, show: bool = False, executor: Any = None) -> None:
-        self._map: Callable[..., Iterable[Any]] = map if executor is None else executor.map
-        self._bar = tqdm(total=0, unit="step", file=sys.stderr, disable=not show)
+        self._map: Callable[..., Iterable[Any]] = as_mapper(executor)
+        self._bar = tqdm(total=0, unit="step", file=sys.stderr, disable=not as_flag(show, "progress"))
         self._announced = self._rounds = self._ahead = 0
 
     def __enter__(self) -> Progress:

@@ -12,8 +12,9 @@ from typing import Any
 import control as ct
 import numpy as np
 
-from .columns import variables_of_mat, variables_of_npz
+from .archives import read_archive
 from .exceptions import ModelError
+from .matlab import read_matlab
 from .physics import builders
 from .physics.physical_model import PhysicalModel
 from .systems.linear import Array
@@ -24,6 +25,9 @@ __all__ = ["MATRICES", "builder_names", "read_model"]
 MATRICES = "state_space"
 _LABELS = ("inputs", "outputs", "states")
 _MAPS = ("force", "force_map")  # a list of lists is a matrix there
+_MOST_STATES = 1000  # of a model in a file; a chain of 500 masses takes seconds, one of 2000 minutes
+# what Python raises where a value is not of the kind that a builder expects
+_WRONG_KIND = (TypeError, ValueError, ArithmeticError, LookupError, AttributeError)
 
 
 def builder_names() -> tuple[str, ...]:
@@ -56,7 +60,10 @@ def read_model(path: str | PathLike[str]) -> ct.StateSpace | PhysicalModel:
     Raises
     ------
     ModelError
-        If the file is not one of these; file, table and key are named.
+        If the file is not one of these, or its model has more than 1000 states; file, table and
+        key are named.
+    DataError
+        If an ``.npz`` or ``.mat`` file is damaged.
     OSError
         If it cannot be read.
 
@@ -76,7 +83,7 @@ def read_model(path: str | PathLike[str]) -> ct.StateSpace | PhysicalModel:
         raise ModelError(
             f"{file}: a model is a .toml, .npz or .mat file, not {suffix or 'without a suffix'!r}"
         )
-    variables = variables_of_npz(file) if suffix == ".npz" else variables_of_mat(file)
+    variables: dict[str, Any] = read_archive(file) if suffix == ".npz" else read_matlab(file)
     values: dict[str, Any] = {key: variables[key] for key in ("A", "B", "C", "D", "dt") if key in variables}
     for key in (*_LABELS, "name"):
         if key in variables:
@@ -89,14 +96,16 @@ def read_model(path: str | PathLike[str]) -> ct.StateSpace | PhysicalModel:
             raise ModelError(f"{file}: dt must be one number (0 for continuous time), not {values['dt']!r}")
         values["dt"] = float(size.ravel()[0])
     listed = ", ".join(variables) or "nothing"
-    return _state_space(values, str(file), f"the file holds {listed}", file.stem)
+    return _state_space(values, str(file), f"the file holds {listed}", _name_of(file))
 
 
 def _from_toml(file: Path) -> ct.StateSpace | PhysicalModel:
     try:
         content = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:  # of TOML, of UTF-8, of a number with thousands of digits
         raise ModelError(f"{file} is not TOML: {error}") from error
+    except RecursionError as error:
+        raise ModelError(f"{file} is not TOML of a model: its brackets are nested too deeply") from error
     known = ", ".join(f"[{name}]" for name in (MATRICES, *builder_names()))
     if len(content) != 1:
         found = ", ".join(content) or "nothing"
@@ -108,17 +117,33 @@ def _from_toml(file: Path) -> ct.StateSpace | PhysicalModel:
         raise ModelError(f"{file}: {kind} must be a table, [{kind}] on a line of its own")
     where = f"{file}, [{kind}]"
     if kind == MATRICES:
-        return _state_space(table, where, f"the table holds {', '.join(table) or 'nothing'}", file.stem)
+        holds = f"the table holds {', '.join(table) or 'nothing'}"
+        return _state_space(table, where, holds, _name_of(file))
     builder = getattr(builders, kind)
     _check_keys(table, builder, where)
-    arguments = {key: _argument(key, value, where) for key, value in table.items()}
+    for key, value in table.items():
+        _check_size(2 * len(value) if isinstance(value, (list, dict)) else 0, f"{where}, {key}")
     try:
-        model: PhysicalModel = builder(**arguments)
+        model: PhysicalModel = builder(**{key: _argument(key, value, where) for key, value in table.items()})
+        _ = model.system  # names that python-control refuses
     except (ModelError, ct.ControlDimension, ct.ControlArgument) as error:
         raise ModelError(f"{where}: {error}") from error
-    except (TypeError, ValueError) as error:  # text where a number belongs, and the like
+    except _WRONG_KIND as error:  # text where a number belongs, and the like
         raise ModelError(f"{where}: a value is of the wrong kind: {error}") from error
     return model
+
+
+def _name_of(file: Path) -> str:
+    """Name of the file as python-control takes it: a dot would part system and signal."""
+    return file.stem.replace(".", "_")
+
+
+def _check_size(n_states: int, where: str) -> None:
+    if n_states > _MOST_STATES:
+        raise ModelError(
+            f"{where}: a model of {n_states} states; from a file at most {_MOST_STATES} are read. Reduce it, "
+            "by its first modes for instance"
+        )
 
 
 def _check_keys(table: Mapping[str, Any], builder: Any, where: str) -> None:
@@ -193,7 +218,7 @@ def _state_space(values: Mapping[str, Any], where: str, holds: str, name: str) -
                 f"{shapes[key][0]} x {shapes[key][1]}"
             )
     dt = values.get("dt", 0)
-    if isinstance(dt, bool) or not isinstance(dt, (int, float)) or not (np.isfinite(dt) and dt >= 0):
+    if isinstance(dt, bool) or not isinstance(dt, (int, float)) or not 0 <= dt < 1e300:
         raise ModelError(f"{where}: dt must be a time in s, or 0 for continuous time, not {dt!r}")
     labels = {}
     for key, count in zip(_LABELS, (B.shape[1], C.shape[0], n), strict=True):
@@ -205,15 +230,24 @@ def _state_space(values: Mapping[str, Any], where: str, holds: str, name: str) -
     title = values.get("name", name)
     if not isinstance(title, str) or not title:
         raise ModelError(f"{where}: name must be text, not {title!r}")
-    return ct.ss(A, B, C, D, dt, name=title, **labels)
+    try:
+        return ct.ss(A, B, C, D, dt, name=title, **labels)
+    except (ValueError, ct.ControlDimension, ct.ControlArgument) as error:  # a name that is not allowed
+        raise ModelError(f"{where}: {error}") from error
 
 
 def _matrix(value: Any, where: str) -> Array:
     """Numbers as a 2-D array of finite floats."""
     try:
-        matrix = np.array(value, dtype=float, ndmin=2)
+        given = np.array(value, ndmin=2)
     except (TypeError, ValueError) as error:
         raise ModelError(f"{where} must be numbers in rows of equal length: {error}") from error
+    if given.dtype.kind == "c":
+        raise ModelError(f"{where} is complex; a model is real, in modal form too: write it with real blocks")
+    if given.dtype.kind not in "fiub":
+        raise ModelError(f"{where} must be numbers in rows of equal length, not {value!r:.60}")
+    _check_size(max(given.shape), where)
+    matrix = given.astype(float)
     if matrix.ndim != 2 or not matrix.size:
         raise ModelError(f"{where} must be rows of numbers, not an array of shape {matrix.shape}")
     if not np.isfinite(matrix).all():

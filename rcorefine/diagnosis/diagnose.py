@@ -10,6 +10,7 @@ from typing import Any
 import control as ct
 import numpy as np
 
+from ..arithmetic import own_arithmetic
 from ..comparison.channels import match_channels, record_for
 from ..comparison.compare import compare
 from ..exceptions import DataError, IdentifiabilityWarning
@@ -19,7 +20,7 @@ from ..physics.library import effect_library
 from ..progress import Progress
 from ..refinement.refinement import Refinement
 from ..refinement.starts import Motion
-from ..refinement.windows import as_records, windows
+from ..refinement.windows import as_records, check_validation, windows
 from .battery import Battery, run_battery
 from .columns import Candidate, candidate_columns
 from .excitation import no_motion, record_remarks
@@ -84,8 +85,8 @@ def diagnose(
         length of the free runs.
     significance : float
         Level of the gate: the rate of false alarms where nothing is missing.
-    executor : concurrent.futures.Executor, optional
-        Refits candidates in parallel (`map`).
+    executor : concurrent.futures.Executor or dask.distributed.Client, optional
+        Refits candidates in parallel.
     progress : bool
         Whether to show steps and remaining time on standard error.
 
@@ -123,7 +124,9 @@ def diagnose(
     if not 0 < significance < 1:
         raise ct.ControlArgument(f"significance must lie between 0 and 1, not {significance!r}")
     records = as_records(data)
-    with Progress(progress, executor) as steps:
+    if validation is not None:
+        check_validation(model, validation)
+    with own_arithmetic(), Progress(progress, executor) as steps:
         with warnings.catch_warnings(), steps.step("model as it is"):
             warnings.simplefilter("ignore", IdentifiabilityWarning)
             base = base_fit(

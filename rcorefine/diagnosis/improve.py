@@ -10,6 +10,7 @@ from typing import Any
 import control as ct
 import numpy as np
 
+from ..arithmetic import own_arithmetic
 from ..comparison.channels import match_channels, record_for
 from ..comparison.compare import compare
 from ..exceptions import DataError, DivergenceError, IdentifiabilityWarning
@@ -19,7 +20,7 @@ from ..physics.library import effect_library
 from ..progress import Progress
 from ..refinement.refine import refine, refit
 from ..refinement.refinement import Refinement
-from ..refinement.windows import as_records, windows
+from ..refinement.windows import as_records, check_validation, windows
 from ..systems.linear import Array
 from .diagnose import investigate
 from .excitation import no_motion, record_remarks
@@ -104,7 +105,7 @@ def improve(
         As in `refine`.
     significance : float
         Level of the gate of `diagnose`.
-    executor : concurrent.futures.Executor, optional
+    executor : concurrent.futures.Executor or dask.distributed.Client, optional
         Refits candidates in parallel.
     progress : bool
         Whether to show steps and remaining time on standard error.
@@ -142,9 +143,11 @@ def improve(
     """
     if isinstance(max_effects, bool) or not isinstance(max_effects, (int, np.integer)) or max_effects < 0:
         raise ct.ControlArgument(f"max_effects must be a whole number >= 0, not {max_effects!r}")
+    if validation is not None:
+        check_validation(model, validation)
     parts = _split(as_records(data), validation)
     settings = {"tolerance": tolerance, "offset": offset, "noise": noise, "horizon": horizon}
-    with warnings.catch_warnings(), Progress(progress, executor) as bar:
+    with own_arithmetic(), warnings.catch_warnings(), Progress(progress, executor) as bar:
         warnings.simplefilter("ignore", IdentifiabilityWarning)  # ties are in the ledger
         ladder = _Ladder(model, parts, free, settings, bar)
         library = list(effect_library(ladder.start.physical_model) if candidates is None else candidates)

@@ -89,6 +89,14 @@ class Engine:
         self._measured = np.ascontiguousarray(data.outputs.T)
         self._march = _kernel(structure)
 
+    def __getstate__(self) -> dict[str, Any]:
+        # a pickled kernel would be compiled anew in every process; the process has one of its own
+        return {name: value for name, value in self.__dict__.items() if name != "_march"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._march = _kernel(self.structure)
+
     def run(
         self,
         theta: Array,

@@ -8,17 +8,11 @@ from typing import Any
 import control as ct
 import numpy as np
 
+from ..arguments import as_flag
 from ..exceptions import DataError, ModelError
 from ..systems.linear import Array
 
 __all__ = ["as_flag", "as_matrix", "as_rate", "as_samples", "as_size", "check_samples"]
-
-
-def as_flag(value: Any, name: str) -> bool:
-    """True or False, nothing else."""
-    if not isinstance(value, bool | np.bool_):
-        raise ct.ControlArgument(f"{name} must be True or False, not {value!r}")
-    return bool(value)
 
 
 def as_size(value: Any, name: str, least: int, meaning: str) -> int:

@@ -8,6 +8,7 @@ from typing import Any
 import control as ct
 import numpy as np
 
+from ..arguments import as_flag
 from ..exceptions import ModelError
 from ..measurement import Measurement
 from ..physics.effects import Effect
@@ -115,7 +116,7 @@ def offset_variants(physical: PhysicalModel, record: Measurement, offset: bool) 
     inputs reach the outputs at rest; behind a nonlinear one they can, and both are tried.
     Where the model integrates, a sensor offset is an initial state.
     """
-    if not offset:
+    if not as_flag(offset, "offset"):
         return [[]]
     linear = physical.linear
     at_inputs = [Effect("input_offset", label) for label in linear.input_labels]

@@ -8,6 +8,7 @@ from typing import Any
 import control as ct
 import numpy as np
 
+from ..arithmetic import own_arithmetic
 from ..comparison.channels import match_channels, record_for
 from ..exceptions import DataError
 from ..measurement import Measurement
@@ -127,24 +128,25 @@ def refine(
         isinstance(substeps, bool) or not isinstance(substeps, (int, np.integer)) or substeps < 1
     ):
         raise ct.ControlArgument(f"substeps must be a whole number >= 1, not {substeps!r}")
-    segments, note = windows(physical, records, horizon, known_start=initial is not None)
-    bare = Structure(physical)
-    motion, *motion.companions = [estimated_motion(bare, np.zeros(0), record) for record in records]
-    best: Fit | None = None
-    for offsets in offset_variants(physical, records[0], offset):
-        chosen = assemble(physical, kept, effects, free, tolerance, offsets)
-        structure = Structure(physical, [e for e, _ in chosen])
-        structure = Structure(physical, structure.effects, constants=law_widths(structure, motion))
-        if best is not None and (
-            structure.is_linear or structure.n_parameters != best.structure.n_parameters
-        ):
-            continue  # behind a linear model all offsets are the same
-        fit = Fit(structure, [role for _, role in chosen], segments, noise, initial, tolerance)
-        fit.run(motion, substeps, rival=best)
-        if best is None or fit.cost < best.cost:
-            best = fit
-    assert best is not None
-    return package(best, physical, note)
+    with own_arithmetic():
+        segments, note = windows(physical, records, horizon, known_start=initial is not None)
+        bare = Structure(physical)
+        motion, *motion.companions = [estimated_motion(bare, np.zeros(0), record) for record in records]
+        best: Fit | None = None
+        for offsets in offset_variants(physical, records[0], offset):
+            chosen = assemble(physical, kept, effects, free, tolerance, offsets)
+            structure = Structure(physical, [e for e, _ in chosen])
+            structure = Structure(physical, structure.effects, constants=law_widths(structure, motion))
+            if best is not None and (
+                structure.is_linear or structure.n_parameters != best.structure.n_parameters
+            ):
+                continue  # behind a linear model all offsets are the same
+            fit = Fit(structure, [role for _, role in chosen], segments, noise, initial, tolerance)
+            fit.run(motion, substeps, rival=best)
+            if best is None or fit.cost < best.cost:
+                best = fit
+        assert best is not None
+        return package(best, physical, note)
 
 
 def refit(

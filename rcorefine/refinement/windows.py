@@ -6,12 +6,13 @@ from typing import Any
 
 import control as ct
 
+from ..comparison.channels import match_channels
 from ..exceptions import DataError
 from ..measurement import Measurement
-from ..physics.physical_model import PhysicalModel
+from ..physics.physical_model import PhysicalModel, as_physical
 from ..physics.windows import free_runs
 
-__all__ = ["as_records", "windows"]
+__all__ = ["as_records", "check_validation", "windows"]
 
 
 def as_records(data: Any) -> list[Measurement]:
@@ -25,6 +26,15 @@ def as_records(data: Any) -> list[Measurement]:
     if not records:
         raise DataError("data is an empty list; give at least one Measurement")
     return records
+
+
+def check_validation(model: Any, record: Any) -> None:
+    """Whether a record can judge the model; said before the work, whatever it will find."""
+    if not isinstance(record, Measurement):
+        raise ct.ControlArgument(
+            f"validation must be a Measurement that took no part in the fit, not {type(record).__name__}"
+        )
+    match_channels(as_physical(model).linear, record)
 
 
 def windows(

@@ -1,0 +1,103 @@
+"""Named arrays out of NumPy's archives, nothing taken on trust: sizes are counted before room is made."""
+
+from __future__ import annotations
+
+import io
+import math
+import zipfile
+from os import PathLike, fspath
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .exceptions import DataError
+
+__all__ = ["arrays_of", "most_bytes", "read_archive"]
+
+_ROOM = 1 << 31  # bytes that any file may unfold to ...
+_TIMES = 100  # ... and how many times its own size beyond that
+_HEADERS = {
+    (1, 0): np.lib.format.read_array_header_1_0,
+    (2, 0): np.lib.format.read_array_header_2_0,
+}
+
+
+def most_bytes(size: int) -> int:
+    """Bytes that a compressed file of some size may unfold to."""
+    return _ROOM + _TIMES * size
+
+
+def read_archive(path: str | PathLike[str]) -> dict[str, np.ndarray[Any, Any]]:
+    """Arrays of a file of `numpy.savez` by name.
+
+    Parameters
+    ----------
+    path : str or path
+        File.
+
+    Returns
+    -------
+    dict of ndarray
+        Independent arrays.
+
+    Raises
+    ------
+    DataError
+        If the file is another one, is damaged, or holds Python objects.
+    OSError
+        If it cannot be read.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "run.npz"
+    >>> np.savez(path, force=np.ones(3))
+    >>> read_archive(path)
+    {'force': array([1., 1., 1.])}
+    """
+    raw = Path(path).read_bytes()
+    if raw.startswith(np.lib.format.MAGIC_PREFIX):
+        raise DataError(f"{fspath(path)} holds one array without a name; save named arrays with numpy.savez")
+    try:
+        return arrays_of(raw)
+    except Exception as error:  # zipfile, zlib and the header's parser fail in a dozen ways
+        raise DataError(
+            f"{fspath(path)} is not a file of named arrays as numpy.savez writes it, or it is damaged: "
+            f"{error or type(error).__name__}"
+        ) from error
+
+
+def arrays_of(raw: bytes) -> dict[str, np.ndarray[Any, Any]]:
+    """Arrays of an archive that is in memory; whatever is wrong raises what zipfile and NumPy raise."""
+    found: dict[str, np.ndarray[Any, Any]] = {}
+    with zipfile.ZipFile(io.BytesIO(raw)) as archive:
+        members = [item for item in archive.infolist() if item.filename.endswith(".npy")]
+        claimed = sum(item.file_size for item in members)
+        if claimed > most_bytes(len(raw)):
+            raise ValueError(f"its arrays claim {claimed} bytes, {most_bytes(len(raw))} are allowed")
+        for item in members:
+            name = item.filename.removesuffix(".npy")
+            if name in found:
+                raise ValueError(f"two arrays are called {name!r}")
+            found[name] = _array(archive.read(item), name)
+    return found
+
+
+def _array(content: bytes, name: str) -> np.ndarray[Any, Any]:
+    """One array; its header must claim as many bytes as follow."""
+    stream = io.BytesIO(content)
+    version = np.lib.format.read_magic(stream)
+    if version not in _HEADERS:
+        raise ValueError(f"array {name!r} is of version {version}, unknown here")
+    shape, fortran, dtype = _HEADERS[version](stream)
+    if dtype.hasobject:
+        raise ValueError(f"array {name!r} holds Python objects, which are never opened")
+    body = content[stream.tell() :]
+    claimed = math.prod(shape) * dtype.itemsize
+    if min(shape, default=0) < 0 or claimed != len(body):
+        raise ValueError(f"array {name!r} of shape {shape} needs {claimed} bytes, {len(body)} are there")
+    flat: np.ndarray[Any, Any] = np.empty(math.prod(shape), dtype)
+    if claimed:
+        flat[:] = np.frombuffer(body, dtype)
+    return flat.reshape(shape, order="F" if fortran else "C")
