@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import control as ct
@@ -25,9 +25,11 @@ _POWER_FLOOR = 1e-10
 _SAME_INPUT = 1.0 - 1e-9
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FrequencyResponse:
+class FrequencyResponse(ct.FrequencyResponseData):  # type: ignore[misc]
     """Frequency response estimated from a record, with its uncertainty.
+
+    It passes wherever python-control takes a `FrequencyResponseData`; what is computed
+    from it there is a plain one.
 
     Parameters
     ----------
@@ -51,7 +53,8 @@ class FrequencyResponse:
     hold : str
         Hold of the record's inputs.
     input_labels, output_labels, input_units, output_units : tuple of str
-        As in the record.
+        As in the record; dots, which python-control does not allow in names, become
+        underscores.
     name : str
         Name of the record.
 
@@ -63,19 +66,38 @@ class FrequencyResponse:
     """
 
     omega: Array
-    response: NDArray[np.complex128]
-    coherence: Array
-    std: Array
-    n_averages: float
-    segment_length: int
-    n_omitted: int
     dt: float
-    hold: str
-    input_labels: tuple[str, ...]
-    output_labels: tuple[str, ...]
-    input_units: tuple[str, ...]
-    output_units: tuple[str, ...]
     name: str
+
+    def __init__(
+        self,
+        *,
+        omega: Array,
+        response: NDArray[np.complex128],
+        coherence: Array,
+        std: Array,
+        n_averages: float,
+        segment_length: int,
+        n_omitted: int,
+        dt: float,
+        hold: str,
+        input_labels: Sequence[str],
+        output_labels: Sequence[str],
+        input_units: tuple[str, ...],
+        output_units: tuple[str, ...],
+        name: str,
+    ) -> None:
+        super().__init__(
+            response,
+            omega,
+            dt=dt,
+            name=_undotted(name),
+            inputs=[_undotted(label) for label in input_labels],
+            outputs=[_undotted(label) for label in output_labels],
+        )
+        self.coherence, self.std = coherence, std
+        self.n_averages, self.segment_length, self.n_omitted = n_averages, segment_length, n_omitted
+        self.hold, self.input_units, self.output_units = hold, input_units, output_units
 
     @classmethod
     def from_frd(cls, response: ct.FrequencyResponseData, *, hold: str | None = None) -> FrequencyResponse:
@@ -138,6 +160,22 @@ class FrequencyResponse:
         )
 
     @property
+    def response(self) -> NDArray[np.complex128]:
+        """Complex response of shape (n_y, n_w, n_omega)."""
+        values: NDArray[np.complex128] = self.frdata
+        return values
+
+    @property
+    def input_labels(self) -> tuple[str, ...]:
+        """Names of the inputs."""
+        return tuple(self.input_index)
+
+    @property
+    def output_labels(self) -> tuple[str, ...]:
+        """Names of the outputs."""
+        return tuple(self.output_index)
+
+    @property
     def magnitude(self) -> Array:
         """Magnitude of shape (n_y, n_w, n_omega), output unit per input unit."""
         size: Array = np.abs(self.response)
@@ -165,7 +203,7 @@ class FrequencyResponse:
 
     @property
     def frd(self) -> ct.FrequencyResponseData:
-        """Named `control.FrequencyResponseData` that keeps dt and labels."""
+        """The response alone, a plain `control.FrequencyResponseData` that keeps dt, name and labels."""
         return ct.frd(
             self.response.copy(),
             self.omega.copy(),
@@ -173,6 +211,12 @@ class FrequencyResponse:
             name=self.name,
             inputs=list(self.input_labels),
             outputs=list(self.output_labels),
+        )
+
+    def __repr__(self) -> str:
+        return (
+            f"<FrequencyResponse {self.name!r}: {self.ninputs} input(s), {self.noutputs} output(s), "
+            f"{self.omega.size} frequencies, dt={self.dt:g}>"
         )
 
     def __str__(self) -> str:
@@ -379,6 +423,10 @@ def effective_averages(n_samples: int, taper: Array, shared: int) -> float:
         rho = (taper[:-lag] @ taper[lag:] / (taper @ taper)) ** 2
         total += 2.0 * (1.0 - j / count) * float(rho)
     return count / total
+
+
+def _undotted(name: str) -> str:
+    return name.replace(".", "_")
 
 
 def _segment_length(given: int | None, n_samples: int) -> int:

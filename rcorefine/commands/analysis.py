@@ -22,6 +22,7 @@ from ..reading_models import read_model
 from ..reporting.adequacy import best_of, failures_of
 from ..reporting.page import check_target
 from ..reporting.page_answers import comparison_answer, diagnosis_answer, improvement_answer
+from ..reporting.page_code import comment
 from .machine import comparison_object, diagnosis_object, improvement_object, json_text, record_object
 from .records import fitted_and_held_out
 
@@ -175,7 +176,7 @@ def _finish(
     """Write the report, then say what was found."""
     report: Path | None = None
     if arguments.report is not None:
-        line = f"# in a terminal:\n# rcorefine {shlex.join(arguments.words)}"
+        line = f"# in a terminal:\n{comment(f'rcorefine {shlex.join(arguments.words)}')}"
         report = result.report(arguments.report, code=line, overwrite=arguments.overwrite, **more)
     if arguments.json:
         head = {

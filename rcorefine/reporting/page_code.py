@@ -18,7 +18,7 @@ from ..spectral import FrequencyResponse
 from ..systems.linear import LinearModel
 from .page_origin import fingerprint, response_facts
 
-__all__ = ["effects_code", "literal", "model_code", "record_code", "script"]
+__all__ = ["comment", "effects_code", "literal", "model_code", "record_code", "script"]
 
 _MOST_POINTS = 4000  # of a measured response
 _LARGEST = 30  # states of a model that is listed in full
@@ -79,6 +79,28 @@ def literal(value: Any, indent: int = 0) -> str:
         pad = " " * (indent + 4)
         return left + "\n" + "".join(f"{pad}{item},\n" for item in items) + " " * indent + right
     raise TypeError(f"{type(value).__name__} cannot be written as code")
+
+
+def comment(text: str) -> str:
+    r"""A line of comment, whatever the text holds: a line break in a name must not begin a line of code.
+
+    Parameters
+    ----------
+    text : str
+        Names of files, models and signals included.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> comment("ready\nimport os")
+    '# ready\\nimport os'
+    """
+    return "# " + "".join(
+        letter if letter.isprintable() else letter.encode("unicode_escape").decode("ascii") for letter in text
+    )
 
 
 def _effect(effect: Effect) -> str:
@@ -159,7 +181,7 @@ def effects_code(effects: Sequence[Effect]) -> str:
         try:
             lines.append(f"    {literal(effect)},\n")
         except TypeError as error:
-            lines.append(f"    ...,  # {error}\n")
+            lines.append(f"    ...,  {comment(str(error))}\n")
     return "[\n" + "".join(lines) + "]" if lines else "[]"
 
 
@@ -205,7 +227,7 @@ def record_code(records: Sequence[Measurement]) -> list[str]:
 def response_code(measured: FrequencyResponse) -> list[str]:
     """Lines that define a measured response, its points in full up to a few thousand."""
     if measured.response.size > _MOST_POINTS:
-        facts = [f"# {name}: {value}" for name, value in response_facts(measured)]
+        facts = [comment(f"{name}: {value}") for name, value in response_facts(measured)]
         return ["# the measured response is too long to be listed here", *facts, "measured = ..."]
     return [
         "measured = FrequencyResponse.from_frd(",
@@ -301,7 +323,7 @@ def _options(options: Mapping[str, Any]) -> str:
         try:
             text += f", {key}={literal(value)}"
         except TypeError as error:
-            text += f", {key}=...  # {error}\n"
+            text += f", {key}=...  {comment(str(error))}\n"
     return text
 
 
