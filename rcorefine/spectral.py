@@ -159,6 +159,16 @@ class FrequencyResponse(ct.FrequencyResponseData):  # type: ignore[misc]
             name=str(response.name),
         )
 
+    # python-control looks the points of a measured response up by their frequency, on the imaginary
+    # axis; on the unit circle, where a sampling time would send it, it knows none of them.
+    def isctime(self, strict: bool = False) -> bool:
+        """Whether points are named by their frequency: always."""
+        return True
+
+    def isdtime(self, strict: bool = False) -> bool:
+        """Whether points are named by where they lie on the unit circle: never."""
+        return False
+
     @property
     def response(self) -> NDArray[np.complex128]:
         """Complex response of shape (n_y, n_w, n_omega)."""

@@ -10,6 +10,7 @@ import control as ct
 import numpy as np
 from scipy.stats import norm
 
+from ..arithmetic import own_arithmetic
 from ..comparison.channels import match_channels, record_for
 from ..diagnosis.whitening import FTest
 from ..exceptions import IdentifiabilityWarning, ModelError
@@ -156,38 +157,41 @@ def localize_damage(
     for record in records:
         check_channels(physical.linear, record)
         record.check_excitation("localize_damage", stacklevel=2)
-    segments, note = windows(physical, records, horizon)
-    nominal = _nominal(model, physical)
-    rule = damping or _default_rule(physical, nominal)
-    effects = _candidates(physical, candidates, rule, nominal)
-    chosen = assemble(physical, [], effects, (), tolerance, offset_variants(physical, records[0], offset)[-1])
-    nuisances = [
-        (e, role)
-        for e, role in chosen[len(effects) :]
-        if not (role == "linear" and e.kind == "damping" and rule == "ratio")
-    ]
-    gains = [Effect("output_gain", label) for label in physical.linear.output_labels]
-    nuisances += [(gain, "gain") for gain in gains if gain not in base]
-    setting = Setting(
-        physical,
-        base,
-        tuple(e for e, _ in nuisances),
-        tuple(_spread(e, role, nominal, tolerance) for e, role in nuisances),
-        rule == "ratio",
-        tuple(segments),
-        noise,
-        None if initial is None else _resized(initial, physical.linear.n_states),
-        substeps,
-        estimated_motion(Structure(physical, base), np.zeros(0), records[0]),
-        nominal,
-    )
-    joint = setting.joint(effects)
-    rows = _as_candidates(joint.structure, effects, nominal, tolerance, least)
-    joint.start()
-    decision = decide(joint, rows, significance)
-    ranking = () if hypotheses is None else rank_hypotheses(setting, hypotheses)
-    tests = residual_tests(joint)
-    result = _package(joint, rows, decision, tests, rule, significance, power, ranking, note)
+    with own_arithmetic():
+        segments, note = windows(physical, records, horizon)
+        nominal = _nominal(model, physical)
+        rule = damping or _default_rule(physical, nominal)
+        effects = _candidates(physical, candidates, rule, nominal)
+        chosen = assemble(
+            physical, [], effects, (), tolerance, offset_variants(physical, records[0], offset)[-1]
+        )
+        nuisances = [
+            (e, role)
+            for e, role in chosen[len(effects) :]
+            if not (role == "linear" and e.kind == "damping" and rule == "ratio")
+        ]
+        gains = [Effect("output_gain", label) for label in physical.linear.output_labels]
+        nuisances += [(gain, "gain") for gain in gains if gain not in base]
+        setting = Setting(
+            physical,
+            base,
+            tuple(e for e, _ in nuisances),
+            tuple(_spread(e, role, nominal, tolerance) for e, role in nuisances),
+            rule == "ratio",
+            tuple(segments),
+            noise,
+            None if initial is None else _resized(initial, physical.linear.n_states),
+            substeps,
+            estimated_motion(Structure(physical, base), np.zeros(0), records[0]),
+            nominal,
+        )
+        joint = setting.joint(effects)
+        rows = _as_candidates(joint.structure, effects, nominal, tolerance, least)
+        joint.start()
+        decision = decide(joint, rows, significance)
+        ranking = () if hypotheses is None else rank_hypotheses(setting, hypotheses)
+        tests = residual_tests(joint)
+        result = _package(joint, rows, decision, tests, rule, significance, power, ranking, note)
     for group in result.groups:
         warnings.warn(
             f"the record sees only together: {', '.join(group)}", IdentifiabilityWarning, stacklevel=2

@@ -13,6 +13,7 @@ import control as ct
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..arithmetic import own_arithmetic
 from ..exceptions import DataError, ModelError
 from ..measurement import Measurement
 from ..physics.effects import Effect
@@ -208,6 +209,7 @@ class Monitor:
         self._course = Course(len(self.candidates) + 4, max(1, self._pace.period // 2))
 
     # ------------------------------------------------------------------ samples in
+    @own_arithmetic()
     def update(self, w: ArrayLike, y: ArrayLike) -> None:
         """Take one sample or a block.
 
