@@ -10,15 +10,16 @@ from typing import TYPE_CHECKING, Any
 import control as ct
 import numpy as np
 
+from .arguments import as_choice, as_labels, as_list, as_number, as_share, as_text, as_texts, as_whole
 from .exceptions import DataError, ExcitationWarning
 from .reading import RecordReaders
-from .signals import as_labels, as_signals, as_texts, as_time_grid, check_finite
+from .signals import as_signals, as_time_grid, check_finite, default_labels
 from .systems.linear import Array
 
 if TYPE_CHECKING:
     from .spectral import FrequencyResponse
 
-__all__ = ["HOLDS", "Measurement"]
+__all__ = ["HOLDS", "Measurement", "as_records"]
 
 HOLDS = ("zoh", "foh", "bandlimited")
 _FIELDS = (
@@ -127,23 +128,18 @@ class Measurement(RecordReaders):
                 f"inputs have {w.shape[1]} samples and outputs {n_samples}; give both over the same time "
                 "(nothing is cut for you)"
             )
-        if not isinstance(hold, str) or hold not in HOLDS:
-            raise ct.ControlArgument(f"hold must be one of {', '.join(map(repr, HOLDS))}, not {hold!r}")
-        if name is not None and not (isinstance(name, str) and name):
-            raise ct.ControlArgument(f"name must be a non-empty string, not {name!r}")
-        w_labels = as_labels(input_labels, w.shape[0], "u", "input_labels")
-        y_labels = as_labels(output_labels, y.shape[0], "y", "output_labels")
+        as_choice(hold, "hold", HOLDS)
+        if name is not None:
+            as_text(name, "name", empty=False)
+        w_labels = as_labels(input_labels, "input_labels", default_labels("u", w.shape[0]))
+        y_labels = as_labels(output_labels, "output_labels", default_labels("y", y.shape[0]))
         step, times = as_time_grid(dt, timepts, n_samples)
         check_finite(w, w_labels, times, "input")
         check_finite(y, y_labels, times, "output")
         for array in (w, y, times):
             array.setflags(write=False)
-        w_units = (
-            ("",) * w.shape[0] if input_units is None else as_texts(input_units, w.shape[0], "input_units")
-        )
-        y_units = (
-            ("",) * y.shape[0] if output_units is None else as_texts(output_units, y.shape[0], "output_units")
-        )
+        w_units = _units(input_units, "input_units", w.shape[0])
+        y_units = _units(output_units, "output_units", y.shape[0])
         values = (w, y, step, times, hold, w_labels, y_labels, w_units, y_units, name or "measured")
         for field, value in zip(_FIELDS, values, strict=True):
             object.__setattr__(self, field, value)
@@ -199,6 +195,8 @@ class Measurement(RecordReaders):
             If an input is constant: a free decay still shows how the system
             settles, but nothing of what that input drives.
         """
+        as_text(purpose, "purpose")
+        as_whole(stacklevel, "stacklevel", most=1000)
         still = tuple(
             label
             for label, row in zip(self.input_labels, self.inputs, strict=True)
@@ -240,9 +238,7 @@ class Measurement(RecordReaders):
         >>> train.n_samples, float(test.timepts[0])
         (7, 7.0)
         """
-        if isinstance(fraction, (bool, np.bool_)) or not isinstance(fraction, (int, float, np.number)):
-            raise ct.ControlArgument(f"fraction must be a number between 0 and 1, not {fraction!r}")
-        cut = round(float(fraction) * self.n_samples) if np.isfinite(fraction) else -1
+        cut = round(as_share(fraction, "fraction", error=DataError) * self.n_samples)
         if not 0 < cut < self.n_samples:
             raise DataError(
                 f"fraction = {fraction} of {self.n_samples} samples leaves a part empty; "
@@ -277,13 +273,10 @@ class Measurement(RecordReaders):
         """
         slack = 1e-6 * self.dt
         inside = np.ones(self.n_samples, dtype=bool)
-        for bound, after in ((start, True), (stop, False)):
+        for name, bound, after in (("start", start, True), ("stop", stop, False)):
             if bound is None:
                 continue
-            if isinstance(bound, (bool, np.bool_)) or not isinstance(bound, (int, float, np.number)):
-                raise ct.ControlArgument(f"start and stop are times in seconds, not {bound!r}")
-            if np.isnan(bound):
-                raise DataError("start and stop are times in seconds, not NaN; leave one out for the end")
+            bound = as_number(bound, name, infinite=True, unit="of seconds", error=DataError)
             inside &= (self.timepts >= bound - slack) == after
         found = np.flatnonzero(inside)
         if found.size == 0:
@@ -310,6 +303,7 @@ class Measurement(RecordReaders):
         >>> Measurement(np.ones(4), np.arange(4.0), dt=0.5).with_hold("foh").hold
         'foh'
         """
+        as_choice(hold, "hold", HOLDS)
         return self if hold == self.hold else self._part(slice(None), hold)
 
     def _part(self, where: slice, hold: str | None = None) -> Measurement:
@@ -450,3 +444,28 @@ class Measurement(RecordReaders):
         from .reporting.records import measurement_html
 
         return measurement_html(self)
+
+
+def as_records(data: Any, name: str = "data") -> list[Measurement]:
+    """One record or several, as a list.
+
+    Raises
+    ------
+    control.ControlArgument
+        If it is something else.
+    DataError
+        If the list is empty.
+    """
+    records = [data] if isinstance(data, Measurement) else as_list(data, name, "Measurement objects")
+    for i, record in enumerate(records):
+        if not isinstance(record, Measurement):
+            raise ct.ControlArgument(
+                f"{name}[{i}] is a {type(record).__name__}; give a Measurement or a list of them"
+            )
+    if not records:
+        raise DataError(f"{name} is an empty list; give at least one Measurement")
+    return records
+
+
+def _units(values: Any, what: str, count: int) -> tuple[str, ...]:
+    return ("",) * count if values is None else as_texts(values, what, count)

@@ -8,10 +8,11 @@ from typing import Any
 import control as ct
 import numpy as np
 
+from .arguments import as_array, as_number
 from .exceptions import DataError
 from .systems.linear import Array
 
-__all__ = ["as_labels", "as_signals", "as_texts", "as_time_grid", "check_finite", "default_labels"]
+__all__ = ["as_signals", "as_time_grid", "check_finite", "default_labels"]
 
 # A time axis may leave its regular grid by this share of a sample: the rounding of a text file passes,
 # a lost, doubled or shifted sample does not.
@@ -47,21 +48,7 @@ def as_signals(values: Any, what: str) -> Array:
             f"{what} is a table of columns ({type(values).__name__}); "
             "read it with Measurement.from_frame(frame, inputs=[...], outputs=[...])"
         )
-    if np.ma.isMaskedArray(values) and np.ma.getmaskarray(values).any():
-        place = np.argwhere(np.ma.getmaskarray(values))[0]
-        raise DataError(f"{what} is masked at index {tuple(int(i) for i in place)}; repair or cut the gap")
-    try:
-        array = np.array(values, subok=False)
-    except ValueError as error:
-        raise ct.ControlDimension(f"{what} holds signals of unequal lengths; give all the same") from error
-    if array.dtype.kind == "c":
-        raise ct.ControlArgument(
-            f"{what} is complex; a record is real (for a measured response use control.frd)"
-        )
-    if array.dtype.kind not in "fiub":
-        raise ct.ControlArgument(
-            f"{what} must hold real numbers, not {array.dtype} such as {_first(array)!r}; convert it first"
-        )
+    array = as_array(values, what, finite=False, flags=True)
     if array.ndim == 0:
         raise ct.ControlDimension(f"{what} is a single number; give a signal over time")
     if array.ndim > 2:
@@ -78,36 +65,12 @@ def as_signals(values: Any, what: str) -> Array:
             f"({n_signals} signal(s) of {n_samples} samples?). "
             f"Signals come first and time last, as in python-control; pass {what}.T"
         )
-    return np.atleast_2d(array).astype(np.float64)
+    return np.atleast_2d(array)
 
 
 def default_labels(prefix: str, count: int) -> tuple[str, ...]:
     """Labels that python-control itself would give: u[0], u[1], ..."""
     return tuple(f"{prefix}[{index}]" for index in range(count))
-
-
-def as_texts(values: Any, count: int, what: str) -> tuple[str, ...]:
-    """Tuple of `count` strings from one string or a sequence of them."""
-    texts: Sequence[Any] = (values,) if isinstance(values, str) else tuple(values)
-    for text in texts:
-        if not isinstance(text, str):
-            raise ct.ControlArgument(f"{what} must be strings, not {text!r}")
-    if len(texts) != count:
-        raise ct.ControlDimension(f"{what}: {len(texts)} given for {count} signal(s)")
-    return tuple(str(text) for text in texts)
-
-
-def as_labels(values: Any, count: int, prefix: str, what: str) -> tuple[str, ...]:
-    """Unique signal labels, python-control's own where none are given."""
-    if values is None:
-        return default_labels(prefix, count)
-    labels = as_texts(values, count, what)
-    for label in labels:
-        if not label:
-            raise DataError(f"{what} holds an empty name; name every signal")
-        if labels.count(label) > 1:
-            raise DataError(f"{what} names {label!r} twice; names must differ")
-    return labels
 
 
 def check_finite(signals: Array, labels: Sequence[str], times: Array | None, what: str) -> None:
@@ -134,7 +97,7 @@ def as_time_grid(dt: Any, timepts: Any, n_samples: int) -> tuple[float, Array]:
         If neither is given, if they contradict each other, or if the times
         are irregular; the message names place and size.
     """
-    step = None if dt is None else _as_step(dt)
+    step = None if dt is None else as_number(dt, "dt", above=0.0, unit="of seconds", error=DataError)
     if timepts is None:
         if step is None:
             raise DataError("the record has no time: give dt (sampling time in s) or timepts (times in s)")
@@ -187,33 +150,13 @@ def _check_regular(times: Array, steps: Array, mean: float) -> None:
     )
 
 
-def _as_step(dt: Any) -> float:
-    if isinstance(dt, (bool, np.bool_)) or not isinstance(dt, (int, float, np.integer, np.floating)):
-        raise ct.ControlArgument(f"dt must be the sampling time in seconds, a number, not {dt!r}")
-    step = float(dt)
-    if not np.isfinite(step) or step <= 0:
-        raise DataError(
-            f"dt must be positive and finite, not {step:g}: a record is sampled, whatever the model"
-        )
-    return step
-
-
 def _as_times(timepts: Any, n_samples: int) -> Array:
-    times = np.array(timepts, subok=False)
-    if times.dtype.kind not in "fiu":
-        raise ct.ControlArgument(
-            f"timepts must be numbers in seconds, not {times.dtype}; convert dates to seconds since the start"
-        )
+    times = as_array(timepts, "timepts (in seconds)", finite=False)
     if times.ndim == 2 and 1 in times.shape:
         times = times.ravel()
     if times.shape != (n_samples,):
         raise ct.ControlDimension(f"timepts has shape {times.shape} for signals of {n_samples} samples")
-    times = times.astype(np.float64)
     if not np.isfinite(times).all():
         k = int(np.argmin(np.isfinite(times)))
         raise DataError(f"timepts is not finite at sample {k}; give the time of every sample, or dt")
     return times
-
-
-def _first(array: Any) -> Any:
-    return array.flat[0] if array.size else None

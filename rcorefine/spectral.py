@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
+from .arguments import as_choice, as_number, shown
 from .exceptions import DataError
 from .systems.linear import Array
 
@@ -134,6 +135,8 @@ class FrequencyResponse(ct.FrequencyResponseData):  # type: ignore[misc]
                 f"a measured response is a FrequencyResponse or control.FrequencyResponseData, "
                 f"not {type(response).__name__}; from a record take data.frequency_response()"
             )
+        if hold is not None:
+            as_choice(hold, "hold", ("zoh", "foh", "bandlimited"))
         omega = np.array(response.omega, dtype=float)
         values = np.array(response.frdata, dtype=complex)
         if not np.isfinite(values).all() or not (np.isfinite(omega) & (omega > 0)).all():
@@ -341,10 +344,13 @@ def estimate_frequency_response(
                 "response can be estimated from it; use a record in which it varies, or leave the channel out"
             )
     length = _segment_length(segment_length, data.n_samples)
-    if not 0.0 <= overlap < 1.0:
-        raise DataError(f"overlap must lie in 0 <= overlap < 1, not {overlap}")
-    shared = int(overlap * length)
-    taper = signal.get_window(window, length)
+    shared = int(as_number(overlap, "overlap", least=0.0, below=1.0, error=DataError) * length)
+    try:
+        taper = signal.get_window(window, length)
+    except (ValueError, TypeError, AttributeError) as error:
+        raise ct.ControlArgument(
+            f"window must be one that scipy.signal.get_window knows, not {shown(window)}: {error}"
+        ) from error
     averages = effective_averages(data.n_samples, taper, shared)
     if averages <= data.n_inputs + 1:
         raise DataError(

@@ -286,7 +286,7 @@ class TestChain:
             (([1, 2], [1, 1], [1, 1]), {"outputs": "y"}, "1 names for 2"),
             (([1, 2], [1, 1], [1, 1]), {"outputs": ["y", "y"]}, "unique"),
             (([1, 2], [1, 1], [1, 1]), {"excitation": "road"}, "'force', 'base'"),
-            ((["a", 2], [1, 1], [1, 1]), {}, "list of numbers"),
+            ((["a", 2], [1, 1], [1, 1]), {}, "m must hold real numbers"),
         ],
     )
     def test_what_is_wrong_is_said(self, arguments, keywords, message):

@@ -247,7 +247,7 @@ BAD = {
     "label count": (
         dict(inputs=Z, outputs=Z, dt=1, input_labels=["a", "b"]),
         ct.ControlDimension,
-        "2 given for 1",
+        "2 names for 1",
     ),
     "label twice": (dict(inputs=[Z, Z], outputs=Z, dt=1, input_labels=["a", "a"]), DataError, "'a' twice"),
     "label type": (dict(inputs=Z, outputs=Z, dt=1, input_labels=[1]), ct.ControlArgument, "strings"),

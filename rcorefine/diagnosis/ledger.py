@@ -162,7 +162,7 @@ class Improvement:
         ax: Any = None,
         label: str | None = None,
         title: str | None = None,
-        legend_loc: str | None = "upper right",
+        legend_loc: str | bool | None = "upper right",
         rcParams: dict[str, Any] | None = None,
         show_legend: bool | None = None,
     ) -> ct.ControlPlot:

@@ -10,8 +10,10 @@ import control as ct
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..arguments import as_choice, as_generator, as_number, as_whole
 from ..exceptions import DataError
 from ..measurement import Measurement
+from ..signals import as_signals, check_finite
 from ..systems import LinearModel, to_discrete
 from ..systems.linear import Array
 
@@ -96,11 +98,11 @@ class Example:
         control.ControlDimension
             If `inputs` has another shape.
         """
-        if model not in ("true", "initial"):
-            raise ct.ControlArgument(f"model must be 'true' or 'initial', not {model!r}")
-        w = np.array(inputs, dtype=float, ndmin=2)
-        if w.ndim != 2 or w.shape[0] != 1:
+        as_choice(model, "model", ("true", "initial"))
+        w = as_signals(inputs, "inputs")
+        if w.shape[0] != 1:
             raise ct.ControlDimension(f"inputs must have shape (N,) or (1, N), not {np.shape(inputs)}")
+        check_finite(w, self.true_model.input_labels, None, "input")
         discrete = to_discrete(self.true_model if model == "true" else self.initial_model, self.dt)
         states = _states(discrete, w)
         return ct.TimeResponseData(
@@ -149,13 +151,10 @@ class Example:
             If `n_samples` is below 2, `noise` is negative, or
             `amplitude` is not positive.
         """
-        if n_samples < 2:
-            raise DataError(f"n_samples must be at least 2, not {n_samples}")
-        if not 0.0 <= noise < np.inf:
-            raise DataError(f"noise must be a finite fraction of std(y), 0 or more, not {noise}")
-        if not 0.0 < amplitude < np.inf:
-            raise DataError(f"amplitude must be positive and finite, not {amplitude}")
-        generator = np.random.default_rng(rng)
+        n_samples = as_whole(n_samples, "n_samples", least=2, error=DataError)
+        noise = as_number(noise, "noise", least=0.0, error=DataError)
+        amplitude = as_number(amplitude, "amplitude", above=0.0, error=DataError)
+        generator = as_generator(rng)
         w = amplitude * generator.standard_normal((1, n_samples))
         discrete = to_discrete(self.true_model, self.dt)
         y = discrete.C @ _states(discrete, w) + discrete.D @ w

@@ -8,6 +8,7 @@ from typing import Any
 import control as ct
 import numpy as np
 
+from ..arguments import as_choice, as_number
 from ..exceptions import ModelError
 from ..systems import LinearModel, characteristic_polynomial, check_sampling_time, observable_form
 from .example import Example
@@ -243,6 +244,7 @@ def rlc_parameters(system: ct.StateSpace, resistance: float = 250.0) -> dict[str
     >>> round(1e6 * found["capacitance"], 6)
     23.5
     """
+    resistance = as_number(resistance, "resistance", above=0.0, error=ModelError)
     model = LinearModel.from_statespace(system)
     if not model.is_continuous:
         raise ModelError(f"model {model.name!r} is not continuous; convert it with rcorefine.d2c")
@@ -279,8 +281,7 @@ def _example(
     description: str,
 ) -> Example:
     """Build both models in the form asked for."""
-    if form not in FORMS:
-        raise ct.ControlArgument(f"form {form!r} is unknown; choose 'given' or 'observable'")
+    as_choice(form, "form", FORMS)
     models = [build("initial", initial), build("true", true)]
     states = signal_units[2]
     if form == "observable":

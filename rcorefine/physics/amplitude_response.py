@@ -10,6 +10,7 @@ import control as ct
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..arguments import as_choice, as_vector, as_whole, shown
 from ..exceptions import ModelError
 from ..measurement import Measurement
 from ..systems.linear import Array
@@ -20,6 +21,7 @@ from .simulation import structure_of
 __all__ = ["AmplitudeResponse", "frequency_response_at"]
 
 _HARMONICS = 15
+_MOST_HARMONICS = 1000
 _AFAR, _APPROACH = 0.3, 30
 _UNSTABLE = 1.001
 _PERIODS, _PER_PERIOD = 200, 64
@@ -180,15 +182,10 @@ def frequency_response_at(
     >>> bool(np.allclose(linear.response[:, 0, 0], 1 / (75 + 1j)))
     True
     """
-    points = np.atleast_1d(np.asarray(omega, dtype=float))
-    levels = np.atleast_1d(np.asarray(amplitude, dtype=float))
-    for what, values in (("omega", points), ("amplitude", levels)):
-        if values.ndim != 1 or not values.size or not (np.isfinite(values) & (values > 0)).all():
-            raise ModelError(f"{what} must hold positive finite numbers, not {values}")
-    if isinstance(harmonics, bool) or not isinstance(harmonics, (int, np.integer)) or harmonics < 1:
-        raise ct.ControlArgument(f"harmonics must be a whole number >= 1, not {harmonics!r}")
-    if sweep not in ("up", "down"):
-        raise ct.ControlArgument(f"sweep must be 'up' or 'down', not {sweep!r}")
+    points = as_vector(omega, "omega", above=0.0, error=ModelError)
+    levels = as_vector(amplitude, "amplitude", above=0.0, error=ModelError)
+    harmonics = as_whole(harmonics, "harmonics", least=1, most=_MOST_HARMONICS)
+    as_choice(sweep, "sweep", ("up", "down"))
     structure, theta, _ = structure_of(model)
     linear = structure.linear_model
     channel = _channel(source, linear.input_labels)
@@ -274,4 +271,4 @@ def _channel(source: int | str, labels: tuple[str, ...]) -> int:
         return labels.index(source)
     if isinstance(source, (int, np.integer)) and not isinstance(source, bool) and 0 <= source < len(labels):
         return int(source)
-    raise ct.ControlArgument(f"no input {source!r}; there are {', '.join(labels)}")
+    raise ct.ControlArgument(f"source: there is no input {shown(source)}; there are {', '.join(labels)}")

@@ -7,25 +7,11 @@ from typing import Any
 import control as ct
 
 from ..comparison.channels import match_channels
-from ..exceptions import DataError
-from ..measurement import Measurement
+from ..measurement import Measurement, as_records
 from ..physics.physical_model import PhysicalModel, as_physical
 from ..physics.windows import free_runs
 
 __all__ = ["as_records", "check_validation", "windows"]
-
-
-def as_records(data: Any) -> list[Measurement]:
-    """One record or several, checked."""
-    records = [data] if isinstance(data, Measurement) else list(data)
-    for i, record in enumerate(records):
-        if not isinstance(record, Measurement):
-            raise ct.ControlArgument(
-                f"data[{i}] is a {type(record).__name__}; give a Measurement or a list of them"
-            )
-    if not records:
-        raise DataError("data is an empty list; give at least one Measurement")
-    return records
 
 
 def check_validation(model: Any, record: Any) -> None:

@@ -9,6 +9,7 @@ import control as ct
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..arguments import as_vector
 from ..exceptions import ModelError
 from ..measurement import Measurement
 from ..spectral import FrequencyResponse
@@ -16,7 +17,7 @@ from ..systems.discretization import discretize
 from ..systems.linear import Array, LinearModel
 from ..systems.response import frequency_response
 from .axes_of_bode import BodeUnits, bode_rows, broken_phase, draw_measured, magnitude_limits
-from .figures import BAND, curve_labels, finish, log_labels, make_axes, settings, style
+from .figures import BAND, curve_labels, finish, log_labels, make_axes, picture, settings, style
 
 __all__ = ["as_sampled", "bode_comparison", "bode_grid"]
 
@@ -25,6 +26,7 @@ _RAYLEIGH_95 = float(np.sqrt(-2.0 * np.log(0.05)))
 _POINTS = 600
 
 
+@picture
 def bode_comparison(
     systems: Sequence[tuple[str, ct.StateSpace | LinearModel]],
     measured: FrequencyResponse | Measurement | ct.FrequencyResponseData | None = None,
@@ -88,7 +90,7 @@ def bode_comparison(
     ]
     seen_as = _as_measured(measured)
     outputs, inputs = _channels(models, seen_as)
-    points = None if omega is None else np.asarray(omega, dtype=float)
+    points = None if omega is None else as_vector(omega, "omega", above=0.0)
     names = curve_labels(label, [text for text, _ in models])
     with settings(rcParams):
         ratios = [1.8, 1.4] if seen_as is None else [1.8, 1.4, 1.2]

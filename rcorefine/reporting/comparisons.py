@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import control as ct
 import numpy as np
 
-from .figures import MEASURED, curve_labels, finish, make_axes, settings, style, unit_text
+from .figures import MEASURED, curve_labels, finish, make_axes, picture, settings, style, unit_text
 from .tables import html_table, number, text_table
 
 if TYPE_CHECKING:
@@ -93,6 +93,7 @@ def _without_empty_unit(headers: list[str], rows: list[list[str]]) -> tuple[list
     return headers[:2] + headers[3:], [row[:2] + row[3:] for row in rows]
 
 
+@picture
 def plot_time(
     result: Comparison,
     *,

@@ -10,7 +10,7 @@ import control as ct
 import numpy as np
 
 from ..exceptions import ModelError
-from .figures import curve_labels, finish, make_axes, settings, unit_text
+from .figures import curve_labels, finish, make_axes, picture, settings, unit_text
 from .tables import html_table, number, text_table
 
 if TYPE_CHECKING:
@@ -142,6 +142,7 @@ def damage_html(result: DamageMap) -> str:
     return first + html_table(headers, rows, title="Scenarios, the most probable first", left=2)
 
 
+@picture
 def plot_damage(
     result: DamageMap,
     *,

@@ -13,7 +13,7 @@ from scipy.signal import welch
 from ..physics.simulation import simulate
 from ..systems.discretization import discretize
 from ..systems.linear import Array, LinearModel
-from .figures import MEASURED, finish, settings, style, unit_text
+from .figures import MEASURED, finish, picture, settings, style, unit_text
 
 if TYPE_CHECKING:
     from ..diagnosis.result import Diagnosis
@@ -38,6 +38,7 @@ _ALONG_D = frozenset(
 )
 
 
+@picture
 def diagnosis_plot(
     found: Diagnosis,
     *,

@@ -8,7 +8,7 @@ import control as ct
 import matplotlib.pyplot as plt
 import numpy as np
 
-from .figures import finish, unit_text
+from .figures import finish, picture, unit_text
 
 if TYPE_CHECKING:
     from ..diagnosis.confirmation import Confirmation
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["confirmation_plot", "experiment_plot"]
 
 
+@picture
 def experiment_plot(
     advice: ExperimentAdvice,
     *,
@@ -98,6 +99,7 @@ def experiment_plot(
     return ct.ControlPlot(out, np.array([[ax]]), ax.figure, legend)
 
 
+@picture
 def confirmation_plot(
     confirmation: Confirmation,
     *,

@@ -11,7 +11,18 @@ import numpy as np
 
 from ..exceptions import DataError
 from .axes_of_bode import BodeUnits
-from .figures import BAND, MEASURED, curve_labels, finish, log_labels, make_axes, settings, style, unit_text
+from .figures import (
+    BAND,
+    MEASURED,
+    curve_labels,
+    finish,
+    log_labels,
+    make_axes,
+    picture,
+    settings,
+    style,
+    unit_text,
+)
 from .tables import clip
 
 if TYPE_CHECKING:
@@ -28,6 +39,7 @@ _LOOKS = {
 _MARK = "#e8c9b8"
 
 
+@picture
 def plot_map(
     result: Comparison,
     *,

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import functools
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, ParamSpec
 
 import control as ct
+import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.legend import Legend
 from matplotlib.ticker import LogFormatter
+
+from ..arguments import as_choice, as_flag, as_mapping, as_text, as_texts, shown
 
 __all__ = [
     "BAND",
@@ -19,6 +25,7 @@ __all__ = [
     "finish",
     "log_labels",
     "make_axes",
+    "picture",
     "settings",
     "style",
     "unit_text",
@@ -27,6 +34,9 @@ __all__ = [
 MEASURED = "0.15"
 BAND = "0.78"
 _WIDTH = 7.0
+_OPTIONS = ("ax", "label", "title", "legend_loc", "rcParams", "show_legend")
+
+Parameters = ParamSpec("Parameters")
 
 
 class Style(NamedTuple):
@@ -50,6 +60,34 @@ _STYLES = (
 def style(index: int) -> Style:
     """Line style of curve `index`."""
     return _STYLES[index % len(_STYLES)]
+
+
+def picture(draw: Callable[Parameters, ct.ControlPlot]) -> Callable[Parameters, ct.ControlPlot]:
+    """Check the options that all pictures share before anything is drawn."""
+
+    @functools.wraps(draw)
+    def checked(*args: Parameters.args, **options: Parameters.kwargs) -> ct.ControlPlot:
+        _check_options(**{name: options.get(name) for name in _OPTIONS})
+        return draw(*args, **options)
+
+    return checked
+
+
+def _check_options(ax: Any, label: Any, title: Any, legend_loc: Any, rcParams: Any, show_legend: Any) -> None:
+    if ax is not None and not all(isinstance(item, Axes) for item in np.ravel(np.asarray(ax, dtype=object))):
+        raise ct.ControlArgument(f"ax must hold matplotlib axes and nothing else, not {shown(ax)}")
+    if label is not None:
+        as_texts(label, "label")
+    if title is not None:
+        as_text(title, "title")
+    if legend_loc is not None and not isinstance(legend_loc, bool | np.bool_):
+        as_choice(legend_loc, "legend_loc", Legend.codes)
+    if show_legend is not None:
+        as_flag(show_legend, "show_legend")
+    try:
+        mpl.RcParams(as_mapping(rcParams, "rcParams", "matplotlib's settings"))
+    except (KeyError, ValueError) as error:
+        raise ct.ControlArgument(f"rcParams: {' '.join(str(error).split())}") from error
 
 
 @contextmanager

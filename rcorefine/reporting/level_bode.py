@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
+from ..arguments import as_vector
 from ..comparison.channels import match_channels, record_for
-from ..exceptions import DataError, DivergenceError
-from ..measurement import Measurement
+from ..exceptions import DivergenceError
+from ..measurement import Measurement, as_records
 from ..physics.amplitude_response import AmplitudeResponse, frequency_response_at
 from ..physics.simulation import simulate, structure_of
 from ..spectral import FrequencyResponse
@@ -22,7 +23,7 @@ from ..systems.linear import Array, LinearModel
 from ..systems.response import frequency_response
 from .axes_of_bode import BodeUnits, bode_rows, broken_phase, draw_measured, magnitude_limits
 from .bode import bode_grid
-from .figures import curve_labels, finish, make_axes, settings, style
+from .figures import curve_labels, finish, make_axes, picture, settings, style
 
 __all__ = ["hold_factor", "level_bode", "stretches_by_level"]
 
@@ -126,6 +127,7 @@ def hold_factor(omega: Array, dt: float, hold: str) -> NDArray[np.complex128]:
     return size * np.exp(-1j * half) if hold == "zoh" else (size**2).astype(complex)
 
 
+@picture
 def level_bode(
     refinement: Any,
     levels: Sequence[float] | Array,
@@ -169,9 +171,9 @@ def level_bode(
     DataError
         If no level is given.
     """
-    peaks = np.atleast_1d(np.asarray(levels, dtype=float))
-    if not peaks.size:
-        raise DataError("levels is empty; give at least one amplitude of the input")
+    peaks = as_vector(levels, "levels", above=0.0)
+    if omega is not None:
+        omega = as_vector(omega, "omega", above=0.0)
     structure, theta, _ = structure_of(refinement)
     linear = structure.linear_model
     initial = LinearModel.from_statespace(structure.model.system)
@@ -227,13 +229,9 @@ def _measured_groups(refinement: Any, linear: LinearModel, measured: Any) -> lis
         measured = FrequencyResponse.from_frd(measured)
     if isinstance(measured, FrequencyResponse):
         return [(float("nan"), measured, None)]
-    records = [measured] if isinstance(measured, Measurement) else list(measured)
+    records = as_records(measured, "measured")
     parts = []
     for record in records:
-        if not isinstance(record, Measurement):
-            raise ct.ControlArgument(
-                f"measured must be a record, records or a measured response, not {type(record).__name__}"
-            )
         parts += stretches_by_level(record_for(record, match_channels(linear, record)))
     groups: list[_Group] = []
     for level, part in sorted(parts, key=lambda pair: pair[0])[:_MOST]:
@@ -262,7 +260,7 @@ def _with_outputs(data: Measurement, outputs: Array) -> Measurement:
 def _grid(model: LinearModel, groups: Sequence[_Group], omega: ArrayLike | None) -> Array:
     """Frequencies for the sines: fewer than for a linear curve, dense near the modes."""
     if omega is not None:
-        return np.sort(np.atleast_1d(np.asarray(omega, dtype=float)))
+        return np.sort(omega)
     full = bode_grid(model, groups[0][1] if groups else None, None)
     even = np.geomspace(full[0], full[-1], _POINTS)
     roots = np.linalg.eigvals(model.A)

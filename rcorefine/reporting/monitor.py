@@ -9,7 +9,7 @@ import control as ct
 import numpy as np
 
 from ..exceptions import DataError
-from .figures import BAND, curve_labels, finish, make_axes, settings, style, unit_text
+from .figures import BAND, curve_labels, finish, make_axes, picture, settings, style, unit_text
 
 if TYPE_CHECKING:
     from ..monitoring import Monitor
@@ -19,6 +19,7 @@ __all__ = ["monitor_plot"]
 _MOST = 4  # candidates whose probability is drawn
 
 
+@picture
 def monitor_plot(
     monitor: Monitor,
     *,

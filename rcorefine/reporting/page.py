@@ -9,6 +9,7 @@ from html import escape
 from os import PathLike
 from pathlib import Path
 
+from ..arguments import as_flag, as_path, as_text
 from ..writing import replacing
 from .page_pictures import Picture
 from .page_style import STYLE
@@ -176,13 +177,21 @@ def write_page(page: Page, path: str | PathLike[str], *, overwrite: bool = False
     return target
 
 
-def check_target(path: str | PathLike[str], *, overwrite: bool = False) -> Path:
+def check_target(
+    path: str | PathLike[str],
+    *,
+    title: str | None = None,
+    code: str | None = None,
+    overwrite: bool = False,
+) -> Path:
     """Absolute path of a report to be written; raises where that must not be.
 
     Parameters
     ----------
     path : str or path
         File to write.
+    title, code : str, optional
+        What it is to say, checked with it before the work begins.
     overwrite : bool
         Whether any file there may be replaced.
 
@@ -196,7 +205,11 @@ def check_target(path: str | PathLike[str], *, overwrite: bool = False) -> Path:
     FileNotFoundError, FileExistsError, IsADirectoryError
         As `write_page`.
     """
-    target = Path(path).expanduser().absolute()
+    for name, text in (("title", title), ("code", code)):
+        if text is not None:
+            as_text(text, name)
+    as_flag(overwrite, "overwrite")
+    target = _home(as_path(path)).absolute()
     if target.is_dir():
         raise IsADirectoryError(f"{target} is a folder; give the name of a file in it, such as report.html")
     if not target.parent.is_dir():
@@ -209,3 +222,10 @@ def check_target(path: str | PathLike[str], *, overwrite: bool = False) -> Path:
                 f"{target} exists and is no report of rcorefine; choose another name or say overwrite=True"
             )
     return target
+
+
+def _home(path: Path) -> Path:
+    try:
+        return path.expanduser()
+    except RuntimeError:  # a tilde that is nobody's home is a name like any other
+        return path

@@ -30,7 +30,7 @@ def report_comparison(
     result: Comparison, path: Target, *, title: str | None, code: str | None, overwrite: bool
 ) -> Path:
     """Write the report of a comparison; see `Comparison.report`."""
-    target = check_target(path, overwrite=overwrite)
+    target = check_target(path, title=title, code=code, overwrite=overwrite)
     answer, fine = comparison_answer(result)
     sections = [
         Section(
@@ -50,7 +50,7 @@ def report_responses(
     result: FrequencyComparison, path: Target, *, title: str | None, code: str | None, overwrite: bool
 ) -> Path:
     """Write the report of a comparison with a measured response; see `FrequencyComparison.report`."""
-    target = check_target(path, overwrite=overwrite)
+    target = check_target(path, title=title, code=code, overwrite=overwrite)
     measured = result.measured
     answer, fine = response_answer(result)
     headers, rows, above, notes = result._cells()

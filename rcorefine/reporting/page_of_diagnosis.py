@@ -25,7 +25,7 @@ def report_diagnosis(
     """Write the report of a diagnosis; see `Diagnosis.report`."""
     from ..diagnosis.diagnose import diagnose
 
-    target = check_target(path, overwrite=overwrite)
+    target = check_target(path, title=title, code=code, overwrite=overwrite)
     answer, fine = diagnosis_answer(found)
     shown = ", ".join(f"{row.effect.label} {row.probability:.2f}" for row in found.ranking[:4]) or "nothing"
     drawn = pictures(

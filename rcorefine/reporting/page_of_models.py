@@ -45,7 +45,7 @@ def report_improvement(
     overwrite: bool,
 ) -> Path:
     """Write the report of an improvement; see `Improvement.report`."""
-    target = check_target(path, overwrite=overwrite)
+    target = check_target(path, title=title, code=code, overwrite=overwrite)
     answer, fine = improvement_answer(ladder)
     last = ladder.refinement
     errors = ", ".join(f"{float(np.sqrt(np.mean(s.validation_rmse**2))):.3g}" for s in ladder.steps)
@@ -99,7 +99,7 @@ def report_refinement(
     overwrite: bool,
 ) -> Path:
     """Write the report of a refinement; see `Refinement.report`."""
-    target = check_target(path, overwrite=overwrite)
+    target = check_target(path, title=title, code=code, overwrite=overwrite)
     tables: Parts = [
         parameter_table(refinement, "Parameters"),
         Paragraphs([refinement.message, *refinement.warnings]),

@@ -8,7 +8,7 @@ import control as ct
 import numpy as np
 
 from .axes_of_bode import bode_rows, draw_measured, magnitude_limits
-from .figures import MEASURED, curve_labels, finish, make_axes, settings, unit_text
+from .figures import MEASURED, curve_labels, finish, make_axes, picture, settings, unit_text
 from .tables import html_table, number, text_table
 
 if TYPE_CHECKING:
@@ -66,6 +66,7 @@ def measurement_html(data: Measurement) -> str:
     return html_table(headers, rows, title=title, notes=notes, left=3)
 
 
+@picture
 def plot_measurement(
     data: Measurement,
     *,
@@ -157,6 +158,7 @@ def frequency_response_html(measured: FrequencyResponse) -> str:
     return html_table(headers, rows, title=title, notes=notes, left=2)
 
 
+@picture
 def plot_frequency_response(
     measured: FrequencyResponse,
     *,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import control as ct
 import numpy as np
 
-from .figures import BAND, MEASURED, curve_labels, finish, make_axes, settings, style, unit_text
+from .figures import BAND, MEASURED, curve_labels, finish, make_axes, picture, settings, style, unit_text
 
 if TYPE_CHECKING:
     from ..comparison.result import Comparison
@@ -18,6 +18,7 @@ __all__ = ["plot_horizon", "plot_residual"]
 _LAGS = 25
 
 
+@picture
 def plot_residual(
     result: Comparison,
     *,
@@ -74,6 +75,7 @@ def plot_residual(
         )  # fmt: skip
 
 
+@picture
 def plot_horizon(
     result: Comparison,
     *,

@@ -8,19 +8,22 @@ import control as ct
 import matplotlib.pyplot as plt
 import numpy as np
 
+from .figures import picture
+
 if TYPE_CHECKING:
     from ..diagnosis.ledger import Improvement, Step
 
 __all__ = ["staircase_plot"]
 
 
+@picture
 def staircase_plot(
     improvement: Improvement,
     *,
     ax: Any = None,
     label: str | None = None,
     title: str | None = None,
-    legend_loc: str | None = "upper right",
+    legend_loc: str | bool | None = "upper right",
     rcParams: dict[str, Any] | None = None,
     show_legend: bool | None = None,
 ) -> ct.ControlPlot:
@@ -95,7 +98,8 @@ def staircase_plot(
         ax.set_ylabel(f"RMS error [{unit}]" if unit else "RMS error")
         ax.set_title(title or f"The error falls: {improvement.verdict} after {len(steps) - 1} step(s)")
         ax.grid(True, axis="y", alpha=0.4)
-        legend = ax.legend(loc=legend_loc) if show_legend in (None, True) else None
+        shown = show_legend or (show_legend is None and legend_loc is not False)
+        legend = ax.legend(loc=legend_loc if isinstance(legend_loc, str) else None) if shown else None
     out = np.empty((1, 1), dtype=object)
     out[0, 0] = lines
     return ct.ControlPlot(out, np.array([[ax]]), ax.figure, legend)

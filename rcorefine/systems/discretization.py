@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import control as ct
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import linalg
 
+from ..arguments import as_choice, as_number
 from ..exceptions import ModelError
 from .linear import Array
 
@@ -61,8 +60,7 @@ def discretize(A: ArrayLike, B: ArrayLike, dt: float, hold: str = "zoh") -> tupl
     >>> print(G0.ravel(), G1.ravel())
     [0.125 0.5  ] [0. 0.]
     """
-    if hold not in HOLDS:
-        raise ct.ControlArgument(f"hold {hold!r} is unknown here; choose one of {', '.join(HOLDS)}")
+    as_choice(hold, "hold", HOLDS)
     a, b = _checked(A, B)
     step = check_sampling_time(dt)
     n, n_w = b.shape
@@ -114,11 +112,7 @@ def check_sampling_time(dt: object) -> float:
     >>> check_sampling_time(0.01)
     0.01
     """
-    if isinstance(dt, bool | np.bool_) or not isinstance(dt, int | float | np.integer | np.floating):
-        raise ModelError(f"sampling time must be a positive number of seconds, not {dt!r}")
-    if not math.isfinite(dt) or dt <= 0:
-        raise ModelError(f"sampling time must be positive and finite, not {dt!r} s")
-    return float(dt)
+    return as_number(dt, "the sampling time", above=0.0, unit="of seconds", error=ModelError)
 
 
 def _checked(A: ArrayLike, B: ArrayLike) -> tuple[Array, Array]:

@@ -8,11 +8,13 @@ from typing import Any
 import control as ct
 import numpy as np
 
+from ...arguments import as_array, as_choice, shown
 from ...exceptions import ModelError
 from ...systems.linear import Array
 from ._assembly import Place, Sensor, Units, unit_vector
-from ._checks import as_choice, as_index
+from ._checks import as_index, as_several
 
+_SENSORS = "a quantity, a pair (quantity, mass) or a list of these"
 QUANTITIES = ("displacement", "velocity", "acceleration")
 _LETTER = {"displacement": "q", "velocity": "v", "acceleration": "a"}
 
@@ -27,14 +29,14 @@ def parse_sensors(
     """
     found: list[Sensor] = []
     for quantity, where in _requests(sensors, size):
-        as_choice("the quantity of a sensor", quantity, QUANTITIES)
+        as_choice(quantity, "the quantity of a sensor", QUANTITIES)
         if isinstance(where, str):
             if where not in places:
                 raise ModelError(f"sensor at {where!r}: no such place, only {', '.join(places)}")
             direction, absolute = places[where].direction, places[where].absolute
             label = f"{_LETTER[quantity]}_{where}"
         else:
-            mass = as_index("the mass of a sensor", where, size)
+            mass = as_index(where, "the mass of a sensor", size)
             direction, absolute, label = unit_vector(size, (mass, 1.0)), True, f"{_LETTER[quantity]}{where}"
         rows = {key: direction if key == quantity else np.zeros(size) for key in QUANTITIES}
         # displacements and velocities are relative to the base, an accelerometer feels it
@@ -58,19 +60,19 @@ def parse_sensors(
     return found
 
 
-def _requests(sensors: Any, size: int) -> list[tuple[str, Any]]:
+def _requests(sensors: Any, size: int, *, nested: bool = False) -> list[tuple[str, Any]]:
     if isinstance(sensors, str):
         return [(sensors, number) for number in range(1, size + 1)]
     if not isinstance(sensors, Sequence):
-        raise ct.ControlArgument(
-            f"sensors must be a quantity, a pair (quantity, mass) or a list of these, not {sensors!r}"
-        )
+        raise ct.ControlArgument(f"sensors must be {_SENSORS}, not {shown(sensors)}")
     pair = len(sensors) == 2 and isinstance(sensors[0], str) and not _is_request(sensors[1])
     if pair:
         where = sensors[1]
         several = isinstance(where, Sequence) and not isinstance(where, str)
         return [(sensors[0], item) for item in (where if several else [where])]
-    return [request for item in sensors for request in _requests(item, size)]
+    if nested:
+        raise ct.ControlArgument(f"sensors must be {_SENSORS}; a list in the list is {shown(sensors)}")
+    return [request for item in sensors for request in _requests(item, size, nested=True)]
 
 
 def _is_request(item: Any) -> bool:
@@ -82,23 +84,20 @@ def _is_request(item: Any) -> bool:
 def parse_force(force: Any, size: int) -> tuple[Array, list[str]]:
     """Map from inputs to masses and labels, from mass numbers or from a matrix."""
     if isinstance(force, np.ndarray) and force.ndim == 2:
-        matrix = np.asarray(force, dtype=float)
+        matrix = as_array(force, "the map of the forces", error=ModelError)
         if matrix.shape[0] != size:
             raise ct.ControlDimension(
                 f"the map of the forces has {matrix.shape[0]} rows for {size} masses; "
                 "each column tells how one input acts on the masses"
             )
-        if not np.isfinite(matrix).all():
-            raise ModelError("the map of the forces must be finite")
         if not matrix.any(axis=0).all():
             raise ModelError(
                 f"input {int(np.argmin(matrix.any(axis=0))) + 1} of the map of the forces acts on no mass"
             )
         count = matrix.shape[1]
         return matrix, ["force"] if count == 1 else [f"force{j + 1}" for j in range(count)]
-    several = isinstance(force, (Sequence, np.ndarray)) and not isinstance(force, str)
-    masses = list(force) if several else [force]
-    columns = [as_index("the mass that a force acts on", mass, size) for mass in masses]
+    masses = as_several(force, "force", "numbers of masses")
+    columns = [as_index(mass, "the mass that a force acts on", size) for mass in masses]
     if len(set(columns)) != len(columns):
         raise ModelError(f"force={force!r} names a mass twice; one input per mass is enough")
     matrix = np.zeros((size, len(columns)))
@@ -111,7 +110,7 @@ def input_map(
     excitation: str, force: Any, M: Array, units: Units
 ) -> tuple[Array, Array, list[str], tuple[str, ...]]:
     """Columns of F, base flags, labels and units of the inputs."""
-    as_choice("excitation", excitation, ("force", "base"))
+    as_choice(excitation, "excitation", ("force", "base"))
     size = M.shape[0]
     matrix, labels = np.zeros((size, 0)), list[str]()
     if excitation == "force" or force is not None:

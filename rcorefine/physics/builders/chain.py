@@ -8,6 +8,7 @@ from typing import Any
 import control as ct
 import numpy as np
 
+from ...arguments import as_text
 from ...systems.linear import Array
 from ..physical_model import PhysicalModel
 from ._assembly import Place, SecondOrder, Units, parameters_of, unit_vector
@@ -91,7 +92,7 @@ def mass_spring_damper(
     >>> model.system.C
     array([[0., 0., 1., 0.]])
     """
-    masses = as_vector("m", m)
+    masses = as_vector(m, "m")
     n = masses.size
     damping, stiffness = _link_values("c", c, n), _link_values("k", k, n)
     count = max(damping.size, stiffness.size)
@@ -102,7 +103,7 @@ def mass_spring_damper(
     links, points = places[:count], places[count:]
     G = np.array([link.direction for link in links])
     M = np.diag(masses)
-    units = Units(position_unit, force_unit)
+    units = Units(as_text(position_unit, "position_unit"), as_text(force_unit, "force_unit"))
     F, base, input_default, input_units = input_map(excitation, force, M, units)
     found = parse_sensors(sensors, n, {place.name: place for place in places}, base, units)
     system = SecondOrder(M, G.T @ np.diag(damping) @ G, G.T @ np.diag(stiffness) @ G, F, base, units)
@@ -116,16 +117,16 @@ def mass_spring_damper(
         places,
         found,
         parameters,
-        inputs=as_labels("inputs", inputs, input_default),
+        inputs=as_labels(inputs, "inputs", input_default),
         input_units=input_units,
-        outputs=as_labels("outputs", outputs, [sensor.label for sensor in found]),
-        states=as_labels("states", states, [f"{x}{i + 1}" for x in "qv" for i in range(n)]),
-        name=name,
+        outputs=as_labels(outputs, "outputs", [sensor.label for sensor in found]),
+        states=as_labels(states, "states", [f"{x}{i + 1}" for x in "qv" for i in range(n)]),
+        name=as_text(name, "name"),
     )
 
 
 def _link_values(name: str, value: Any, n: int) -> Array:
-    values = as_vector(name, value, positive=False)
+    values = as_vector(value, name, positive=False)
     if values.size not in (n, n + 1):
         raise ct.ControlDimension(
             f"{name} has {values.size} entries for {n} masses; give {n} (the far end is free) or {n + 1} "

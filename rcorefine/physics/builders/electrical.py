@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ...arguments import as_text
 from ..physical_model import NominalParameter, PhysicalModel
 from ._assembly import Place, SecondOrder, Sensor, Units
-from ._checks import as_choice, as_labels, as_number, unique_outputs
+from ._checks import as_labels, as_number, as_sensors
 
 __all__ = ["series_rlc"]
 
@@ -78,9 +79,9 @@ def series_rlc(
     >>> [(item.name, item.place, item.unit) for item in model.parameters]
     [('L', 'inductor', 'H'), ('R', 'resistor', 'Ohm'), ('1/C', 'capacitor', '1/F')]
     """
-    resistance = as_number("R", R, positive=False)
-    inductance, capacitance = as_number("L", L), as_number("C", C)
-    asked = [sensors] if isinstance(sensors, str) else list(sensors)
+    resistance = as_number(R, "R", positive=False)
+    inductance, capacitance = as_number(L, "L"), as_number(C, "C")
+    asked = as_sensors(sensors, list(_SENSORS))
     one, none = np.ones(1), np.zeros(1)
     gains = {
         "resistor_voltage": (none, resistance * one, none),
@@ -91,9 +92,7 @@ def series_rlc(
     }
     found = []
     for label in asked:
-        as_choice("a sensor", label, list(_SENSORS))
         found.append(Sensor(label, _SENSORS[label], *gains[label], none))
-    unique_outputs(asked)
     units = Units("C", "V", velocity="A", acceleration="A/s")
     places = [
         Place("inductor", one, "inductor: voltage drop per rate of the current", absolute=False),
@@ -117,9 +116,9 @@ def series_rlc(
         places,
         found,
         parameters,
-        inputs=as_labels("inputs", inputs, ["voltage"]),
+        inputs=as_labels(inputs, "inputs", ["voltage"]),
         input_units=("V",),
-        outputs=as_labels("outputs", outputs, asked),
-        states=as_labels("states", states, ["charge", "current"]),
-        name=name,
+        outputs=as_labels(outputs, "outputs", asked),
+        states=as_labels(states, "states", ["charge", "current"]),
+        name=as_text(name, "name"),
     )

@@ -10,6 +10,8 @@ import control as ct
 import numpy as np
 from scipy.linalg import eigh
 
+from ... import arguments
+from ...arguments import as_text
 from ...exceptions import ModelError
 from ...systems.linear import Array
 from ..physical_model import NominalParameter, PhysicalModel
@@ -95,17 +97,18 @@ def mechanical(
     >>> bool(np.allclose(ct.damp(model.system, doprint=False)[1], 0.02))
     True
     """
-    given = np.diag(as_vector("M", M)) if np.ndim(M) == 1 else np.atleast_2d(M)
+    given = np.atleast_1d(arguments.as_array(M, "M", error=ModelError))
+    given = np.diag(as_vector(given, "M")) if given.ndim == 1 else given
     n = given.shape[0]
-    mass = as_matrix("M", given, n, symmetric=True)
+    mass = as_matrix(given, "M", n, symmetric=True)
     smallest = float(np.linalg.eigvalsh(mass)[0])
     if smallest <= 0:
         raise ModelError(
             f"M must be positive definite, its smallest eigenvalue is {smallest:g}; "
             "every displacement needs a mass"
         )
-    stiffness = np.zeros((n, n)) if K is None else as_matrix("K", K, n, symmetric=True)
-    damping = np.zeros((n, n)) if C is None else as_matrix("C", C, n, symmetric=False)
+    stiffness = np.zeros((n, n)) if K is None else as_matrix(K, "K", n, symmetric=True)
+    damping = np.zeros((n, n)) if C is None else as_matrix(C, "C", n, symmetric=False)
     if damping_ratio is not None:
         if C is not None:
             raise ct.ControlArgument("give C or damping_ratio, not both")
@@ -118,7 +121,7 @@ def mechanical(
         for i in range(n)
     ]
     places = [*places, *points]
-    units = Units(position_unit, force_unit)
+    units = Units(as_text(position_unit, "position_unit"), as_text(force_unit, "force_unit"))
     F, base, input_default, input_units = input_map(excitation, force_map, mass, units)
     found = parse_sensors(sensors, n, {place.name: place for place in places}, base, units)
     parameters = _link_parameters(mass, listed, stiffness, pairs, units)
@@ -126,16 +129,16 @@ def mechanical(
         places,
         found,
         parameters,
-        inputs=as_labels("inputs", inputs, input_default),
+        inputs=as_labels(inputs, "inputs", input_default),
         input_units=input_units,
-        outputs=as_labels("outputs", outputs, [sensor.label for sensor in found]),
-        states=as_labels("states", states, [f"{x}{i + 1}" for x in "qv" for i in range(n)]),
-        name=name,
+        outputs=as_labels(outputs, "outputs", [sensor.label for sensor in found]),
+        states=as_labels(states, "states", [f"{x}{i + 1}" for x in "qv" for i in range(n)]),
+        name=as_text(name, "name"),
     )
 
 
 def _modal_damping(M: Array, K: Array, ratio: Any) -> Array:
-    values = as_vector("damping_ratio", ratio, positive=False)
+    values = as_vector(ratio, "damping_ratio", positive=False)
     if values.size not in (1, M.shape[0]):
         raise ct.ControlDimension(
             f"damping_ratio has {values.size} entries, expected 1 or one per mode ({M.shape[0]})"
@@ -185,7 +188,7 @@ def _named_links(links: Mapping[str, Any], n: int) -> tuple[list[Place], dict[tu
             raise ct.ControlArgument(
                 f"link {label!r} must be a pair such as (1, 2), with 0 for the ground, not {ends!r}"
             )
-        numbers = [None if end == 0 else as_index(f"an end of link {label!r}", end, n) for end in ends]
+        numbers = [None if end == 0 else as_index(end, f"an end of link {label!r}", n) for end in ends]
         if numbers[0] is None or numbers[0] == numbers[1]:
             raise ModelError(f"link {label!r} = {ends!r} must start at a mass and end elsewhere")
         entries = [(i, sign) for i, sign in zip(numbers, (1.0, -1.0), strict=True) if i is not None]

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from ...arguments import as_text
 from ...exceptions import ModelError
 from ..physical_model import NominalParameter, PhysicalModel
 from ..units import combine_units
-from ._checks import as_index, as_labels, as_number, as_vector
+from ._checks import as_index, as_labels, as_number, as_several, as_vector
 from ._direct import Equations, Reading
 
 __all__ = ["two_tanks"]
@@ -72,11 +73,13 @@ def two_tanks(
     array([[-0.25,  0.  ],
            [ 0.5 , -0.25]])
     """
-    area = as_vector("areas", areas, 2).tolist()
-    outflow = as_vector("outflows", outflows, 2).tolist()
-    gain = as_number("pump_gain", pump_gain)
-    asked = [sensors] if not isinstance(sensors, Sequence) else list(sensors)
-    measured = [f"h{as_index('a sensor', tank, 2) + 1}" for tank in asked]
+    area = as_vector(areas, "areas", 2).tolist()
+    outflow = as_vector(outflows, "outflows", 2).tolist()
+    gain = as_number(pump_gain, "pump_gain")
+    asked = as_several(sensors, "sensors", "tanks")
+    for key, unit in (("level_unit", level_unit), ("flow_unit", flow_unit), ("pump_unit", pump_unit)):
+        as_text(unit, key)
+    measured = [f"h{as_index(tank, 'a sensor', 2) + 1}" for tank in asked]
     if not measured or len(set(measured)) != len(measured):
         raise ModelError(f"sensors={sensors!r} must name at least one tank, and each once")
     equations = Equations(
@@ -122,14 +125,14 @@ def two_tanks(
         NominalParameter("A1", area[0], square, "mass", "tank1"),
         NominalParameter("A2", area[1], square, "mass", "tank2"),
     ]
-    labels = as_labels("inputs", inputs, ["pump"])
+    labels = as_labels(inputs, "inputs", ["pump"])
     parameters.append(NominalParameter("pump_gain", 1.0, "1", "input_gain", labels[0], False))
     return equations.build(
         [Reading(level, level_unit, {level: 1.0}, {}, {}) for level in measured],
         ports,
         parameters,
-        labels=(labels, as_labels("outputs", outputs, measured), as_labels("states", states, ["h1", "h2"])),
+        labels=(labels, as_labels(outputs, "outputs", measured), as_labels(states, "states", ["h1", "h2"])),
         input_units=(pump_unit,),
         state_units=(level_unit, level_unit),
-        name=name,
+        name=as_text(name, "name"),
     )

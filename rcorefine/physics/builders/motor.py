@@ -6,9 +6,12 @@ from collections.abc import Sequence
 
 import control as ct
 
+from ... import arguments
+from ...arguments import as_flag, as_text
+from ...exceptions import ModelError
 from ..physical_model import NominalParameter, PhysicalModel
 from ..units import combine_units
-from ._checks import as_choice, as_labels, as_number, unique_outputs
+from ._checks import as_labels, as_number, as_sensors
 from ._direct import Equations, Reading
 
 __all__ = ["dc_motor"]
@@ -97,21 +100,19 @@ def dc_motor(
         raise ct.ControlArgument(
             f"give gain and time_constant, or R, L, Kt and J, not both (got {', '.join(given)} as well)"
         )
-    asked = [sensors] if isinstance(sensors, str) else list(sensors)
     known = ["speed", "angle"] if simple else ["speed", "angle", "current"]
-    for sensor in asked:
-        as_choice("a sensor", sensor, known)
-    unique_outputs(asked)
+    asked = as_sensors(sensors, known)
+    as_flag(load_torque, "load_torque")
     turning = "angle" in asked
-    speed_unit = combine_units("angle/s", {"angle": angle_unit})
+    speed_unit = combine_units("angle/s", {"angle": as_text(angle_unit, "angle_unit")})
     if simple:
         if gain is None or time_constant is None:
             raise ct.ControlArgument("the speed model needs both gain and time_constant")
         if load_torque:
             raise ct.ControlArgument("load_torque needs the electromechanical model (R, L, Kt, J)")
-        sign = -1.0 if gain < 0 else 1.0
-        gain = sign * as_number("gain", abs(gain))
-        tau = as_number("time_constant", time_constant)
+        gain = arguments.as_number(gain, "gain", error=ModelError)
+        as_number(abs(gain), "the size of gain")
+        tau = as_number(time_constant, "time_constant")
         # resisting forces oppose the motion whatever the sign of the gain
         mass, friction, force_unit = tau / abs(gain), 1.0 / abs(gain), "V"
         speed = {"speed": -1.0 / tau, "voltage": gain / tau}
@@ -123,10 +124,10 @@ def dc_motor(
                 "give gain and time_constant (speed model), or R, L, Kt and J (electromechanical model); "
                 f"{', '.join(missing)} missing"
             )
-        value = {key: as_number(key, number) for key, number in parts.items()}
-        voltage_constant = value["Kt"] if Ke is None else as_number("Ke", Ke)
+        value = {key: as_number(number, key) for key, number in parts.items()}
+        voltage_constant = value["Kt"] if Ke is None else as_number(Ke, "Ke")
         mass, force_unit = value["J"], "N m"
-        friction = 0.0 if b is None else as_number("b", b, positive=False)
+        friction = 0.0 if b is None else as_number(b, "b", positive=False)
         speed = {"speed": -friction / mass, "current": value["Kt"] / mass}
         if load_torque:
             speed["load_torque"] = -1.0 / mass
@@ -183,11 +184,11 @@ def dc_motor(
         ports,
         parameters,
         labels=(
-            as_labels("inputs", inputs, channels),
-            as_labels("outputs", outputs, asked),
-            as_labels("states", states, names),
+            as_labels(inputs, "inputs", channels),
+            as_labels(outputs, "outputs", asked),
+            as_labels(states, "states", names),
         ),
         input_units=("V", "N m")[: len(channels)],
         state_units=tuple(unit[item] for item in names),
-        name=name,
+        name=as_text(name, "name"),
     )

@@ -7,9 +7,10 @@ from typing import Any
 
 import control as ct
 
+from ...arguments import as_flag, as_text
 from ...exceptions import ModelError
 from ..physical_model import NominalParameter, PhysicalModel
-from ._checks import as_index, as_labels, as_number, as_vector
+from ._checks import as_index, as_labels, as_number, as_several, as_vector
 from ._direct import Equations, Reading
 
 __all__ = ["thermal_network"]
@@ -75,11 +76,12 @@ def thermal_network(
     >>> model.linear.input_labels
     ('heat1', 'ambient')
     """
-    stored = as_vector("capacities", capacities)
+    stored = as_vector(capacities, "capacities")
     n = stored.size
-    nodes = list(as_labels("states", states, [f"T{i + 1}" for i in range(n)]))
-    heated = [as_index("a node of heat", item, n) for item in _several(heat)]
+    nodes = list(as_labels(states, "states", [f"T{i + 1}" for i in range(n)]))
+    heated = [as_index(item, "a node of heat", n) for item in as_several(heat, "heat", "nodes")]
     edges = _edges(resistances, n)
+    as_flag(ambient_input, "ambient_input")
     outside = any(j is None for _, j, _ in edges)
     channels = [f"heat{i + 1}" for i in heated] + (["ambient"] if outside and ambient_input else [])
     if not channels:
@@ -135,8 +137,8 @@ def thermal_network(
         )
         place = f"{one}-{two}"
         parameters.append(NominalParameter(f"1/R[{place}]", 1.0 / resistance, "W/K", "damping", place))
-    read = range(n) if sensors is None else [as_index("a sensor", item, n) for item in _several(sensors)]
-    measured = [nodes[i] for i in read]
+    asked = range(1, n + 1) if sensors is None else as_several(sensors, "sensors", "nodes")
+    measured = [nodes[as_index(item, "a sensor", n)] for item in asked]
     if not measured or len(set(measured)) != len(measured):
         raise ModelError(f"sensors={sensors!r} must name at least one node, and each once")
     return equations.build(
@@ -144,18 +146,14 @@ def thermal_network(
         ports,
         parameters,
         labels=(
-            as_labels("inputs", inputs, channels),
-            as_labels("outputs", outputs, measured),
+            as_labels(inputs, "inputs", channels),
+            as_labels(outputs, "outputs", measured),
             tuple(nodes),
         ),
         input_units=("W",) * len(heated) + ("K",) * bool(ambient),
         state_units=("K",) * n,
-        name=name,
+        name=as_text(name, "name"),
     )
-
-
-def _several(value: Any) -> list[Any]:
-    return list(value) if isinstance(value, Sequence) and not isinstance(value, str) else [value]
 
 
 def _edges(resistances: Any, n: int) -> list[tuple[int, int | None, float]]:
@@ -169,13 +167,13 @@ def _edges(resistances: Any, n: int) -> list[tuple[int, int | None, float]]:
         if not isinstance(ends, tuple) or len(ends) != 2:
             raise ct.ControlArgument(f"the ends of a resistance must be a pair such as (1, 2), not {ends!r}")
         pair = ends[::-1] if ends[0] == 0 else ends
-        one = as_index("a node of resistances", pair[0], n)
-        two = None if pair[1] == 0 else as_index("a node of resistances", pair[1], n)
+        one = as_index(pair[0], "a node of resistances", n)
+        two = None if pair[1] == 0 else as_index(pair[1], "a node of resistances", n)
         key = tuple(sorted((one, -1 if two is None else two)))
         if one == two or key in found:
             raise ModelError(
                 f"resistance {ends!r} joins a node to itself or a pair that is joined already; "
                 "give each pair once (the resistance of two in parallel is R1 R2 / (R1 + R2))"
             )
-        found[key] = (one, two, as_number(f"resistances[{ends!r}]", value))
+        found[key] = (one, two, as_number(value, f"resistances[{ends!r}]"))
     return list(found.values())

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import control as ct
 
+from ...arguments import as_choice, as_flag, as_text
 from ..physical_model import NominalParameter, PhysicalModel
-from ._checks import as_choice, as_labels, as_number, unique_outputs
+from ._checks import as_labels, as_number, as_sensors
 from ._direct import Equations, Reading, Row
 
 __all__ = ["quarter_car"]
@@ -83,14 +84,15 @@ def quarter_car(
     >>> model.linear.state_labels
     ('suspension', 'tire', 'body_velocity', 'wheel_velocity')
     """
-    mb, mw = as_number("body_mass", body_mass), as_number("wheel_mass", wheel_mass)
+    mb, mw = as_number(body_mass, "body_mass"), as_number(wheel_mass, "wheel_mass")
     ks, kt = (
-        as_number("suspension_stiffness", suspension_stiffness),
-        as_number("tire_stiffness", tire_stiffness),
+        as_number(suspension_stiffness, "suspension_stiffness"),
+        as_number(tire_stiffness, "tire_stiffness"),
     )
-    cs = as_number("suspension_damping", suspension_damping, positive=False)
-    ctire = as_number("tire_damping", tire_damping, positive=False)
-    as_choice("road", road, ["velocity", "displacement"])
+    cs = as_number(suspension_damping, "suspension_damping", positive=False)
+    ctire = as_number(tire_damping, "tire_damping", positive=False)
+    as_choice(road, "road", ["velocity", "displacement"])
+    as_flag(actuator, "actuator")
     deflections = road == "velocity"
     if ctire and not deflections:
         raise ct.ControlArgument('tire_damping needs the velocity of the road; use road="velocity"')
@@ -124,11 +126,8 @@ def quarter_car(
     }
     equations = Equations(names, tuple(channels), rates)
 
-    asked = [sensors] if isinstance(sensors, str) else list(sensors)
     readings = _readings(names, suspension, tire)
-    for sensor in asked:
-        as_choice("a sensor", sensor, list(readings))
-    unique_outputs(asked)
+    asked = as_sensors(sensors, list(readings))
     si = ("m", "m/s", "N")
     places: list[tuple[str, Row, Row, Row | None, str]] = [
         (
@@ -162,13 +161,13 @@ def quarter_car(
         ports,
         parameters,
         labels=(
-            as_labels("inputs", inputs, channels),
-            as_labels("outputs", outputs, asked),
-            as_labels("states", states, names),
+            as_labels(inputs, "inputs", channels),
+            as_labels(outputs, "outputs", asked),
+            as_labels(states, "states", names),
         ),
         input_units=("m/s" if deflections else "m", "N")[: len(channels)],
         state_units=units,
-        name=name,
+        name=as_text(name, "name"),
     )
 
 
