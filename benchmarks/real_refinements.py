@@ -89,8 +89,7 @@ def motor(folder: Path) -> Outcome:
     train, test = data.split(TRAINING)
     start = motor_model(35.0, 0.1, "start")
     began = time.perf_counter()
-    # the motor rests for the first 16 s, so sizes come from its rating (half of 12 V)
-    refiner = rco.RCORefiner(start, dt=data.dt, scale={"inputs": 6.0, "outputs": 6.0 * 35.0}).run(train)
+    refiner = rco.RCORefiner(start, dt=data.dt).run(train)
     seconds = time.perf_counter() - began
     refined = refiner.system.copy(name="refined")
     best = motor_model(*best_linear_motor(train), name="best linear")
@@ -126,7 +125,7 @@ def motor(folder: Path) -> Outcome:
             "train, held out: NRMSE = |y - yh| / |y - mean(y)| of the free run, initial speed estimated "
             "on each part; fit = 100 (1 - NRMSE) and RMSE on the held-out part.",
             f"start: K = 35 rpm/V, tau = 0.1 s, NRMSE {whole.nrmse[0]:.2f} on the whole record. refined: "
-            "RCORefiner with its defaults, scaled by the rating (6 V, 210 rpm), one pass, "
+            f"RCORefiner with its defaults (form {refiner.form!r}), one pass, "
             f"{1e6 * seconds / train.n_samples:.0f} us per sample, "
             "compilation included. best linear: scipy.optimize.least_squares on K, tau, initial speed; "
             "no offset. hindsight: the same, fitted to the held-out part itself, a bound for any such model.",

@@ -167,7 +167,8 @@ for column, loss in enumerate((0.1, 0.3, 0.5)):
             model, true = chain(SPRINGS), chain(k)
             watched = measured(true, rng.standard_normal(N), DT, 0.02, rng)
             blind = rco.simulate(model, watched, "zero")
-            refiner = rco.RCORefiner(model.system, dt=DT, history=True).run(watched)
+            paper = {"window": 100, "markov": 1, "learning_rate": 100.0}
+            refiner = rco.RCORefiner(model.system, dt=DT, history=True, **paper).run(watched)
             motions = {
                 "initial model": blind.states,
                 "paper's stage 1": refiner.history.x,

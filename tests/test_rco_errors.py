@@ -218,13 +218,16 @@ def test_constant_input_in_a_stream_is_refused_in_the_end(data: rco.Measurement)
 
 def test_unstable_initial_model_is_named() -> None:
     wild = ct.ss([[60.0]], [[1.0]], [[1.0]], [[0.0]])
-    made = RCORefiner(wild, dt=0.1)
+    made = RCORefiner(wild, dt=0.1, window=100)
     w = np.random.default_rng(0).standard_normal(200)
     with pytest.raises(rco.ModelError, match="unstable"):
         made.update(w, w)
 
 
 # -- divergence ------------------------------------------------------------------------------------
+
+
+SHORT = {"window": 100, "markov": 1}  # one Markov parameter hides the zero
 
 
 def nonminimum_phase() -> tuple[ct.StateSpace, rco.Measurement]:
@@ -243,7 +246,7 @@ def nonminimum_phase() -> tuple[ct.StateSpace, rco.Measurement]:
 @pytest.fixture(scope="module")
 def diverging() -> tuple[ct.StateSpace, rco.Measurement, int]:
     model, record = nonminimum_phase()
-    made = RCORefiner(model, learning_rate=1e-3, order=4, history=True)
+    made = RCORefiner(model, **SHORT, learning_rate=1e-3, order=4, history=True)
     with pytest.raises(rco.DivergenceError) as caught:
         made.run(record)
     sample = int(str(caught.value).split("sample ")[1].split(" ")[0])
@@ -254,7 +257,7 @@ def test_divergence_says_when_why_and_what_to_change(
     diverging: tuple[ct.StateSpace, rco.Measurement, int],
 ) -> None:
     model, record, sample = diverging
-    made = RCORefiner(model, learning_rate=1e-3, order=4)
+    made = RCORefiner(model, **SHORT, learning_rate=1e-3, order=4)
     with pytest.raises(rco.DivergenceError) as caught:
         made.run(record)
     message = str(caught.value)
@@ -276,7 +279,7 @@ def test_run_keeps_what_was_learned_before_the_divergence(
     diverging: tuple[ct.StateSpace, rco.Measurement, int],
 ) -> None:
     model, record, sample = diverging
-    made = RCORefiner(model, learning_rate=1e-3, order=4, history=True)
+    made = RCORefiner(model, **SHORT, learning_rate=1e-3, order=4, history=True)
     with pytest.raises(rco.DivergenceError):
         made.run(record)
     assert made.n_learned == sample
@@ -284,7 +287,7 @@ def test_run_keeps_what_was_learned_before_the_divergence(
     assert made.history.n_samples == sample
     assert np.isfinite(made.system.A).all()
     known = {name: getattr(made.scales, name) for name in ("inputs", "outputs", "states", "corrections")}
-    twin = RCORefiner(model, learning_rate=1e-3, order=4, scale=known)
+    twin = RCORefiner(model, **SHORT, learning_rate=1e-3, order=4, scale=known)
     twin.update(record.inputs[:, :sample], record.outputs[:, :sample])
     np.testing.assert_array_equal(twin.theta, made.theta)
 
@@ -295,6 +298,7 @@ def test_update_that_diverges_changes_nothing(
     model, record, _ = diverging
     made = RCORefiner(
         model,
+        **SHORT,
         learning_rate=1e-3,
         order=4,
         history=True,
@@ -317,7 +321,7 @@ def test_update_that_diverges_changes_nothing(
 
 def test_what_the_message_advises_helps(diverging: tuple[ct.StateSpace, rco.Measurement, int]) -> None:
     model, record, _ = diverging
-    made = RCORefiner(model, learning_rate=1e-1, order=4, markov=30, history=True).run(record)
+    made = RCORefiner(model, window=100, learning_rate=1e-1, order=4, markov=30, history=True).run(record)
     assert made.history.performance(3000)[0][0] < 0.5
 
 

@@ -16,7 +16,7 @@ from ..systems.linear import Array
 from .checks import as_samples, check_samples
 from .kernels import Record
 from .memory import Memory
-from .setup import Setup
+from .setup import Sampled, Setup
 from .stream import take
 
 __all__ = ["Block", "as_missing", "block_with_gaps", "take_over_gaps", "whole_block"]
@@ -74,12 +74,12 @@ def _unmasked(values: Any) -> Any:
     return values
 
 
-def block_with_gaps(setup: Setup, w: ArrayLike, y: ArrayLike, first: int, latest: Array) -> Block:
+def block_with_gaps(setup: Sampled, w: ArrayLike, y: ArrayLike, first: int, latest: Array) -> Block:
     """One sample or a block of which NaN or masked samples are missing.
 
     Parameters
     ----------
-    setup : Setup
+    setup : Sampled
         Model with its labels.
     w, y : array_like
         As in `RCORefiner.update`.

@@ -17,10 +17,11 @@ from ..physics.physical_model import NominalParameter, PhysicalModel
 from ..physics.ports import Port
 from ..systems.linear import LinearModel
 from ..writing import replacing
-from .effects_memory import EffectsMemory
-from .effects_stage import EffectsRecord
+from .coefficients.memory import CoefficientMemory
+from .coefficients.stage import CoefficientRecord
 from .kernels import Design, Plant, Record, Stage
 from .memory import Memory, Tuned
+from .race import Frozen, RaceMemory
 from .scaling import Scales
 
 __all__ = ["SCHEMA", "read_file", "write_file"]
@@ -30,8 +31,8 @@ _META = "meta"
 _KINDS: dict[str, Any] = {
     kind.__name__: kind
     for kind in (
-        LinearModel, PhysicalModel, NominalParameter, Port, EffectsMemory, EffectsRecord,
-        Design, Plant, Record, Stage, Memory, Tuned, Scales,
+        LinearModel, PhysicalModel, NominalParameter, Port, CoefficientMemory, CoefficientRecord,
+        Design, Plant, Record, Stage, Memory, Tuned, Scales, Frozen, RaceMemory,
     )
 }  # fmt: skip
 _NOT_STORED = {"kernel"}  # made anew from the other fields

@@ -3,84 +3,114 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from functools import wraps
+from typing import Any, TypeVar, cast
 
 import control as ct
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..exceptions import DataError, ModelError, RCOError
+from ..exceptions import RCOError
 from ..measurement import Measurement
-from ..systems.conversion import d2c
 from ..systems.linear import Array, LinearModel
 from . import summary
-from .checks import as_flag, as_samples, as_size, check_samples
-from .effects_history import EffectsHistory
-from .effects_setup import make_effects_setup
-from .gaps import Block, as_missing, block_with_gaps, take_over_gaps, whole_block
+from .assembly import assembled
+from .checks import as_flag, as_samples, check_samples
+from .coefficients.history import CoefficientHistory
+from .estimator import Estimator
+from .gaps import as_missing, block_with_gaps, whole_block
 from .history import History
-from .kernels import Record
-from .memory import Memory, begin
+from .joint import JointStages
+from .paper import PaperStages
 from .persistence import read_file, write_file
-from .physical_part import PhysicalPart, joined
-from .realization import refined
+from .race import Race
 from .samples import checked_block, checked_record
 from .scaling import Scales
-from .setup import as_settings, make_setup
-from .stage import in_units, regressor_scale
-from .stream import Diverged, take, take_until
+from .setup import sampled_model
 
 __all__ = ["RCORefiner"]
 
 _CHUNK = 1000
 _SETTINGS = (
-    "model", "dt", "order", "window", "markov", "learning_rate", "static_order", "static_window",
+    "model", "dt", "static", "order", "window", "markov", "learning_rate", "static_order", "static_window",
     "static_markov", "static_learning_rate", "static_average", "correction_input",
     "correction_feedthrough", "use_estimated_states", "scale", "missing", "effects", "noise", "hold",
     "disturbance", "forgetting", "substeps",
 )  # fmt: skip
+_Method = TypeVar("_Method", bound=Callable[..., Any])
+
+
+def _alone(method: _Method) -> _Method:
+    """Let one thread at a time into a method, so that no sample is lost between two."""
+
+    @wraps(method)
+    def locked(self: RCORefiner, *args: Any, **kwargs: Any) -> Any:
+        with self._lock:
+            return method(self, *args, **kwargs)
+
+    return cast(_Method, locked)
 
 
 class RCORefiner:
     """Refine a linear model on measured samples, in two concurrent stages.
 
-    Stage 1 puts a *dynamic* correction u = theta1 psi1 in feedback with the
-    model and adapts it until the simulated output follows the measured one;
-    its state then estimates the true state. Stage 2 fits a *static*
-    correction u = theta2 [x; w] to those states, which turns the model into
-    A + B_u theta_x, B + B_u theta_w of the same order. Both minimize the
-    retrospective cost over a sliding window, sample by sample.
+    >>> example = rco.examples.rlc()
+    >>> data = example.record()
+    >>> refiner = rco.RCORefiner(example.initial, dt=example.dt).run(data)
+    >>> plot = refiner.bode_plot(data)                 # initial, refined and measured
+    >>> inductance = 250.0 / float((refiner.system.C @ refiner.system.B)[0, 0])
+    >>> print(f"{1e3 * inductance:.3f} mH")
+    55.000 mH
+
+    Stage 1 puts a *dynamic* correction in feedback with the model and adapts
+    it until the simulated output follows the measured one; its state then
+    estimates the true state. Stage 2 fits a *static* correction to the motion,
+    which turns the model into a refined one of the same order.
+
+    With nothing but a model and `dt` the static stage is a Kalman filter for
+    the state and the coefficients jointly, linearized at every sample about
+    the refined model of that sample: retrospective optimization with the exact
+    response of the present model in the place of a few Markov parameters of the
+    initial one. Several forms of the correction run side by side, each judged by what its
+    frozen model predicts; the initial model is one of them. The paper's own
+    equations are there to the letter for whoever gives `window`, `markov` or
+    one of the ``static_...`` settings.
 
     Parameters
     ----------
     model : StateSpace or object with `.system`
-        Initial model. A continuous one is discretized exactly, its input
-        held between samples (zero-order hold).
+        Initial model. A continuous one is discretized exactly.
     dt : float, optional
         Sampling time in s of the samples; a continuous model needs it.
+    static : {"auto", "nonzero", "discrete", "input"} or sequence, optional
+        Coefficients of the static stage: "nonzero" entries of the model, all entries of
+        the "discrete" model, the paper's u = theta [x; w] through the "input"
+        (`correction_input`); "auto" lets these three compete. Or entries by name, such as
+        ``["A[1,0]", "B[1,0]"]``, or effects.
     order : int, optional
         n_c, memory of the dynamic correction in samples, 0 or more.
     window : int, optional
-        p, samples in the sliding window, 1 or more.
+        p, samples in the sliding window; asks for the paper's equations (default there 800).
     markov : int, optional
-        mu, number of Markov parameters of the path u -> y, counted from the
-        first that is not zero (above 1e-10 of its terms). Raise it where
-        that path has zeros outside the unit circle.
+        mu, number of Markov parameters of the path u -> y, counted from the first that is
+        not zero (above 1e-10 of its terms); asks for the paper's equations (default there 20).
+        Raise it where that path has zeros outside the unit circle.
     learning_rate : float, optional
-        alpha, weight of the change of theta; larger is slower. Signals have
+        alpha, weight of the change of theta, default 1e5; larger is slower. Signals have
         unit size inside, so that it does not depend on units.
     static_order : int, optional
-        n_c of stage 2; above 0 the refined model gets more states.
+        n_c of the paper's stage 2; above 0 the refined model gets more states.
     static_window, static_markov : int, optional
-        p and mu of stage 2; default those of stage 1.
+        p and mu of the paper's stage 2; default those of stage 1.
     static_learning_rate : float, optional
-        alpha of stage 2; default that of stage 1.
+        alpha of the paper's stage 2; default that of stage 1.
     static_average : int, optional
-        The refined model takes the mean of the static coefficients over that
-        many of the last samples, default two windows. The paper takes the
-        last ones (1), which see one window only: with noise, or where the
-        correction cannot be exact, 5 to 10 windows scatter several times less.
+        The refined model takes the mean of the paper's static coefficients over that many of
+        the last samples, default two windows. The paper takes the last ones (1), which see
+        one window only: with noise, or where the correction cannot be exact, 5 to 10 windows
+        scatter several times less.
     correction_input : array_like of shape (n,) or (n, l_u), optional
         B_u, where the correction acts on the state (in continuous time for a
         continuous model). Default: B of the model.
@@ -88,21 +118,20 @@ class RCORefiner:
         D_u, how it acts on the outputs directly. Default: D of the model
         where `correction_input` is not given, else zero.
     use_estimated_states : bool, optional
-        With False the parameter stage runs without stage 1, on the states of
-        its own model (the paper's figure 6); stage 1 then stays the initial
-        model.
+        With False stage 1 does not run; the paper's stage 2 then runs on the states of
+        its own model (the paper's figure 6).
     scale : "auto" or mapping, optional
-        Typical size of the signals: ``{"inputs": ..., "outputs": ...}``, one
-        number or one per signal, and optionally "states" and "corrections".
-        With "auto" they are the rms values of the first samples, see Notes.
+        Typical size of the signals for stage 1 and the paper's equations: ``{"inputs": ...,
+        "outputs": ...}``, one number or one per signal, and optionally "states" and
+        "corrections". With "auto" they are the rms values of the first samples, see Notes.
     history : bool, optional
-        Keep z, theta and x of every sample; otherwise memory is constant.
+        Keep both stages' course of every sample; otherwise memory is constant.
     missing : {"raise", "hold-out"}, optional
         With "hold-out" samples that are NaN or masked are predicted over and
         not learned from; one of several sensors may drop out.
     effects : sequence of Effect, optional
-        Physical effects for the static stage, estimated in continuous time
-        from a continuous model; see Notes. The settings below are theirs.
+        Physical effects for the static stage, as ``static=[...]`` takes them too: estimated
+        in continuous time from a continuous model.
     noise : float or array_like of shape (n_y,), optional
         Sensor noise (standard deviation, units of the outputs); estimated from
         the innovations where it is not declared.
@@ -110,7 +139,7 @@ class RCORefiner:
         The input between samples: held, or linear.
     disturbance : float, optional
         Unknown force on the model over the measured input, rms. With 0 (the
-        default) all that is not sensor noise is explained by the effects; 0.03
+        default) all that is not sensor noise is explained by the coefficients; 0.03
         with `forgetting`, since a certain state follows no change.
     forgetting : float, optional
         Share of what is known along the direction that a sample informs about
@@ -129,8 +158,8 @@ class RCORefiner:
     Raises
     ------
     control.ControlArgument
-        If the model is no `StateSpace` (the message says what to convert) or
-        a setting has the wrong type.
+        If the model is no `StateSpace` (the message says what to convert),
+        a setting has the wrong type, or settings exclude one another.
     control.ControlDimension
         If B_u, D_u or a scale has the wrong shape.
     ModelError
@@ -140,8 +169,22 @@ class RCORefiner:
 
     Notes
     -----
-    *Scales.* With ``scale="auto"`` the first ``max(window, 50)`` samples are
-    held back, then learned all at once; so scales are causal and do not
+    *The race.* After 32, 64, ... 2048 samples, then every 2048, the model of each form is frozen
+    and runs free over the stretch that follows, its initial state fitted. The best
+    one is `system` (`form` and `scores` say which and why); of two within 2 % in mean
+    square the first of nonzero, input, discrete. A form that is far behind twice stops;
+    one that diverges stops, and the others go on. Where the initial model is stable
+    the refined one is, unless an unstable one predicts twice as well.
+
+    *The joint filter.* Coefficients begin at those of the model, uncertain by half of their size;
+    the model is discretized anew where one has moved by 0.3 of its standard
+    deviation. The first 2048 samples are kept, and gone over again each time that
+    their number has doubled, since a wrong start spoils what is learned from
+    them; later samples are seen once. Stage 1 runs beside it by the paper's equations;
+    where it diverges it stops, which `str` says and does no harm.
+
+    *Scales* (the paper's equations, and stage 1). With ``scale="auto"`` the first 50 to 100
+    samples are held back, then learned all at once; so scales are causal and do not
     depend on how the stream is cut into blocks. Where an input is still
     constant, or a signal's rms over the second half of them is more than 3
     times that over the first half, twice as many are held back, and so on up
@@ -150,25 +193,14 @@ class RCORefiner:
     by theirs (its first Markov parameter is 1). Until then `system` is the
     initial model. With declared scales learning starts at once.
 
-    *Order of coefficients.* psi = [x(k) ... x(k-n_c), w(k) ... w(k-n_c),
+    *Order of the paper's coefficients.* psi = [x(k) ... x(k-n_c), w(k) ... w(k-n_c),
     u(k-1) ... u(k-n_c)]; w also reaches the model through B, so theta = 0 is
     the initial model.
 
-    *Effects.* The static stage then is a Kalman filter for state and
-    coefficients jointly, linearized about the present refined model, which
-    is discretized anew where a coefficient has moved by its standard
-    deviation. Its gain falls as the model improves. The first 2048 samples
-    are kept, and gone over again each time that their number has doubled,
-    since a wrong start spoils what is learned from them; later samples are
-    seen once. Stage 1 runs beside it (not with
-    ``use_estimated_states=False``); where it diverges it stops, which
-    `str` says and does no harm to the effects.
+    *What to expect.* The paper's static correction, and the form "input", is exact only
+    where the uncertainty is matched, i.e. lies in the columns of B_u.
 
-    *What to expect.* The static correction is exact only where the
-    uncertainty is matched, i.e. lies in the columns of B_u.
-
-    *Numerics.* The step is theta -= P Phi'(f + Phi theta), P updated by two
-    rank-1 changes per output and sample and rebuilt every 10 windows.
+    *Threads.* One refiner may be used by several threads; calls wait for one another.
 
     References
     ----------
@@ -177,10 +209,10 @@ class RCORefiner:
 
     Examples
     --------
-    >>> example = rco.examples.rlc()
-    >>> refiner = rco.RCORefiner(example.initial, dt=example.dt, static_learning_rate=1.0)
-    >>> _ = refiner.run(example.record())
-    >>> inductance = 250.0 / float((refiner.system.C @ refiner.system.B)[0, 0])
+    The same by the paper's equations and settings:
+
+    >>> paper = rco.RCORefiner(example.initial, dt=example.dt, **example.settings).run(data)
+    >>> inductance = 250.0 / float((paper.system.C @ paper.system.B)[0, 0])
     >>> print(f"{1e3 * inductance:.3f} mH")
     55.000 mH
     """
@@ -190,11 +222,12 @@ class RCORefiner:
         model: Any,
         *,
         dt: float | None = None,
+        static: str | Sequence[Any] = "auto",
         order: int = 5,
-        window: int = 100,
-        markov: int = 1,
-        learning_rate: float = 100.0,
-        static_order: int = 0,
+        window: int | None = None,
+        markov: int | None = None,
+        learning_rate: float | None = None,
+        static_order: int | None = None,
         static_window: int | None = None,
         static_markov: int | None = None,
         static_learning_rate: float | None = None,
@@ -214,6 +247,7 @@ class RCORefiner:
     ) -> None:
         self.model = model
         self.dt = dt
+        self.static = static if isinstance(static, str) else _listed(static)
         self.order = order
         self.window = window
         self.markov = markov
@@ -228,63 +262,24 @@ class RCORefiner:
         self.use_estimated_states = use_estimated_states
         self.scale = scale
         self.missing = as_missing(missing)
-        self.effects = effects if effects is None else tuple(np.atleast_1d(np.array(effects, dtype=object)))
+        self.effects = effects if effects is None else _listed(effects)
         self.noise = noise
         self.hold = hold
         self.disturbance = disturbance
         self.forgetting = forgetting
         self.substeps = substeps
 
-        settings = as_settings(
-            order,
-            window,
-            markov,
-            learning_rate,
-            static_order,
-            static_window,
-            static_markov,
-            static_learning_rate,
-        )
-        if static_average is None:
-            static_average = 2 * (window if static_window is None else static_window)
-        average = as_size(static_average, "static_average", 1, "samples to average over")
-        estimated = as_flag(use_estimated_states, "use_estimated_states")
+        self._lock = threading.RLock()
+        self._latest = np.zeros(0)
+        self._sampled = sampled_model(model, dt)
         self._keep = as_flag(history, "history")
-        self._setup = make_setup(
-            model, dt, settings, correction_input, correction_feedthrough, estimated, average, scale
-        )
-        self._physical = self._physical_part()
+        given = {name: getattr(self, name) for name in _SETTINGS}
+        self._estimator: Estimator = assembled(given | {"history": history}, self._sampled)
         self.reset()
-
-    def _physical_part(self) -> PhysicalPart | None:
-        given = {
-            "noise": self.noise is not None,
-            "hold": self.hold != "zoh",
-            "disturbance": self.disturbance is not None,
-            "forgetting": self.forgetting != 1.0,
-            "substeps": self.substeps is not None,
-        }
-        if self.effects is None:
-            unused = [name for name, is_given in given.items() if is_given]
-            if unused:
-                raise ct.ControlArgument(
-                    f"{unused[0]} is a setting of physical effects; give effects=[...], or leave it out"
-                )
-            return None
-        setup = make_effects_setup(
-            self.model,
-            self.effects,
-            self._setup.step,
-            hold=self.hold,
-            noise=self.noise,
-            disturbance=self.disturbance,
-            forgetting=self.forgetting,
-            substeps=self.substeps,
-        )
-        return PhysicalPart(setup, self._keep)
 
     # -- streaming ---------------------------------------------------------------------------------
 
+    @_alone
     def update(self, w: ArrayLike, y: ArrayLike) -> None:
         """Learn from one sample, or from a block of samples.
 
@@ -312,19 +307,13 @@ class RCORefiner:
         A call that raises changes nothing.
         """
         if self.missing == "raise":
-            inputs, outputs = checked_block(self._setup, w, y, self.n_samples)
-            if self._physical is None:
-                self._commit(self._taken(inputs, outputs))
-                return
-            beside = self._setup.estimated and not self._stopped
-            if inputs.shape[0] == 1 and not beside and self._physical.one(inputs, outputs):
-                self._latest = inputs[0]
-                return
-            block = whole_block(inputs, outputs)
+            block = whole_block(*checked_block(self._sampled, w, y, self.n_samples))
         else:
-            block = block_with_gaps(self._setup, w, y, self.n_samples, self._latest)
-        self._take_block(block)
+            block = block_with_gaps(self._sampled, w, y, self.n_samples, self._latest)
+        self._estimator.take(block)
+        self._latest = block.inputs[-1].copy()
 
+    @_alone
     def run(self, data: Measurement, progress: bool = False) -> RCORefiner:
         """Learn from a whole record.
 
@@ -361,20 +350,14 @@ class RCORefiner:
         At the end of a record, samples still held back for the scales are
         learned from, however few.
         """
-        inputs, outputs = checked_record(self._setup, data)
-        show = as_flag(progress, "progress")
-        if self._physical is not None:
-            for first in _chunks(inputs.shape[0], show):
-                part = slice(first, first + _CHUNK)
-                self._take_block(whole_block(inputs[part], outputs[part]))
-            self._physical.finish()
-            return self
-        for first in _chunks(inputs.shape[0], show):
-            self._take_while_bounded(inputs[first : first + _CHUNK], outputs[first : first + _CHUNK])
-        if self._memory.tuned is None:
-            self._take_while_bounded(inputs[:0], outputs[:0], last=True)
+        inputs, outputs = checked_record(self._sampled, data, self.hold)
+        for first in _chunks(inputs.shape[0], as_flag(progress, "progress")):
+            part = slice(first, first + _CHUNK)
+            self._estimator.take(whole_block(inputs[part], outputs[part]), keep_sound=True)
+        self._estimator.finish()
         return self
 
+    @_alone
     def predict(self, w: ArrayLike) -> Array:
         """Simulate the refined model on further inputs, without learning.
 
@@ -397,34 +380,19 @@ class RCORefiner:
         DataError, control.ControlDimension, control.ControlArgument
             As in `update`.
         """
-        inputs = as_samples(w, "inputs", self._setup.initial.n_inputs)
-        check_samples(inputs, self._setup.initial.input_labels, "input", self.n_samples, self._setup.step)
-        if self._physical is not None:
-            outputs = self._physical.predict(np.ascontiguousarray(inputs.T))
-            return outputs[0] if outputs.shape[0] == 1 else outputs
-        model, x = self._refined(), self._present_state()
-        outputs = np.empty((model.n_outputs, inputs.shape[1]))
-        with np.errstate(over="ignore", invalid="ignore"):
-            for k in range(inputs.shape[1]):
-                outputs[:, k] = model.C @ x + model.D @ inputs[:, k]
-                x = model.A @ x + model.B @ inputs[:, k]
+        model = self._sampled.initial
+        inputs = as_samples(w, "inputs", model.n_inputs)
+        check_samples(inputs, model.input_labels, "input", self.n_samples, self._sampled.step)
+        outputs = self._estimator.predict(np.ascontiguousarray(inputs.T))
         return outputs[0] if model.n_outputs == 1 else outputs
 
+    @_alone
     def reset(self) -> None:
         """Forget all samples; settings stay."""
-        self._memory = begin(
-            self._setup.plant,
-            self._setup.delay,
-            self._setup.settings,
-            self._setup.average,
-            self._setup.scales,
-        )
-        self._records: list[tuple[Record, Array]] = []
-        self._latest = np.zeros(self._setup.initial.n_inputs)
-        self._stopped: str = ""
-        if self._physical is not None:
-            self._physical.reset()
+        self._estimator.reset()
+        self._latest = np.zeros(self._sampled.initial.n_inputs)
 
+    @_alone
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write settings and memory to one file, to go on from later.
 
@@ -445,14 +413,10 @@ class RCORefiner:
         --------
         load
         """
-        part = self._physical
         content = {
             "settings": {name: getattr(self, name) for name in _SETTINGS} | {"history": self._keep},
-            "memory": self._memory,
-            "records": self._records,
+            "state": self._estimator.state(),
             "latest": self._latest,
-            "stopped": self._stopped,
-            "physical": None if part is None else [part.memory, part.records],
         }
         write_file(path, content)
 
@@ -496,52 +460,89 @@ class RCORefiner:
         """
         content = read_file(path, laws)
         refiner = cls(**content["settings"])
-        refiner._memory = content["memory"]
-        refiner._records = content["records"]
+        refiner._estimator.restore(content["state"])
         refiner._latest = content["latest"]
-        refiner._stopped = content["stopped"]
-        if refiner._physical is not None:
-            refiner._physical.memory, refiner._physical.records = content["physical"]
         return refiner
 
     # -- results -----------------------------------------------------------------------------------
 
     @property
+    @_alone
     def n_samples(self) -> int:
         """Number of samples taken."""
-        return self._memory.n_samples if self._physical is None else self._physical.memory.n_samples
+        return self._estimator.n_samples
 
     @property
+    @_alone
     def n_learned(self) -> int:
         """Number of samples learned from: 0 while the first are held back for the scales."""
-        if self._physical is not None:
-            return self.n_samples if self._physical.memory.rounds else 0
-        return self._memory.n_samples - len(self._memory.inputs)
+        return self._estimator.n_learned
 
     @property
-    def scales(self) -> Scales | None:
-        """Sizes that signals are divided by, None while they are not known yet."""
-        return None if self._memory.tuned is None else self._memory.tuned.scales
+    @_alone
+    def form(self) -> str:
+        """Form of the static correction that the refined model has.
 
-    @property
-    def theta(self) -> Array:
-        """Dynamic coefficients, shape (l_u, (n_c + 1)(n + n_w) + n_c l_u), in the units of the signals."""
-        return self._theta(0)
-
-    @property
-    def static_theta(self) -> Array:
-        """Static coefficients [theta_x, theta_w], shape (l_u, n + n_w), in the units of the signals.
-
-        With effects their coefficients, shape (1, p).
-
-        Those of the refined model: the mean over the last `static_average`
-        samples. `history.theta2` has those of each sample.
+        "paper" by the paper's equations, "coefficients" where they were named; in a race
+        "nonzero", "discrete", "input", or "initial" where no form predicts better than
+        the initial model.
         """
-        return self._theta(1) if self._physical is None else self._physical.theta[None]
+        estimator = self._estimator
+        if not isinstance(estimator, JointStages):
+            return "paper"
+        static = estimator.static
+        return static.chosen[0] if isinstance(static, Race) else "coefficients"
 
     @property
+    @_alone
+    def scores(self) -> dict[str, float]:
+        """In a race: fit in % of each form's free run on the last stretch it had not seen."""
+        static = self._joint("scores").static
+        scores = static.memory.scores if isinstance(static, Race) else {}
+        return {name: float(100.0 * (1.0 - np.sqrt(score))) for name, score in scores.items()}
+
+    @property
+    @_alone
+    def scales(self) -> Scales | None:
+        """Sizes that stage 1 divides signals by, None while they are not known yet."""
+        first = self._stage_one()
+        return None if first is None else first.scales
+
+    @property
+    @_alone
+    def theta(self) -> Array:
+        """Dynamic coefficients, shape (l_u, (n_c + 1)(n + n_w) + n_c l_u), in the units of the signals.
+
+        Empty, of shape (0, 0), where stage 1 does not run.
+        """
+        first = self._stage_one()
+        return np.zeros((0, 0)) if first is None else first.theta(0)
+
+    @property
+    @_alone
+    def static_theta(self) -> Array:
+        """Static coefficients in the units of the signals, as changes of the initial model.
+
+        By the paper's equations [theta_x, theta_w] of shape (l_u, n + n_w), the mean over the last
+        `static_average` samples (`history.theta2` has those of each sample); else those of
+        `parameters`, shape (1, p).
+        """
+        return self._estimator.static_theta()
+
+    @property
+    @_alone
+    def standard_deviations(self) -> Array:
+        """Standard deviations of `static_theta`, infinite before anything is learned.
+
+        Of the joint filter for white innovations; by the paper's equations the
+        scatter over the samples that the coefficients are averaged over.
+        """
+        return self._estimator.standard_deviations()
+
+    @property
+    @_alone
     def parameters(self) -> tuple[Any, ...]:
-        """With effects: one row per coefficient, with its standard deviation at this sample.
+        """One row per coefficient, with its standard deviation at this sample.
 
         Rows have the fields name, kind, place, initial, value, coefficient,
         std, unit, role and interval (95 %); std is infinite before anything is learned.
@@ -549,57 +550,46 @@ class RCORefiner:
         Raises
         ------
         RCOError
-            Without effects: the paper's coefficients are no physical parameters.
+            By the paper's equations: their coefficients are no parameters.
         """
-        return self._effects_only("parameters").parameters
+        return self._joint("parameters").filter.parameters
 
     @property
+    @_alone
     def covariance(self) -> Array:
-        """With effects: covariance of the coefficients at this sample, shape (p, p).
+        """Covariance of the coefficients at this sample, shape (p, p).
 
         Raises
         ------
         RCOError
-            Without effects.
+            By the paper's equations.
         """
-        return self._effects_only("covariance").covariance
-
-    def _effects_only(self, what: str) -> PhysicalPart:
-        if self._physical is None:
-            raise RCOError(
-                f"{what} belong to physical effects; build the refiner with effects=[...] "
-                "(static_theta has the paper's coefficients)"
-            )
-        return self._physical
+        return self._joint("covariance").filter.covariance
 
     @property
+    @_alone
     def discrete_system(self) -> ct.StateSpace:
         """Refined model in discrete time, labels kept."""
-        if self._physical is not None:
-            return self._physical.discrete_system(self._name())
-        return self._refined().to_statespace()
+        return self._estimator.discrete_system(self._name()).to_statespace()
 
     @property
+    @_alone
     def system(self) -> ct.StateSpace:
         """Refined model: continuous if the initial one is, labels kept.
 
-        Raises
-        ------
-        ModelError
-            If the refined discrete model has no continuous counterpart (yet),
-            as with a pole at zero; `discrete_system` is there nevertheless.
+        Warns
+        -----
+        ConversionWarning
+            If the refined discrete model has no continuous counterpart, as with a
+            pole at zero: the nearest one of the same order is given, and
+            `discrete_system` is exact.
         """
-        if self._physical is not None:
-            return self._physical.system(self._name())
-        if not self._setup.initial.is_continuous:
-            return self.discrete_system
-        if not self._theta(1).any():
-            return self._setup.initial.with_arrays(name=self._name()).to_statespace()
-        return d2c(self.discrete_system)
+        return self._estimator.system(self._name()).to_statespace()
 
     @property
-    def history(self) -> History | EffectsHistory:
-        """Course of both stages, sample by sample; with effects, of their coefficients.
+    @_alone
+    def history(self) -> History | CoefficientHistory:
+        """Course of both stages, sample by sample.
 
         Raises
         ------
@@ -611,12 +601,10 @@ class RCORefiner:
                 "no history was kept: build the refiner with RCORefiner(..., history=True) and run it again "
                 "(it is off by default so that a stream of any length takes constant memory)"
             )
-        if self._physical is not None:
-            return self._effects_history(self._physical)
-        return summary.assemble_history(
-            self._records, self._setup.initial, self._setup.step, self._setup.theta_shapes
-        )
+        found: History | CoefficientHistory = self._estimator.history()
+        return found
 
+    @_alone
     def bode_plot(
         self,
         measured: Any = None,
@@ -659,7 +647,7 @@ class RCORefiner:
         from ..reporting.bode import bode_comparison
 
         return bode_comparison(
-            [("initial", self._setup.initial), ("refined", self.system)],
+            [("initial", self._sampled.initial), ("refined", self.system)],
             measured,
             omega,
             ax=ax,
@@ -670,148 +658,51 @@ class RCORefiner:
             show_legend=show_legend,
         )
 
+    @_alone
     def __str__(self) -> str:
-        return summary.text(self._summary(), left=3 if self._physical else 1)
+        return summary.text(self._estimator.summary(), left=1 if self.form == "paper" else 3)
 
+    @_alone
     def _repr_html_(self) -> str:
-        return summary.html(self._summary())
+        return summary.html(self._estimator.summary())
 
     def __repr__(self) -> str:
-        return f"<RCORefiner of {self._setup.initial.name!r}: {self.n_learned} samples learned>"
+        return f"<RCORefiner of {self._sampled.initial.name!r}: {self.n_learned} samples learned>"
 
     def __getstate__(self) -> dict[str, Any]:
         state = dict(self.__dict__)
+        del state["_lock"]
         if isinstance(self.model, ct.StateSpace):  # holds a lambda, which cannot be pickled
-            state["model"] = self._setup.initial
+            state["model"] = self._sampled.initial
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
+        self._lock = threading.RLock()
         if isinstance(self.model, LinearModel):
             self.model = self.model.to_statespace()
 
     # -- inside ---------------------------------------------------------------------------------
 
-    def _commit(self, taken: tuple[Memory, Record | None, Array]) -> None:
-        self._memory, record, outputs = taken
-        if self._keep and record is not None:
-            self._records.append((record, outputs.copy()))
-
-    def _take_block(self, block: Block) -> None:
-        """Take a block that may have gaps; all of it or nothing."""
-        part = self._physical
-        latest = block.inputs[-1].copy()
-        if part is None:
-            memory, records = take_over_gaps(self._setup, self._memory, block, keep=self._keep)
-            self._memory, self._latest = memory, latest
-            self._records += records
-            return
-        beside = self._setup.estimated and not self._stopped
-        record = beside and not block.whole
-        taken = part.taken(block.inputs, block.known, block.outputs, block.use, record)
-        if beside:
-            outputs = block.outputs
-            if not block.whole:
-                ahead = taken[1].predicted
-                outputs = np.where(block.use, outputs, np.where(np.isfinite(ahead), ahead, 0.0))
-            try:
-                self._commit(self._taken(block.inputs, outputs))
-            except (Diverged, DataError) as error:
-                self._stopped = f"Stage 1 stopped by sample {self.n_samples + len(outputs)}: {error}"
-        part.commit(taken, block.outputs, block.use)
-        self._latest = latest
-
-    def _effects_history(self, part: PhysicalPart) -> EffectsHistory:
-        setup, lay = part.setup, part.setup.layout
-        model = self._setup.initial
-        coefficients = joined([r.theta for r, _ in part.records], lay.p)
-        y = joined([y for _, y in part.records], lay.ny)
-        beside = summary.assemble_history(self._records, model, setup.dt, self._setup.theta_shapes)
-        n_samples = y.shape[1]
-
-        def padded(values: Array) -> Array:
-            return np.pad(values, ((0, 0), (0, n_samples - values.shape[1])), constant_values=np.nan)
-
-        return EffectsHistory(
-            timepts=np.arange(n_samples, dtype=np.float64) * setup.dt,
-            coefficients=coefficients,
-            z1=padded(beside.z1),
-            z2=joined([r.predicted for r, _ in part.records], lay.ny) - y,
-            x_D=padded(beside.x),
-            x=joined([r.x for r, _ in part.records], lay.n),
-            y=y,
-            names=tuple(q.label for q in setup.bare.parameters),
-            output_labels=model.output_labels,
-        )
-
-    def _take_while_bounded(self, inputs: Array, outputs: Array, last: bool = False) -> None:
-        """Take a chunk of a record; where it diverges, keep what was learned before."""
-        try:
-            self._commit(self._taken(inputs, outputs, last))
-        except Diverged as error:
-            self._commit(take_until(self._setup, self._memory, inputs, outputs, error, keep=self._keep))
-            raise
-
-    def _taken(
-        self, inputs: Array, outputs: Array, last: bool = False
-    ) -> tuple[Memory, Record | None, Array]:
-        return take(self._setup, self._memory, inputs, outputs, keep=self._keep, last=last)
-
-    def _theta(self, stage: int) -> Array:
-        memory = self._memory
-        if memory.tuned is None:
-            return np.zeros(self._setup.theta_shapes[stage])
-        theta = memory.stages[0].theta if stage == 0 else memory.static_theta()
-        return in_units(theta, memory.tuned.scales, self._setup.settings[stage].order)
-
     def _name(self) -> str:
-        return f"{self._setup.initial.name}$refined"
+        return f"{self._sampled.initial.name}$refined"
 
-    def _refined(self) -> LinearModel:
-        order = self._setup.settings[1].order
-        return refined(self._setup.discrete, self._setup.plant, self._theta(1), order, self._name())
+    def _stage_one(self) -> PaperStages | None:
+        estimator = self._estimator
+        return estimator.stage_one if isinstance(estimator, JointStages) else cast(PaperStages, estimator)
 
-    def _present_state(self) -> Array:
-        """State of the refined model after the last sample, in the units of the states."""
-        memory, order = self._memory, self._setup.settings[1].order
-        n, n_w, l_u = (
-            self._setup.initial.n_states,
-            self._setup.initial.n_inputs,
-            self._setup.plant.Bu.shape[1],
-        )
-        if memory.tuned is None:
-            if order > 0:
-                raise ModelError(
-                    "predict with static_order > 0 needs the scales: it works once the first "
-                    f"{self._setup.warm_up} samples are learned, or with scale={{...}} declared"
-                )
-            x = np.zeros(n)
-            for w in memory.inputs:
-                x = self._setup.plant.A @ x + self._setup.plant.B @ w
-            return x
-        scales, stage = memory.tuned.scales, memory.stages[1]
-        x = memory.stages[0 if self._setup.estimated else 1].x * scales.states
-        if order == 0:
-            return x
-        psi = stage.psi * regressor_scale(scales.states, scales.inputs, scales.corrections, order)
-        first_w, first_u = (order + 1) * n, (order + 1) * (n + n_w)
-        latest = stage.past_u[stage.counters[3]] * scales.corrections
-        past_u = np.concatenate([latest, psi[first_u : first_u + (order - 1) * l_u]])
-        return np.concatenate([x, psi[: order * n], psi[first_w : first_w + order * n_w], past_u])
+    def _joint(self, what: str) -> JointStages:
+        if not isinstance(self._estimator, JointStages):
+            raise RCOError(
+                f"{what} belong to the joint filter; leave out window, markov and static_..., or name "
+                "effects=[...] (static_theta has the paper's coefficients)"
+            )
+        return self._estimator
 
-    def _summary(self) -> summary.Summary:
-        if self._physical is not None:
-            return summary.summarize_effects(self._setup.initial, self._physical, self._stopped)
-        return summary.summarize(
-            self._setup.initial,
-            self._setup.step,
-            self._setup.settings,
-            self._setup.delay,
-            self._setup.theta_shapes,
-            self._memory,
-            self.n_learned,
-            self._setup.estimated,
-        )
+
+def _listed(items: Any) -> tuple[Any, ...]:
+    """One item, or several, as a tuple."""
+    return tuple(np.atleast_1d(np.array(items, dtype=object)))
 
 
 def _chunks(n_samples: int, show: bool) -> Any:

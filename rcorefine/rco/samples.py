@@ -14,17 +14,17 @@ from ..measurement import Measurement
 from ..systems.conversion import to_discrete
 from ..systems.linear import Array
 from .checks import as_samples, check_samples
-from .setup import Setup
+from .setup import Sampled
 
 __all__ = ["checked_block", "checked_record"]
 
 
-def checked_block(setup: Setup, w: ArrayLike, y: ArrayLike, first: int) -> tuple[Array, Array]:
+def checked_block(setup: Sampled, w: ArrayLike, y: ArrayLike, first: int) -> tuple[Array, Array]:
     """Inputs and outputs of one sample or a block as (N, signals).
 
     Parameters
     ----------
-    setup : Setup
+    setup : Sampled
         Model with its labels.
     w, y : array_like
         As in `RCORefiner.update`.
@@ -53,7 +53,7 @@ def checked_block(setup: Setup, w: ArrayLike, y: ArrayLike, first: int) -> tuple
     return np.ascontiguousarray(inputs.T), np.ascontiguousarray(outputs.T)
 
 
-def checked_record(setup: Setup, data: Any) -> tuple[Array, Array]:
+def checked_record(setup: Sampled, data: Any, hold: str) -> tuple[Array, Array]:
     """Inputs and outputs of a record as (N, signals), in the order of the model's channels."""
     model = setup.initial
     if not isinstance(data, Measurement):
@@ -65,10 +65,10 @@ def checked_record(setup: Setup, data: Any) -> tuple[Array, Array]:
 
     if setup.step is not None:
         to_discrete(setup.discrete, data.dt)
-    if model.is_continuous and data.hold != "zoh":
+    if model.is_continuous and data.hold != hold:
         raise DataError(
-            f"record {data.name!r} has hold={data.hold!r}, but the refiner's model holds its input between "
-            "samples; if half a sample of delay does not matter, pass Measurement(..., hold='zoh')"
+            f"record {data.name!r} has hold={data.hold!r}, but the refiner takes hold={hold!r}; pass "
+            f"RCORefiner(..., hold=...) or Measurement(..., hold={hold!r})"
         )
     channels = match_channels(model, data)
     if -1 in channels.outputs:

@@ -12,7 +12,7 @@ import numpy as np
 from ..exceptions import ModelError
 from ..systems.conversion import to_discrete
 from ..systems.discretization import check_sampling_time, discretize
-from ..systems.linear import LinearModel
+from ..systems.linear import Array, LinearModel
 from .checks import as_matrix, as_rate, as_size
 from .kernels import Plant
 from .memory import Settings
@@ -20,15 +20,15 @@ from .path import column_delays, relative_degree
 from .scaling import Scales, declared_scales
 from .stage import regressor_length
 
-__all__ = ["Setup", "as_settings", "make_setup"]
+__all__ = ["Sampled", "Setup", "as_settings", "correction_path", "make_setup", "sampled_model"]
 
-# Samples that tell the scales: a window, but at least this many.
-LEAST_WARM_UP = 50
+# Samples that tell the scales: a window, but no fewer and no more than this.
+LEAST_WARM_UP, MOST_WARM_UP = 50, 100
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Setup:
-    """What a refiner knows before the first sample.
+class Sampled:
+    """The initial model and the samples that it meets.
 
     Parameters
     ----------
@@ -36,6 +36,19 @@ class Setup:
         Model as given, and in discrete time.
     step : float or None
         Sampling time in s, None where nobody told it.
+    """
+
+    initial: LinearModel
+    discrete: LinearModel
+    step: float | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Setup(Sampled):
+    """What the paper's stages know before the first sample.
+
+    Parameters
+    ----------
     plant : Plant
         Discrete arrays with B_u and D_u, in the units of the signals.
     delay : int
@@ -50,9 +63,6 @@ class Setup:
         Declared scales.
     """
 
-    initial: LinearModel
-    discrete: LinearModel
-    step: float | None
     plant: Plant
     delay: int
     settings: tuple[Settings, Settings]
@@ -63,7 +73,7 @@ class Setup:
     @property
     def warm_up(self) -> int:
         """Samples that are held back to begin with, where scales are not declared."""
-        return max(self.settings[0].window, LEAST_WARM_UP)
+        return warm_up(self.settings)
 
     @property
     def theta_shapes(self) -> tuple[tuple[int, int], tuple[int, int]]:
@@ -74,9 +84,19 @@ class Setup:
         return first, second
 
 
+def warm_up(settings: tuple[Settings, Settings]) -> int:
+    """Samples that tell the scales: a window, but neither very few nor very many."""
+    return min(max(settings[0].window, LEAST_WARM_UP), MOST_WARM_UP)
+
+
+def sampled_model(model: Any, dt: float | None) -> Sampled:
+    """Check the initial model and discretize it."""
+    initial = LinearModel.from_statespace(getattr(model, "system", model))
+    return Sampled(initial, *_discretized(initial, dt))
+
+
 def make_setup(
-    model: Any,
-    dt: float | None,
+    model: Sampled,
     settings: tuple[Settings, Settings],
     correction_input: Any,
     correction_feedthrough: Any,
@@ -84,14 +104,16 @@ def make_setup(
     average: int,
     scale: Any,
 ) -> Setup:
-    """Check what `RCORefiner` was given and make the model ready."""
-    initial = LinearModel.from_statespace(getattr(model, "system", model))
-    discrete, step = _discretized(initial, dt)
-    plant = _plant(initial, discrete, step, correction_input, correction_feedthrough)
+    """Check what `RCORefiner` was given for the paper's stages and make the model ready."""
+    initial, discrete, step = model.initial, model.discrete, model.step
+    b_u, d_u = correction_path(initial, correction_input, correction_feedthrough)
+    if initial.is_continuous and step is not None:
+        b_u = discretize(initial.A, b_u, step)[1]
+    arrays = (discrete.A, discrete.B, b_u, discrete.C, discrete.D, d_u)
+    plant = Plant(*(np.ascontiguousarray(array) for array in arrays))
     delay = relative_degree(plant)
     column_delays(plant)
-    warm_up = max(settings[0].window, LEAST_WARM_UP)
-    scales = _declared(plant, scale, warm_up)
+    scales = _declared(plant, scale, warm_up(settings))
     return Setup(initial, discrete, step, plant, delay, settings, estimated, average, scales)
 
 
@@ -123,21 +145,14 @@ def as_settings(
     return first, second
 
 
-def _plant(
-    model: LinearModel, discrete: LinearModel, step: float | None, given: Any, feedthrough: Any
-) -> Plant:
-    """Discrete arrays with B_u and D_u; by default those of the model's inputs."""
+def correction_path(model: LinearModel, given: Any, feedthrough: Any) -> tuple[Array, Array]:
+    """B_u and D_u in the timebase of the model; by default those of its inputs."""
     n, n_y = model.n_states, model.n_outputs
     b_u = model.B.copy() if given is None else as_matrix(given, "correction_input (B_u)", n, None, "state")
     l_u = b_u.shape[1]
     if feedthrough is not None:
-        d_u = as_matrix(feedthrough, "correction_feedthrough (D_u)", n_y, l_u, "output")
-    else:
-        d_u = model.D.copy() if given is None else np.zeros((n_y, l_u))
-    if model.is_continuous and step is not None:
-        b_u = discretize(model.A, b_u, step)[1]
-    arrays = (discrete.A, discrete.B, b_u, discrete.C, discrete.D, d_u)
-    return Plant(*(np.ascontiguousarray(array) for array in arrays))
+        return b_u, as_matrix(feedthrough, "correction_feedthrough (D_u)", n_y, l_u, "output")
+    return b_u, model.D.copy() if given is None else np.zeros((n_y, l_u))
 
 
 def _declared(plant: Plant, scale: Any, n_samples: int) -> Scales | None:

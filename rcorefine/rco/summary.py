@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,9 +12,14 @@ from ..systems.linear import Array, LinearModel
 from .history import History
 from .kernels import Record
 from .memory import Memory, Settings
-from .physical_part import PhysicalPart
 
-__all__ = ["Summary", "assemble_history", "html", "summarize", "text"]
+if TYPE_CHECKING:
+    from .race import Race
+from .coefficients.estimator import CoefficientFilter
+
+__all__ = [
+    "Summary", "assemble_history", "html", "summarize", "summarize_coefficients", "summarize_race", "text",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,28 +129,65 @@ def _notes(
     return notes
 
 
-def summarize_effects(model: LinearModel, part: PhysicalPart, stopped: str) -> Summary:
-    """Collect what `str(refiner)` shows with physical effects."""
-    setup, learned = part.setup, part.memory.rounds > 0
-    title = f"RCORefiner of {model.name!r} with {len(setup.effects)} effect(s), dt = {setup.dt:g} s"
+def summarize_coefficients(model: LinearModel, part: CoefficientFilter, stopped: str) -> Summary:
+    """Collect what `str(refiner)` shows of one filter for coefficients."""
+    setup = part.setup
+    title = f"RCORefiner of {model.name!r}: {len(setup.labels)} coefficients, dt = {setup.settings.dt:g} s"
     notes = [
-        f"{part.memory.n_samples} samples taken; the model was discretized {part.memory.discretized} times."
+        f"{part.memory.n_samples} samples taken; the model was discretized {part.memory.discretized} times.",
+        *_of_coefficients(model, part),
     ]
-    if learned:
-        levels = ", ".join(
-            f"{label} {level:.3g}" for label, level in zip(model.output_labels, part.noise, strict=True)
+    if stopped:
+        notes.append(stopped.split(";")[0] + "; the static stage does not need it.")
+    return Summary(title, _PARAMETERS, part.rows(), notes)
+
+
+def summarize_race(model: LinearModel, race: Race, stopped: str) -> Summary:
+    """Collect what `str(refiner)` shows of several forms in a race."""
+    (form, grows), memory = race.chosen, race.memory
+    part = race.filters[form]
+    dt = part.setup.settings.dt
+    title = f"RCORefiner of {model.name!r}: form {form!r} of the static stage, dt = {dt:g} s"
+    notes = [f"{memory.n_samples} samples taken."]
+    if memory.scores:
+        shown = ", ".join(
+            f"{name.rstrip('!')}{' (unstable)' if name.endswith('!') else ''} {_fit(score):.4g} %"
+            for name, score in memory.scores.items()
         )
         notes.append(
-            "std is the standard deviation of the value at this sample, for white innovations. "
-            f"Missed one sample ahead (rms): {levels}."
+            f"Chosen by the fit of each form's free run over {memory.length} samples that it had not "
+            f"seen: {shown}."
         )
     else:
-        notes.append("The first samples are held back until they tell the size of the signals.")
-    notes += part.cautions()
+        notes.append("No form has been judged yet: the refined model is the initial one.")
+    if grows:
+        notes.append("The refined model is unstable, as the data clearly say.")
+    notes += [f"{name} {why}; it is out of the race." for name, why in memory.stopped.items()]
+    if form != "initial":
+        notes += _of_coefficients(model, part)
     if stopped:
-        notes.append(stopped.split(";")[0] + "; the physical stage does not need it.")
-    headers = ["parameter", "effect", "place", "initial", "value", "std", "unit"]
-    return Summary(title, headers, part.rows(), notes)
+        notes.append(stopped.split(";")[0] + "; the static stage does not need it.")
+    return Summary(title, _PARAMETERS, part.rows(), notes)
+
+
+_PARAMETERS = ["parameter", "effect", "place", "initial", "value", "std", "unit"]
+
+
+def _fit(score: float) -> float:
+    return float(100.0 * (1.0 - np.sqrt(score)))
+
+
+def _of_coefficients(model: LinearModel, part: CoefficientFilter) -> list[str]:
+    if part.memory.rounds == 0:
+        return ["The first samples are held back until they tell the size of the signals."]
+    levels = ", ".join(
+        f"{label} {level:.3g}" for label, level in zip(model.output_labels, part.noise, strict=True)
+    )
+    return [
+        "std is the standard deviation of the value at this sample, for white innovations. "
+        f"Missed one sample ahead (rms): {levels}.",
+        *part.cautions(),
+    ]
 
 
 def text(summary: Summary, left: int = 1) -> str:

@@ -1,4 +1,4 @@
-"""Samples in, memory out: the physical static stage of a refiner."""
+"""Samples in, memory out: a filter for coefficients."""
 
 from __future__ import annotations
 
@@ -8,18 +8,17 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ..systems.linear import Array
-from .effects_guard import explain_divergence
-from .effects_kernel import DIVERGED, MOVED
-from .effects_memory import EffectsMemory
-from .effects_setup import EffectsSetup, compile_kernel
-from .effects_start import go_over, last_milestone, milestone
+from ...systems.linear import Array
+from .guard import explain_divergence
+from .kernel import DIVERGED, MOVED
+from .memory import CoefficientMemory
+from .setup import Setup
 
-__all__ = ["EffectsRecord", "begin_effects", "take_effects"]
+__all__ = ["CoefficientRecord", "take"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EffectsRecord:
+class CoefficientRecord:
     """Course over a block: coefficients, predicted outputs and states, each of shape (N, .)."""
 
     theta: Array
@@ -27,42 +26,16 @@ class EffectsRecord:
     x: Array
 
 
-def begin_effects(setup: EffectsSetup) -> EffectsMemory:
-    """Memory before the first sample."""
-    lay = setup.layout
-    n_w = lay.nu - 1
-    lower, upper = setup.bounds
-    origin = np.clip(setup.bare.start(), lower, upper)
-    packed = np.zeros(lay.size)
-    lay.view(packed, "theta")[:] = origin
-    return EffectsMemory(
-        packed=packed,
-        counters=np.array([0, 10 * lay.n + 10, int(setup.loose)], dtype=np.int64),
-        centre=origin.copy(),
-        origin=origin,
-        spread=np.zeros(0),
-        widths=np.full(len(setup.effects), np.nan),
-        sizes=np.zeros(n_w + lay.ny),
-        inputs=np.zeros((0, n_w)),
-        outputs=np.zeros((0, lay.ny)),
-        known=np.zeros(0, dtype=np.uint8),
-        use=np.zeros((0, lay.ny), dtype=np.uint8),
-        rivals=np.zeros((0, lay.p)),
-        rounds=0,
-        discretized=0,
-    )
-
-
-def take_effects(
-    setup: EffectsSetup,
-    memory: EffectsMemory,
+def take(
+    setup: Setup,
+    memory: CoefficientMemory,
     inputs: Array,
     known: NDArray[np.uint8],
     outputs: Array,
     use: NDArray[np.uint8],
     *,
     keep: bool = False,
-) -> tuple[EffectsMemory, EffectsRecord]:
+) -> tuple[CoefficientMemory, CoefficientRecord]:
     """Memory after some samples; the one given stays as it is.
 
     Parameters
@@ -81,15 +54,15 @@ def take_effects(
     total = inputs.shape[0]
     W = np.ones((total, lay.nu))
     W[:, :-1] = inputs
-    if not keep and memory.rounds and not memory.inputs.size and milestone(setup, memory.rounds) < 0:
+    if not keep and memory.rounds and not memory.inputs.size and setup.milestone(memory.rounds) < 0:
         nothing = _nothing(setup)
         return _advance(setup, memory, W, known, outputs, use, nothing, slice(0, total)), nothing
     shape = total if keep else 0
-    record = EffectsRecord(*(np.full((shape, width), np.nan) for width in (lay.p, lay.ny, lay.n)))
+    record = CoefficientRecord(*(np.full((shape, width), np.nan) for width in (lay.p, lay.ny, lay.n)))
     position = 0
     while position < total:
         buffered = memory.n_samples
-        target = milestone(setup, memory.rounds)
+        target = setup.milestone(memory.rounds)
         stop = total if target < 0 else min(total, position + target - buffered)
         part = slice(position, stop)
         if target >= 0:
@@ -113,15 +86,15 @@ def take_effects(
 
 
 @lru_cache(maxsize=64)
-def _nothing(setup: EffectsSetup) -> EffectsRecord:
+def _nothing(setup: Setup) -> CoefficientRecord:
     """Record of no sample."""
     lay = setup.layout
-    return EffectsRecord(np.zeros((0, lay.p)), np.zeros((0, lay.ny)), np.zeros((0, lay.n)))
+    return CoefficientRecord(np.zeros((0, lay.p)), np.zeros((0, lay.ny)), np.zeros((0, lay.n)))
 
 
-def _gone_over(setup: EffectsSetup, memory: EffectsMemory) -> EffectsMemory:
-    memory = go_over(setup, memory)
-    if memory.n_samples >= last_milestone(setup):
+def _gone_over(setup: Setup, memory: CoefficientMemory) -> CoefficientMemory:
+    memory = setup.go_over(memory)
+    if memory.n_samples >= setup.milestones[-1]:
         memory = replace(
             memory,
             inputs=memory.inputs[:0].copy(),
@@ -134,22 +107,22 @@ def _gone_over(setup: EffectsSetup, memory: EffectsMemory) -> EffectsMemory:
 
 
 def _advance(
-    setup: EffectsSetup,
-    memory: EffectsMemory,
+    setup: Setup,
+    memory: CoefficientMemory,
     W: Array,
     known: NDArray[np.uint8],
     outputs: Array,
     use: NDArray[np.uint8],
-    record: EffectsRecord,
+    record: CoefficientRecord,
     part: slice,
-) -> EffectsMemory:
+) -> CoefficientMemory:
     """Run the loop, in place, discretizing anew where coefficients have moved."""
     keep = record.theta.shape[0] > 0
     lay = setup.layout
     position, total = 0, W.shape[0]
     first = memory.n_samples
     if memory.kernel is None:
-        memory = replace(memory, kernel=compile_kernel(setup, memory))
+        memory = replace(memory, kernel=setup.compile(memory))
     none = _nothing(setup)
     while position < total:
         rows = slice(part.start + position, part.start + total)
@@ -169,5 +142,5 @@ def _advance(
         if why == MOVED:
             centre = lay.view(memory.packed, "theta").copy()
             memory = replace(memory, centre=centre, discretized=memory.discretized + 1)
-            memory = replace(memory, kernel=compile_kernel(setup, memory))
+            memory = replace(memory, kernel=setup.compile(memory))
     return memory

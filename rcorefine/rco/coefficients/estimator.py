@@ -1,4 +1,4 @@
-"""The physical static stage as a part of a refiner: samples in, coefficients and model out."""
+"""Coefficients on a stream: samples in; coefficients, their uncertainty and a model out."""
 
 from __future__ import annotations
 
@@ -6,35 +6,32 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-import control as ct
 import numpy as np
 from numpy.typing import NDArray
 
-from ..physics.structure import Structure
-from ..systems.conversion import to_discrete
-from ..systems.linear import Array, LinearModel
-from .effects_guard import cautions
-from .effects_kernel import DONE
-from .effects_memory import EffectsMemory
-from .effects_setup import EffectsSetup, engine_on
-from .effects_stage import EffectsRecord, begin_effects, take_effects
-from .effects_start import go_over
+from ...systems.conversion import to_discrete
+from ...systems.linear import Array, LinearModel
+from .guard import cautions
+from .kernel import DONE
+from .memory import CoefficientMemory
+from .setup import Setup
+from .stage import CoefficientRecord, take
 
-__all__ = ["PhysicalPart"]
+__all__ = ["CoefficientFilter", "joined"]
 
 
-class PhysicalPart:
-    """Physical effects estimated on a stream.
+class CoefficientFilter:
+    """Kalman filter for the state and the coefficients of a model jointly, on a stream.
 
     Parameters
     ----------
-    setup : EffectsSetup
-        Settings.
+    setup : Setup
+        Model, coefficients, settings.
     keep : bool
         Whether to keep the course of every sample.
     """
 
-    def __init__(self, setup: EffectsSetup, keep: bool) -> None:
+    def __init__(self, setup: Setup, keep: bool) -> None:
         self.setup, self.keep = setup, keep
         lay = setup.layout
         self._row = np.ones((1, lay.nu))
@@ -44,14 +41,14 @@ class PhysicalPart:
 
     def reset(self) -> None:
         """Forget all samples."""
-        self.memory: EffectsMemory = begin_effects(self.setup)
-        self.records: list[tuple[EffectsRecord, Array]] = []
+        self.memory: CoefficientMemory = self.setup.begin()
+        self.records: list[tuple[CoefficientRecord, Array]] = []
 
     def taken(
         self, inputs: Array, known: NDArray[np.uint8], outputs: Array, use: NDArray[np.uint8], record: bool
-    ) -> tuple[EffectsMemory, EffectsRecord]:
+    ) -> tuple[CoefficientMemory, CoefficientRecord]:
         """Memory and course after some samples; nothing changes until `commit`."""
-        return take_effects(self.setup, self.memory, inputs, known, outputs, use, keep=self.keep or record)
+        return take(self.setup, self.memory, inputs, known, outputs, use, keep=self.keep or record)
 
     def one(self, inputs: Array, outputs: Array) -> bool:
         """Learn from a single sample on the shortest way; False, and nothing done, where that is not open."""
@@ -72,7 +69,7 @@ class PhysicalPart:
         return True
 
     def commit(
-        self, taken: tuple[EffectsMemory, EffectsRecord], outputs: Array, use: NDArray[np.uint8]
+        self, taken: tuple[CoefficientMemory, CoefficientRecord], outputs: Array, use: NDArray[np.uint8]
     ) -> None:
         """Make what was taken the present."""
         self.memory, record = taken
@@ -83,7 +80,7 @@ class PhysicalPart:
         """Learn from what is still held back, however short."""
         memory = self.memory
         if memory.rounds == 0 and memory.inputs.shape[0] > self.setup.layout.n + 2:
-            self.memory = go_over(self.setup, memory)
+            self.memory = self.setup.go_over(memory)
 
     # -- results -----------------------------------------------------------------------------------
 
@@ -101,46 +98,53 @@ class PhysicalPart:
         return found
 
     @property
+    def standard_deviations(self) -> Array:
+        """Standard deviations of the coefficients, shape (p,); infinite before anything is learned."""
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
+
+    @property
     def parameters(self) -> tuple[Any, ...]:
         """Rows: name, kind, place, initial, value, coefficient, std, unit, role."""
-        from ..refinement.outcome import _rows
-
-        roles = ["effect"] * len(self.setup.effects)
-        return _rows(self.setup.bare, roles, self.theta, np.sqrt(np.diag(self.covariance)))
+        return self.setup.rows(self.theta, self.standard_deviations)
 
     @property
     def noise(self) -> Array:
         """Level of the innovations, shape (n_y,)."""
         return np.asarray(np.sqrt(self.setup.layout.view(self.memory.packed, "level")[1]))
 
-    def system(self, name: str) -> ct.StateSpace:
-        """Refined linear model in continuous time."""
+    def system(self, name: str) -> LinearModel:
+        """Refined linear model, in the timebase that it is estimated in."""
         if self.memory.rounds == 0:
-            return self.setup.model.with_arrays(name=name).to_statespace()
-        return self.setup.structure(self.memory.widths).system(self.theta, name)
+            return self.setup.model.with_arrays(name=name)
+        return self.setup.system(self.theta, self.memory.widths, name)
 
-    def discrete_system(self, name: str) -> ct.StateSpace:
+    def discrete_system(self, name: str) -> LinearModel:
         """Refined linear model, its input held between samples."""
-        return to_discrete(LinearModel.from_statespace(self.system(name)), self.setup.dt).to_statespace(name)
+        return to_discrete(self.system(name), self.setup.settings.dt, self.setup.settings.hold)
 
     def predict(self, inputs: Array) -> Array:
         """Free run on further inputs of shape (N, n_w); outputs of shape (n_y, N)."""
-        setup, memory = self.setup, self.memory
-        total = inputs.shape[0]
-        outputs = np.zeros((total, setup.layout.ny))
+        setup, memory, total = self.setup, self.memory, inputs.shape[0]
         if memory.rounds == 0:  # still the initial model, from rest
-            drive = np.vstack([memory.inputs, inputs])
-            initial = Structure(setup.physical)
-            engine = engine_on(setup, initial, drive, np.zeros((drive.shape[0], setup.layout.ny)))
-            return engine.run(np.zeros(0), sensitivity=False).outputs[:, -total:]
+            inputs = np.vstack([memory.inputs, inputs])
+            packed = np.zeros(setup.layout.size)
+            setup.layout.view(packed, "theta")[:] = memory.centre
+            memory = replace(memory, packed=packed, counters=np.array([1, 0, 0]), kernel=None)
         memory = replace(
             memory, rounds=1 << 30, inputs=memory.inputs[:0], outputs=memory.outputs[:0], rivals=memory.rivals
         )
-        _, record = take_effects(
-            setup, memory, inputs, np.ones(total, np.uint8), outputs, np.zeros(outputs.shape, np.uint8),
-            keep=True,
-        )  # fmt: skip
-        return np.ascontiguousarray(record.predicted.T)
+        use = np.zeros((inputs.shape[0], setup.layout.ny), np.uint8)
+        known = np.ones(inputs.shape[0], np.uint8)
+        _, record = take(setup, memory, inputs, known, np.zeros(use.shape), use, keep=True)
+        return np.ascontiguousarray(record.predicted.T[:, -total:])
+
+    def state(self) -> list[Any]:
+        """All that is remembered, for a file."""
+        return [self.memory, self.records]
+
+    def restore(self, state: list[Any]) -> None:
+        """Go on from what `state` gave."""
+        self.memory, self.records = state
 
     def cautions(self) -> list[str]:
         """What speaks against trusting the coefficients, one sentence each."""

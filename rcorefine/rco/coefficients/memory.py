@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..systems.linear import Array
+from ...systems.linear import Array
 
-__all__ = ["EffectsMemory", "Layout"]
+__all__ = ["CoefficientMemory", "Layout"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ class Layout:
 
 
 @dataclass(frozen=True, eq=False)
-class EffectsMemory:
+class CoefficientMemory:
     """State of the physical stage between two calls.
 
     Parameters
@@ -91,6 +91,8 @@ class EffectsMemory:
         Smoothing width of each law that has one, by effect; NaN for others.
     sizes : ndarray, shape (n_w + n_y,)
         Rms of inputs and outputs over the first samples.
+    states : ndarray, shape (n,)
+        Rms of the states over the first samples; empty until they tell it.
     inputs, outputs : ndarray, shape (K, n_w), (K, n_y)
         First samples, gone over again as the model improves; empty later.
     known, use : ndarray of uint8, shape (K,), (K, n_y)
@@ -112,6 +114,7 @@ class EffectsMemory:
     spread: Array
     widths: Array
     sizes: Array
+    states: Array
     inputs: Array
     outputs: Array
     known: NDArray[np.uint8]
@@ -126,9 +129,9 @@ class EffectsMemory:
         """Samples taken."""
         return int(self.counters[0])
 
-    def copied(self) -> EffectsMemory:
+    def copied(self) -> CoefficientMemory:
         """Independent copy of what changes in place."""
-        twin = object.__new__(EffectsMemory)  # dataclasses.replace takes longer than the sample itself
+        twin = object.__new__(CoefficientMemory)  # dataclasses.replace takes longer than the sample itself
         twin.__dict__.update(self.__dict__)
         twin.__dict__["packed"], twin.__dict__["counters"] = self.packed.copy(), self.counters.copy()
         return twin

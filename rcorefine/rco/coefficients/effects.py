@@ -1,4 +1,4 @@
-"""What the physical stage knows before the first sample, and its model as arrays for the kernel."""
+"""Physical effects as coefficients: their model as arrays for the kernel."""
 
 from __future__ import annotations
 
@@ -10,24 +10,22 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from numpy.typing import NDArray
 
-from ..exceptions import ModelError
-from ..physics.consistency import check_stream_hold
-from ..physics.effects import Effect
-from ..physics.engine import Engine, _kernel
-from ..physics.physical_model import PhysicalModel, as_physical
-from ..physics.structure import Structure
-from ..systems.discretization import check_sampling_time
-from ..systems.linear import Array, LinearModel
-from . import effects_kernel
-from .effects_memory import EffectsMemory, Layout
+from ...exceptions import ModelError
+from ...physics.consistency import check_stream_hold
+from ...physics.effects import Effect
+from ...physics.engine import Engine, _kernel
+from ...physics.physical_model import PhysicalModel, as_physical
+from ...physics.structure import Structure
+from ...systems.linear import Array, LinearModel
+from . import kernel
+from .memory import CoefficientMemory, Layout
+from .setup import FilterSettings, Kernel, Setup, checked_settings, held_columns
 
-__all__ = ["EffectsSetup", "Kernel", "make_effects_setup"]
+__all__ = ["EffectsSetup", "engine_on", "make_effects_setup"]
 
-SHARE = 1.0  # of its standard deviation that a coefficient may move before the model is discretized anew
 _LAG = 64  # samples that input delays look back on
-_CHANGING = 0.03  # unknown force over the input where coefficients may change
+_FIRST = 50  # samples of the first stretch, at least
 _MARGIN = 1e-3  # of a bound that an estimate keeps off it
 _STATIC_CODES = {
     "input_deadzone": (0, "threshold"),
@@ -37,8 +35,8 @@ _STATIC_CODES = {
 
 
 @dataclass(frozen=True, eq=False)
-class EffectsSetup:
-    """Settings of the physical stage.
+class EffectsSetup(Setup):
+    """Physical effects as coefficients.
 
     Parameters
     ----------
@@ -46,31 +44,16 @@ class EffectsSetup:
         Initial model.
     effects : tuple of Effect
         What is estimated.
-    dt : float
-        Sampling time in s.
-    hold : {"zoh", "foh"}
-        The input between samples.
-    noise : ndarray of shape (n_y,)
-        Declared sensor noise, zero where it is estimated.
-    disturbance : float
-        Unknown force over the measured input, rms.
-    forgetting : float
-        Share of the information along the excited direction that a sample keeps.
+    settings : FilterSettings
+        Sampling, noise, memory.
     substeps : int
         Substeps per sample.
-    start_samples : int
-        Samples that are gone over again while the model improves.
     """
 
     physical: PhysicalModel
     effects: tuple[Effect, ...]
-    dt: float
-    hold: str
-    noise: Array
-    disturbance: float
-    forgetting: float
+    settings: FilterSettings
     substeps: int
-    start_samples: int
 
     @cached_property
     def bare(self) -> Structure:
@@ -91,9 +74,47 @@ class EffectsSetup:
         return self.bare.is_linear
 
     @property
-    def loose(self) -> bool:
-        """Whether the state never becomes certain: unknown forces act, or coefficients may change."""
-        return self.disturbance > 0 or self.forgetting < 1
+    def n_laws(self) -> int:
+        """Laws that may have a width of their own."""
+        return len(self.effects)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the coefficients."""
+        return tuple(q.label for q in self.bare.parameters)
+
+    @cached_property
+    def milestones(self) -> tuple[int, ...]:
+        """Numbers of samples at which the first ones are gone over."""
+        lay, last = self.layout, self.settings.start_samples
+        lengths = [min(max(_FIRST, 3 * (lay.n + lay.p) // max(1, lay.ny) + lay.n), last)]
+        while lengths[-1] < last:
+            lengths.append(min(2 * lengths[-1], last))
+        return tuple(lengths)
+
+    def start(self) -> Array:
+        """Coefficients at which the effects are absent, or the user's."""
+        return self.bare.start()
+
+    def compile(self, memory: CoefficientMemory) -> Kernel:
+        """Discretize at `memory.centre` and pack what the loop needs."""
+        return compile_kernel(self, memory)
+
+    def go_over(self, memory: CoefficientMemory) -> CoefficientMemory:
+        """Memory after the first samples, as if the best coefficients had been known from the first."""
+        from .descent import go_over
+
+        return go_over(self, memory)
+
+    def system(self, theta: Array, widths: Array, name: str) -> LinearModel:
+        """Linear part at these coefficients, in continuous time."""
+        return LinearModel.from_statespace(self.structure(widths).system(theta, name))
+
+    def rows(self, theta: Array, spread: Array) -> tuple[Any, ...]:
+        """Estimated parameters, one row each."""
+        from ...refinement.outcome import _rows
+
+        return _rows(self.bare, ["effect"] * len(self.effects), theta, spread)
 
     @property
     def model(self) -> LinearModel:
@@ -108,7 +129,7 @@ class EffectsSetup:
         upper = np.array([q.upper for q in s.parameters])
         for i, q in enumerate(s.parameters):
             if s.effects[q.effect].kind == "input_delay":
-                upper[i] = min(upper[i], (_LAG - 4) * self.dt)
+                upper[i] = min(upper[i], (_LAG - 4) * self.settings.dt)
         with np.errstate(invalid="ignore"):
             lower = np.where(np.isfinite(lower), lower + _MARGIN * np.abs(lower), lower)
             upper = np.where(np.isfinite(upper), upper - _MARGIN * np.abs(upper), upper)
@@ -154,37 +175,21 @@ def _structure(setup: EffectsSetup, widths: tuple[float, ...]) -> Structure:
     return Structure(setup.physical, setup.effects, constants=constants)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Kernel:
-    """A discretized model, ready for the loop over samples."""
-
-    run: Callable[..., tuple[int, int]]
-    sizes: NDArray[np.int64]
-    fixed: Array
-    rest: tuple[Any, ...]
-    floor: Array
-
-
-def compile_kernel(setup: EffectsSetup, memory: EffectsMemory) -> Kernel:
+def compile_kernel(setup: EffectsSetup, memory: CoefficientMemory) -> Kernel:
     """Discretize at `memory.centre` and pack what the loop needs."""
     lay, s = setup.layout, setup.structure(memory.widths)
-    step = setup.dt / setup.substeps
+    dt, hold = setup.settings.dt, setup.settings.hold
+    step = dt / setup.substeps
     disc = s.discretize(memory.centre, step)
     n, nu = lay.n, lay.nu
-    lower, upper = setup.bounds_about(memory.origin)
-    y_size = memory.sizes[nu - 1 :]
-    floor = np.maximum(setup.noise**2, 1e-16 * y_size**2)
-    scale = np.where(memory.spread > 0, memory.spread, 1.0) if memory.spread.size else np.ones(lay.p)
-    limit = 1e12 * (1.0 + float(memory.sizes.max(initial=0.0)))
-    q_known, q_unknown = _disturbances(setup, tuple(memory.sizes.tolist()))
-    head = [memory.centre, lower, upper, 1e-6 * scale, floor]
-    head += [np.array([SHARE, setup.forgetting, limit]), q_known.ravel(), q_unknown.ravel()]
+    forces = _forces(setup, tuple(memory.sizes.tolist()))
+    head, floor = setup.head(memory, setup.bounds_about(memory.origin), *forces)
     q = disc.linear.size
     sizes = np.array([n, lay.p, nu, lay.ny, q, lay.lag], dtype=np.int64)
     if setup.fast:
-        M, dM = _held(disc.M[None], n, nu, setup.hold)[0], _held(disc.dM, n, nu, setup.hold)
+        M, dM = held_columns(disc.M[None], n, nu, hold)[0], held_columns(disc.dM, n, nu, hold)
         fixed = np.concatenate([*head, M.ravel(), disc.O.ravel(), dM.ravel(), disc.dO.ravel(), disc.linear])
-        return Kernel(effects_kernel.advance, sizes, fixed, (), floor)
+        return Kernel(kernel.advance, sizes, fixed, (), floor)
     pieces = 16 if s.jumps else 1
     fine = s.discretize(memory.centre, step / pieces) if pieces > 1 else disc
     codes, values, columns, widths = s.laws(memory.centre)
@@ -203,53 +208,38 @@ def compile_kernel(setup: EffectsSetup, memory: EffectsMemory) -> Kernel:
         np.stack([disc.M, fine.M]), np.stack([disc.dM, fine.dM]), pieces, disc.linear, disc.O, disc.dO,
         disc.P, disc.dP, codes, values, columns, widths,
         np.array(statics, dtype=np.int64).reshape(-1, 3), np.array(levels, dtype=float),
-        outcodes, outvalues, outcolumns, setup.substeps, setup.hold == "foh", setup.dt,
+        outcodes, outvalues, outcolumns, setup.substeps, hold == "foh", dt,
     )  # fmt: skip
     return Kernel(_general(s), sizes, np.concatenate(head), rest, floor)
 
 
-def floor_at(kernel: Kernel, lay: Layout) -> slice:
-    """Where the noise floor stands among the packed numbers."""
-    return slice(4 * lay.p, 4 * lay.p + lay.ny)
-
-
-def _held(M: Array, n: int, nu: int, hold: str) -> Array:
-    """Columns of the linear part; an input that is held acts with its value at the start."""
-    M = np.ascontiguousarray(M[:, :, : n + 2 * nu])
-    if hold == "zoh":
-        M[:, :, n : n + nu] += M[:, :, n + nu :]
-        M[:, :, n + nu :] = 0.0
-    return M
-
-
 @lru_cache(maxsize=64)
-def _disturbances(setup: EffectsSetup, sizes: tuple[float, ...]) -> tuple[Array, Array]:
-    """Covariance per sample of unknown forces, and of an input that was not measured."""
+def _forces(setup: EffectsSetup, sizes: tuple[float, ...]) -> tuple[Array, Array]:
+    """What unknown forces move in a sample, and what an input that was not measured does."""
     s, n, n_w = setup.bare, setup.layout.n, setup.layout.nu - 1
     level = np.array([size if size > 0 else 1.0 for size in sizes[:n_w]])
     lower, upper = setup.bounds
     calm = np.clip(np.where([setup.is_shape(i) for i in range(setup.layout.p)], 1.0, 0.0), lower, upper)
     m = s.matrices(calm)
-    inputs = m.B[:, :n_w] * level * setup.dt
-    top = max((float(np.linalg.norm(column)) for column in inputs.T), default=0.0) or setup.dt
+    inputs = m.B[:, :n_w] * level * setup.settings.dt
+    top = max((float(np.linalg.norm(column)) for column in inputs.T), default=0.0) or setup.settings.dt
     acts = []
     for port in s.model.ports:
         size = float(np.linalg.norm(port.act))
         if size > 0:
             acts.append(np.concatenate([port.act, np.zeros(n - port.act.size)]) * (top / size))
-    everywhere = np.column_stack([inputs, *acts]) * setup.disturbance
-    return everywhere @ everywhere.T, inputs @ inputs.T
+    return np.column_stack([inputs, *acts]) * setup.settings.disturbance, inputs
 
 
 def _general(structure: Structure) -> Callable[..., tuple[int, int]]:
     """The loop for any effects, bound to the user's own laws where there are any."""
     if not structure.custom_laws:
-        return effects_kernel.advance_general
-    source = {name: getattr(value, "py_func", value) for name, value in vars(effects_kernel).items()}
+        return kernel.advance_general
+    source = {name: getattr(value, "py_func", value) for name, value in vars(kernel).items()}
     source["march"] = _kernel(structure)
     bound: dict[str, Any] = dict(source)
     for name, value in source.items():
-        if isinstance(value, types.FunctionType) and value.__module__ == effects_kernel.__name__:
+        if isinstance(value, types.FunctionType) and value.__module__ == kernel.__name__:
             bound[name] = types.FunctionType(value.__code__, bound)
     run: Callable[..., tuple[int, int]] = bound["advance_general"]
     return run
@@ -258,14 +248,13 @@ def _general(structure: Structure) -> Callable[..., tuple[int, int]]:
 def make_effects_setup(
     model: Any,
     effects: Sequence[Effect],
-    dt: float | None,
+    dt: float,
     *,
     hold: str = "zoh",
     noise: Any = None,
     disturbance: float | None = None,
     forgetting: float = 1.0,
     substeps: int | None = None,
-    start_samples: int = 2048,
 ) -> EffectsSetup:
     """Check what `RCORefiner` was given for the physical stage."""
     if isinstance(effects, Effect):
@@ -292,53 +281,20 @@ def make_effects_setup(
             "give the continuous model, or convert it with rcorefine.d2c"
         )
     physical = as_physical(model)
-    if dt is None:
-        raise ModelError(
-            f"model {physical.linear.name!r} is continuous: give dt, the sampling time in seconds"
-        )
-    if hold not in ("zoh", "foh"):
-        raise ct.ControlArgument(
-            f"hold must be 'zoh' or 'foh' on a stream, not {hold!r}; a band-limited input needs the future: "
-            "use refine() on the record"
-        )
     check_stream_hold(physical, hold)
-    ny = physical.linear.n_outputs
-    levels = np.zeros(ny)
-    if noise is not None:
-        levels = np.array(np.broadcast_to(np.asarray(noise, dtype=float), (ny,)))
-        if not (np.isfinite(levels).all() and (levels > 0).all()):
-            raise ct.ControlArgument(
-                f"noise must be positive standard deviations, one per output, not {noise!r}"
-            )
-    if disturbance is None:
-        # a state that is certain cannot follow a model that changes
-        disturbance = 0.0 if forgetting == 1.0 else _CHANGING
-    if not (np.isfinite(disturbance) and disturbance >= 0):
-        raise ModelError(f"disturbance must be a finite number >= 0, not {disturbance!r}")
-    if not 0.5 <= forgetting <= 1.0:
-        raise ModelError(f"forgetting must lie in [0.5, 1] (1 forgets nothing), not {forgetting!r}")
+    settings = checked_settings(physical.linear.n_outputs, dt, hold, noise, disturbance, forgetting)
     bare = Structure(physical, effects)
     if bare.n_parameters == 0:
         raise ModelError("every coefficient of the effects is fixed; leave at least one free")
     steps = 4 if substeps is None else int(substeps)
     if steps < 1:
         raise ModelError(f"substeps must be at least 1, not {substeps}")
-    return EffectsSetup(
-        physical=physical,
-        effects=tuple(effects),
-        dt=check_sampling_time(dt),
-        hold=hold,
-        noise=levels,
-        disturbance=float(disturbance),
-        forgetting=float(forgetting),
-        substeps=1 if bare.is_linear else steps,
-        start_samples=int(start_samples),
-    )
+    return EffectsSetup(physical, tuple(effects), settings, 1 if bare.is_linear else steps)
 
 
 def engine_on(setup: EffectsSetup, structure: Structure, inputs: Array, outputs: Array) -> Engine:
     """Engine of the structure on some samples of shape (N, n_w), (N, n_y)."""
-    from ..measurement import Measurement
+    from ...measurement import Measurement
 
-    data = Measurement(inputs.T, np.nan_to_num(outputs.T), dt=setup.dt, hold=setup.hold)
+    data = Measurement(inputs.T, np.nan_to_num(outputs.T), dt=setup.settings.dt, hold=setup.settings.hold)
     return Engine(structure, data, substeps=setup.substeps)

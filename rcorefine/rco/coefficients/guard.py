@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..exceptions import DivergenceError
-from .effects_memory import EffectsMemory
-from .effects_setup import EffectsSetup
+from ...exceptions import DivergenceError
+from ...systems.linear import LinearModel
+from .memory import CoefficientMemory
+from .setup import Setup
 
 __all__ = ["cautions", "explain_divergence"]
 
@@ -15,27 +17,27 @@ _UNEXPLAINED = 0.3  # of the rms of an output left in the innovations: the effec
 _ALIKE = 0.995  # correlation of two estimates that the sensors can hardly tell apart
 
 
-def explain_divergence(setup: EffectsSetup, memory: EffectsMemory, sample: int) -> DivergenceError:
+def explain_divergence(setup: Setup, memory: CoefficientMemory, sample: int) -> DivergenceError:
     """Error that says when the state left all bounds, and why."""
     sentences = [
-        f"the physical stage diverged at sample {sample} (t = {sample * setup.dt:.6g} s); "
+        f"the static stage diverged at sample {sample} (t = {sample * setup.settings.dt:.6g} s); "
         "the state before is readable.",
-        *_poles(setup, memory),
+        *_unstable(setup, memory),
         *_bounds(setup, memory),
         "Place: choose other effects, give them a start or a prior, or declare the noise of the sensors.",
     ]
     return DivergenceError(" ".join(sentences))
 
 
-def cautions(setup: EffectsSetup, memory: EffectsMemory) -> list[str]:
+def cautions(setup: Setup, memory: CoefficientMemory) -> list[str]:
     """What speaks against trusting the coefficients."""
     if memory.rounds == 0 or not memory.spread.size:
         return []
     lay = setup.layout
-    names = [q.label for q in setup.bare.parameters]
+    names = setup.labels
     P = lay.view(memory.packed, "Pt")
     std = np.sqrt(np.maximum(np.diag(P), 0.0))
-    found = [*_poles(setup, memory), *_bounds(setup, memory)]
+    found = [*_unstable(setup, memory), *_bounds(setup, memory)]
     blind = [
         name for name, one, prior in zip(names, std, memory.spread, strict=True) if one > _UNLEARNED * prior
     ]
@@ -55,7 +57,9 @@ def cautions(setup: EffectsSetup, memory: EffectsMemory) -> list[str]:
         found.append(f"Hardly told apart by these sensors: {'; '.join(pairs[:3])}.")
     level = np.sqrt(lay.view(memory.packed, "level")[1])
     size = memory.sizes[-lay.ny :]
-    for label, left, whole, declared in zip(setup.model.output_labels, level, size, setup.noise, strict=True):
+    for label, left, whole, declared in zip(
+        setup.model.output_labels, level, size, setup.settings.noise, strict=True
+    ):
         if declared > 0 and left > 2.0 * declared:
             found.append(
                 f"Not explained: {label} is missed by {left:.3g}, the declared noise is {declared:.3g}; "
@@ -66,23 +70,40 @@ def cautions(setup: EffectsSetup, memory: EffectsMemory) -> list[str]:
                 f"Not explained: {label} is missed by {100 * left / whole:.3g} % of its size; unless that is "
                 "noise, another effect or place is at work (rcorefine.diagnose ranks them)."
             )
-    slowest = -float(np.max(np.linalg.eigvals(setup.bare.matrices(lay.view(memory.packed, "theta")).A).real))
-    if slowest > 0 and memory.n_samples * setup.dt * slowest < 1.0 and memory.counters[1] > 0:
+    poles = _poles(setup, memory)
+    slowest = -float(np.max(poles.real, initial=-np.inf))
+    if slowest > 0 and memory.n_samples * setup.settings.dt * slowest < 1.0 and memory.counters[1] > 0:
         found.append(
             f"Not decayed: the slowest mode takes {1 / slowest:.3g} s to fade and the stream is "
-            f"{memory.n_samples * setup.dt:.3g} s long; the unknown initial state still matters."
+            f"{memory.n_samples * setup.settings.dt:.3g} s long; the unknown initial state still matters."
         )
     return found
 
 
-def _poles(setup: EffectsSetup, memory: EffectsMemory) -> list[str]:
+def _poles(setup: Setup, memory: CoefficientMemory) -> NDArray[np.complex128]:
+    """Poles of the present model in rad/s (continuous time, also of a discrete model)."""
     theta = setup.layout.view(memory.packed, "theta")
     if not np.isfinite(theta).all():
+        return np.zeros(0, dtype=complex)
+    return _continuous_poles(setup.system(theta, memory.widths, "refined"), setup.settings.dt)
+
+
+def _continuous_poles(model: LinearModel, dt: float) -> NDArray[np.complex128]:
+    poles = np.linalg.eigvals(model.A).astype(complex)
+    if model.is_continuous:
+        return poles
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.log(poles) / dt)
+
+
+def _unstable(setup: Setup, memory: CoefficientMemory) -> list[str]:
+    before = _continuous_poles(setup.model, setup.settings.dt).real.max(initial=-np.inf)
+    poles = _poles(setup, memory)
+    if not poles.size:
         return []
-    before = np.linalg.eigvals(setup.model.A).real.max(initial=-np.inf)
-    poles = np.linalg.eigvals(setup.bare.matrices(theta).A)
     worst = poles[np.argmax(poles.real)]
-    if worst.real <= max(before, 0.0) + 1e-9 * np.abs(poles).max():
+    size = np.abs(poles[np.isfinite(poles)]).max(initial=0.0)
+    if worst.real <= max(before, 0.0) + 1e-9 * size:
         return []
     return [
         f"Unstable: the refined model has a pole at {worst:.4g} rad/s; a wrong place, or an effect that is "
@@ -90,12 +111,12 @@ def _poles(setup: EffectsSetup, memory: EffectsMemory) -> list[str]:
     ]
 
 
-def _bounds(setup: EffectsSetup, memory: EffectsMemory) -> list[str]:
+def _bounds(setup: Setup, memory: CoefficientMemory) -> list[str]:
     theta = setup.layout.view(memory.packed, "theta")
     lower, upper = setup.bounds
     held = [
-        q.label
-        for q, value, low, high in zip(setup.bare.parameters, theta, lower, upper, strict=True)
+        label
+        for label, value, low, high in zip(setup.labels, theta, lower, upper, strict=True)
         if (value <= low and value != 0) or (value >= high and value != 0)
     ]
     return [f"At its bound: {', '.join(held)}."] if held else []

@@ -9,13 +9,13 @@ from typing import Any
 import control as ct
 import numpy as np
 
-from ..systems.linear import Array
+from ...systems.linear import Array
 
-__all__ = ["EffectsHistory"]
+__all__ = ["CoefficientHistory"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EffectsHistory:
+class CoefficientHistory:
     """Course of both stages with physical effects, in the units of the signals.
 
     Attributes
@@ -86,7 +86,7 @@ class EffectsHistory:
         ControlPlot
             Lines, axes, figure.
         """
-        from ..reporting.figures import curve_labels, finish, make_axes, settings, style, unit_text
+        from ...reporting.figures import curve_labels, finish, make_axes, settings, style, unit_text
 
         names = curve_labels(list(label) if isinstance(label, tuple) else label, list(self.names))
         n_y = self.z2.shape[0]

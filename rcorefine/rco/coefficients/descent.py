@@ -7,18 +7,17 @@ the stretch doubles, each time started where the shorter one ended (Gauss-Newton
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from ..systems.linear import Array
-from .effects_memory import EffectsMemory
-from .effects_setup import EffectsSetup, compile_kernel, engine_on, floor_at
+from ...systems.linear import Array
+from .effects import EffectsSetup, engine_on
+from .memory import CoefficientMemory
+from .setup import floor_at
 
-__all__ = ["go_over", "milestone"]
+__all__ = ["go_over"]
 
-_FIRST = 50  # samples of the first stretch, at least
 _PASSES = 15
 _LOOSE = 2.0  # prior standard deviation over the nominal value
 _WIDE = 30.0  # ... over the size whose effect on the outputs is that of the signals
@@ -29,41 +28,21 @@ _SCENARIOS = 3  # times that the loss of each single parameter is tried
 _LOSSES = (0.35, 0.7)
 
 
-def milestone(setup: EffectsSetup, rounds: int) -> int:
-    """Samples after which the stretch is gone over for the next time, -1 for never again."""
-    lengths = _milestones(setup)
-    return lengths[rounds] if rounds < len(lengths) else -1
-
-
-@lru_cache(maxsize=64)
-def _milestones(setup: EffectsSetup) -> tuple[int, ...]:
-    lay = setup.layout
-    first = min(max(_FIRST, 3 * (lay.n + lay.p) // max(1, lay.ny) + lay.n), setup.start_samples)
-    lengths = [first]
-    while lengths[-1] < setup.start_samples:
-        lengths.append(min(2 * lengths[-1], setup.start_samples))
-    return tuple(lengths)
-
-
-def last_milestone(setup: EffectsSetup) -> int:
-    """Samples after which the first stretch is no longer needed."""
-    return setup.start_samples
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pass:
     """One run over the stretch about fixed coefficients."""
 
-    memory: EffectsMemory
+    memory: CoefficientMemory
     step: Array
     power: Array
     cost: float
 
 
-def go_over(setup: EffectsSetup, memory: EffectsMemory) -> EffectsMemory:
+def go_over(setup: EffectsSetup, memory: CoefficientMemory) -> CoefficientMemory:
     """Memory after the stretch, as if the best coefficients had been known from its first sample."""
     memory = _sized(setup, memory)
     initial = _initial_state(setup, memory)
+    memory = replace(memory, states=np.sqrt(np.diag(initial[1])))
     found: list[_Pass] = []
     main, far = _starts(setup, memory)
     for start in main + _promising(setup, memory, initial, far):
@@ -79,7 +58,7 @@ def go_over(setup: EffectsSetup, memory: EffectsMemory) -> EffectsMemory:
 
 
 def _promising(
-    setup: EffectsSetup, memory: EffectsMemory, initial: tuple[Array, Array], starts: list[Array]
+    setup: EffectsSetup, memory: CoefficientMemory, initial: tuple[Array, Array], starts: list[Array]
 ) -> list[Array]:
     """The few of many starts that are best one step further."""
     lower, upper = setup.bounds_about(memory.origin)
@@ -105,7 +84,7 @@ def _same(setup: EffectsSetup, one: _Pass, other: _Pass) -> bool:
 
 
 def _descend(
-    setup: EffectsSetup, memory: EffectsMemory, initial: tuple[Array, Array], start: Array, passes: int
+    setup: EffectsSetup, memory: CoefficientMemory, initial: tuple[Array, Array], start: Array, passes: int
 ) -> _Pass | None:
     lower, upper = setup.bounds_about(memory.origin)
     ny = setup.layout.ny
@@ -132,7 +111,7 @@ def _descend(
 
 
 def _over(
-    setup: EffectsSetup, memory: EffectsMemory, initial: tuple[Array, Array], theta: Array, R: Array
+    setup: EffectsSetup, memory: CoefficientMemory, initial: tuple[Array, Array], theta: Array, R: Array
 ) -> _Pass | None:
     """Run over the stretch about `theta`; None where that leaves all bounds."""
     lay = setup.layout
@@ -141,14 +120,14 @@ def _over(
     lay.view(packed, "delta")[:] = memory.origin - theta
     lay.view(packed, "x")[:], lay.view(packed, "Pb")[:] = initial
     lay.view(packed, "Pt")[:] = np.diag(memory.spread**2)
-    counters = np.array([0, 10 * lay.n + 10, int(setup.loose)], dtype=np.int64)
+    counters = setup.counters()
     about = replace(memory, packed=packed, counters=counters, centre=theta.copy())
-    kernel = compile_kernel(setup, about)
+    kernel = setup.compile(about)
     if not np.isfinite(kernel.fixed).all() and not np.isfinite(kernel.fixed[4 * lay.p :]).all():
         return None
     fixed = kernel.fixed.copy()
     floor = np.maximum(kernel.floor, R)
-    fixed[floor_at(kernel, lay)] = floor
+    fixed[floor_at(lay)] = floor
     none = np.zeros((0, lay.p)), np.zeros((0, lay.ny)), np.zeros((0, lay.n))
     W = np.column_stack([memory.inputs, np.ones(len(memory.inputs))])
     done, _ = kernel.run(
@@ -166,7 +145,7 @@ def _over(
     return _Pass(about, step, power, total + float(away @ away))
 
 
-def _adopted(setup: EffectsSetup, best: _Pass, memory: EffectsMemory) -> EffectsMemory:
+def _adopted(setup: EffectsSetup, best: _Pass, memory: CoefficientMemory) -> CoefficientMemory:
     """Memory after the best pass, its last step taken."""
     lay = setup.layout
     lower, upper = setup.bounds_about(memory.origin)
@@ -181,10 +160,10 @@ def _adopted(setup: EffectsSetup, best: _Pass, memory: EffectsMemory) -> Effects
     lay.view(packed, "level")[:] = best.power
     lay.view(packed, "count")[:] = lay.view(packed, "cost")[1]
     found = replace(found, centre=theta.copy(), rounds=memory.rounds + 1)
-    return replace(found, kernel=compile_kernel(setup, found), discretized=found.discretized + 1)
+    return replace(found, kernel=setup.compile(found), discretized=found.discretized + 1)
 
 
-def _sized(setup: EffectsSetup, memory: EffectsMemory) -> EffectsMemory:
+def _sized(setup: EffectsSetup, memory: CoefficientMemory) -> CoefficientMemory:
     """Sizes of signals, widths of laws and priors, from the samples so far."""
     inputs, outputs = memory.inputs, np.where(memory.use, memory.outputs, np.nan)
     with np.errstate(invalid="ignore"):
@@ -200,9 +179,9 @@ def _sized(setup: EffectsSetup, memory: EffectsMemory) -> EffectsMemory:
     return replace(memory, spread=_prior(setup, memory))
 
 
-def _shaped(setup: EffectsSetup, memory: EffectsMemory) -> EffectsMemory:
+def _shaped(setup: EffectsSetup, memory: CoefficientMemory) -> CoefficientMemory:
     """Memory whose first coefficients shape their laws as the motion suggests."""
-    from ..refinement.starts import shape_starts
+    from ...refinement.starts import shape_starts
 
     shapes = [i for i in range(setup.layout.p) if setup.is_shape(i)]
     if not shapes:
@@ -220,18 +199,16 @@ def _with_theta(setup: EffectsSetup, packed: Array, theta: Array) -> Array:
     return changed
 
 
-def _motion(setup: EffectsSetup, memory: EffectsMemory) -> Any:
-    from ..measurement import Measurement
-    from ..physics.structure import Structure
-    from ..refinement.starts import estimated_motion
+def _motion(setup: EffectsSetup, memory: CoefficientMemory) -> Any:
+    from ...measurement import Measurement
+    from ...physics.structure import Structure
+    from ...refinement.starts import estimated_motion
 
-    data = Measurement(
-        memory.inputs.T, _filled(memory).T, dt=setup.dt, hold="zoh" if setup.hold == "zoh" else "foh"
-    )
+    data = Measurement(memory.inputs.T, _filled(memory).T, dt=setup.settings.dt, hold=setup.settings.hold)
     return estimated_motion(Structure(setup.physical), np.zeros(0), data)
 
 
-def _filled(memory: EffectsMemory) -> Array:
+def _filled(memory: CoefficientMemory) -> Array:
     """Outputs with gaps bridged by straight lines, for sizes only."""
     outputs = memory.outputs.copy()
     grid = np.arange(len(outputs))
@@ -241,9 +218,9 @@ def _filled(memory: EffectsMemory) -> Array:
     return outputs
 
 
-def _widths(setup: EffectsSetup, memory: EffectsMemory) -> Array:
-    from ..physics.laws import NEEDS_WIDTH
-    from ..refinement.starts import law_widths
+def _widths(setup: EffectsSetup, memory: CoefficientMemory) -> Array:
+    from ...physics.laws import NEEDS_WIDTH
+    from ...refinement.starts import law_widths
 
     widths = np.full(len(setup.effects), np.nan)
     if any(effect.kind in NEEDS_WIDTH for effect in setup.effects):
@@ -252,7 +229,7 @@ def _widths(setup: EffectsSetup, memory: EffectsMemory) -> Array:
     return widths
 
 
-def _prior(setup: EffectsSetup, memory: EffectsMemory) -> Array:
+def _prior(setup: EffectsSetup, memory: CoefficientMemory) -> Array:
     """Standard deviation of every coefficient: declared, or by its nominal value, or by its trace."""
     structure = setup.structure(memory.widths)
     spread = _LOOSE * setup.nominal
@@ -273,7 +250,7 @@ def _prior(setup: EffectsSetup, memory: EffectsMemory) -> Array:
     return spread
 
 
-def _initial_state(setup: EffectsSetup, memory: EffectsMemory) -> tuple[Array, Array]:
+def _initial_state(setup: EffectsSetup, memory: CoefficientMemory) -> tuple[Array, Array]:
     """Mean and covariance of the state at the first sample."""
     lay = setup.layout
     structure = setup.structure(memory.widths)
@@ -294,9 +271,9 @@ def _initial_state(setup: EffectsSetup, memory: EffectsMemory) -> tuple[Array, A
     return np.zeros(lay.n), np.diag(size**2)
 
 
-def _starts(setup: EffectsSetup, memory: EffectsMemory) -> tuple[list[Array], list[Array]]:
+def _starts(setup: EffectsSetup, memory: CoefficientMemory) -> tuple[list[Array], list[Array]]:
     """Starts to descend from: present coefficients and rivals; and far ones, of which only the best."""
-    from ..refinement.starts import shape_starts
+    from ...refinement.starts import shape_starts
 
     starts = [setup.layout.view(memory.packed, "theta").copy(), *memory.rivals]
     if memory.rounds:

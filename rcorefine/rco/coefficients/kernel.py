@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..jit import compiled
-from ..physics.kernels import march
+from ...jit import compiled
+from ...physics.kernels import march
 
 __all__ = ["DIVERGED", "DONE", "MOVED", "advance", "advance_general"]
 
@@ -220,7 +220,7 @@ def advance(sizes, fixed, memory, counters, W, known, Y, use, frozen, TH, E, X):
     sizes : ndarray of int64, shape (6,)
         n, p, nw + 1, ny, q (parameters in the matrices) and lag (unused here).
     fixed, memory : ndarray
-        Packed as in `effects_memory`.
+        Packed as in `memory`.
     counters : ndarray of int64, shape (3,)
         Samples taken; samples for which the initial state still matters; unknown disturbances.
     W : ndarray, shape (N, nw + 1)
@@ -291,9 +291,16 @@ def advance(sizes, fixed, memory, counters, W, known, Y, use, frozen, TH, E, X):
     w = memory[at : at + nu]
 
     columns = np.zeros(q, dtype=np.int64)
+    moved = np.zeros((q, 2), dtype=np.int64)  # first row that a coefficient moves, and the last one + 1
     varied = False  # whether the outputs' own matrices depend on a coefficient
     for r in range(q):
         columns[r] = int(column[r])
+        for i in range(n):
+            for j in range(nz):
+                if dM[r, i, j] != 0.0:
+                    if moved[r, 1] == 0:
+                        moved[r, 0] = i
+                    moved[r, 1] = i + 1
         for i in range(ny):
             for j in range(no):
                 if dO[r, i, j] != 0.0:
@@ -332,7 +339,7 @@ def advance(sizes, fixed, memory, counters, W, known, Y, use, frozen, TH, E, X):
                     Oc[i, j] = O[i, j]
             for r in range(q):
                 shift = theta[columns[r]] - centre[columns[r]]
-                for i in range(n):
+                for i in range(moved[r, 0], moved[r, 1]):
                     total = 0.0
                     for j in range(nz):
                         total += dM[r, i, j] * step[j]
@@ -353,7 +360,7 @@ def advance(sizes, fixed, memory, counters, W, known, Y, use, frozen, TH, E, X):
                 for i in range(n):
                     S[a, i] = Sn[i]
             for r in range(q):
-                for i in range(n):
+                for i in range(moved[r, 0], moved[r, 1]):
                     S[columns[r], i] += drive[r, i]
             out[:n] = x
             out[n:] = W[k]

@@ -1,0 +1,240 @@
+"""What a filter for coefficients knows before the first sample, whatever its coefficients are."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import control as ct
+import numpy as np
+from numpy.typing import NDArray
+
+from ...exceptions import ModelError
+from ...systems.linear import Array, LinearModel
+from .memory import CoefficientMemory, Layout
+
+__all__ = ["SHARE", "FilterSettings", "Kernel", "Setup", "checked_settings", "floor_at", "held_columns"]
+
+SHARE = 1.0  # of its standard deviation that a coefficient may move before the model is discretized anew
+_LIMIT = 1e12  # state over its size, beyond which the filter has diverged
+_CHANGING = 0.03  # unknown force over the input where coefficients may change
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Kernel:
+    """A discretized model, ready for the loop over samples."""
+
+    run: Callable[..., tuple[int, int]]
+    sizes: NDArray[np.int64]
+    fixed: Array
+    rest: tuple[Any, ...]
+    floor: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FilterSettings:
+    """Settings that every coefficient filter has.
+
+    Parameters
+    ----------
+    dt : float
+        Sampling time in s.
+    hold : {"zoh", "foh"}
+        The input between samples.
+    noise : ndarray of shape (n_y,)
+        Declared sensor noise, zero where it is estimated.
+    disturbance : float
+        Unknown force over the measured input, rms.
+    forgetting : float
+        Share of the information along the excited direction that a sample keeps.
+    start_samples : int
+        Samples that are gone over again while the model improves.
+    """
+
+    dt: float
+    hold: str
+    noise: Array
+    disturbance: float
+    forgetting: float
+    start_samples: int = 2048
+
+    @property
+    def loose(self) -> bool:
+        """Whether the state never becomes certain: unknown forces act, or coefficients may change."""
+        return self.disturbance > 0 or self.forgetting < 1
+
+
+class Setup(ABC):
+    """A model that depends on coefficients, and how they are estimated.
+
+    Attributes
+    ----------
+    settings : FilterSettings
+        Sampling, noise, memory.
+    """
+
+    settings: FilterSettings
+
+    @property
+    @abstractmethod
+    def model(self) -> LinearModel:
+        """Initial model."""
+
+    @property
+    @abstractmethod
+    def layout(self) -> Layout:
+        """Sizes of the packed memory."""
+
+    @property
+    @abstractmethod
+    def labels(self) -> tuple[str, ...]:
+        """Names of the coefficients."""
+
+    @property
+    @abstractmethod
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds of the coefficients."""
+
+    @property
+    @abstractmethod
+    def milestones(self) -> tuple[int, ...]:
+        """Numbers of samples at which the first ones are gone over."""
+
+    @property
+    def n_laws(self) -> int:
+        """Laws that may have a width of their own."""
+        return 0
+
+    @abstractmethod
+    def start(self) -> Array:
+        """Coefficients of the initial model."""
+
+    @abstractmethod
+    def compile(self, memory: CoefficientMemory) -> Kernel:
+        """Discretize at `memory.centre` and pack what the loop needs."""
+
+    @abstractmethod
+    def go_over(self, memory: CoefficientMemory) -> CoefficientMemory:
+        """Memory after the first samples, gone over again about a better model."""
+
+    @abstractmethod
+    def system(self, theta: Array, widths: Array, name: str) -> LinearModel:
+        """Model at these coefficients, in the timebase that it is estimated in."""
+
+    @abstractmethod
+    def rows(self, theta: Array, spread: Array) -> tuple[Any, ...]:
+        """Estimated parameters, one row each."""
+
+    def milestone(self, rounds: int) -> int:
+        """Samples after which the first ones are gone over for the next time, -1 for never again."""
+        lengths = self.milestones
+        return lengths[rounds] if rounds < len(lengths) else -1
+
+    def begin(self) -> CoefficientMemory:
+        """Memory before the first sample."""
+        lay = self.layout
+        n_w = lay.nu - 1
+        lower, upper = self.bounds
+        origin = np.clip(self.start(), lower, upper)
+        packed = np.zeros(lay.size)
+        lay.view(packed, "theta")[:] = origin
+        return CoefficientMemory(
+            packed=packed,
+            counters=self.counters(),
+            centre=origin.copy(),
+            origin=origin,
+            spread=np.zeros(0),
+            widths=np.full(self.n_laws, np.nan),
+            sizes=np.zeros(n_w + lay.ny),
+            states=np.zeros(0),
+            inputs=np.zeros((0, n_w)),
+            outputs=np.zeros((0, lay.ny)),
+            known=np.zeros(0, dtype=np.uint8),
+            use=np.zeros((0, lay.ny), dtype=np.uint8),
+            rivals=np.zeros((0, lay.p)),
+            rounds=0,
+            discretized=0,
+        )
+
+    def counters(self) -> NDArray[np.int64]:
+        """Counters of a filter before its first sample."""
+        return np.array([0, 10 * self.layout.n + 10, int(self.settings.loose)], dtype=np.int64)
+
+    def head(
+        self,
+        memory: CoefficientMemory,
+        bounds: tuple[Array, Array],
+        acting: Array,
+        inputs: Array,
+    ) -> tuple[list[Array], Array]:
+        """First numbers that the loop needs, and the floor of the noise.
+
+        Parameters
+        ----------
+        memory : CoefficientMemory
+            Where to linearize.
+        bounds : tuple of ndarray
+            Bounds of the coefficients.
+        acting, inputs : ndarray of shape (n, .)
+            What unknown forces, and inputs that were not measured, move in a sample.
+        """
+        lay, settings = self.layout, self.settings
+        limit = _LIMIT * (float(memory.states.max(initial=0.0)) or 1.0)
+        y_size = memory.sizes[lay.nu - 1 :]
+        floor = np.maximum(settings.noise**2, 1e-16 * y_size**2)
+        scale = np.where(memory.spread > 0, memory.spread, 1.0) if memory.spread.size else np.ones(lay.p)
+        head = [
+            memory.centre,
+            *bounds,
+            1e-6 * scale,
+            floor,
+            np.array([self.share, settings.forgetting, limit]),
+        ]
+        return [*head, (acting @ acting.T).ravel(), (inputs @ inputs.T).ravel()], floor
+
+    @property
+    def share(self) -> float:
+        """Standard deviations that a coefficient may move before the model is discretized anew."""
+        return SHARE
+
+
+def floor_at(lay: Layout) -> slice:
+    """Where the noise floor stands among the packed numbers."""
+    return slice(4 * lay.p, 4 * lay.p + lay.ny)
+
+
+def held_columns(M: Array, n: int, nu: int, hold: str) -> Array:
+    """Columns of the linear part; an input that is held acts with its value at the start."""
+    M = np.ascontiguousarray(M[:, :, : n + 2 * nu])
+    if hold == "zoh":
+        M[:, :, n : n + nu] += M[:, :, n + nu :]
+        M[:, :, n + nu :] = 0.0
+    return M
+
+
+def checked_settings(
+    n_outputs: int, dt: float, hold: str, noise: Any, disturbance: float | None, forgetting: float
+) -> FilterSettings:
+    """Settings of a coefficient filter, checked."""
+    if hold not in ("zoh", "foh"):
+        raise ct.ControlArgument(
+            f"hold must be 'zoh' or 'foh' on a stream, not {hold!r}; a band-limited input needs the future: "
+            "use refine() on the record"
+        )
+    levels = np.zeros(n_outputs)
+    if noise is not None:
+        levels = np.array(np.broadcast_to(np.asarray(noise, dtype=float), (n_outputs,)))
+        if not (np.isfinite(levels).all() and (levels > 0).all()):
+            raise ct.ControlArgument(
+                f"noise must be positive standard deviations, one per output, not {noise!r}"
+            )
+    if disturbance is None:
+        # a state that is certain cannot follow a model that changes
+        disturbance = 0.0 if forgetting == 1.0 else _CHANGING
+    if not (np.isfinite(disturbance) and disturbance >= 0):
+        raise ModelError(f"disturbance must be a finite number >= 0, not {disturbance!r}")
+    if not 0.5 <= forgetting <= 1.0:
+        raise ModelError(f"forgetting must lie in [0.5, 1] (1 forgets nothing), not {forgetting!r}")
+    return FilterSettings(dt, hold, levels, float(disturbance), float(forgetting))

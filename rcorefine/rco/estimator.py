@@ -1,0 +1,73 @@
+"""What `RCORefiner` asks of whatever refines the model behind it."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+from ..systems.linear import Array, LinearModel
+from .gaps import Block
+from .summary import Summary
+
+__all__ = ["Estimator"]
+
+
+class Estimator(Protocol):
+    """Samples in; a refined model, its course and a summary out."""
+
+    @property
+    def n_samples(self) -> int:
+        """Samples taken."""
+        ...
+
+    @property
+    def n_learned(self) -> int:
+        """Samples learned from."""
+        ...
+
+    def take(self, block: Block, *, keep_sound: bool = False) -> None:
+        """Learn from a block: all of it or nothing, or with `keep_sound` what came before a divergence."""
+        ...
+
+    def finish(self) -> None:
+        """Learn from what is still held back: the record ends here."""
+        ...
+
+    def reset(self) -> None:
+        """Forget all samples."""
+        ...
+
+    def predict(self, inputs: Array) -> Array:
+        """Free run on further inputs of shape (N, n_w); outputs of shape (n_y, N)."""
+        ...
+
+    def system(self, name: str) -> LinearModel:
+        """Refined model, continuous where the initial one is."""
+        ...
+
+    def discrete_system(self, name: str) -> LinearModel:
+        """Refined model in discrete time."""
+        ...
+
+    def standard_deviations(self) -> Array:
+        """Standard deviations of the static coefficients."""
+        ...
+
+    def static_theta(self) -> Array:
+        """Static coefficients."""
+        ...
+
+    def history(self) -> Any:
+        """Course of every sample."""
+        ...
+
+    def summary(self) -> Summary:
+        """Cells and sentences of `str`."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """All that is remembered, for a file."""
+        ...
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from what `state` gave."""
+        ...

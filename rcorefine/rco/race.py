@@ -1,0 +1,287 @@
+"""Several forms of the static correction side by side on one stream, the initial model among them.
+
+Each is judged by what it predicts, never by what it was fitted to: its model is frozen, then runs free
+over the stretch that follows (Dawid's prequential principle, J. Royal Statistical Soc. A 147 (1984) 278).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..exceptions import DivergenceError
+from ..systems.conversion import to_discrete
+from ..systems.linear import Array, LinearModel
+from ..systems.stability import growth, stabilized
+from .coefficients.estimator import CoefficientFilter
+from .coefficients.setup import Setup
+from .coefficients.stage import CoefficientRecord
+from .free_run import free_run_cost
+from .gaps import Block
+
+__all__ = ["INITIAL", "Frozen", "Race", "RaceMemory"]
+
+INITIAL = "initial"
+_FIRST, _LONGEST = 32, 2048  # samples of the first stretch, and of the longest
+_ALIKE = 1.02  # in mean square: the form that stands first is taken
+_LOST = 4.0  # times the best mean square, on two stretches in a row: the form stops
+_LATE = 1024  # samples before which none stops for being worse
+_CLEARLY = 0.5  # of the mean square of the best stable model: what an unstable one must reach to be taken
+_WINDOW = 3.0  # growth of an unstable initial model, in powers of e, after which its free run starts anew
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frozen:
+    """A model frozen before a stretch; `raw` where it grows faster than the initial one may."""
+
+    name: str
+    model: LinearModel
+    raw: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RaceMemory:
+    """State of a race between two calls.
+
+    Parameters
+    ----------
+    frozen : tuple of Frozen
+        Models that the present stretch judges.
+    inputs, outputs, use : ndarray of shape (K, n_w), (K, n_y), (K, n_y)
+        The present stretch so far.
+    scores : dict
+        Mean square over the variance of the outputs by each judged model, on the last whole stretch.
+    chosen : tuple of str and bool
+        Form that won it, and whether an unstable model of it did.
+    behind : dict
+        Stretches in a row that a form was far behind on.
+    stopped : dict
+        Why a form stopped, by its name.
+    length : int
+        Samples of the last whole stretch.
+    n_samples : int
+        Samples taken.
+    """
+
+    frozen: tuple[Frozen, ...]
+    inputs: Array
+    outputs: Array
+    use: NDArray[np.uint8]
+    scores: dict[str, float]
+    chosen: tuple[str, bool]
+    behind: dict[str, int]
+    stopped: dict[str, str]
+    length: int
+    n_samples: int
+
+
+class Race:
+    """Forms of a static correction that compete, and the initial model.
+
+    Parameters
+    ----------
+    setups : mapping of str to Setup
+        Forms by their names, the one that is taken where two are alike first.
+    initial : Setup
+        The initial model, without coefficients.
+    keep : bool
+        Whether to keep the course of every sample.
+    """
+
+    def __init__(self, setups: dict[str, Setup], initial: Setup, keep: bool) -> None:
+        self.filters = {name: CoefficientFilter(setup, keep) for name, setup in setups.items()}
+        self.filters[INITIAL] = CoefficientFilter(initial, keep)
+        self._model = self.filters[INITIAL].discrete_system("initial")
+        self._limit = _allowed(self._model)
+        rate = growth(self._model)
+        self._window = max(int(_WINDOW / rate), 8) if rate > 1e-6 else 0
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all samples."""
+        for one in self.filters.values():
+            one.reset()
+        model = self._model
+        self.memory = RaceMemory(
+            (), np.zeros((0, model.n_inputs)), np.zeros((0, model.n_outputs)),
+            np.zeros((0, model.n_outputs), np.uint8), {}, (INITIAL, False), {}, {}, 0, 0,
+        )  # fmt: skip
+
+    @property
+    def n_samples(self) -> int:
+        """Samples taken."""
+        return self.memory.n_samples
+
+    @property
+    def running(self) -> list[str]:
+        """Forms that have not stopped."""
+        return [name for name in self.filters if name not in self.memory.stopped]
+
+    def take(self, block: Block, *, predict: bool = False) -> Array:
+        """Learn from a block; with `predict` what the best form expected, one sample ahead."""
+        position, total = 0, len(block.inputs)
+        expected = np.full(block.outputs.shape if predict else (0, 0), np.nan)
+        while position < total:
+            size = min(total - position, _end(self.n_samples) - self.n_samples)
+            part = slice(position, position + size)
+            piece = Block(block.inputs[part], block.outputs[part], block.known[part], block.use[part])
+            form = self.chosen[0] if predict else ""
+            for name in self.running:
+                record = self._learn(name, piece, name == form)
+                if name == form and record is not None:
+                    expected[part] = record.predicted
+            memory = self.memory
+            self.memory = replace(
+                memory,
+                inputs=np.concatenate([memory.inputs, piece.inputs]),
+                outputs=np.concatenate([memory.outputs, piece.outputs]),
+                use=np.concatenate([memory.use, piece.use]),
+                n_samples=memory.n_samples + size,
+            )
+            position += size
+            if self.n_samples in _ENDS or self.n_samples % _LONGEST == 0:
+                self._turn()
+        return expected
+
+    def _learn(self, name: str, block: Block, record: bool) -> CoefficientRecord | None:
+        one = self.filters[name]
+        try:
+            taken = one.taken(block.inputs, block.known, block.outputs, block.use, record)
+        except DivergenceError as error:
+            if name != INITIAL:
+                self._stop(name, f"diverged: {str(error).split(';')[0]}")
+            return None
+        one.commit(taken, block.outputs, block.use)
+        return taken[1]
+
+    def _stop(self, name: str, why: str) -> None:
+        self.memory = replace(self.memory, stopped={**self.memory.stopped, name: why})
+
+    def _turn(self) -> None:
+        """A stretch ends: judge, let losers go, and freeze the present models for the next one."""
+        memory = self.memory
+        if memory.frozen:
+            chosen, scores = self._judged()
+            best = min(scores.values())
+            behind = {name: 0 for name in self.running}
+            for name in self.running:
+                own = min((s for key, s in scores.items() if key.split("!")[0] == name), default=np.inf)
+                if name != INITIAL and own > _LOST * best and self.n_samples > _LATE:
+                    behind[name] = memory.behind.get(name, 0) + 1
+            self.memory = replace(
+                memory, chosen=chosen, scores=scores, behind=behind, length=len(memory.inputs)
+            )
+            for name, times in behind.items():
+                if times >= 2:
+                    self._stop(name, f"far behind after {self.n_samples} samples")
+        frozen = []
+        for name in self.running:
+            model = self.filters[name].discrete_system(name)
+            if not np.isfinite(model.A).all():
+                self._stop(name, f"no finite model after {self.n_samples} samples")
+                continue
+            calm = stabilized(model, self._limit)
+            frozen.append(Frozen(name, calm, False))
+            if calm is not model:
+                frozen.append(Frozen(name, model, True))
+        empty = slice(0, 0)
+        self.memory = replace(
+            self.memory, frozen=tuple(frozen), inputs=self.memory.inputs[empty].copy(),
+            outputs=self.memory.outputs[empty].copy(), use=self.memory.use[empty].copy(),
+        )  # fmt: skip
+
+    def _judged(self) -> tuple[tuple[str, bool], dict[str, float]]:
+        """Which form predicted the present stretch best, and the scores of all."""
+        memory = self.memory
+        weights = 1.0 / np.sqrt(_variance(memory.outputs, memory.use))
+        stretch = memory.inputs, memory.outputs, memory.use
+        calm: dict[str, float] = {}
+        wild: dict[str, float] = {}
+        for one in memory.frozen:
+            m = one.model
+            score = float(free_run_cost(m.A, m.B, m.C, m.D, *stretch, weights, self._window))
+            (wild if one.raw else calm)[one.name] = score if np.isfinite(score) else np.inf
+        best = min(calm.values())
+        name = INITIAL
+        if best < calm[INITIAL]:
+            name = next(key for key, score in calm.items() if score <= _ALIKE * best)
+        scores = dict(calm)
+        scores.update({f"{key}!": score for key, score in wild.items()})
+        unstable = min(wild, key=lambda key: wild[key], default=None)
+        if unstable is not None and wild[unstable] < _CLEARLY * calm[name]:
+            return (unstable, True), scores
+        return (name, False), scores
+
+    # -- results -------------------------------------------------------------------------------------
+
+    @property
+    def chosen(self) -> tuple[str, bool]:
+        """Form that predicts best, and whether its model may grow: on this stretch if it is long enough."""
+        memory = self.memory
+        if memory.frozen and len(memory.inputs) >= max(memory.length, _FIRST) // 2:
+            return self._judged()[0]
+        return memory.chosen
+
+    @property
+    def filter(self) -> CoefficientFilter:
+        """Filter of the form that predicts best."""
+        return self.filters[self.chosen[0]]
+
+    def system(self, name: str) -> LinearModel:
+        """Best model, in the timebase that it is estimated in; it grows only where the data say so."""
+        form, grows = self.chosen
+        model = self.filters[form].system(name)
+        limit = np.inf if grows else self._limit
+        if model.is_continuous:
+            limit = limit / self.filters[form].setup.settings.dt
+        return stabilized(model, limit)
+
+    def discrete_system(self, name: str) -> LinearModel:
+        """Best model, in discrete time."""
+        settings = self.filter.setup.settings
+        return to_discrete(self.system(name), settings.dt, settings.hold)
+
+    def finish(self) -> None:
+        """Learn from what is still held back."""
+        for name in self.running:
+            self.filters[name].finish()
+
+    def state(self) -> dict[str, Any]:
+        """All that is remembered, for a file."""
+        parts = {name: one.state() for name, one in self.filters.items()}
+        return {"race": self.memory, "filters": parts}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from what `state` gave."""
+        self.memory = state["race"]
+        for name, part in state["filters"].items():
+            self.filters[name].restore(part)
+
+
+_ENDS = (32, 64, 128, 256, 512, 1024, 2048)
+
+
+def _end(n_samples: int) -> int:
+    """Samples at which the present stretch ends."""
+    ahead = [end for end in _ENDS if end > n_samples]
+    return ahead[0] if ahead else (n_samples // _LONGEST + 1) * _LONGEST
+
+
+def _allowed(initial: LinearModel) -> float:
+    """Growth that a refined model may have: none where the initial one is stable."""
+    rate = growth(initial)
+    if rate > 1e-9:
+        return np.inf
+    return 1e-9 if rate > -1e-9 else 1e-3 * max(rate, -1.0)
+
+
+def _variance(outputs: Array, use: NDArray[np.uint8]) -> Array:
+    values = np.where(use > 0, outputs, np.nan)
+    with np.errstate(invalid="ignore"):
+        count = np.maximum((use > 0).sum(axis=0), 1)
+        mean = np.nansum(values, axis=0) / count
+        spread = np.nansum((values - mean) ** 2, axis=0) / count
+    return np.where(spread > 0, spread, 1.0)
