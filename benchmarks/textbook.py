@@ -137,8 +137,8 @@ def table(rows: list[dict[str, object]]) -> None:
         end = f"{len(mine) - len(good):5d} {np.median([row['us'] for row in good]):4.0f}  {forms}"
         if "bode" in good[0]:
             before, after = np.array([row["bode"] for row in good]).T
-            print(f"{name:28s} {len(mine):4d} Bode error {np.median(before):.2f} -> {np.median(after):.5f}, worst "
-                  f"{after.max():.5f}; within .01: {np.sum(after <= 0.01)} {end}")  # fmt: skip
+            print(f"{name:28s} {len(mine):4d} Bode error {np.median(before):.2f} -> {np.median(after):.5f}, "
+                  f"worst {after.max():.5f}; within .01: {np.sum(after <= 0.01)} {end}")  # fmt: skip
             continue
         key = "refine" if "refine" in good[0] else "true"
         means = {k: np.array([row[k].mean() for row in good]) for k in ("start", "refined", "true", key)}
@@ -146,8 +146,8 @@ def table(rows: list[dict[str, object]]) -> None:
         worse = sum(bool(np.any(row["refined"] < row["start"] - 1)) for row in good)
         shown = f"{np.median(means['refine']):6.1f}" if key == "refine" else 6 * " "
         print(f"{name:28s} {len(mine):4d} {np.median(means['start']):6.1f} {means['refined'].min():9.1f}"
-              f"{np.median(means['refined']):9.1f} {np.median(means['true']):6.1f} {shown} {within:8d} {worse:5d} "
-              f"{end}")  # fmt: skip
+              f"{np.median(means['refined']):9.1f} {np.median(means['true']):6.1f}"
+              f" {shown} {within:8d} {worse:5d} {end}")  # fmt: skip
         for what, count in (("compared", len(good)), ("within", within), ("worse", worse)):
             total[what] += count
     print(f"{len(rows)} runs, {total['fails']} fail; an output more than a point below the start in "

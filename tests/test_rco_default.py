@@ -191,6 +191,28 @@ def test_the_initial_model_stays_where_nothing_predicts_better():
     assert free_run(refiner.system, dt, w, noise) > free_run(truth, dt, w, noise) - 1
 
 
+def test_a_motor_that_rests_in_its_dead_zone_is_learned_once_it_turns():
+    """For 2000 samples the outputs say that the input has no effect, and say it with certainty."""
+    truth, start, dt = OFF["motor"]
+    w = np.hstack([0.3 * steps(7, 2000), 0.6 + steps(8, 3000)])
+    y = np.hstack([0.0 * w[:, :2000], simulated(truth, dt, w[:, 2000:])[1]])
+    y = y + 0.01 * y.std() * np.random.default_rng(7).standard_normal(y.shape)
+    refiner = RCORefiner(start, dt=dt)
+    refiner.update(w, y)
+    rest = w[:, 3500:], y[:, 3500:]
+    assert free_run(refiner.system, dt, *rest) > free_run(truth, dt, *rest) - 1
+
+
+def test_a_few_outliers_do_not_make_the_filter_begin_anew():
+    truth, start, dt = OFF["motor"]
+    w, y = simulated(truth, dt, steps(3, 4000))
+    y = noisy(y, 0.02, 3)
+    y[0, [1500, 1510, 2500, 3000]] += 100.0 * y.std()
+    refiner = RCORefiner(start, dt=dt)
+    refiner.update(w, y)
+    np.testing.assert_allclose(refiner.system.dcgain(), truth.dcgain(), rtol=0.05)
+
+
 def test_stability_is_kept():
     truth = system([[0, 1], [-40.0, -0.001]], [0, 1], [1, 0])
     start = system([[0, 1], [-55.0, -0.01]], [0, 1.3], [1, 0])

@@ -50,7 +50,7 @@ def go_over(setup: EffectsSetup, memory: CoefficientMemory) -> CoefficientMemory
         if descent is not None and not any(_same(setup, descent, other) for other in found):
             found.append(descent)
     if not found:  # not even the initial model stays bounded: leave it to the guard
-        return replace(memory, rounds=memory.rounds + 1)
+        return replace(memory, rounds=memory.rounds + 1, kernel=None)
     found.sort(key=lambda one: one.cost)
     best = _descend(setup, memory, initial, found[0].memory.centre, _PASSES) or found[0]
     rivals = np.array([one.memory.centre for one in found[1 : 1 + _RIVALS]]).reshape(-1, setup.layout.p)

@@ -21,6 +21,7 @@ __all__ = ["EntriesSetup"]
 MILESTONES = (32, 64, 128, 256, 512, 1024, 2048)
 _TINY_STEP = 1e-30
 _SHARE = 0.3  # of its standard deviation that an entry may move before the model is discretized anew
+_SURPRISE = 9.0  # mean square of about 32 innovations over their variance: what was learned does not hold
 _LEAST = 0.1  # prior of an entry that is zero, over what would move its row as much as all else does
 
 
@@ -88,6 +89,11 @@ class EntriesSetup(Setup):
     def share(self) -> float:
         """Standard deviations that a coefficient may move before the model is discretized anew."""
         return _SHARE if self.base.is_continuous else np.inf
+
+    @property
+    def watch(self) -> float:
+        """Mean square of innovations over their variance at which the filter has to begin anew."""
+        return _SURPRISE if self.names else np.inf
 
     def start(self) -> Array:
         """Zero, the initial model."""

@@ -14,12 +14,13 @@ import numpy as np
 from ...jit import compiled
 from ...physics.kernels import march
 
-__all__ = ["DIVERGED", "DONE", "MOVED", "advance", "advance_general"]
+__all__ = ["DIVERGED", "DONE", "MOVED", "SURPRISED", "advance", "advance_general"]
 
-DONE, MOVED, DIVERGED = 0, 1, 2
+DONE, MOVED, DIVERGED, SURPRISED = 0, 1, 2, 3
 
 _SHORT = 1.0 / 32.0  # weight of a sample in the quick level of the innovations
 _LONG = 1.0 / 1000.0  # least weight of a sample in the slow one
+_MOST = 36.0  # of its variance that the square of an innovation counts for as a surprise
 _EXCITED = 25.0  # of the noise: what the prior doubt moves at an output that counts as excited
 _QUIET = 0.02  # of the most that it ever moved: less is no excitation
 _SETTLED = 1e-6  # share of the noise below which the initial state no longer matters
@@ -41,7 +42,7 @@ def _learn(
     theta, delta, S, Pt, x, Pb, K, FK, F, H, h, g, yhat,
     lower, upper, forgetting, frozen, uncertain, loose,
 ):  # fmt: skip
-    """Correct with one output; return its innovation variance relative to the noise."""
+    """Correct with one output; return its variance for known coefficients over the noise, and in all."""
     n = x.shape[0]
     p = theta.shape[0]
     ny = yhat.shape[0]
@@ -134,13 +135,13 @@ def _learn(
         # rounding must not make it negative where one sample teaches almost everything
         if Pt[a, a] < 1e-13 * before:
             Pt[a, a] = 1e-13 * before
-    return s / R
+    return s / R, st
 
 
 @compiled
 def _correct(
     y, use, theta, delta, S, Pt, x, Pb, Q, K, FK, T, F, H, h, g, yhat, level, floor, count, limits,
-    least, forgetting, frozen, counters, cost, power, loose, predicted,
+    least, forgetting, frozen, counters, cost, power, surprise, loose, predicted,
 ):  # fmt: skip
     """Correct with all outputs of a sample that are there."""
     n = x.shape[0]
@@ -154,6 +155,7 @@ def _correct(
         if not use[i]:
             continue
         e = y[i] - yhat[i]
+        calm = max(floor[i], level[1, i])
         if frozen:
             R = floor[i]
         else:
@@ -170,10 +172,13 @@ def _correct(
             power[1, i] = max(power[1, i], power[0, i])
             if doubt < _EXCITED * R or power[0, i] < _QUIET * power[1, i]:
                 forgets = 1.0
-        excess = _learn(
+        excess, variance = _learn(
             i, e, R, theta, delta, S, Pt, x, Pb, K, FK, F, H, h, g, yhat, limits[0], limits[1],
             forgets, frozen, uncertain, loose,
         )  # fmt: skip
+        # a lone outlier does not count for much; a run of errors where the filter was sure does
+        ratio = e * e / (variance - R + calm)
+        surprise[0] += _SHORT * (min(ratio, _MOST) - surprise[0])
         cost[0, i] += e * e / excess
         cost[1, i] += 1.0
         seen = True
@@ -237,7 +242,8 @@ def advance(sizes, fixed, memory, counters, W, known, Y, use, frozen, TH, E, X):
     Returns
     -------
     tuple of int
-        Samples done, and DONE, MOVED (discretize anew) or DIVERGED.
+        Samples done, and DONE, MOVED (discretize anew), SURPRISED (innovations far beyond what the
+        filter was sure of) or DIVERGED.
     """
     n, p, nu, ny, q = sizes[0], sizes[1], sizes[2], sizes[3], sizes[4]
     nz = n + 2 * nu
@@ -251,8 +257,8 @@ def advance(sizes, fixed, memory, counters, W, known, Y, use, frozen, TH, E, X):
     at += p
     floor = fixed[at : at + ny]
     at += ny
-    share, forgetting, limit = fixed[at], fixed[at + 1], fixed[at + 2]
-    at += 3
+    share, forgetting, limit, watch = fixed[at], fixed[at + 1], fixed[at + 2], fixed[at + 3]
+    at += 4
     Q = fixed[at : at + n * n].reshape(n, n)
     at += n * n
     Qw = fixed[at : at + n * n].reshape(n, n)
@@ -288,6 +294,8 @@ def advance(sizes, fixed, memory, counters, W, known, Y, use, frozen, TH, E, X):
     at += 2 * ny
     power = memory[at : at + 2 * ny].reshape(2, ny)
     at += 2 * ny
+    surprise = memory[at : at + 1]
+    at += 1
     w = memory[at : at + nu]
 
     columns = np.zeros(q, dtype=np.int64)
@@ -395,7 +403,7 @@ def advance(sizes, fixed, memory, counters, W, known, Y, use, frozen, TH, E, X):
                         H[i, b] = total
             _correct(
                 Y[k], use[k], theta, delta, S, Pt, x, Pb, Q, K, FK, T, Phi, H, h, g, yhat, level, floor,
-                count, limits, least, forgetting, frozen, counters, cost, power, loose, e,
+                count, limits, least, forgetting, frozen, counters, cost, power, surprise, loose, e,
             )  # fmt: skip
             for i in range(n):
                 if not abs(x[i]) < limit:
@@ -408,6 +416,8 @@ def advance(sizes, fixed, memory, counters, W, known, Y, use, frozen, TH, E, X):
             TH[k] = theta
             E[k] = e
             X[k] = x
+        if not frozen and surprise[0] > watch:
+            return k + 1, SURPRISED
         if not frozen and _moved(theta, centre, Pt, share, least):
             return k + 1, MOVED
     return N, DONE
@@ -530,8 +540,8 @@ def advance_general(
     at += p
     floor = fixed[at : at + ny]
     at += ny
-    share, forgetting, limit = fixed[at], fixed[at + 1], fixed[at + 2]
-    at += 3
+    share, forgetting, limit, watch = fixed[at], fixed[at + 1], fixed[at + 2], fixed[at + 3]
+    at += 4
     Q = fixed[at : at + n * n].reshape(n, n)
     at += n * n
     Qw = fixed[at : at + n * n].reshape(n, n)
@@ -557,6 +567,8 @@ def advance_general(
     at += 2 * ny
     power = memory[at : at + 2 * ny].reshape(2, ny)
     at += 2 * ny
+    surprise = memory[at : at + 1]
+    at += 1
     w = memory[at : at + nu]
     at += nu
     z = memory[at : at + m]
@@ -667,7 +679,7 @@ def advance_general(
                     Pb += Qw
             _correct(
                 Y[k], use[k], theta, delta, S, Pt, x, Pb, Q, K, FK, T, F, H, h, g, yhat, level, floor,
-                count, limits, least, forgetting, frozen, counters, cost, power, loose, e,
+                count, limits, least, forgetting, frozen, counters, cost, power, surprise, loose, e,
             )  # fmt: skip
             for i in range(n):
                 if not abs(x[i]) < limit:
@@ -678,6 +690,8 @@ def advance_general(
             TH[k] = theta
             E[k] = e
             X[k] = x
+        if not frozen and surprise[0] > watch:
+            return k + 1, SURPRISED
         if not frozen and _moved(theta, centre, Pt, share, least):
             return k + 1, MOVED
     return N, DONE

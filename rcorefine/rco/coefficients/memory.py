@@ -50,6 +50,7 @@ class Layout:
             "count": (ny,),
             "cost": (2, ny),
             "power": (2, ny),
+            "surprise": (1,),
             "w": (nu,),
             "z": (self.m,),
             "ring": (self.lag, nu),
@@ -103,6 +104,8 @@ class CoefficientMemory:
         Times that the first samples were gone over.
     discretized : int
         Times that the model was discretized.
+    renewed : int
+        Times that the filter began anew, its innovations far beyond what it was sure of.
     kernel : Kernel
         The model discretized at `centre`, made from the other fields.
     """
@@ -122,6 +125,7 @@ class CoefficientMemory:
     rivals: Array
     rounds: int
     discretized: int
+    renewed: int
     kernel: Any = None
 
     @property

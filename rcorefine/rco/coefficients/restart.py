@@ -14,15 +14,14 @@ import numpy as np
 from ...systems.conversion import to_discrete
 from ...systems.linear import Array
 from ..free_run import state_power
-from .kernel import DIVERGED, MOVED
+from .kernel import DIVERGED, MOVED, SURPRISED
 from .memory import CoefficientMemory
+from .setup import DOUBT
 
 if TYPE_CHECKING:
     from .entries import EntriesSetup
 
 __all__ = ["go_over"]
-
-_DOUBT = 50.0  # samples that the first guess of the noise, the size of the outputs, counts for
 
 
 def go_over(setup: EntriesSetup, memory: CoefficientMemory) -> CoefficientMemory:
@@ -38,7 +37,7 @@ def go_over(setup: EntriesSetup, memory: CoefficientMemory) -> CoefficientMemory
     lay.view(packed, "Pb")[:] = np.diag(memory.states**2)
     lay.view(packed, "Pt")[:] = np.diag(memory.spread**2)
     lay.view(packed, "level")[:] = memory.sizes[-lay.ny :] ** 2
-    lay.view(packed, "count")[:] = _DOUBT
+    lay.view(packed, "count")[:] = DOUBT
     about = replace(
         memory, packed=packed, counters=setup.counters(), centre=theta, rounds=memory.rounds + 1, kernel=None
     )
@@ -47,7 +46,7 @@ def go_over(setup: EntriesSetup, memory: CoefficientMemory) -> CoefficientMemory
         return found
     if memory.rounds == 0:  # from now on sample by sample: the guard says where it fails
         return about
-    return replace(memory, rounds=memory.rounds + 1)
+    return replace(memory, rounds=memory.rounds + 1, kernel=None)
 
 
 def _run(setup: EntriesSetup, memory: CoefficientMemory) -> CoefficientMemory | None:
@@ -67,6 +66,8 @@ def _run(setup: EntriesSetup, memory: CoefficientMemory) -> CoefficientMemory | 
         position += done
         if why == DIVERGED or not np.isfinite(memory.packed).all():
             return None
+        if why == SURPRISED:
+            memory = setup.renewed(memory)
         if why == MOVED:
             centre = lay.view(memory.packed, "theta").copy()
             memory = replace(memory, centre=centre, discretized=memory.discretized + 1)

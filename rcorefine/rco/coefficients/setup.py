@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import control as ct
@@ -18,6 +18,7 @@ from .memory import CoefficientMemory, Layout
 __all__ = ["SHARE", "FilterSettings", "Kernel", "Setup", "checked_settings", "floor_at", "held_columns"]
 
 SHARE = 1.0  # of its standard deviation that a coefficient may move before the model is discretized anew
+DOUBT = 50.0  # samples that the first guess of the noise, the size of the outputs, counts for
 _LIMIT = 1e12  # state over its size, beyond which the filter has diverged
 _CHANGING = 0.03  # unknown force over the input where coefficients may change
 
@@ -156,6 +157,7 @@ class Setup(ABC):
             rivals=np.zeros((0, lay.p)),
             rounds=0,
             discretized=0,
+            renewed=0,
         )
 
     def counters(self) -> NDArray[np.int64]:
@@ -185,14 +187,28 @@ class Setup(ABC):
         y_size = memory.sizes[lay.nu - 1 :]
         floor = np.maximum(settings.noise**2, 1e-16 * y_size**2)
         scale = np.where(memory.spread > 0, memory.spread, 1.0) if memory.spread.size else np.ones(lay.p)
-        head = [
-            memory.centre,
-            *bounds,
-            1e-6 * scale,
-            floor,
-            np.array([self.share, settings.forgetting, limit]),
-        ]
+        numbers = np.array([self.share, settings.forgetting, limit, self.watch])
+        head = [memory.centre, *bounds, 1e-6 * scale, floor, numbers]
         return [*head, (acting @ acting.T).ravel(), (inputs @ inputs.T).ravel()], floor
+
+    @property
+    def watch(self) -> float:
+        """Mean square of innovations over their variance at which the filter has to begin anew."""
+        return np.inf
+
+    def renewed(self, memory: CoefficientMemory) -> CoefficientMemory:
+        """Memory that trusts neither its state nor its coefficients any more, but begins with them."""
+        lay, packed = self.layout, memory.packed.copy()
+        counters = self.counters()
+        counters[0] = memory.n_samples
+        lay.view(packed, "S")[:] = 0.0
+        lay.view(packed, "Pb")[:] = np.diag(memory.states**2)
+        lay.view(packed, "Pt")[:] = np.diag(memory.spread**2)
+        level = lay.view(packed, "level")
+        level[1] = np.maximum(level[0], level[1])
+        lay.view(packed, "count")[:] = DOUBT
+        lay.view(packed, "surprise")[:] = 0.0
+        return replace(memory, packed=packed, counters=counters, renewed=memory.renewed + 1)
 
     @property
     def share(self) -> float:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...systems.linear import Array
 from .guard import explain_divergence
-from .kernel import DIVERGED, MOVED
+from .kernel import DIVERGED, MOVED, SURPRISED
 from .memory import CoefficientMemory
 from .setup import Setup
 
@@ -139,6 +139,8 @@ def _advance(
         position += done
         if why == DIVERGED:
             raise explain_divergence(setup, memory, first + position)
+        if why == SURPRISED:
+            memory = setup.renewed(memory)
         if why == MOVED:
             centre = lay.view(memory.packed, "theta").copy()
             memory = replace(memory, centre=centre, discretized=memory.discretized + 1)
