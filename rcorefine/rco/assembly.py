@@ -9,6 +9,8 @@ import control as ct
 import numpy as np
 
 from ..exceptions import ModelError
+from ..physics.consistency import check_stream_hold
+from ..physics.physical_model import PhysicalModel
 from .checks import as_flag, as_size
 from .coefficients.effects import make_effects_setup
 from .coefficients.estimator import CoefficientFilter
@@ -121,6 +123,9 @@ def _reaches(sampled: Sampled) -> bool:
 
 def _filter_settings(given: dict[str, Any], sampled: Sampled) -> FilterSettings:
     step = 1.0 if sampled.step is None else sampled.step
+    physical = getattr(given["model"], "physical_model", given["model"])
+    if isinstance(physical, PhysicalModel):
+        check_stream_hold(physical, given["hold"])
     return checked_settings(
         sampled.initial.n_outputs,
         step,

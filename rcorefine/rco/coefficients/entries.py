@@ -13,7 +13,7 @@ from ...systems.linear import Array, LinearModel
 from .kernel import advance
 from .memory import CoefficientMemory, Layout
 from .restart import go_over
-from .setup import FilterSettings, Kernel, Setup
+from .setup import NEVER, FilterSettings, Kernel, Setup
 
 __all__ = ["EntriesSetup"]
 
@@ -88,12 +88,12 @@ class EntriesSetup(Setup):
     @property
     def share(self) -> float:
         """Standard deviations that a coefficient may move before the model is discretized anew."""
-        return _SHARE if self.base.is_continuous else np.inf
+        return _SHARE if self.base.is_continuous else NEVER
 
     @property
     def watch(self) -> float:
         """Mean square of innovations over their variance at which the filter has to begin anew."""
-        return _SURPRISE if self.names else np.inf
+        return _SURPRISE if self.names else NEVER
 
     def start(self) -> Array:
         """Zero, the initial model."""

@@ -20,6 +20,7 @@ __all__ = ["SHARE", "FilterSettings", "Kernel", "Setup", "checked_settings", "fl
 SHARE = 1.0  # of its standard deviation that a coefficient may move before the model is discretized anew
 DOUBT = 50.0  # samples that the first guess of the noise, the size of the outputs, counts for
 _LIMIT = 1e12  # state over its size, beyond which the filter has diverged
+NEVER = 1e300  # a threshold that nothing reaches, and still a finite number
 _CHANGING = 0.03  # unknown force over the input where coefficients may change
 
 
@@ -194,7 +195,7 @@ class Setup(ABC):
     @property
     def watch(self) -> float:
         """Mean square of innovations over their variance at which the filter has to begin anew."""
-        return np.inf
+        return NEVER
 
     def renewed(self, memory: CoefficientMemory) -> CoefficientMemory:
         """Memory that trusts neither its state nor its coefficients any more, but begins with them."""
