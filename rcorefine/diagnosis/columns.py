@@ -56,11 +56,11 @@ class Candidate:
             self._made = problem, starts
         return self._made
 
-    def at(self, substeps: int) -> Problem:
-        """The same problem at another number of substeps."""
+    def at(self, substeps: int, structure: Structure | None = None) -> Problem:
+        """The same problem at another number of substeps, or of a structure with other constants."""
         old = self.problem
         return Problem(
-            old.structure,
+            structure or old.structure,
             old.records,
             old.weights,
             prior_mean=old.prior_mean,
@@ -72,6 +72,14 @@ class Candidate:
     def finer(self, substeps: int) -> Candidate:
         """The candidate at another number of substeps."""
         return replace(self, _made=(self.at(substeps), self.starts))
+
+    def with_width(self, factor: float) -> Candidate:
+        """The candidate with the width of its sgn(v) times a factor."""
+        old = self.problem.structure
+        last = len(old.effects) - 1
+        constants = {**old.constants, last: factor * old.constants[last]}
+        structure = Structure(old.model, old.effects, constants=constants)
+        return replace(self, _made=(self.at(self.problem.substeps, structure), self.starts))
 
     @property
     def problem(self) -> Problem:

@@ -273,7 +273,7 @@ def investigate(
         with progress.step("holds"):
             _, sentence = best_hold(base, ordered, options)
         notes = [*([sentence] if sentence else []), *record_remarks(ordered), *notes]
-    agreement, sentence = amplitude_test(race) if judged.passed else (1.0, "")
+    agreement, sentence = amplitude_test(race) if judged.passed and len(records) > 1 else (1.0, "")
     notes += [sentence] if sentence else []
     verdict = "effect" if len(alike) == 1 else "ambiguous"
     if not judged.passed or agreement < _DISAGREE:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..physics.effects import Effect
+from ..physics.laws import JUMPING
 from ..progress import Progress
 from ..refinement.outcome import _fit, _rows
 from ..refinement.problem import Problem
@@ -20,6 +21,7 @@ from .columns import Candidate
 from .descent import Descent, descend, lacking
 from .state import Fitted, evaluated
 from .whitening import FTest, Whitener
+from .widths import settled_width
 
 __all__ = ["Race", "Rival", "run_race", "shortlist"]
 
@@ -36,6 +38,7 @@ _POLISHED = (60.0, 0.02)  # twice the log-likelihood behind the best, plus that 
 _NEAR = 60.0  # twice the log-likelihood behind the leader within which rivals get its substeps
 _STEP_SHARE = 0.25  # of a standard deviation that halving the substep may shift a coefficient
 _MOST_HALVINGS = 4
+_TURNING = JUMPING | {"hysteresis"}
 
 
 @dataclass(eq=False)
@@ -191,6 +194,8 @@ def run_race(
         previous, whitener = whitener, _whitener_of(leader)
         if previous.orders == whitener.orders and np.allclose(previous.scales, whitener.scales, rtol=2e-3):
             break
+    with progress.step("widths"):
+        whitener = _settle_widths(fitted, rivals, polished, ratio, whitener)
     with progress.step("substeps"):
         whitener = _settle_substeps(fitted, polished, ratio, whitener)
     _settle(fitted, rivals, ratio, whitener, progress)
@@ -249,6 +254,20 @@ def _exchange(fitted: Fitted, rivals: Sequence[Rival], ratio: float) -> bool:
             if n * np.log(max(again.cost, 1e-300) / max(rival.descent.cost, 1e-300)) < -_AS_GOOD:
                 rival.descent, gained = again, True
     return gained
+
+
+def _settle_widths(
+    fitted: Fitted, rivals: Sequence[Rival], polished: Sequence[Rival], ratio: float, whitener: Whitener
+) -> Whitener:
+    """Where friction leads, the width over which each law of friction there turns over."""
+    leader = min(polished, key=lambda r: r.descent.cost)
+    if leader.effect.kind not in _TURNING:
+        return whitener
+    for rival in rivals:
+        if rival.effect.place == leader.effect.place:
+            gain = gain_for(fitted, rival.candidate, ratio)
+            rival.candidate, rival.descent = settled_width(rival.candidate, rival.descent, gain, whitener)
+    return _whitener_of(min(polished, key=lambda r: r.descent.cost))
 
 
 def _settle_substeps(fitted: Fitted, rivals: Sequence[Rival], ratio: float, whitener: Whitener) -> Whitener:

@@ -26,6 +26,7 @@ __all__ = ["Discrete", "Matrices", "Parameter", "Structure"]
 _STATIC_INPUT = ("input_deadzone", "input_saturation", "input_delay")
 _STATIC_OUTPUT = {"output_saturation": 1, "output_rectification": 2}
 _TINY_STEP = 1e-30
+_SLOWEST = 3.0  # widths of sgn(v), where it has turned over
 _FASTEST = 1e5  # widths of sgn(v), some hundred times the motion
 
 
@@ -150,8 +151,9 @@ class Structure:
             if name == smaller and larger in effect.fixed:
                 high = min(high, effect.fixed[larger])
         if name == "velocity" and index in self.constants and "width" not in effect.fixed:
-            # the width of sgn(v) is a share of the motion: below it, or far beyond it, nothing fades
-            low, high = max(low, self.constants[index]), min(high, _FASTEST * self.constants[index])
+            # the width of sgn(v) is a share of the motion: what fades within it, or far beyond, is not seen
+            width = self.constants[index]
+            low, high = max(low, _SLOWEST * width), min(high, _FASTEST * width)
         self._position[index, name] = len(self.parameters)
         single = len(effect.coefficients) == 1
         label = effect.label if single else f"{effect.label}: {name}"
