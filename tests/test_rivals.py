@@ -121,3 +121,22 @@ def test_a_sensor_in_other_units_is_named(seed):
     assert {e.kind for e in found.ambiguous} == {"output_gain", "input_gain"}  # one thing, the motor linear
     for row in found.ranking[:2]:
         assert abs(row.coefficients["gain"] - 999) < 4 * row.std["gain"]
+
+
+def test_the_width_of_friction_is_that_of_the_record():
+    """A width far from the guess: laws with more coefficients must not win by imitating it."""
+    model, data, force = friction_record(11, 0.02, samples=3000, noise=0.005)
+    offered = [rco.Effect(f"{kind}_friction", "link1") for kind in ("coulomb", "asymmetric", "stribeck")]
+    found = rco.diagnose(model, data, candidates=offered)
+    assert "coulomb_friction" in [e.kind for e in found.ambiguous]
+    row = next(r for r in found.ranking if r.effect.kind == "coulomb_friction")
+    assert abs(row.coefficients["force"] - force) < 4 * row.std["force"]
+
+
+def test_windows_of_one_record_are_no_amplitudes():
+    """Cut into windows, some are louder than others: nothing to be read from that."""
+    hidden = servo_record(101, samples=2000)
+    offered = [rco.Effect("coulomb_friction", "angle"), rco.Effect("damping", "angle")]
+    found = rco.diagnose(hidden.plant.model, hidden.data, candidates=offered)
+    assert found.verdict == "effect"
+    assert not any("amplitude" in note for note in found.notes)

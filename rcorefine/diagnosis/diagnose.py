@@ -389,7 +389,7 @@ def _second_chance(
         return beside
     rest = [c for i, c in enumerate(scored) if i not in set(chosen)]
     again = run_race(fitted, rest, entered=race.rivals, progress=progress)
-    if again is not None and again.rivals[0].effect != race.rivals[0].effect:
+    if again is not None and _ahead(again, race):
         judged = _judge(again, library, motions, significance, noise)
         if judged.passed:
             return judged
@@ -401,11 +401,17 @@ def _second_chance(
     pointed = [c for c in scored if any(t.name == f"library (most: {c.effect.label})" for t in first.tests)]
     stuck = list(dict.fromkeys([*(r.candidate for r in race.rivals[:3]), *pointed]))
     again = run_race(fitted, stuck, entered=race.rivals, thorough=True, progress=progress)
-    if again is not None and again.rivals[0].log_likelihood > race.rivals[0].log_likelihood + 1.0:
+    if again is not None and _ahead(again, race):
         judged = _judge(again, library, motions, significance, noise)
         if judged.passed:
             return judged
     return first
+
+
+def _ahead(again: Race, before: Race) -> bool:
+    """Whether a race ended elsewhere than the one before: another winner, or the same one higher."""
+    gain = again.rivals[0].log_likelihood - before.rivals[0].log_likelihood
+    return again.rivals[0].effect != before.rivals[0].effect or gain > 1.0
 
 
 def _adequate(

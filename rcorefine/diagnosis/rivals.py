@@ -10,16 +10,23 @@ import numpy as np
 from ..physics.effects import Effect
 from ..physics.laws import JUMPING
 from ..progress import Progress
-from ..refinement.outcome import _fit, _rows
-from ..refinement.problem import Problem
 from ..refinement.refinement import Refinement
 from ..refinement.search import step_matters
-from ..systems.linear import Array
 from .battery import Battery
 from .beginnings import at_home, gain_for, imitated, led, observed, plain_cost, regressed
 from .columns import Candidate
-from .descent import Descent, descend, lacking
-from .state import Fitted, evaluated
+from .descent import descend, lacking
+from .rival import (
+    LACK,
+    Rival,
+    continued,
+    fitted_model,
+    log_likelihood,
+    price,
+    prior_cost,
+    whitener_of,
+)
+from .state import Fitted
 from .whitening import FTest, Whitener
 from .widths import settled_width
 
@@ -30,8 +37,7 @@ _SHAPES = 3  # starts of a law that has a shape
 _LAPS = (4, 6, 8)
 _ROUNDS = 3
 _EXCHANGES = 2
-_LACK = 0.1  # log-likelihood that the next full step would gain, at most, at a minimum
-_LACK_SHARE = 0.05  # the same over what a rival is behind: no such step brings it near
+_LACK_SHARE = 0.05  # what a rival lacks over what it is behind: no such step brings it near
 _AS_GOOD = 1.0  # twice the log-likelihood that makes no difference
 _STRONG = 75.0  # fit in percent of the model without the effect, below which it may move the resonances
 _POLISHED = (60.0, 0.02)  # twice the log-likelihood behind the best, plus that per sample
@@ -39,33 +45,6 @@ _NEAR = 60.0  # twice the log-likelihood behind the leader within which rivals g
 _STEP_SHARE = 0.25  # of a standard deviation that halving the substep may shift a coefficient
 _MOST_HALVINGS = 4
 _TURNING = JUMPING | {"hysteresis"}
-
-
-@dataclass(eq=False)
-class Rival:
-    """A candidate in the race, at its best point so far."""
-
-    candidate: Candidate
-    descent: Descent
-    log_likelihood: float = -np.inf
-    free_run: Descent | None = None  # its minimum of the plain error, before any whitening
-    settled: bool = False  # at a minimum, or lacking too little to come near the best
-    lack: float = np.inf  # log-likelihood that its next full step would gain
-
-    @property
-    def effect(self) -> Effect:
-        """Its effect."""
-        return self.candidate.effect
-
-    @property
-    def converged(self) -> bool:
-        """Whether its gradient is small against its standard deviation."""
-        return self.lack <= _LACK
-
-    @property
-    def n_coefficients(self) -> int:
-        """Coefficients that it adds."""
-        return self.candidate.problem.n_theta - self.candidate.fitted.problem.n_theta
 
 
 @dataclass(eq=False)
@@ -94,7 +73,7 @@ class Race:
     def model(self, index: int = 0) -> Fitted:
         """The fitted model of one rival."""
         if index not in self._models:
-            self._models[index] = _model(self.fitted, self.rivals[index], self.whitener, self.ratio)
+            self._models[index] = fitted_model(self.fitted, self.rivals[index], self.whitener, self.ratio)
         return self._models[index]
 
     def in_free_run(self, most: int) -> list[tuple[Effect, Refinement]]:
@@ -103,7 +82,7 @@ class Race:
         found = []
         for rival, run in sorted(runs, key=lambda pair: pair[1].cost)[:most]:
             plain = replace(rival, descent=run)
-            found.append((rival.effect, _model(self.fitted, plain, self.whitener, 0.0).refinement))
+            found.append((rival.effect, fitted_model(self.fitted, plain, self.whitener, 0.0).refinement))
         return found
 
 
@@ -170,9 +149,16 @@ def run_race(
     tasks = [(fitted, c, ratio, thorough, strong) for c in candidates]
     new = [r for r in progress.map(_laps, tasks, "first laps") if r is not None]
     old = [
-        Rival(r.candidate, _continued(fitted, r, ratio, None, 4)) for r in progress.over(entered, "more laps")
+        Rival(r.candidate, continued(fitted, r, ratio, None, 4)) for r in progress.over(entered, "more laps")
     ]
-    rivals = [r for r in [*new, *old] if np.isfinite(r.descent.cost)]
+    better: dict[Effect, Rival] = {}  # the same effect from an earlier race and from new starts
+    for rival in (*old, *new):
+        best_yet = better.get(rival.effect)
+        if np.isfinite(rival.descent.cost) and (
+            best_yet is None or rival.descent.cost < best_yet.descent.cost
+        ):
+            better[rival.effect] = rival
+    rivals = list(better.values())
     if not rivals:
         return None
     n = fitted.problem.n_points
@@ -183,15 +169,15 @@ def run_race(
         _run_laps(fitted, rivals, ratio, progress)
     for rival in rivals:
         rival.free_run = rival.descent
-    whitener = _whitener_of(min(rivals, key=lambda r: r.descent.cost))
+    whitener = whitener_of(min(rivals, key=lambda r: r.descent.cost))
     best = min(r.descent.cost for r in rivals)
     near = best * np.exp(_POLISHED[0] / n + _POLISHED[1])
     polished = [r for r in rivals if r.descent.cost <= near]
     for evaluations in (10, 6):
         for rival in progress.over(polished, "polishing"):
-            rival.descent = _continued(fitted, rival, ratio, whitener, evaluations, 1e-7)
+            rival.descent = continued(fitted, rival, ratio, whitener, evaluations, 1e-7)
         leader = min(polished, key=lambda r: r.descent.cost)
-        previous, whitener = whitener, _whitener_of(leader)
+        previous, whitener = whitener, whitener_of(leader)
         if previous.orders == whitener.orders and np.allclose(previous.scales, whitener.scales, rtol=2e-3):
             break
     with progress.step("widths"):
@@ -200,9 +186,9 @@ def run_race(
         whitener = _settle_substeps(fitted, polished, ratio, whitener)
     _settle(fitted, rivals, ratio, whitener, progress)
     white = whitener.apply(fitted.residuals(ratio))
-    base = -0.5 * (float(white @ white) + _prior(fitted.problem, fitted.point))
+    base = -0.5 * (float(white @ white) + prior_cost(fitted.problem, fitted.point))
     # each holds the model without it: one that is less likely is no estimate
-    rivals = [r for r in rivals if r.log_likelihood + _penalty(r, white.size) >= base - _LACK]
+    rivals = [r for r in rivals if r.log_likelihood + price(r, white.size) >= base - LACK]
     rivals.sort(key=lambda r: -r.log_likelihood)
     return Race(fitted, rivals, ratio, whitener, base) if rivals else None
 
@@ -214,16 +200,16 @@ def _settle(
     open_, rounds = list(rivals), 0
     while open_:
         for rival in open_:
-            rival.log_likelihood = _log_likelihood(rival, whitener)
+            rival.log_likelihood = log_likelihood(rival, whitener)
             rival.lack = lacking(rival.candidate.problem, rival.descent, whitener)
         top = max(r.log_likelihood for r in rivals)
         for rival in rivals:
-            rival.settled = rival.lack <= max(_LACK, _LACK_SHARE * (top - rival.log_likelihood))
+            rival.settled = rival.lack <= max(LACK, _LACK_SHARE * (top - rival.log_likelihood))
         open_, rounds = [r for r in rivals if not r.settled], rounds + 1
         if rounds > _ROUNDS:
             break
         for rival in progress.over(open_, "polishing"):
-            rival.descent = _continued(fitted, rival, ratio, whitener, 10, 1e-9)
+            rival.descent = continued(fitted, rival, ratio, whitener, 10, 1e-9)
 
 
 def _run_laps(fitted: Fitted, rivals: Sequence[Rival], ratio: float, progress: Progress) -> None:
@@ -235,8 +221,8 @@ def _run_laps(fitted: Fitted, rivals: Sequence[Rival], ratio: float, progress: P
             behind = 0.5 * n * np.log(max(rival.descent.cost, 1e-300) / max(best, 1e-300))
             share = rival.descent.lack / max(rival.descent.cost, 1e-300)
             lack = -0.5 * n * np.log1p(-min(share, 1 - 1e-12))
-            if lack > max(_LACK, _LACK_SHARE * behind):
-                rival.descent = _continued(fitted, rival, ratio, None, laps)
+            if lack > max(LACK, _LACK_SHARE * behind):
+                rival.descent = continued(fitted, rival, ratio, None, laps)
 
 
 def _exchange(fitted: Fitted, rivals: Sequence[Rival], ratio: float) -> bool:
@@ -267,7 +253,7 @@ def _settle_widths(
         if rival.effect.place == leader.effect.place:
             gain = gain_for(fitted, rival.candidate, ratio)
             rival.candidate, rival.descent = settled_width(rival.candidate, rival.descent, gain, whitener)
-    return _whitener_of(min(polished, key=lambda r: r.descent.cost))
+    return whitener_of(min(polished, key=lambda r: r.descent.cost))
 
 
 def _settle_substeps(fitted: Fitted, rivals: Sequence[Rival], ratio: float, whitener: Whitener) -> Whitener:
@@ -284,8 +270,8 @@ def _settle_substeps(fitted: Fitted, rivals: Sequence[Rival], ratio: float, whit
             near = 2 * (rival.descent.cost - leader.descent.cost) <= _NEAR
             if near and not rival.candidate.problem.structure.is_linear:
                 rival.candidate = rival.candidate.finer(steps)
-                rival.descent = _continued(fitted, rival, ratio, whitener, 6, 1e-7)
-        whitener = _whitener_of(min(rivals, key=lambda r: r.descent.cost))
+                rival.descent = continued(fitted, rival, ratio, whitener, 6, 1e-7)
+        whitener = whitener_of(min(rivals, key=lambda r: r.descent.cost))
     return whitener
 
 
@@ -313,105 +299,3 @@ def _laps(task: tuple[Fitted, Candidate, float, bool, bool]) -> Rival | None:
         runs += [led(fitted, candidate, start, ratio) for start in starts[: 3 if thorough else 1]]
     best = min(runs, key=lambda run: run.cost)
     return Rival(candidate, best) if np.isfinite(best.cost) else None
-
-
-def _continued(
-    fitted: Fitted,
-    rival: Rival,
-    ratio: float,
-    whitener: Whitener | None,
-    evaluations: int,
-    tolerance: float = 1e-4,
-) -> Descent:
-    return descend(
-        rival.candidate.problem,
-        rival.descent.point,
-        gain=gain_for(fitted, rival.candidate, ratio),
-        whitener=whitener,
-        evaluations=evaluations,
-        tolerance=tolerance,
-    )
-
-
-def _blocks(rival: Rival) -> list[tuple[Array, Array]]:
-    return rival.descent.blocks(rival.candidate.problem)
-
-
-def _whitener_of(rival: Rival) -> Whitener:
-    return Whitener.fit([r for r, _ in _blocks(rival)])
-
-
-def _prior(problem: Problem, point: Array) -> float:
-    theta = problem.unpack(point)[0]
-    mean, sd = problem.prior_mean, problem.prior_sd
-    held = np.isfinite(sd)
-    return float(np.sum(((theta[held] - mean[held]) / sd[held]) ** 2))
-
-
-def _log_likelihood(rival: Rival, whitener: Whitener) -> float:
-    """Each coefficient beyond the first costs half the log of the number of samples."""
-    white = whitener.apply([r for r, _ in _blocks(rival)])
-    prior = _prior(rival.candidate.problem, rival.descent.point)
-    return -0.5 * (float(white @ white) + prior) - _penalty(rival, white.size)
-
-
-def _penalty(rival: Rival, samples: int) -> float:
-    return 0.5 * max(rival.n_coefficients - 1, 0) * float(np.log(samples))
-
-
-def _words(rival: Rival) -> list[str]:
-    """How far its fit got, and what stands at a bound."""
-    bound = rival.candidate.problem.at_bound(rival.descent.point, rival.descent.slopes)
-    far = "Not polished: far behind the best candidate." if rival.settled else "Not converged."
-    state = "Converged." if rival.converged else far
-    return [state, f"At its bound: {', '.join(bound)}."] if bound else [state]
-
-
-def _model(fitted: Fitted, rival: Rival, whitener: Whitener, ratio: float) -> Fitted:
-    """The rival as a refinement; its covariance is that of generalized least squares."""
-    problem, point = rival.candidate.problem, rival.descent.point
-    gain = gain_for(fitted, rival.candidate, ratio)
-    blocks = _blocks(rival)
-    white = whitener.apply([r for r, _ in blocks])
-    J = whitener.apply([j for _, j in blocks])
-    held = np.isfinite(problem.prior_sd) & (problem.prior_sd > 0)
-    prior = np.zeros(problem.size)
-    prior[: problem.n_theta][held] = problem.prior_sd[held] ** -2.0
-    size = np.linalg.norm(J, axis=0)
-    unfelt = np.flatnonzero(size <= 1e-100 * size.max())
-    size[unfelt] = 1.0
-    information = (J / size).T @ (J / size) + np.diag(prior / size**2)
-    freedom = max(white.size - problem.size, 1)
-    scale = float(white @ white) / freedom
-    covariance = scale * np.linalg.pinv(information, rcond=1e-12, hermitian=True) / np.outer(size, size)
-    covariance[unfelt, unfelt] = np.inf
-    p = problem.n_theta
-    spread = np.sqrt(np.maximum(np.diag(covariance)[:p], 0.0))
-    old = fitted.refinement
-    theta, starts = problem.unpack(point)
-    free = [r for r, _ in (blocks if ratio == 0 else evaluated(problem, point))]
-    error = np.concatenate([r / problem.weights[:, None] for r in free], axis=1)
-    measured = np.concatenate([r.outputs for r in problem.records], axis=1)
-    roles = [*old.roles, "effect"]
-    refinement: Refinement = replace(
-        old,
-        effects=problem.structure.effects,
-        roles=tuple(roles),
-        constants=dict(problem.structure.constants),
-        theta=theta.copy(),
-        parameters=_rows(problem.structure, roles, theta, spread),
-        covariance=covariance[:p, :p],
-        fit=_fit(measured, error),
-        rmse=np.sqrt(np.mean(error**2, axis=1)),
-        initial_states=starts.copy(),
-        substeps=problem.engines[0].substeps,
-        residual_orders=whitener.orders,
-        success=rival.converged,
-        message=" ".join(_words(rival)),
-        warnings=(),
-    )
-    extended = Fitted(refinement, problem, point, fitted.tolerance, fitted.force_at)
-    extended._blocks[ratio] = blocks
-    if gain is not None:
-        extended._gains[ratio] = gain
-    return extended
