@@ -410,8 +410,11 @@ def _second_chance(
 
 def _ahead(again: Race, before: Race) -> bool:
     """Whether a race ended elsewhere than the one before: another winner, or the same one higher."""
-    gain = again.rivals[0].log_likelihood - before.rivals[0].log_likelihood
-    return again.rivals[0].effect != before.rivals[0].effect or gain > 1.0
+    if again.rivals[0].effect != before.rivals[0].effect:
+        return True
+    # each has a filter of its own, so their levels are what compares
+    levels = np.log(before.whitener.scales) - np.log(again.whitener.scales)
+    return float(again.fitted.problem.n_points * np.mean(levels)) > 1.0
 
 
 def _adequate(
