@@ -12,14 +12,15 @@ from .whitening import Whitener
 
 __all__ = ["settled_width"]
 
-_MOST = 4  # halvings or doublings
+_RATIOS = (2.0, 1.4, 1.2)  # of one width to the next, until nothing is gained
+_MOST = 4  # of each
 _MORE = 1.0  # log-likelihood that each further one must earn
 
 
 def settled_width(
     candidate: Candidate, run: Descent, gain: Array | None, whitener: Whitener
 ) -> tuple[Candidate, Descent]:
-    """The friction law with the width of sgn(v), among halves and doubles, that the record asks for.
+    """The friction law with the width of sgn(v) that the record asks for.
 
     The width is chosen as a small share of the motion. Where the record shows another one,
     a law with more coefficients bends them to imitate it, and the plain law loses. To move
@@ -49,14 +50,18 @@ def settled_width(
         return descend(other.problem, point, gain=gain, whitener=whitener, evaluations=5, tolerance=1e-6)
 
     best = candidate, polished(candidate, run.point)
-    for factor in (0.5, 2.0):
-        price = 0.5 * np.log(candidate.problem.n_points)
-        for _ in range(_MOST):
-            trial = best[0].with_width(factor)
-            again = polished(trial, best[1].point)
-            if not again.cost < best[1].cost - price:
+    price = 0.5 * np.log(candidate.problem.n_points)
+    for ratio in _RATIOS:
+        for factor in (1 / ratio, ratio):
+            moved = False
+            for _ in range(_MOST):
+                trial = best[0].with_width(factor)
+                again = polished(trial, best[1].point)
+                if not again.cost < best[1].cost - price:
+                    break
+                best, price, moved = (trial, again), _MORE, True
+            if moved:
                 break
-            best, price = (trial, again), _MORE
-        if best[0] is not candidate:
-            break
+        if best[0] is candidate:
+            break  # the guess is as good as any
     return best
