@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 
 from ..systems.linear import Array
 from .evidence import Explanation
+from .range_ends import cut_off
 from .scene import Finding, Scene
 from .whitening import autoregressive_filter
 
@@ -361,7 +362,7 @@ def pinned(scene: Scene) -> list[Finding]:
             runs = int(np.sum(at[1:] & at[:-1]))
             # how often neighbors are equal elsewhere, as in a coarse or resting record
             usual = max((still.size - runs + 1) / y.size, 1.0 / y.size)
-            if runs < 4 or runs < 3.0 * usual * at.sum() or at.mean() > _RESTING:
+            if runs < 4 or runs < 3.0 * usual * at.sum() or at.mean() > _RESTING or not cut_off(y, limit):
                 continue
             chance = float(stats.binom.logsf(runs - 1, int(at.sum()), min(usual, 1.0)))
             fit = np.zeros_like(scene.residual)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..comparison.range_ends import cut_off, longest_run
 from ..measurement import Measurement
 from ..systems.linear import Array
 
@@ -13,7 +14,6 @@ __all__ = ["no_motion", "record_remarks"]
 
 _FEW_LEVELS = 3  # distinct values of an output that does not move but for its last digit
 _CLIPPED = 0.005  # share of the samples that sit at the very same extreme
-_RUN = 4  # of them in a row
 
 
 def no_motion(records: Sequence[Measurement]) -> str:
@@ -75,12 +75,8 @@ def _clipped(y: Array) -> tuple[float, int] | None:
     """Extreme at which an output sits, and the longest time that it does, in samples."""
     if np.unique(y).size < 20:
         return None
-    for level in (y.max(), y.min()):
+    for level in (float(y.max()), float(y.min())):
         at = y == level
-        if at.mean() < _CLIPPED:
-            continue
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], at.astype(int), [0]])))
-        longest = int((edges[1::2] - edges[::2]).max())
-        if longest >= _RUN:
-            return float(level), longest
+        if at.mean() >= _CLIPPED and cut_off(y, level):
+            return level, longest_run(at)
     return None

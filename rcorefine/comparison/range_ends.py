@@ -1,0 +1,69 @@
+"""Whether an output stands at the end of its range, and not only on a step of its converter."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..systems.linear import Array
+
+__all__ = ["cut_off", "longest_run", "resolution"]
+
+_RUN = 4  # samples in a row that make a standstill
+_STEPS = 3.0  # of the converter by which a smooth signal may leave a peak that it shows as flat
+_SAME = 1e-9  # of the range, below which two readings are one
+
+
+def resolution(y: Array) -> float:
+    """Smallest difference between two readings (N,): the step of a converter, next to nothing without one."""
+    levels = np.unique(y)
+    apart = np.diff(levels)
+    apart = apart[apart > _SAME * float(np.ptp(y))]
+    return float(apart.min()) if apart.size else 0.0
+
+
+def runs(at: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First sample and end (exclusive) of each run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], at.astype(np.int8), [0]])))
+    return edges[::2], edges[1::2]
+
+
+def longest_run(at: NDArray[np.bool_]) -> int:
+    """Length of the longest run of True."""
+    first, end = runs(at)
+    return int((end - first).max(initial=0))
+
+
+def cut_off(y: Array, limit: float) -> bool:
+    """Whether a record (N,) runs into a limit at speed and stands still there.
+
+    A peak shows as four equal readings of a converter only where it is so flat that the
+    readings beside them are within three steps, and a response that settles comes slowly; a
+    signal that is cut off comes and goes at whatever speed it has.
+
+    Parameters
+    ----------
+    y : ndarray, shape (N,)
+        Readings.
+    limit : float
+        Largest or smallest of them.
+
+    Returns
+    -------
+    bool
+
+    Examples
+    --------
+    >>> t = 0.05 * np.arange(2000)
+    >>> steps = np.round(np.sin(t) * 20) / 20
+    >>> cut_off(steps, 1.0), cut_off(np.minimum(steps, 0.8), 0.8)
+    (False, False)
+    >>> fine = np.round(np.sin(t) * 2000) / 2000
+    >>> cut_off(fine, fine.max()), cut_off(np.minimum(fine, 0.8), 0.8)
+    (False, True)
+    """
+    first, end = runs(y == limit)
+    whole = (end - first >= _RUN) & (first > 0) & (end < y.size)
+    before, after = np.abs(y[first[whole] - 1] - limit), np.abs(y[end[whole]] - limit)
+    slower = min(np.median(before), np.median(after)) if whole.any() else 0.0
+    return bool(slower > _STEPS * resolution(y))
