@@ -23,7 +23,7 @@ from ..refinement.starts import Motion
 from ..refinement.windows import as_records, check_validation, windows
 from .battery import Battery, run_battery
 from .columns import Candidate, candidate_columns
-from .excitation import no_motion, record_remarks
+from .excitation import no_motion, not_excited, record_remarks
 from .holds import best_hold
 from .remarks import amplitude_test, fit_remarks, remarks
 from .result import Detectable, Diagnosis, RankedEffect
@@ -212,7 +212,7 @@ def investigate(
         "significance": significance,
         "settings": settings,
     }
-    still = no_motion(ordered)
+    still = no_motion(ordered) or not_excited(base, ordered)
     if still:
         unknown = Diagnosis(
             "ambiguous", (), tuple(library), (), (), (), force_ratio=0.0, notes=(still,), **about

@@ -8,9 +8,11 @@ import numpy as np
 
 from ..comparison.range_ends import cut_off, longest_run
 from ..measurement import Measurement
+from ..refinement.doubts import explains_nothing
+from ..refinement.refinement import Refinement
 from ..systems.linear import Array
 
-__all__ = ["no_motion", "record_remarks"]
+__all__ = ["no_motion", "not_excited", "record_remarks"]
 
 _FEW_LEVELS = 3  # distinct values of an output that does not move but for its last digit
 _CLIPPED = 0.005  # share of the samples that sit at the very same extreme
@@ -41,6 +43,31 @@ def no_motion(records: Sequence[Measurement]) -> str:
     return (
         f"Cannot tell: {', '.join(still)} does not move in this record, so every effect that holds it still "
         "explains it alike. Give a record with motion."
+    )
+
+
+def not_excited(base: Refinement, records: Sequence[Measurement]) -> str:
+    """Why nothing was excited, empty where an input moves or the outputs settle as the model does.
+
+    Parameters
+    ----------
+    base : Refinement
+        The model fitted to the records.
+    records : sequence of Measurement
+        Records.
+
+    Returns
+    -------
+    str
+    """
+    if any(np.ptp(record.inputs, axis=1).any() for record in records):
+        return ""
+    samples = sum(record.n_samples for record in records)
+    if not explains_nothing(base.fit, samples, base.theta.size + base.initial_states.size):
+        return ""
+    return (
+        f"Cannot tell: nothing was excited. {', '.join(records[0].input_labels)} is constant, and the "
+        "outputs show no free motion of the model. Give a record in which the inputs move."
     )
 
 

@@ -16,6 +16,7 @@ from ..physics.physical_model import PhysicalModel
 from ..physics.simulation import estimate_initial_state
 from ..physics.structure import Structure
 from ..systems.linear import Array
+from .doubts import stands_still
 from .problem import Problem, residual_blocks
 from .refinement import EstimatedParameter, Refinement
 from .uncertainty import parameter_uncertainty, unseen_combinations
@@ -132,7 +133,7 @@ def _rows(
 
 def _fit(measured: Array, error: Array) -> Array:
     about_mean = np.linalg.norm(measured - measured.mean(axis=1, keepdims=True), axis=1)
-    about_mean = np.where(about_mean > 0, about_mean, np.nan)
+    about_mean = np.where(stands_still(measured) | (about_mean == 0), np.nan, about_mean)
     return np.asarray(100.0 * (1.0 - np.linalg.norm(error, axis=1) / about_mean))
 
 

@@ -18,6 +18,7 @@ from ..physics.simulation import check_channels
 from ..physics.structure import Structure
 from ..systems.linear import Array
 from .assembly import assemble, offset_variants, priors, unfold
+from .doubts import doubted
 from .outcome import output_weights, package
 from .problem import Problem, residual_blocks
 from .refinement import Refinement
@@ -99,7 +100,10 @@ def refine(
     Warns
     -----
     IdentifiabilityWarning
-        Names the combination of parameters that the record cannot see.
+        Names the combination of parameters that the record cannot see, and what speaks against
+        the estimate: an output that does not move or has the wrong sign, a free run that explains
+        nothing, modes above half the sampling frequency, error bars that do not hold. Where it
+        means nothing for that, `success` is False.
 
     Notes
     -----
@@ -146,7 +150,14 @@ def refine(
             if best is None or fit.cost < best.cost:
                 best = fit
         assert best is not None
-        return package(best, physical, note)
+        chosen_fit = best
+
+        def again(pieces: list[Measurement]) -> Fit:
+            other = Fit(chosen_fit.structure, chosen_fit.roles, pieces, noise, initial, tolerance)
+            other.run(estimated_motion(bare, np.zeros(0), pieces[0]), substeps)
+            return other
+
+        return doubted(package(best, physical, note), best, again)
 
 
 def refit(
