@@ -23,6 +23,7 @@ _POOR, _GOOD = 50.0, 90.0  # fit in percent below which a swapped sign is tried;
 _WITH = 0.2  # correlation with the initial model's run, from which on a sign is not in question
 _CLOSER = 0.5  # residual with a sign turned over that without, from which on the sign is wrong
 _VISIBLE = 0.01  # share of an output's power from modes above half the sampling frequency
+_WIDE = 0.01  # std over the model's value, below which no valley is bent
 _AWAY, _BENT = 2.0, 4.0  # standard deviations away, and how much the error may differ there from the promise
 
 
@@ -63,11 +64,10 @@ def doubted(found: Refinement, fit: Any, again: Callable[[list[Measurement]], An
     labels = found.physical_model.linear.output_labels
     still = stands_still(outputs)
     said, worthless = [], False
-    if still.any():
-        names = ", ".join(label for label, rests in zip(labels, still, strict=True) if rests)
-        said.append(f"{names} does not move in this record: it says nothing about any parameter")
-        worthless = bool(still.all())
-    if found.parameters and not still.all():
+    if still.all():
+        said.append(f"{', '.join(labels)} does not move in this record: it says nothing about any parameter")
+        worthless = True
+    elif found.parameters:
         idle = explains_nothing(found.fit, outputs.shape[1], fit.problem.size)
         said += _turned(found, fit, again, labels)
         if idle and not said:
@@ -195,7 +195,8 @@ def _undetermined(found: Refinement, fit: Any) -> str:
     bent = []
     for i, row in enumerate(found.parameters):
         label = fit.structure.parameters[i].label
-        if row.role == "offset" or not 0 < row.std < np.inf or label in bounds or inverse[i, i] <= 0:
+        wide = 0 < _WIDE * abs(row.initial) < row.std < np.inf  # what the model has no value for has no scale
+        if row.role == "offset" or not wide or label in bounds or inverse[i, i] <= 0:
             continue
         step = _AWAY * np.sqrt(noise / inverse[i, i]) * inverse[:, i]
         rise = [2.0 * (problem.cost(point + side * step) - least) / noise for side in (-1.0, 1.0)]
