@@ -330,6 +330,7 @@ def _descend(
     """Levenberg-Marquardt in some columns: normal equations with unit columns."""
     point = problem.inside(point)
     lower, upper = problem.bounds()
+    near = 1e-9 * problem.sizes[columns]
     evaluation = problem.evaluate(point)
     cost = 0.5 * float(evaluation.residual @ evaluation.residual)
     damping = 0.0
@@ -342,8 +343,8 @@ def _descend(
         size = np.sqrt(np.diag(H))
         size[size == 0] = 1.0
         unit, slope = H / np.outer(size, size), gradient / size
-        at_bound = ((point[columns] <= lower[columns] + 1e-9) & (slope > 0)) | (
-            (point[columns] >= upper[columns] - 1e-9) & (slope < 0)
+        at_bound = ((point[columns] <= lower[columns] + near) & (slope > 0)) | (
+            (point[columns] >= upper[columns] - near) & (slope < 0)
         )
         slope = np.where(at_bound, 0.0, slope)
         noise = 2.0 * cost / problem.n_points

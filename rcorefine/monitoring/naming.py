@@ -14,6 +14,7 @@ from ..measurement import Measurement
 from ..physics.effects import Effect
 from ..physics.engine import Engine
 from ..physics.structure import Structure
+from ..refinement.sizes import natural_sizes
 from ..refinement.starts import Motion, law_widths, shape_starts
 from ..systems.linear import Array
 from .columns import SHAPING
@@ -196,6 +197,7 @@ def _descend(
     K = gain if gain.any() else None
 
     slopes = p > 0 or free > 0
+    sizes = np.concatenate([natural_sizes(engine.structure, [engine.data])[p0:], np.ones(free)])
 
     def evaluate(point: Array) -> tuple[float, Array, Array]:
         theta = np.concatenate([stretch.theta, point[:p]])
@@ -222,7 +224,7 @@ def _descend(
         if not math.isfinite(cost):
             break
         size = np.linalg.norm(J, axis=0)
-        scale = np.where(size > 1e-9 * size.max(initial=0.0), size, np.inf)
+        scale = np.where(size * sizes > 1e-9 * (size * sizes).max(initial=0.0), size, np.inf)
         unit = J / scale
         improved = False
         for _ in range(5):
@@ -245,7 +247,7 @@ def _descend(
     std = np.full(p, np.inf)
     if p and math.isfinite(cost):
         size = np.linalg.norm(J, axis=0)
-        scale = np.where(size > 1e-9 * size.max(initial=0.0), size, np.inf)
+        scale = np.where(size * sizes > 1e-9 * (size * sizes).max(initial=0.0), size, np.inf)
         unit = np.where(np.isfinite(scale), J / scale, 0.0)
         spread = np.sqrt(np.maximum(np.diag(np.linalg.pinv(unit.T @ unit, rcond=1e-12)), 0.0))
         std = np.where(np.isfinite(scale), spread / scale, np.inf)[:p]

@@ -173,7 +173,7 @@ class Stream:
             mem["crowd"], mem["size"], mem["sums"], mem["counters"], ratio,
         ))  # fmt: skip
         left_out = bool((use[:done] == kernels.ALONE).any())
-        use = (use[:done] == 1).astype(np.uint8)
+        marks, use = use[:done], (use[:done] == 1).astype(np.uint8)
         if done < len(W) or left_out:  # the observer stops at the same sample, and does not follow it
             after, before, _, inner = self._motion(state, W[:done], Y[:done], use, first)
             _, pause = self._calm(known[:done])
@@ -186,7 +186,7 @@ class Stream:
         at = np.arange(max(first, first + done - len(mem["ring_w"])), first + done)
         place, here = at % len(mem["ring_w"]), at - first
         mem["ring_w"][place], mem["ring_y"][place] = W[here], Y[here]
-        mem["ring_use"][place], mem["ring_x"][place] = use[here], before[here]
+        mem["ring_use"][place], mem["ring_x"][place] = marks[here], before[here]
         return done, ratio[:done]
 
     @property
@@ -243,7 +243,10 @@ class Stream:
         """Samples from `start` on, as far as they are kept: inputs, outputs, flags, state at the start."""
         mem = self.memory
         place = np.arange(start, self.n_samples) % len(mem["ring_w"])
-        return mem["ring_w"][place], mem["ring_y"][place], mem["ring_use"][place], mem["ring_x"][place[0]]
+        marks = mem["ring_use"][place]
+        # what was left out, where it turned out to be the beginning of a change
+        use = (marks == 1) | ((marks == kernels.ALONE) & (mem["crowd"] > kernels.FEW))
+        return mem["ring_w"][place], mem["ring_y"][place], use.astype(np.uint8), mem["ring_x"][place[0]]
 
     @property
     def oldest(self) -> int:

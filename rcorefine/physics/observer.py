@@ -77,20 +77,20 @@ def observer_gain(
         Q = Q * data.dt
     spread = data.outputs.std(axis=1)
     spread = np.where(spread > 0, spread, 1.0)
-    R = np.diag((noise * spread) ** 2)
+    R = noise**2 * np.eye(spread.size)
     size = np.sqrt(np.maximum(np.diag(Q), 1e-12 * np.trace(Q) / n + 1e-300))
     A = Phi * size / size[:, None]  # unit-size states keep the Riccati equation well scaled
-    C = m.C * size
+    C = m.C * size / spread[:, None]
     Qs = Q / np.outer(size, size)
     Qs = 0.5 * (Qs + Qs.T) + 1e-12 * np.eye(n)
-    try:
-        S = solve_discrete_are(A.T, C.T, Qs, R)
+    try:  # unit sizes already, and scipy balances entries that are rounding beyond all bounds
+        S = solve_discrete_are(A.T, C.T, Qs, R, balanced=False)
         if not np.isfinite(S).all():
             raise LinAlgError
     except (LinAlgError, ValueError):
         S = _riccati(A, C, Qs, R)  # a state that the outputs cannot see: the finite horizon has a gain
     K = S @ C.T @ np.linalg.inv(C @ S @ C.T + R)
-    return np.asarray(K * size[:, None])
+    return np.asarray(K * size[:, None] / spread)
 
 
 def _riccati(A: Array, C: Array, Q: Array, R: Array, steps: int = 300) -> Array:

@@ -15,6 +15,7 @@ import control as ct
 import numpy as np
 from numpy.typing import NDArray
 
+from ..systems.discretization import power_of_two
 from ..systems.exponential import exponential
 from ..systems.linear import Array, LinearModel
 from .effects import Effect
@@ -365,15 +366,17 @@ class Structure:
         n, drive = self.n_states, self.n_inputs + 1 + self.n_ports
         size = n + 2 * drive
         blocks = np.zeros((len(sets), size, size), complex if len(linear) else float)
+        # units of inputs and forces must not cost digits of A
+        columns = power_of_two(np.abs(np.hstack([sets[0].B, sets[0].E])).max(axis=0, initial=0.0))
         for block, matrices in zip(blocks, sets, strict=True):
             block[:n, :n] = matrices.A * step
-            block[:n, n : n + drive] = np.hstack([matrices.B, matrices.E]) * step
+            block[:n, n : n + drive] = np.hstack([matrices.B, matrices.E]) / columns * step
             block[n : n + drive, n + drive :] = np.eye(drive)
         with np.errstate(over="ignore", invalid="ignore"):  # the engine says so where a model blows up
             exponentials = exponential(blocks)[:, :n, :]
             Phi = exponentials[:, :, :n]
-            second = exponentials[:, :, n + drive :]
-            first = exponentials[:, :, n : n + drive] - second
+            second = exponentials[:, :, n + drive :] * columns
+            first = exponentials[:, :, n : n + drive] * columns - second
         nw = self.n_inputs + 1
         M = np.concatenate(
             [Phi, first[:, :, :nw], second[:, :, :nw], first[:, :, nw:], second[:, :, nw:]], axis=2

@@ -13,6 +13,7 @@ from ..measurement import Measurement
 from ..physics.engine import Engine
 from ..physics.structure import Structure
 from ..systems.linear import Array
+from .sizes import natural_sizes
 
 __all__ = ["Evaluation", "Problem", "residual_blocks"]
 
@@ -69,6 +70,8 @@ class Problem:
         self.free_start = initial is None
         self.gain: Array | None = None
         self._cache: tuple[Array, Evaluation] | None = None
+        states = np.ones(self.size - self.n_theta)
+        self.sizes = np.concatenate([natural_sizes(structure, self.records), states])
         self.n_points = sum(record.outputs.size for record in self.records)
 
     @property
@@ -176,7 +179,7 @@ class Problem:
     def box(self) -> tuple[Array, Array]:
         """The bounds, moved inward by a margin."""
         lower, upper = self.bounds()
-        margin = 1e-10 * np.maximum(1.0, np.minimum(np.abs(lower), 1e300))
+        margin = 1e-10 * np.maximum(self.sizes, np.minimum(np.abs(lower), 1e300))
         width = np.where(np.isfinite(upper - lower), upper - lower, 1.0)
         margin = np.minimum(margin, 1e-6 * width)
         low = np.where(np.isfinite(lower), lower + margin, -np.inf)
@@ -251,12 +254,11 @@ class Problem:
     def _scales(self, point: Array) -> Array:
         """Column scales that bring the Jacobian at `point` to unit columns."""
         columns = np.linalg.norm(self.columns_in_box(self.evaluate(self.inside(point)).jacobian), axis=0)
-        top = columns[np.isfinite(columns) & (columns > 0)]
-        if top.size == 0:
-            return np.ones(self.size)
-        columns = np.where(np.isfinite(columns) & (columns > 1e-12 * top.max()), columns, np.nan)
+        felt = np.where(np.isfinite(columns), columns, 0.0) * self.sizes
+        felt = felt > 1e-12 * felt.max(initial=0.0)
+        columns = np.where(felt, columns, np.nan)
         level = np.sqrt(self.n_points)
-        return np.where(np.isnan(columns), np.maximum(np.abs(point), 1.0), level / columns)
+        return np.asarray(np.where(felt, level / columns, np.maximum(np.abs(point), self.sizes)))
 
 
 def _bounded(values: Array) -> bool:

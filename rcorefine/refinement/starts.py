@@ -98,7 +98,7 @@ def law_widths(structure: Structure, motion: Motion) -> dict[int, float]:
             speeds = np.array([np.sqrt(np.mean(m.port(effect.place)[1] ** 2)) for m in motions])
             # sharp enough for the quietest record that moves at all
             rms = float(speeds[speeds >= _AT_REST * speeds.max()].min())
-            widths[index] = float(given) if given is not None else max(share * rms, 1e-12)
+            widths[index] = float(given) if given is not None else share * rms or 1.0
     return widths
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from ..exceptions import ConversionWarning, ModelError
-from .discretization import _balanced, _power_of_two, check_sampling_time, discretize
+from .discretization import _balanced, check_sampling_time, discretize, power_of_two
 from .linear import Array, LinearModel
 
 __all__ = ["d2c", "to_discrete"]
@@ -160,7 +160,7 @@ def _inverse_hold(phi: Array, gamma: Array, step: float, where: str) -> tuple[Ar
     n, n_w = gamma.shape
     phi, scale = _balanced(phi)
     gamma = gamma / scale[:, None]
-    columns = _power_of_two(np.max(np.abs(gamma), axis=0, initial=0.0))
+    columns = power_of_two(np.max(np.abs(gamma), axis=0, initial=0.0))
     _check_poles(phi, step, where)
     block = np.eye(n + n_w)
     block[:n, :n], block[:n, n:] = phi, gamma / columns

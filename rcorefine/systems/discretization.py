@@ -11,7 +11,7 @@ from ..arguments import as_choice, as_number
 from ..exceptions import ModelError
 from .linear import Array
 
-__all__ = ["HOLDS", "check_sampling_time", "discretize"]
+__all__ = ["HOLDS", "check_sampling_time", "discretize", "power_of_two"]
 
 HOLDS = ("zoh", "foh")
 
@@ -69,7 +69,7 @@ def discretize(A: ArrayLike, B: ArrayLike, dt: float, hold: str = "zoh") -> tupl
     # Units far apart (a current beside a charge) cost digits; powers of two are free.
     a, scale = _balanced(a)
     b = b / scale[:, None]
-    columns = _power_of_two(np.max(np.abs(b), axis=0, initial=0.0))
+    columns = power_of_two(np.max(np.abs(b), axis=0, initial=0.0))
     blocks = 2 if hold == "foh" else 1
     block = np.zeros((n + blocks * n_w, n + blocks * n_w))
     block[:n, :n] = a * step
@@ -135,7 +135,7 @@ def _balanced(a: Array) -> tuple[Array, Array]:
     return balanced, scale
 
 
-def _power_of_two(size: Array) -> Array:
+def power_of_two(size: Array) -> Array:
     """Nearest power of two below each size, 1 for zero: scaling that rounds nothing."""
     safe = np.where(size > 0, size, 1.0)
     return np.asarray(np.exp2(np.floor(np.log2(safe))), dtype=float)

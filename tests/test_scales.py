@@ -1,0 +1,126 @@
+"""Units of inputs and outputs change no answer: the same record in other units, and the model with it."""
+
+import control as ct
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.signal import lfilter
+
+import rcorefine as rco
+
+SCALES = [(1e-15, 1.0), (1e15, 1.0), (1.0, 1e-15), (1.0, 1e15), (1e-9, 1e-9)]
+EXACT = [(2.0**-45, 1.0), (1.0, 2.0**40), (2.0**30, 2.0**-30)]  # these round nothing
+M, K, D = (
+    np.diag([0.8, 1.1]),
+    np.array([[260.0, -140.0], [-140.0, 140.0]]),
+    np.array([[0.9, -0.4], [-0.4, 0.4]]),
+)
+DT, N = 0.03, 1500
+
+
+def rates(stiffness, damping=D):
+    inverse = np.linalg.inv(M)
+    return np.block([[np.zeros((2, 2)), np.eye(2)], [-inverse @ stiffness, -inverse @ damping]])
+
+
+def signals(change=0, friction=0.0, level=0.02):
+    """Input and output; from sample `change` on 12 % of the spring between the masses are lost."""
+    rng = np.random.default_rng(17)
+    w = lfilter([1.0], [1.0, -0.6], rng.standard_normal(N))
+    lost = 0.12 * 140.0 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    x, y = np.zeros(4), np.zeros(N)
+    pieces = 30
+    steps = []
+    for A in (rates(K), rates(K - lost)):
+        block = np.zeros((6, 6))
+        block[:4, :4], block[3, 4] = A, 1 / 1.1
+        block[2, 5], block[3, 5] = 1 / 0.8, -1 / 1.1
+        whole = expm(block * DT / pieces)
+        steps.append((whole[:4, :4], whole[:4, 4], whole[:4, 5]))
+    for i in range(N):
+        y[i] = x[2]
+        Phi, G, F = steps[int(0 < change <= i)]
+        for _ in range(pieces):
+            x = Phi @ x + G * w[i] + F * friction * np.tanh((x[3] - x[2]) / 1e-3)
+    return w, y + level * y.std() * rng.standard_normal(N)
+
+
+def in_units(of_inputs, of_outputs):
+    """The model for inputs and outputs in other units; a force at a port is then one of the input's."""
+    B, C = np.zeros((4, 1)), np.zeros((1, 4))
+    B[3], C[0, 2] = 1 / 1.1 / of_inputs, of_outputs
+    return ct.ss(rates(K), B, C, [[0.0]], inputs="w", outputs="y", states=["q1", "q2", "v1", "v2"])
+
+
+def record(pair, of_inputs, of_outputs):
+    return rco.Measurement(pair[0] * of_inputs, pair[1] * of_outputs, dt=DT)
+
+
+def refined(of_inputs, of_outputs, pair):
+    friction = rco.Effect("coulomb_friction", "q1-q2")
+    answer = rco.refine(
+        in_units(of_inputs, of_outputs), record(pair, of_inputs, of_outputs), [friction], free="linear"
+    )
+    units = {"w": 1.0, "y": of_outputs}  # the gain of the input has none
+    figures = [(row.value, row.std) for row in answer.parameters]
+    by = [units.get(row.place, of_inputs) for row in answer.parameters]
+    return (
+        answer.success,
+        np.array(figures) / np.array(by)[:, None],
+        np.r_[answer.fit, answer.rmse / of_outputs],
+    )
+
+
+def localized(of_inputs, of_outputs, pair):
+    answer = rco.localize_damage(in_units(of_inputs, of_outputs), record(pair, of_inputs, of_outputs))
+    figures = [(row.percent, row.percent_std, row.limit_percent) for row in answer.rows]
+    return (answer.explained, [row.label for row in answer.named]), np.array(figures), answer.fit
+
+
+def watched(of_inputs, of_outputs, pair):
+    kinds = ("stiffness", "damping", "clearance", "coulomb_friction")
+    candidates = [rco.Effect(kind, place) for kind in kinds for place in ("q1", "q1-q2")]
+    monitor = rco.Monitor(in_units(of_inputs, of_outputs), candidates, dt=DT, learn=600)
+    monitor.run(record(pair, of_inputs, of_outputs))
+    alarm = monitor.alarm
+    value = np.array(list(alarm.coefficients.values())) / of_inputs
+    return (alarm.effect.label, alarm.sample, alarm.since_sample), value, monitor.statistic
+
+
+def compared(of_inputs, of_outputs, pair):
+    answer = rco.compare(in_units(of_inputs, of_outputs), record(pair, of_inputs, of_outputs))
+    return None, np.ravel(answer.fit), np.ravel(answer.rmse) / of_outputs
+
+
+def streamed(of_inputs, of_outputs, pair):
+    effects = [rco.Effect("stiffness", "q1-q2"), rco.Effect("damping", "q1-q2")]
+    refiner = rco.RCORefiner(in_units(of_inputs, of_outputs), dt=DT, effects=effects)
+    refiner.run(record(pair, of_inputs, of_outputs))
+    figures = np.array([(row.value, row.std) for row in refiner.parameters]) / of_inputs
+    return None, figures[:, 0], figures[:, 1]
+
+
+@pytest.mark.parametrize(
+    "task, hidden",
+    [
+        (compared, {"friction": 0.6}),
+        (refined, {"friction": 0.6}),
+        (localized, {"change": 1}),
+        (watched, {"change": 900}),
+        (streamed, {"change": 1}),
+    ],
+    ids=["compare", "refine", "localize_damage", "Monitor", "RCORefiner"],
+)
+def test_answers_do_not_depend_on_units(task, hidden):
+    pair = signals(**hidden)
+    plain = task(1.0, 1.0, pair)
+    for scales in EXACT:
+        answer = task(*scales, pair)
+        assert answer[0] == plain[0]
+        for found, expected in zip(answer[1:], plain[1:], strict=True):
+            assert np.allclose(found, expected, rtol=1e-9, atol=0)
+    for scales in SCALES:
+        answer = task(*scales, pair)
+        assert answer[0] == plain[0]
+        for found, expected in zip(answer[1:], plain[1:], strict=True):
+            assert np.allclose(found, expected, rtol=2e-6, atol=1e-9), scales
