@@ -461,3 +461,44 @@ def test_the_nearest_continuous_model():
         kept = sorted(p for p in poles if p > 0)
         moved = np.sort(near.sample(0.1).poles().real)
         np.testing.assert_allclose(moved, [*[0.02] * (len(poles) - len(kept)), *kept], rtol=1e-5)
+
+
+# -- pictures and error bars -----------------------------------------------------------------------
+
+
+def test_the_band_about_the_refined_response_holds_the_true_one():
+    truth, start, dt = OFF["integrator"]
+    omega, inside = np.geomspace(0.2, 60.0, 5), 0
+    true = ct.frequency_response(truth, omega).frdata[0, 0]
+    for seed in range(20):
+        w, y = simulated(truth, dt, steps(seed, 1500))
+        refiner = RCORefiner(start, dt=dt, use_estimated_states=False)
+        refiner.update(w, noisy(y, 0.05, seed))
+        spread = refiner._estimator.deviation()(omega)[0, 0]
+        found = ct.frequency_response(refiner.system, omega).frdata[0, 0]
+        assert np.all(spread < 0.2 * np.abs(true)), "a band that holds everything says nothing"
+        inside += int(np.sum(np.abs(found - true) <= 2.45 * spread))  # 95 % of a round complex normal
+    assert inside >= 82  # of 100, five of which go together
+
+
+def test_both_stages_are_seen_in_the_history():
+    truth, start, dt = OFF["motor"]
+    w, y = simulated(truth, dt, steps(4, 1500))
+    refiner = RCORefiner(start, dt=dt, history=True)
+    refiner.update(w, noisy(y, 0.01, 4))
+    h = refiner.history
+    assert h.poles.shape == (2, 200)
+    assert h.pole_timepts[-1] == h.timepts[-1]
+    np.testing.assert_allclose(np.sort(h.poles[:, 0].real), np.sort(start.poles().real), rtol=1e-9)
+    np.testing.assert_allclose(np.sort(h.poles[:, -1].real), np.sort(truth.poles().real), rtol=0.05)
+    late = slice(1000, None)
+    assert np.sqrt(np.mean(h.z1[0, late] ** 2)) < 0.2 * y.std(), "stage 1 follows"
+    assert np.sqrt(np.mean(h.z2[0, late] ** 2)) < 0.03 * y.std(), "and so does the static stage"
+    plot = h.plot()
+    assert plot.axes.shape == (3, 1)
+    assert len(plot.lines[0, 0]) == 2
+    assert refiner.bode_plot(rco.Measurement(w, y, dt=dt)).axes.shape == (3, 1)
+    paper = RCORefiner(start, dt=dt, history=True, window=100).run(rco.Measurement(w, y, dt=dt))
+    assert paper.history.poles.shape[0] == 2
+    assert paper.history.plot().axes.shape == (3, 1)
+    assert np.isfinite(paper.standard_deviations).all()

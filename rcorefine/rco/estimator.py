@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Protocol
 
 from ..systems.linear import Array, LinearModel
@@ -50,6 +51,10 @@ class Estimator(Protocol):
 
     def standard_deviations(self) -> Array:
         """Standard deviations of the static coefficients."""
+        ...
+
+    def deviation(self) -> Callable[[Array], Array] | None:
+        """Standard deviation of the refined response by frequency, None where it is not known."""
         ...
 
     def static_theta(self) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,8 +15,10 @@ from . import summary
 from .coefficients.estimator import CoefficientFilter, joined
 from .coefficients.history import CoefficientHistory
 from .gaps import Block
+from .history import pole_samples, poles_of
 from .paper import PaperStages
 from .race import Race
+from .uncertainty import response_deviation, variants
 
 __all__ = ["JointStages"]
 
@@ -163,6 +167,14 @@ class JointStages:
         """Standard deviations of the static coefficients, shape (1, p)."""
         return self.filter.standard_deviations[None]
 
+    def deviation(self) -> Callable[[Array], Array] | None:
+        """Standard deviation of the refined response by frequency, None where it is not known."""
+        part = self.filter
+        around = variants(part)
+        if not around:
+            return None
+        return partial(response_deviation, part.system(""), around)
+
     def history(self) -> CoefficientHistory:
         """Course of both stages."""
         part = self.filter
@@ -175,9 +187,15 @@ class JointStages:
             values = np.zeros((rows, 0)) if values is None else values[:, :total]
             return np.pad(values, ((0, 0), (0, total - values.shape[1])), constant_values=np.nan)
 
+        theta = joined([r.theta for r, _ in part.records], lay.p)
+        timepts = np.arange(total, dtype=np.float64) * setup.settings.dt
+        at = pole_samples(total)
+        systems = [setup.system(theta[:, k], part.memory.widths, "") for k in at]
         return CoefficientHistory(
-            timepts=np.arange(total, dtype=np.float64) * setup.settings.dt,
-            coefficients=joined([r.theta for r, _ in part.records], lay.p),
+            timepts=timepts,
+            coefficients=theta,
+            poles=poles_of(systems, setup.settings.dt),
+            pole_timepts=timepts[at],
             z1=beside(None if first is None else first.z1, lay.ny),
             z2=joined([r.predicted for r, _ in part.records], lay.ny) - y,
             x_D=beside(None if first is None else first.x, self.model.n_states),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from ..systems.linear import Array, LinearModel
 from ..systems.nearest import nearest_continuous
 from . import summary
 from .gaps import Block, take_over_gaps
-from .history import History
+from .history import History, pole_samples, poles_of
 from .kernels import Record
 from .memory import Memory, begin
 from .realization import refined
@@ -113,6 +114,10 @@ class PaperStages:
         scatter = memory.recent_theta[:learned].std(axis=0, ddof=1)
         return np.abs(in_units(scatter, memory.tuned.scales, self.setup.settings[1].order))
 
+    def deviation(self) -> None:
+        """The paper's coefficients have no covariance."""
+        return None
+
     def discrete_system(self, name: str) -> LinearModel:
         """Refined model in discrete time."""
         s = self.setup
@@ -140,7 +145,12 @@ class PaperStages:
     def history(self) -> History:
         """Course of both stages."""
         s = self.setup
-        return summary.assemble_history(self.records, s.initial, s.step, s.theta_shapes)
+        found = summary.assemble_history(self.records, s.initial, s.step, s.theta_shapes)
+        if s.settings[1].order > 0:
+            return found
+        at = pole_samples(found.n_samples)
+        systems = [refined(s.discrete, s.plant, found.theta2[:, :, k], 0, "") for k in at]
+        return replace(found, poles=poles_of(systems, s.step), pole_timepts=found.timepts[at])
 
     def summary(self) -> summary.Summary:
         """Cells and sentences of `str`."""

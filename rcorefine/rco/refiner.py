@@ -621,6 +621,9 @@ class RCORefiner:
     ) -> ct.ControlPlot:
         """Bode plot of the initial and the refined model, beside the measured response.
 
+        The band about the refined curve is two standard deviations wide, as the coefficients
+        are known; by the paper's equations there is none.
+
         Parameters
         ----------
         measured : Measurement or FrequencyResponse, optional
@@ -652,6 +655,7 @@ class RCORefiner:
             [("initial", self._sampled.initial), ("refined", self.system)],
             measured,
             omega,
+            deviation=self._estimator.deviation(),
             ax=ax,
             label=label,
             title=title,

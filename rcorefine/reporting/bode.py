@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import control as ct
@@ -32,6 +32,7 @@ def bode_comparison(
     measured: FrequencyResponse | Measurement | ct.FrequencyResponseData | None = None,
     omega: ArrayLike | None = None,
     *,
+    deviation: Callable[[Array], Array] | None = None,
     ax: Any = None,
     label: str | Sequence[str] | None = None,
     title: str | None = None,
@@ -53,6 +54,9 @@ def bode_comparison(
     omega : array_like of shape (n_omega,), optional
         Frequencies in rad/s. Default: the measured band, or a decade around
         the poles and zeros.
+    deviation : callable, optional
+        Standard deviation of the last system's response, shape (n_y, n_w, K), at frequencies of
+        shape (K,): drawn as a band of two of them about its curve.
     ax : array of Axes, optional
         Axes to draw in, shape (2 n_y, n_w), with `measured` (3 n_y, n_w).
     label : str or sequence of str, optional
@@ -101,7 +105,10 @@ def bode_comparison(
             lines[place] = []
         for index, (name, (_, model)) in enumerate(zip(names, models, strict=True)):
             seen = model if seen_as is None else as_sampled(model, seen_as.dt, seen_as.hold)
-            _draw_model(axes, lines, seen, bode_grid(seen, seen_as, points), name, index, units, seen_as)
+            grid = bode_grid(seen, seen_as, points)
+            _draw_model(axes, lines, seen, grid, name, index, units, seen_as)
+            if deviation is not None and index == len(models) - 1:
+                _draw_band(axes, seen, grid, deviation(grid), index, units, len(ratios))
         if seen_as is not None:
             _draw_measured(axes, lines, seen_as, units)
         for i, j in np.ndindex(len(outputs), len(inputs)):
@@ -226,6 +233,36 @@ def _draw_model(
             lines[row, j] += axes[row, j].plot(
                 measured.omega * factor, _finite(error[i, j]), **(look | {"label": f"_{name}"})
             )
+
+
+def _draw_band(
+    axes: Any,
+    model: LinearModel,
+    grid: Array,
+    deviation: Array,
+    index: int,
+    units: BodeUnits,
+    per_output: int,
+) -> None:
+    """Band of two standard deviations about the curve of a model."""
+    if not model.is_continuous and model.dt is not None:
+        kept = grid <= np.pi / float(model.dt) * (1.0 + 1e-9)
+        grid, deviation = grid[kept], deviation[:, :, kept]
+    response = frequency_response(model, grid)
+    x = grid * units.frequency_factor
+    look: dict[str, Any] = {"color": style(index).color, "alpha": 0.25, "linewidth": 0, "zorder": 2}
+    for i, j in np.ndindex(response.shape[:2]):
+        size, spread = np.abs(response[i, j]), 2.0 * deviation[i, j]
+        low = np.maximum(size - spread, 1e-3 * size)
+        axes[per_output * i, j].fill_between(x, units.magnitude(low), units.magnitude(size + spread), **look)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            turn = np.arcsin(np.minimum(spread / size, 1.0))
+        angle = np.angle(response[i, j])
+        whole = np.abs(np.gradient(np.unwrap(angle) - angle)) < 1e-6  # not where it wraps
+        axes[per_output * i + 1, j].fill_between(
+            x, np.maximum(angle - turn, -np.pi) * units.phase_factor,
+            np.minimum(angle + turn, np.pi) * units.phase_factor, where=whole, **look,
+        )  # fmt: skip
 
 
 def _draw_measured(axes: Any, lines: Any, measured: FrequencyResponse, units: BodeUnits) -> None:

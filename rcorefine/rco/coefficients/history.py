@@ -8,8 +8,10 @@ from typing import Any
 
 import control as ct
 import numpy as np
+from numpy.typing import NDArray
 
 from ...systems.linear import Array
+from ..history import draw_poles
 
 __all__ = ["CoefficientHistory"]
 
@@ -35,6 +37,10 @@ class CoefficientHistory:
         Measured outputs, NaN in gaps.
     names : tuple of str
         Names of the coefficients.
+    pole_timepts : ndarray of shape (K,)
+        Times in s, up to 200 of them, at which the poles are given.
+    poles : complex ndarray of shape (n, K)
+        Poles of the refined model in rad/s (of a discrete one log(z) / dt) at these times.
     output_labels : tuple of str
         Names of the outputs.
     """
@@ -47,6 +53,8 @@ class CoefficientHistory:
     x: Array
     y: Array
     names: tuple[str, ...]
+    pole_timepts: Array
+    poles: NDArray[np.complex128]
     output_labels: tuple[str, ...]
 
     @property
@@ -64,12 +72,12 @@ class CoefficientHistory:
         rcParams: dict[str, Any] | None = None,
         show_legend: bool | None = None,
     ) -> ct.ControlPlot:
-        """Plot the error of the physical stage over time, and its coefficients.
+        """Plot the performance of both stages over time, the coefficients and the refined poles.
 
         Parameters
         ----------
         ax : array of Axes, optional
-            Axes to draw in, shape (n_y + 1, 1).
+            Axes to draw in, shape (n_y + 2, 1).
         label : list of str, optional
             Labels of the coefficients.
         title : str, optional
@@ -91,28 +99,40 @@ class CoefficientHistory:
         names = curve_labels(list(label) if isinstance(label, tuple) else label, list(self.names))
         n_y = self.z2.shape[0]
         with settings(rcParams):
-            figure, axes = make_axes(ax, [1.6] * n_y + [2.0], 1)
+            figure, axes = make_axes(ax, [1.6] * n_y + [2.0, 1.6], 1)
             lines = np.empty(axes.shape, dtype=object)
             for row, output in enumerate(self.output_labels):
                 axis = axes[row, 0]
-                lines[row, 0] = axis.plot(
-                    self.timepts, self.z2[row], color=style(1).color, linestyle="-", linewidth=0.8
-                )
+                lines[row, 0] = []
+                for index, z, text in (
+                    (0, self.z1, "stage 1"),
+                    (1, self.z2, "static stage, one sample ahead"),
+                ):
+                    if np.isfinite(z[row]).any():
+                        look = {"color": style(index).color, "linewidth": 0.8, "label": text}
+                        lines[row, 0] += axis.plot(self.timepts, z[row], **look)
+                usual = np.nanmax(
+                    np.abs(self.z2[row]), initial=0.0
+                )  # a stage 1 that diverged must not hide the rest
+                if usual > 0:
+                    axis.set_ylim(-1.1 * usual, 1.1 * usual)
                 axis.set_ylabel(unit_text(f"predicted - measured\n{output}", ""))
                 axis.grid(True, alpha=0.35)
             axis = axes[n_y, 0]
-            lines[n_y, 0] = axis.plot(self.timepts, self.coefficients.T, linewidth=1.0)
+            size = np.nanmax(np.abs(self.coefficients), axis=1, initial=0.0)[:, None]
+            shown = self.coefficients / np.where(size > 0, size, 1.0)
+            lines[n_y, 0] = axis.plot(self.timepts, shown.T, linewidth=1.0)
             for line, text in zip(lines[n_y, 0], names, strict=True):
                 line.set_label(unit_text(text, ""))
-            axis.set_ylabel("coefficients")
-            axis.set_xlabel("Time [s]")
+            axis.set_ylabel("coefficients\nover their largest")
             axis.grid(True, alpha=0.35)
+            lines[n_y + 1, 0] = draw_poles(axes[n_y + 1, 0], self.pole_timepts, self.poles)
             return finish(
                 figure,
                 axes,
                 lines,
                 title=title,
-                legends=[axis],
+                legends=[axes[0, 0], axis],
                 legend_loc=legend_loc,
                 show_legend=show_legend,
             )
