@@ -121,38 +121,37 @@ def run(plant: Plant, seed: int, with_refine: bool) -> dict[str, object]:
     return row
 
 
-def table(rows: list[dict[str, object]]) -> None:
-    print(f"{'plant':28s} {'runs':>4s} {'start':>6s} {'refined, min / med':>18s} {'true':>6s} {'refine':>6s}"
-          f" {'within 1':>8s} {'worse':>5s} {'fails':>5s} {'us':>4s}  forms")  # fmt: skip
-    total = dict.fromkeys(("fails", "compared", "within", "worse"), 0)
-    for name in dict.fromkeys(row["plant"] for row in rows):
-        mine = [row for row in rows if row["plant"] == name]
-        good = [row for row in mine if not row["error"]]
-        total["fails"] += len(mine) - len(good)
-        if not good:
-            print(f"{name:28s} {len(mine):4d} all fail: {mine[0]['error'][:80]}")
-            continue
-        chosen = [row["form"] for row in good]
-        forms = ", ".join(f"{form} {chosen.count(form)}" for form in dict.fromkeys(chosen))
-        end = f"{len(mine) - len(good):5d} {np.median([row['us'] for row in good]):4.0f}  {forms}"
-        if "bode" in good[0]:
-            before, after = np.array([row["bode"] for row in good]).T
-            print(f"{name:28s} {len(mine):4d} Bode error {np.median(before):.2f} -> {np.median(after):.5f}, "
-                  f"worst {after.max():.5f}; within .01: {np.sum(after <= 0.01)} {end}")  # fmt: skip
-            continue
-        key = "refine" if "refine" in good[0] else "true"
-        means = {k: np.array([row[k].mean() for row in good]) for k in ("start", "refined", "true", key)}
-        within = int(np.sum(means["refined"] > means[key] - 1))
-        worse = sum(bool(np.any(row["refined"] < row["start"] - 1)) for row in good)
-        shown = f"{np.median(means['refine']):6.1f}" if key == "refine" else 6 * " "
-        print(f"{name:28s} {len(mine):4d} {np.median(means['start']):6.1f} {means['refined'].min():9.1f}"
-              f"{np.median(means['refined']):9.1f} {np.median(means['true']):6.1f}"
-              f" {shown} {within:8d} {worse:5d} {end}")  # fmt: skip
-        for what, count in (("compared", len(good)), ("within", within), ("worse", worse)):
-            total[what] += count
-    print(f"{len(rows)} runs, {total['fails']} fail; an output more than a point below the start in "
-          f"{total['worse']}; within a point of the reference (refine where it ran, else the true model) in "
-          f"{total['within']} of {total['compared']}")  # fmt: skip
+HEAD = (
+    f"{'plant':28s} {'runs':>4s} {'start':>6s} {'refined, min / med':>18s} {'true':>6s} {'refine':>6s}"
+    f" {'within 1':>8s} {'worse':>5s} {'fails':>5s} {'us':>4s}  forms"
+)
+
+
+def line(mine: list[dict[str, object]], total: dict[str, int]) -> str:
+    """One row of the table: all runs of a plant, counted in `total` as well."""
+    good = [row for row in mine if not row["error"]]
+    fails, text = len(mine) - len(good), f"{mine[0]['plant']:28s} {len(mine):4d}"
+    total["runs"] += len(mine)
+    total["fails"] += fails
+    if not good:
+        return f"{text} all fail: {mine[0]['error'][:80]}"
+    chosen = [row["form"] for row in good]
+    forms = ", ".join(f"{form} {chosen.count(form)}" for form in dict.fromkeys(chosen))
+    end = f"{fails:5d} {np.median([row['us'] for row in good]):4.0f}  {forms}"
+    if "bode" in good[0]:
+        before, after = np.array([row["bode"] for row in good]).T
+        return (f"{text} Bode error {np.median(before):.2f} -> {np.median(after):.5f}, worst {after.max():.5f}; "
+                f"within .01: {np.sum(after <= 0.01)} {end}")  # fmt: skip
+    key = "refine" if "refine" in good[0] else "true"
+    means = {k: np.array([row[k].mean() for row in good]) for k in ("start", "refined", "true", key)}
+    within = int(np.sum(means["refined"] > means[key] - 1))
+    worse = sum(bool(np.any(row["refined"] < row["start"] - 1)) for row in good)
+    for what, count in (("compared", len(good)), ("within", within), ("worse", worse)):
+        total[what] += count
+    middle = {k: np.median(values) for k, values in means.items()}
+    shown = f"{middle['refine']:6.1f}" if key == "refine" else 6 * " "
+    return (f"{text} {middle['start']:6.1f} {means['refined'].min():9.1f}{middle['refined']:9.1f} "
+            f"{middle['true']:6.1f} {shown} {within:8d} {worse:5d} {end}")  # fmt: skip
 
 
 def course(plant: Plant, seed: int) -> str:
@@ -203,13 +202,18 @@ def main() -> None:
             if not plant.controlled:
                 print(course(plant, options.first), flush=True)
         return
-    rows = []
+    total = dict.fromkeys(("runs", "fails", "compared", "within", "worse"), 0)
+    print(HEAD, flush=True)
     for plant in plants:
-        rows += [run(plant, options.first + s, options.refine) for s in range(options.seeds)]
-        for row in rows[-options.seeds :]:
+        rows = [run(plant, options.first + s, options.refine) for s in range(options.seeds)]
+        print(line(rows, total), flush=True)
+        for row in rows:
             if row["error"]:
                 print(row)
-    table(rows)
+    print(
+        "{runs} runs, {fails} fail; an output more than a point below the start in {worse}; within a point of "
+        "the reference (refine where it ran, else the true model) in {within} of {compared}".format(**total)
+    )
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ MILESTONES = (32, 64, 128, 256, 512, 1024, 2048)
 _TINY_STEP = 1e-30
 _SHARE = 0.3  # of its standard deviation that an entry may move before the model is discretized anew
 _SURPRISE = 9.0  # mean square of about 32 innovations over their variance: what was learned does not hold
+_UNSEEN = 1e-7  # of the largest change of the response: a direction that changes it less changes nothing
 _LEAST = 0.1  # prior of an entry that is zero, over what would move its row as much as all else does
 
 
@@ -47,6 +48,9 @@ class EntriesSetup(Setup):
         Prior standard deviation of a coefficient over what would move its row as much as all else does.
     settings : FilterSettings
         Sampling, noise, memory.
+    one_to_one : bool
+        Hold the coefficients still along directions that change no response of the initial model,
+        so that each response has one set of them.
     """
 
     initial: LinearModel
@@ -57,6 +61,7 @@ class EntriesSetup(Setup):
     value: Array
     share_of_rate: float
     settings: FilterSettings
+    one_to_one: bool = False
 
     @property
     def model(self) -> LinearModel:
@@ -183,6 +188,37 @@ class EntriesSetup(Setup):
         fixed = np.concatenate([*head, M.ravel(), O.ravel(), dM.ravel(), dO.ravel(), np.arange(float(p))])
         sizes = np.array([n, p, nu, ny, p, 0], dtype=np.int64)
         return Kernel(advance, sizes, fixed, (), floor)
+
+    def prior_covariance(self, spread: Array) -> Array:
+        """Covariance of the coefficients before the first sample, shape (p, p).
+
+        Along a change of coordinates of the states no sample tells anything; what linearization
+        seems to tell there would let the coefficients wander.
+        """
+        if not self.one_to_one or not self.names:
+            return super().prior_covariance(spread)
+        _, sizes, directions = np.linalg.svd(self._response_change * spread)
+        seen = directions[: np.count_nonzero(sizes > _UNSEEN * sizes[0])]
+        return np.asarray((seen * spread).T @ (seen * spread))
+
+    @cached_property
+    def _response_change(self) -> Array:
+        """Change of the initial model's frequency response by each coefficient, shape (2 K n_y n_w, p)."""
+        n, nw, p = self.base.n_states, self.base.n_inputs, len(self.names)
+        M, dM = self.discretized(self.start())
+        nu = nw + 1
+        A, B = M[:, :n], M[:, n : n + nw] + M[:, n + nu : n + nu + nw]
+        C = self.base.C
+        rows = []
+        for omega in np.geomspace(1e-3, 0.9, 60) * np.pi:
+            resolvent = np.linalg.inv(np.exp(1j * omega) * np.eye(n) - A)
+            left, right = C @ resolvent, resolvent @ B
+            size = max(float(np.abs(left @ B + self.base.D).max(initial=0.0)), 1e-300)
+            dA, dB = dM[:, :, :n], dM[:, :, n : n + nw] + dM[:, :, n + nu : n + nu + nw]
+            change = left @ (dA @ right + dB) + self.patterns[:, n:, :n] @ right + self.patterns[:, n:, n:]
+            rows.append(change.reshape(p, -1).T / size)
+        found = np.concatenate(rows)
+        return np.concatenate([found.real, found.imag])
 
     # -- sizes ---------------------------------------------------------------------------------------
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import control as ct
 import numpy as np
@@ -54,7 +54,7 @@ def nonzero_entries(model: LinearModel, settings: FilterSettings) -> EntriesSetu
         found += [_Entry("A", row, int(j)) for j in columns]
         found += [_Entry("B", row, int(j)) for j in np.flatnonzero(model.B[row])]
     found += _mixed_outputs(model)
-    return _of_entries(model, model, found, settings, 0.0)
+    return replace(_of_entries(model, model, found, settings, 0.0), one_to_one=True)
 
 
 def all_entries(model: LinearModel, discrete: LinearModel, settings: FilterSettings) -> EntriesSetup:

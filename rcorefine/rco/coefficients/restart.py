@@ -35,7 +35,7 @@ def go_over(setup: EntriesSetup, memory: CoefficientMemory) -> CoefficientMemory
     theta = lay.view(memory.packed, "theta").copy()
     lay.view(packed, "theta")[:] = theta
     lay.view(packed, "Pb")[:] = np.diag(memory.states**2)
-    lay.view(packed, "Pt")[:] = np.diag(memory.spread**2)
+    lay.view(packed, "Pt")[:] = setup.prior_covariance(memory.spread)
     lay.view(packed, "level")[:] = memory.sizes[-lay.ny :] ** 2
     lay.view(packed, "count")[:] = DOUBT
     about = replace(

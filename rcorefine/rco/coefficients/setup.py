@@ -197,6 +197,10 @@ class Setup(ABC):
         """Mean square of innovations over their variance at which the filter has to begin anew."""
         return NEVER
 
+    def prior_covariance(self, spread: Array) -> Array:
+        """Covariance of the coefficients before the first sample, shape (p, p)."""
+        return np.diag(spread**2)
+
     def renewed(self, memory: CoefficientMemory) -> CoefficientMemory:
         """Memory that trusts neither its state nor its coefficients any more, but begins with them."""
         lay, packed = self.layout, memory.packed.copy()
@@ -204,7 +208,7 @@ class Setup(ABC):
         counters[0] = memory.n_samples
         lay.view(packed, "S")[:] = 0.0
         lay.view(packed, "Pb")[:] = np.diag(memory.states**2)
-        lay.view(packed, "Pt")[:] = np.diag(memory.spread**2)
+        lay.view(packed, "Pt")[:] = self.prior_covariance(memory.spread)
         level = lay.view(packed, "level")
         level[1] = np.maximum(level[0], level[1])
         lay.view(packed, "count")[:] = DOUBT
