@@ -140,8 +140,8 @@ def line(mine: list[dict[str, object]], total: dict[str, int]) -> str:
     end = f"{fails:5d} {np.median([row['us'] for row in good]):4.0f}  {forms}"
     if "bode" in good[0]:
         before, after = np.array([row["bode"] for row in good]).T
-        return (f"{text} Bode error {np.median(before):.2f} -> {np.median(after):.5f}, worst {after.max():.5f}; "
-                f"within .01: {np.sum(after <= 0.01)} {end}")  # fmt: skip
+        errors = f"{np.median(before):.2f} -> {np.median(after):.5f}, worst {after.max():.5f}"
+        return f"{text} Bode error {errors}; within .01: {np.sum(after <= 0.01)} {end}"
     key = "refine" if "refine" in good[0] else "true"
     means = {k: np.array([row[k].mean() for row in good]) for k in ("start", "refined", "true", key)}
     within = int(np.sum(means["refined"] > means[key] - 1))
@@ -211,8 +211,10 @@ def main() -> None:
             if row["error"]:
                 print(row)
     print(
-        "{runs} runs, {fails} fail; an output more than a point below the start in {worse}; within a point of "
-        "the reference (refine where it ran, else the true model) in {within} of {compared}".format(**total)
+        "{runs} runs, {fails} fail; an output more than a point below the start in {worse}; within a point "
+        "of the reference (refine where it ran, else the true model) in {within} of {compared}".format(
+            **total
+        )
     )
 
 

@@ -203,6 +203,20 @@ def test_a_motor_that_rests_in_its_dead_zone_is_learned_once_it_turns():
     assert free_run(refiner.system, dt, *rest) > free_run(truth, dt, *rest) - 1
 
 
+@pytest.mark.parametrize("name", ["motor", "acceleration sensor", "base motion"])
+def test_a_bump_moves_the_state_and_not_the_coefficients(name):
+    """For three samples an unmeasured force of twenty times the input acts."""
+    truth, start, dt = OFF[name]
+    w, y = simulated(truth, dt, steps(1, 5000))
+    bump = np.zeros_like(w)
+    bump[:, 3000:3003] = 20.0
+    y = noisy(y, 0.02, 1) + simulated(truth, dt, bump)[1]
+    refiner = RCORefiner(start, dt=dt)
+    refiner.update(w[:, :3500], y[:, :3500])
+    rest = w[:, 3500:], y[:, 3500:]
+    assert free_run(refiner.system, dt, *rest) > free_run(truth, dt, *rest) - 1
+
+
 def test_a_few_outliers_do_not_make_the_filter_begin_anew():
     truth, start, dt = OFF["motor"]
     w, y = simulated(truth, dt, steps(3, 4000))

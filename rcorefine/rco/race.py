@@ -221,7 +221,7 @@ class Race:
     def chosen(self) -> tuple[str, bool]:
         """Form that predicts best, and whether its model may grow: on this stretch if it is long enough."""
         memory = self.memory
-        if memory.frozen and len(memory.inputs) >= max(memory.length, _FIRST) // 2:
+        if memory.frozen and len(memory.inputs) >= max(memory.length, _FIRST) // 4:
             return self._judged()[0]
         return memory.chosen
 

@@ -180,10 +180,11 @@ class RCORefiner:
     the model is discretized anew where one has moved by 0.3 of its standard
     deviation. The first 2048 samples are kept, and gone over again each time that
     their number has doubled, since a wrong start spoils what is learned from
-    them; later samples are seen once. Where innovations are three times what the filter was sure
-    of over some 32 samples (a dead zone that opens, a part that breaks), it begins anew with the
-    coefficients of that moment. Stage 1 runs beside it by the paper's equations;
-    where it diverges it stops, which `str` says and does no harm.
+    them; later samples are seen once. Where innovations are three times what the filter was
+    sure of over some 32 samples, it doubts its state (a bump); where that does not help for
+    long it begins anew with the initial coefficients (a dead zone that opens, a part that
+    breaks). Stage 1 runs beside it by the paper's equations; where it diverges it stops, which
+    `str` says and does no harm.
 
     *Scales* (the paper's equations, and stage 1). With ``scale="auto"`` the first 50 to 100
     samples are held back, then learned all at once; so scales are causal and do not

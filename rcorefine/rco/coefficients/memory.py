@@ -106,6 +106,8 @@ class CoefficientMemory:
         Times that the model was discretized.
     renewed : int
         Times that the filter began anew, its innovations far beyond what it was sure of.
+    doubted : int
+        Sample at which it last began anew with the state alone, -1 for never.
     kernel : Kernel
         The model discretized at `centre`, made from the other fields.
     """
@@ -126,6 +128,7 @@ class CoefficientMemory:
     rounds: int
     discretized: int
     renewed: int
+    doubted: int
     kernel: Any = None
 
     @property

@@ -39,7 +39,13 @@ def go_over(setup: EntriesSetup, memory: CoefficientMemory) -> CoefficientMemory
     lay.view(packed, "level")[:] = memory.sizes[-lay.ny :] ** 2
     lay.view(packed, "count")[:] = DOUBT
     about = replace(
-        memory, packed=packed, counters=setup.counters(), centre=theta, rounds=memory.rounds + 1, kernel=None
+        memory,
+        packed=packed,
+        counters=setup.counters(),
+        centre=theta,
+        rounds=memory.rounds + 1,
+        kernel=None,
+        doubted=-1,
     )
     found = _run(setup, about)
     if found is not None:
@@ -68,6 +74,8 @@ def _run(setup: EntriesSetup, memory: CoefficientMemory) -> CoefficientMemory | 
             return None
         if why == SURPRISED:
             memory = setup.renewed(memory)
+            if memory.kernel is None:
+                memory = replace(memory, kernel=setup.compile(memory))
         if why == MOVED:
             centre = lay.view(memory.packed, "theta").copy()
             memory = replace(memory, centre=centre, discretized=memory.discretized + 1)

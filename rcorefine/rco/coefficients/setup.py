@@ -18,6 +18,7 @@ from .memory import CoefficientMemory, Layout
 __all__ = ["SHARE", "FilterSettings", "Kernel", "Setup", "checked_settings", "floor_at", "held_columns"]
 
 SHARE = 1.0  # of its standard deviation that a coefficient may move before the model is discretized anew
+_SOON = 500  # samples within which a second surprise means that not the state alone was wrong
 DOUBT = 50.0  # samples that the first guess of the noise, the size of the outputs, counts for
 _LIMIT = 1e12  # state over its size, beyond which the filter has diverged
 NEVER = 1e300  # a threshold that nothing reaches, and still a finite number
@@ -159,6 +160,7 @@ class Setup(ABC):
             rounds=0,
             discretized=0,
             renewed=0,
+            doubted=-1,
         )
 
     def counters(self) -> NDArray[np.int64]:
@@ -202,18 +204,28 @@ class Setup(ABC):
         return np.diag(spread**2)
 
     def renewed(self, memory: CoefficientMemory) -> CoefficientMemory:
-        """Memory that trusts neither its state nor its coefficients any more, but begins with them."""
+        """Memory that no longer trusts its state; nor its coefficients, where that did not help for long.
+
+        A bump moves the state alone. Where the coefficients were learned from something that is
+        over, they begin anew as the initial ones: they may be far off.
+        """
         lay, packed = self.layout, memory.packed.copy()
         counters = self.counters()
         counters[0] = memory.n_samples
-        lay.view(packed, "S")[:] = 0.0
         lay.view(packed, "Pb")[:] = np.diag(memory.states**2)
+        lay.view(packed, "surprise")[:] = 0.0
+        if memory.doubted < 0 or memory.n_samples - memory.doubted > _SOON:
+            return replace(memory, packed=packed, counters=counters, doubted=memory.n_samples)
+        lay.view(packed, "theta")[:] = memory.origin
+        lay.view(packed, "S")[:] = 0.0
         lay.view(packed, "Pt")[:] = self.prior_covariance(memory.spread)
         level = lay.view(packed, "level")
         level[1] = np.maximum(level[0], level[1])
         lay.view(packed, "count")[:] = DOUBT
-        lay.view(packed, "surprise")[:] = 0.0
-        return replace(memory, packed=packed, counters=counters, renewed=memory.renewed + 1)
+        return replace(
+            memory, packed=packed, counters=counters, centre=memory.origin.copy(), kernel=None, doubted=-1,
+            renewed=memory.renewed + 1,
+        )  # fmt: skip
 
     @property
     def share(self) -> float:

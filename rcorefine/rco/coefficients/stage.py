@@ -141,6 +141,8 @@ def _advance(
             raise explain_divergence(setup, memory, first + position)
         if why == SURPRISED:
             memory = setup.renewed(memory)
+            if memory.kernel is None:
+                memory = replace(memory, kernel=setup.compile(memory))
         if why == MOVED:
             centre = lay.view(memory.packed, "theta").copy()
             memory = replace(memory, centre=centre, discretized=memory.discretized + 1)
