@@ -29,10 +29,10 @@ __all__ = [
     "as_list",
     "as_mapper",
     "as_mapping",
+    "as_noise",
     "as_number",
     "as_path",
     "as_share",
-    "as_start",
     "as_state",
     "as_text",
     "as_texts",
@@ -44,6 +44,7 @@ __all__ = [
 Array = NDArray[np.float64]
 
 _SHOWN = 80  # characters of a bad value in a message
+_LARGEST = 1e150  # numbers are squared
 _MOST = 2**31 - 1  # no count of samples, orders or windows is larger
 
 
@@ -100,6 +101,8 @@ def as_number(
         (number < least, "not be negative" if least == 0 else f"be at least {least:g}"),
         (number >= below < math.inf, f"be below {below:g}"),
         (number > most, f"be at most {most:g}"),
+        (0 < abs(number) < 1 / _LARGEST, "be of another unit: its square is zero to the computer"),
+        (_LARGEST < abs(number) < math.inf, "be of another unit: its square is beyond floating point"),
     ]
     for broken, rule in wrong:
         if broken:
@@ -115,8 +118,8 @@ def _real(value: Any) -> float | None:
         return None
     try:
         return float(value)
-    except OverflowError:
-        return math.copysign(math.inf, value)
+    except OverflowError:  # a whole number of more than 300 digits
+        return math.inf if abs(value) == value else -math.inf
 
 
 def as_share(value: Any, name: str, *, error: type[Exception] = ct.ControlArgument) -> float:
@@ -305,27 +308,39 @@ def as_vector(
     return array
 
 
-def as_start(value: Any, name: str = "x0") -> str:
-    """How a free run starts: "estimate", "zero", or "given" where it is an array of numbers."""
-    if isinstance(value, str):
-        return as_choice(value, f"{name}, where it is no array,", ("estimate", "zero"))
-    if value is None or isinstance(value, bool | np.bool_):
-        raise ct.ControlArgument(f"{name} must be 'estimate', 'zero' or an array of numbers, not {value!r}")
-    return "given"
-
-
-def as_state(value: Any, size: int, name: str = "x0") -> Array:
-    """Given initial state of `size` entries.
+def as_state(value: Any, size: int | None = None, name: str = "x0") -> Array | None:
+    """How a free run starts: None for "estimate", zeros for "zero", or the state given.
 
     Raises
     ------
-    control.ControlArgument, control.ControlDimension, DataError
-        As `as_array`, and where the number of entries does not fit.
+    control.ControlArgument
+        If it is neither of the words nor an array of numbers.
+    control.ControlDimension
+        If there are not `size` numbers.
+    DataError
+        If one is not finite.
     """
-    state = np.atleast_1d(as_array(value, name))
-    if state.shape not in ((size,), (size, 1), (1, size)):
-        raise ct.ControlDimension(f"{name} has shape {state.shape}, but the model has {size} state(s)")
-    return state.ravel()
+    if isinstance(value, str) and value in ("estimate", "zero"):
+        return None if value == "estimate" else np.zeros(size or 0)
+    if value is None or isinstance(value, str | bool | np.bool_ | Mapping):
+        raise ct.ControlArgument(f"{name} must be 'estimate', 'zero' or an array, not {shown(value)}")
+    state = as_array(value, name)
+    if state.ndim != 1 or state.size != (state.size if size is None else size):
+        raise ct.ControlDimension(f"{name} has shape {state.shape}; the model has {size or 'other'} states")
+    return state
+
+
+def as_noise(value: Any, n_outputs: int, name: str = "noise") -> Array | None:
+    """Standard deviations of the sensor noise, one per output; None where they are not known."""
+    if value is None:
+        return None
+    level = as_vector(value, name, above=0.0, error=ct.ControlArgument)
+    if level.size not in (1, n_outputs):
+        raise ct.ControlDimension(
+            f"{name} has {level.size} entries; give one standard deviation, or one for each of the "
+            f"{n_outputs} outputs"
+        )
+    return np.broadcast_to(level, (n_outputs,))
 
 
 def as_mapping(value: Any, name: str, of: str) -> dict[str, Any]:

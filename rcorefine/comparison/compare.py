@@ -8,11 +8,12 @@ from typing import Any, overload
 import control as ct
 import numpy as np
 
+from ..arguments import as_state
 from ..exceptions import DataError, DivergenceError
 from ..measurement import Measurement
 from ..physics.physical_model import PhysicalModel
 from ..physics.simulation import simulate, unjudged_samples
-from ..physics.windows import free_runs
+from ..physics.windows import checked_horizon, free_runs
 from ..spectral import FrequencyResponse
 from ..systems.linear import Array, LinearModel
 from .channels import Channels, aligned, match_channels, record_for, with_outputs
@@ -115,6 +116,9 @@ def compare(
             f"data must be a rcorefine.Measurement, not {type(data).__name__}; build one with "
             "Measurement(inputs, outputs, dt=...) or Measurement.from_response(...)"
         )
+    if not responses:
+        start = as_state(x0)
+        horizon = checked_horizon(horizon, known_start=start is not None)
     several = isinstance(model, (list, tuple))
     models = list(model) if several else [model]
     if not models:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import control as ct
 import numpy as np
 
+from ..arguments import as_choice, shown
 from ..measurement import Measurement
 from ..systems.linear import Array, LinearModel
 from .metrics import fit_percent, root_mean_square
@@ -185,7 +186,7 @@ class Comparison:
         ):
             index = name % len(self.names)
         else:
-            raise ct.ControlArgument(f"no model {name!r}; there are {', '.join(map(repr, self.names))}")
+            raise ct.ControlArgument(f"no model {shown(name)}; there are {', '.join(map(repr, self.names))}")
         return replace(
             self,
             names=(self.names[index],),
@@ -266,8 +267,7 @@ class Comparison:
         DataError
             For "bode": if the record is too short or does not excite.
         """
-        if kind not in _KINDS:
-            raise ct.ControlArgument(f"kind must be one of {', '.join(map(repr, _KINDS))}, not {kind!r}")
+        as_choice(kind, "kind", _KINDS)
         if kind == "bode":
             from ..reporting.bode import bode_comparison
 

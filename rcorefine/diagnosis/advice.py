@@ -9,6 +9,18 @@ import control as ct
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..arguments import (
+    as_array,
+    as_choice,
+    as_flag,
+    as_list,
+    as_mapping,
+    as_number,
+    as_share,
+    as_texts,
+    as_vector,
+    shown,
+)
 from ..exceptions import DivergenceError
 from ..measurement import Measurement
 from ..physics.engine import Engine
@@ -21,6 +33,7 @@ from .columns import candidate_columns
 from .experiment import ExperimentAdvice, ExperimentOption
 from .planning import Proposal, default_bands, proposals
 from .rivals import run_race
+from .sensors import sensor_rows
 from .separation import Contender, Plan, Separation, separation
 from .state import Fitted, fitted_from
 from .whitening import Whitener
@@ -52,7 +65,18 @@ def suggest(
 ) -> ExperimentAdvice:
     """The work behind `Diagnosis.suggest_experiment`, which has the documentation."""
     prices = _checked(probability, amplitudes, lengths, bands, costs)
+    as_flag(repeat, "repeat")
+    if sensors is not None:
+        sensors = as_texts(sensors, "sensors")
+        sensor_rows(found.base.physical_model, sensors)
     records = found.ordered_records()
+    if largest_input is not None:
+        largest_input = as_vector(largest_input, "largest_input", above=0.0, error=ct.ControlArgument)
+        if largest_input.size not in (1, records[0].n_inputs):
+            raise ct.ControlDimension(
+                f"largest_input has {largest_input.size} entries; give one number, or one for each of the "
+                f"{records[0].n_inputs} inputs"
+            )
     contenders, fitted, why = _contenders(found, records)
     if len(contenders) < 2:
         return ExperimentAdvice(None, (), tuple(c.label for c in contenders), probability, why)
@@ -76,18 +100,18 @@ def suggest(
 def _checked(
     probability: float, amplitudes: Any, lengths: Any, bands: Any, costs: Mapping[str, float] | None
 ) -> dict[str, float]:
-    if not 0 < probability < 1:
-        raise ct.ControlArgument(f"probability must lie between 0 and 1, not {probability!r}")
+    as_share(probability, "probability")
     for name, values in (("amplitudes", amplitudes), ("lengths", lengths)):
-        if np.ndim(values) != 1 or not all(np.isfinite(v) and v > 0 for v in values):
-            raise ct.ControlArgument(f"{name} must be a list of positive factors, not {values!r}")
-    if bands is not None and any(len(b) != 2 or not 0 <= b[0] < b[1] for b in bands):
-        raise ct.ControlArgument(f"bands must be pairs (low, high) in rad/s, low < high, not {bands!r}")
+        if np.size(as_array(values, name)):
+            as_vector(values, name, above=0.0, error=ct.ControlArgument)
+    for pair in () if bands is None else as_list(bands, "bands", "pairs (low, high) in rad/s"):
+        low, high = as_vector(pair, "a band (low, high) in rad/s", 2, least=0.0, error=ct.ControlArgument)
+        if low >= high:
+            raise ct.ControlArgument(f"bands must be pairs (low, high) with low < high, not {shown(pair)}")
     prices = dict(_COSTS)
-    for name, value in (costs or {}).items():
-        if name not in prices:
-            raise ct.ControlArgument(f"costs names {name!r}; there are {', '.join(prices)}")
-        prices[name] = float(value)
+    for name, value in as_mapping(costs, "costs", "numbers").items():
+        as_choice(name, "a kind of record in costs", prices)
+        prices[name] = as_number(value, f"costs[{name!r}]", least=0.0)
     return prices
 
 
@@ -163,18 +187,10 @@ class _Judge:
         fitted: Fitted,
         records: Sequence[Measurement],
         ratio: float,
-        largest_input: ArrayLike | None,
+        largest_input: Array | None,
     ) -> None:
         self.contenders, self.fitted, self.records, self.ratio = contenders, fitted, records, ratio
-        self.limit = None
-        if largest_input is not None:
-            self.limit = np.atleast_1d(np.asarray(largest_input, dtype=float))
-            if self.limit.shape not in ((1,), (records[0].n_inputs,)) or not (self.limit > 0).all():
-                count = records[0].n_inputs
-                raise ct.ControlArgument(
-                    f"largest_input must be positive, one number or one for each of the {count} inputs, not "
-                    f"{largest_input!r}"
-                )
+        self.limit = largest_input
         self.levels = 1.0 / fitted.problem.weights
         self.whitener = Whitener.fit(fitted.residuals(ratio))
         self.before = sum(record.outputs.size for record in records)

@@ -10,14 +10,17 @@ from typing import Any
 import control as ct
 import numpy as np
 
+from ..arguments import as_share
 from ..arithmetic import own_arithmetic
 from ..comparison.channels import match_channels, record_for
 from ..comparison.compare import compare
 from ..exceptions import DataError, IdentifiabilityWarning
 from ..measurement import Measurement
-from ..physics.effects import Effect
+from ..physics.effects import Effect, as_effects
 from ..physics.library import effect_library
+from ..physics.physical_model import as_physical
 from ..progress import Progress
+from ..refinement.assembly import check_settings
 from ..refinement.refinement import Refinement
 from ..refinement.starts import Motion
 from ..refinement.windows import as_records, check_validation, windows
@@ -121,9 +124,12 @@ def diagnose(
     >>> found.verdict
     'adequate'
     """
-    if not 0 < significance < 1:
-        raise ct.ControlArgument(f"significance must lie between 0 and 1, not {significance!r}")
+    significance = as_share(significance, "significance")
     records = as_records(data)
+    candidates = None if candidates is None else as_effects(candidates, "candidates")
+    check_settings(
+        as_physical(model), free=free, tolerance=tolerance, offset=offset, noise=noise, horizon=horizon
+    )
     if validation is not None:
         check_validation(model, validation)
     with own_arithmetic(), Progress(progress, executor) as steps:
@@ -135,7 +141,7 @@ def diagnose(
         return investigate(
             base,
             records,
-            asked=None if candidates is None else list(candidates),
+            asked=candidates,
             validation=validation,
             settings={
                 "free": free,

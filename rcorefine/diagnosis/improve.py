@@ -7,17 +7,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import control as ct
 import numpy as np
 
+from ..arguments import as_share, as_whole
 from ..arithmetic import own_arithmetic
 from ..comparison.channels import match_channels, record_for
 from ..comparison.compare import compare
 from ..exceptions import DataError, DivergenceError, IdentifiabilityWarning
 from ..measurement import Measurement
-from ..physics.effects import Effect
+from ..physics.effects import Effect, as_effects
 from ..physics.library import effect_library
+from ..physics.physical_model import as_physical
 from ..progress import Progress
+from ..refinement.assembly import check_settings
 from ..refinement.refine import refine, refit
 from ..refinement.refinement import Refinement
 from ..refinement.windows import as_records, check_validation, windows
@@ -141,8 +143,12 @@ def improve(
     >>> [step.effect.kind for step in ladder.steps[1:]], ladder.verdict
     (['stiffness'], 'adequate')
     """
-    if isinstance(max_effects, bool) or not isinstance(max_effects, (int, np.integer)) or max_effects < 0:
-        raise ct.ControlArgument(f"max_effects must be a whole number >= 0, not {max_effects!r}")
+    max_effects = as_whole(max_effects, "max_effects")
+    significance = as_share(significance, "significance")
+    candidates = None if candidates is None else as_effects(candidates, "candidates")
+    check_settings(
+        as_physical(model), free=free, tolerance=tolerance, offset=offset, noise=noise, horizon=horizon
+    )
     if validation is not None:
         check_validation(model, validation)
     parts = _split(as_records(data), validation)
@@ -150,7 +156,7 @@ def improve(
     with own_arithmetic(), warnings.catch_warnings(), Progress(progress, executor) as bar:
         warnings.simplefilter("ignore", IdentifiabilityWarning)  # ties are in the ledger
         ladder = _Ladder(model, parts, free, settings, bar)
-        library = list(effect_library(ladder.start.physical_model) if candidates is None else candidates)
+        library = effect_library(ladder.start.physical_model) if candidates is None else candidates
         options = {"significance": significance, "progress": bar}
         verdict, message = ladder.climb(library, max_effects, options)
         ladder.settle()

@@ -10,13 +10,14 @@ import control as ct
 import numpy as np
 from scipy import stats
 
+from ..arguments import as_number, as_share
 from ..comparison.channels import match_channels, record_for
 from ..measurement import Measurement
-from ..physics.effects import Effect
+from ..physics.effects import Effect, as_effects
 from ..physics.library import effect_library
 from ..physics.observer import observer_gain
 from ..physics.simulation import check_channels
-from ..refinement.assembly import priors
+from ..refinement.assembly import check_settings, priors
 from ..refinement.outcome import output_weights
 from ..refinement.problem import Problem
 from ..refinement.refinement import Refinement
@@ -103,10 +104,9 @@ def confirm(
     """
     if not isinstance(model, Refinement):
         raise ct.ControlArgument(f"model must be a Refinement, not {type(model).__name__}; call refine first")
-    if not force_ratio >= 0:
-        raise ct.ControlArgument(f"force_ratio must not be negative, got {force_ratio!r}")
-    if not 0 < significance < 1:
-        raise ct.ControlArgument(f"significance must lie between 0 and 1, not {significance!r}")
+    force_ratio = as_number(force_ratio, "force_ratio", least=0.0)
+    significance = as_share(significance, "significance")
+    check_settings(model.physical_model, tolerance=tolerance, noise=noise)
     records = as_records(data)
     if len(records) < 2:
         raise ct.ControlArgument("data holds one record; give the one that taught the effects and another")
@@ -117,7 +117,10 @@ def confirm(
     own = [i for i, row in enumerate(model.parameters) if row.role == "effect"]
     if not own:
         raise ct.ControlArgument("the model holds no effect that was asked for, so nothing can be confirmed")
-    library = effect_library(model.physical_model) if candidates is None else list(candidates)
+    if candidates is None:
+        library = effect_library(model.physical_model)
+    else:
+        library = as_effects(candidates, "candidates")
     held = {(effect.kind, effect.place) for effect in model.effects}
     rest = [effect for effect in library if (effect.kind, effect.place) not in held]
     levels = [float(np.sqrt(np.mean(record.inputs**2))) or 1.0 for record in ordered]

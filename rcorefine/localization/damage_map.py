@@ -8,6 +8,7 @@ from typing import Any
 
 import control as ct
 
+from ..arguments import as_text
 from ..diagnosis.whitening import FTest
 from ..exceptions import ModelError
 from ..physics.effects import Effect
@@ -234,6 +235,8 @@ class DamageMap:
         ModelError
             If there is none.
         """
+        as_text(place, "place")
+        as_text(kind, "kind")
         for row in self.rows:
             if (row.place == place and row.kind == kind) or row.name == place:
                 return row

@@ -9,6 +9,7 @@ from typing import Any
 import control as ct
 import numpy as np
 
+from ..arguments import as_list, as_mapping
 from ..measurement import Measurement
 from ..physics.effects import Effect
 from ..physics.physical_model import PhysicalModel
@@ -108,10 +109,16 @@ def named_hypotheses(hypotheses: Any) -> dict[str, tuple[Effect, ...]]:
     """
     if isinstance(hypotheses, str | Effect):
         hypotheses = [hypotheses]
-    pairs = list(hypotheses.items()) if isinstance(hypotheses, Mapping) else [(None, h) for h in hypotheses]
+    pairs: list[tuple[str | None, Any]]
+    if isinstance(hypotheses, Mapping):
+        pairs = list(as_mapping(hypotheses, "hypotheses", "effects").items())
+    else:
+        pairs = [(None, entry) for entry in as_list(hypotheses, "hypotheses", "effects or lists of them")]
     found: dict[str, tuple[Effect, ...]] = {}
     for name, entry in pairs:
-        effects = tuple(_as_effect(e) for e in ([entry] if isinstance(entry, str | Effect) else entry))
+        single = isinstance(entry, str | Effect)
+        entries = [entry] if single else as_list(entry, "a hypothesis", "effects or places")
+        effects = tuple(_as_effect(e) for e in entries)
         key = " + ".join(e.label for e in effects) or UNDAMAGED if name is None else str(name)
         if key in found:
             raise ct.ControlArgument(f"hypotheses holds {key!r} twice; give each scenario once")

@@ -10,6 +10,7 @@ import control as ct
 import numpy as np
 from scipy.stats import norm
 
+from ..arguments import as_choice, as_list, as_number, as_share, as_state
 from ..arithmetic import own_arithmetic
 from ..comparison.channels import match_channels, record_for
 from ..diagnosis.whitening import FTest
@@ -19,9 +20,8 @@ from ..physics.effects import Effect
 from ..physics.physical_model import PhysicalModel, as_physical
 from ..physics.simulation import check_channels
 from ..physics.structure import Structure
-from ..refinement.assembly import assemble, offset_variants
+from ..refinement.assembly import assemble, check_settings, offset_variants
 from ..refinement.outcome import _initial_fit
-from ..refinement.refine import _given_state, _resized
 from ..refinement.refinement import Refinement
 from ..refinement.starts import estimated_motion
 from ..refinement.windows import as_records, windows
@@ -30,7 +30,7 @@ from .damage_map import DamageMap, DamageRow, NuisanceRow
 from .damping import RATIO_NAMES, RatioStructure
 from .decision import Candidate, Decision, decide
 from .estimate import Joint
-from .hypotheses import Setting, rank_hypotheses
+from .hypotheses import Setting, named_hypotheses, rank_hypotheses
 from .residual import overall, residual_tests
 
 __all__ = ["localize_damage"]
@@ -151,8 +151,17 @@ def localize_damage(
     [('stiffness at link2', -30)]
     """
     _check_options(damping, significance, power, least)
-    initial = _given_state(x0)
     physical, base, substeps = _baseline(model)
+    initial = as_state(x0, physical.linear.n_states)
+    scenarios = None if hypotheses is None else named_hypotheses(hypotheses)
+    check_settings(
+        physical,
+        tolerance=tolerance,
+        offset=offset,
+        noise=noise,
+        horizon=horizon,
+        known_start=initial is not None,
+    )
     records = [record_for(r, match_channels(physical.linear, r)) for r in as_records(data)]
     for record in records:
         check_channels(physical.linear, record)
@@ -180,7 +189,7 @@ def localize_damage(
             rule == "ratio",
             tuple(segments),
             noise,
-            None if initial is None else _resized(initial, physical.linear.n_states),
+            initial,
             substeps,
             estimated_motion(Structure(physical, base), np.zeros(0), records[0]),
             nominal,
@@ -189,7 +198,7 @@ def localize_damage(
         rows = _as_candidates(joint.structure, effects, nominal, tolerance, least)
         joint.start()
         decision = decide(joint, rows, significance)
-        ranking = () if hypotheses is None else rank_hypotheses(setting, hypotheses)
+        ranking = () if scenarios is None else rank_hypotheses(setting, scenarios)
         tests = residual_tests(joint)
         result = _package(joint, rows, decision, tests, rule, significance, power, ranking, note)
     for group in result.groups:
@@ -200,13 +209,11 @@ def localize_damage(
 
 
 def _check_options(damping: str | None, significance: float, power: float, least: float) -> None:
-    if damping is not None and damping not in _RULES:
-        raise ct.ControlArgument(f"damping must be one of {', '.join(map(repr, _RULES))}, not {damping!r}")
-    for name, value in (("significance", significance), ("power", power)):
-        if not 0 < value < 1:
-            raise ct.ControlArgument(f"{name} must be a probability between 0 and 1, not {value!r}")
-    if not (np.isfinite(least) and least >= 0):
-        raise ct.ControlArgument(f"least must be a percentage >= 0, not {least!r}")
+    if damping is not None:
+        as_choice(damping, "damping", _RULES)
+    as_share(significance, "significance")
+    as_share(power, "power")
+    as_number(least, "least (in percent)", least=0.0)
 
 
 def _baseline(model: Any) -> tuple[PhysicalModel, tuple[Effect, ...], int]:
@@ -248,7 +255,9 @@ def _candidates(
     nominal: Mapping[tuple[str, str], float],
 ) -> list[Effect]:
     if given is not None:
-        entries = [given] if isinstance(given, str | Effect) else list(given)
+        entries = (
+            [given] if isinstance(given, str | Effect) else as_list(given, "candidates", "effects or places")
+        )
         effects = [Effect("stiffness", e) if isinstance(e, str) else e for e in entries]
         for effect in effects:
             if not isinstance(effect, Effect) or effect.kind not in ("stiffness", "damping", "mass"):

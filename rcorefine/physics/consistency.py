@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import control as ct
 import numpy as np
 
+from ..arguments import as_array, as_list, as_texts, shown
 from ..exceptions import ModelError
 from .ports import Port
 
@@ -37,7 +38,7 @@ def check_sizes(model: PhysicalModel) -> None:
         "output_input": (linear.n_outputs, linear.n_inputs),
     }
     for key, shape in shapes.items():
-        array = np.array(getattr(model, key), dtype=float, ndmin=2)
+        array = np.atleast_2d(as_array(getattr(model, key), key, error=ModelError))
         if array.shape != shape:
             raise ct.ControlDimension(f"{key} has shape {array.shape}, expected {shape}")
         array.setflags(write=False)
@@ -47,12 +48,12 @@ def check_sizes(model: PhysicalModel) -> None:
         ("output_units", linear.n_outputs, "outputs"),
         ("state_units", linear.n_states, "states"),
     ):
-        units = tuple(getattr(model, key)) or ("",) * size
+        units = as_texts(getattr(model, key), key) or ("",) * size
         if len(units) != size:
             raise ct.ControlDimension(f"{key} has {len(units)} entries for {size} {what}")
         store(model, key, units)
-    store(model, "ports", tuple(model.ports))
-    store(model, "parameters", tuple(model.parameters))
+    store(model, "ports", tuple(as_list(model.ports, "ports", "Port objects")))
+    store(model, "parameters", tuple(as_list(model.parameters, "parameters", "nominal parameters")))
 
 
 def check_outputs(model: PhysicalModel) -> None:
@@ -117,6 +118,9 @@ def check_places(model: PhysicalModel) -> None:
             port = replace(port, position_input=none, velocity_input=none, acceleration_input=none)
         ports.append(port)
     object.__setattr__(model, "ports", tuple(ports))
+    for item in model.parameters:
+        if not hasattr(item, "kind") or not hasattr(item, "place"):
+            raise ct.ControlArgument(f"parameters must hold NominalParameter, not {shown(item)}")
     for what, labels in (
         ("port", [port.name for port in ports]),
         ("parameter", [item.name for item in model.parameters]),

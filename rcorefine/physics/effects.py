@@ -8,10 +8,11 @@ from typing import Any
 
 import control as ct
 
+from ..arguments import as_choice, as_list, as_mapping, as_number, as_text, shown
 from ..exceptions import ModelError
 from .kinds import KINDS, Kind
 
-__all__ = ["Effect", "describe_effects"]
+__all__ = ["Effect", "as_effects", "describe_effects"]
 
 
 class Effect:
@@ -100,8 +101,8 @@ class Effect:
                 f"place of {kind} must be the name of a port or of a channel, not {place!r}; "
                 "ports(model) lists the ports"
             )
-        if name is not None and not isinstance(name, str):
-            raise ct.ControlArgument(f"name of {kind} at {place} must be a str, not {name!r}")
+        if name is not None:
+            as_text(name, f"name of {kind} at {place}")
         if kind == "custom":
             if not callable(law):
                 raise ct.ControlArgument(
@@ -115,9 +116,8 @@ class Effect:
         store(self, "_port_kind", "mechanical")
         store(self, "_law", law)
         store(self, "_name", name)
-        store(self, "_start", dict(start or {}))
-        store(self, "_fixed", dict(fixed or {}))
-        store(self, "_prior", dict(prior or {}))
+        for key, values in (("start", start), ("fixed", fixed), ("prior", prior)):
+            store(self, f"_{key}", as_mapping(values, f"{key} of {kind} at {place}", "numbers"))
         self._check_values()
 
     def _check_values(self) -> None:
@@ -130,12 +130,7 @@ class Effect:
                 where = f"{argument}[{key!r}] of {self.kind} at {self.place}"
                 if key not in names:
                     raise ct.ControlArgument(f"{where}: no such coefficient, only {', '.join(names)}")
-                try:
-                    number = float(value)
-                except (TypeError, ValueError):
-                    raise ct.ControlArgument(f"{where} must be a number, not {value!r}") from None
-                if not math.isfinite(number):
-                    raise ModelError(f"{where} must be finite, not {number}")
+                number = as_number(value, where, error=ModelError)
                 if argument == "prior" and number <= 0:
                     raise ModelError(f"{where} is a standard deviation and must be positive, not {number}")
                 if argument == "fixed" and key in constants and number <= 0:
@@ -237,8 +232,7 @@ class Effect:
         Effect
             Equal effect whose `explanation` fits the place.
         """
-        if port_kind not in ("mechanical", "first_order"):
-            raise ct.ControlArgument(f"port_kind must be 'mechanical' or 'first_order', not {port_kind!r}")
+        as_choice(port_kind, "port_kind", ("mechanical", "first_order"))
         copy = self.replace()
         object.__setattr__(copy, "_port_kind", port_kind)
         return copy
@@ -256,6 +250,7 @@ class Effect:
         tuple of float
             Bounds, infinite where there is none.
         """
+        as_text(coefficient, "coefficient")
         if coefficient not in self.spec.coefficient_names:
             return -math.inf, math.inf  # a custom law's own
         entry = self.spec.coefficient(coefficient)
@@ -274,6 +269,7 @@ class Effect:
         float or None
             Given or default start value.
         """
+        as_choice(coefficient, f"coefficient of {self.label}", self.coefficients)
         if coefficient in self._fixed:
             return self._fixed[coefficient]
         if coefficient in self._start:
@@ -354,6 +350,21 @@ def _restore(
     return effect.at_port(port_kind)
 
 
+def as_effects(values: Any, name: str) -> list[Effect]:
+    """Effects from one or a list of them.
+
+    Raises
+    ------
+    control.ControlArgument
+        If an entry is something else.
+    """
+    effects = [values] if isinstance(values, Effect) else as_list(values, name, "Effect objects")
+    for effect in effects:
+        if not isinstance(effect, Effect):
+            raise ct.ControlArgument(f"{name} must hold Effect objects, not {shown(effect)}")
+    return effects
+
+
 def describe_effects(effects: Sequence[Effect]) -> str:
     """Effects as a table of at most 80 columns.
 
@@ -375,6 +386,7 @@ def describe_effects(effects: Sequence[Effect]) -> str:
     force
       input_gain            w -> (1 + t) w
     """
+    effects = as_effects(effects, "effects")
     lines: list[str] = []
     for place in dict.fromkeys(effect.place for effect in effects):
         lines.append(place[:80])

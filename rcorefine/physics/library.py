@@ -8,6 +8,7 @@ from typing import Any
 import control as ct
 import numpy as np
 
+from ..arguments import as_texts
 from ..exceptions import ModelError
 from ..systems.linear import Array
 from .effects import Effect
@@ -110,9 +111,9 @@ def effect_library(
 def _names(what: str, given: Any) -> tuple[str, ...] | None:
     if given is None:
         return None
-    names = (given,) if isinstance(given, str) else tuple(given)
-    if not names or not all(isinstance(name, str) for name in names):
-        raise ct.ControlArgument(f"{what} must be a name or a list of names, not {given!r}")
+    names = as_texts(given, what)
+    if not names:
+        raise ct.ControlArgument(f"{what} is empty; leave it out for all")
     return names
 
 

@@ -8,8 +8,10 @@ from typing import Any
 
 import control as ct
 
+from ..arguments import as_choice, as_flag, as_number, as_text, shown
 from ..exceptions import ModelError
 from ..measurement import HOLDS, Measurement
+from ..systems.discretization import check_sampling_time
 from ..systems.linear import Array, LinearModel
 from .consistency import check_outputs, check_places, check_sizes
 from .description import model_html, model_text
@@ -49,6 +51,12 @@ class NominalParameter:
     kind: str
     place: str
     physical: bool = True
+
+    def __post_init__(self) -> None:
+        for key in ("name", "unit", "kind", "place"):
+            as_text(getattr(self, key), f"{key} of a parameter")
+        as_number(self.value, f"value of parameter {self.name!r}", error=ModelError)
+        as_flag(self.physical, f"physical of parameter {self.name!r}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,6 +124,8 @@ class PhysicalModel:
 
     def __post_init__(self) -> None:
         linear = self.linear
+        if not isinstance(linear, LinearModel):
+            raise ct.ControlArgument(f"linear must be a LinearModel, not {shown(linear)}")
         if not linear.is_continuous:
             raise ModelError(
                 f"model {linear.name!r} has dt = {linear.dt}, but a physical model is in continuous time; "
@@ -124,8 +134,8 @@ class PhysicalModel:
         check_sizes(self)
         check_outputs(self)
         check_places(self)
-        if self.hold is not None and self.hold not in HOLDS:
-            raise ct.ControlArgument(f"hold must be None or one of {', '.join(HOLDS)}, not {self.hold!r}")
+        if self.hold is not None:
+            as_choice(self.hold, "hold, where there is one,", HOLDS)
 
     @property
     def system(self) -> ct.StateSpace:
@@ -200,6 +210,7 @@ class PhysicalModel:
         from .readout import find_rate_sensors
 
         linear = LinearModel.from_statespace(sys)
+        step = None if dt is None else check_sampling_time(dt)
         tolerance = 1e-9
         if linear.dt is None:  # python-control: either time base
             linear = linear.with_arrays(dt=0)
@@ -207,12 +218,12 @@ class PhysicalModel:
             from ..systems.conversion import d2c
 
             if linear.dt is True:
-                if dt is None:
+                if step is None:
                     raise ModelError(
                         f"model {linear.name!r} is in discrete time but has no sampling time (dt = True); "
                         "give the model a dt, or the time between samples as dt="
                     )
-                sys = linear.with_arrays(dt=float(dt)).to_statespace()
+                sys = linear.with_arrays(dt=step).to_statespace()
             linear = replace(LinearModel.from_statespace(d2c(sys)), name=linear.name)
             tolerance = 1e-7  # the matrix logarithm leaves noise where zeros were
         found, parameters = find_ports(linear, tolerance)
@@ -259,6 +270,7 @@ class PhysicalModel:
         ModelError
             If there is none; the message lists the names that exist.
         """
+        as_text(name, "name")
         for port in self.ports:
             if port.name == name:
                 return port
@@ -283,7 +295,7 @@ class PhysicalModel:
         ModelError
             If the text is not of this form or the entry does not exist.
         """
-        match = re.fullmatch(r"A\[(.+)\]", place.strip())
+        match = re.fullmatch(r"A\[(.+)\]", as_text(place, "place").strip())
         labels = self.linear.state_labels
         if match:
             pieces = match.group(1).split(",")
@@ -324,8 +336,7 @@ class PhysicalModel:
             nothing that the law needs (a stiffness where there is no
             displacement).
         """
-        if not isinstance(effect, Effect):
-            raise ct.ControlArgument(f"an effect must be an Effect, not {type(effect).__name__}")
+        _check_type(effect)
         where = effect.spec.where
         if effect.kind == "coefficient":
             self.entry(effect.place)
@@ -364,10 +375,8 @@ class PhysicalModel:
         str
             Unit, ``""`` where it is unknown, ``"1"`` for a pure number.
         """
-        if coefficient not in effect.coefficients:
-            raise ct.ControlArgument(
-                f"{effect.label} has no coefficient {coefficient!r}, only {', '.join(effect.coefficients)}"
-            )
+        _check_type(effect)
+        as_choice(coefficient, f"coefficient of {effect.label}", effect.coefficients)
         if coefficient not in effect.spec.coefficient_names:
             return ""  # a custom law's own
         rule = effect.spec.coefficient(coefficient).unit_rule
@@ -389,6 +398,11 @@ class PhysicalModel:
 
     def _repr_html_(self) -> str:
         return model_html(self)
+
+
+def _check_type(effect: Any) -> None:
+    if not isinstance(effect, Effect):
+        raise ct.ControlArgument(f"an effect must be an Effect, not {type(effect).__name__}")
 
 
 def as_physical(model: Any, *, dt: float | None = None) -> PhysicalModel:
@@ -416,6 +430,8 @@ def as_physical(model: Any, *, dt: float | None = None) -> PhysicalModel:
     >>> as_physical(ct.ss([[-1.0]], [[1.0]], [[1.0]], 0, states=["T"])).ports[0].name
     'T'
     """
+    if dt is not None:
+        check_sampling_time(dt)
     if isinstance(model, PhysicalModel):
         return model
     inner = getattr(model, "physical_model", None)

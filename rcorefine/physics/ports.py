@@ -8,11 +8,13 @@ from typing import Any
 import control as ct
 import numpy as np
 
+from ..arguments import as_array, as_text, shown
 from ..exceptions import ModelError
 from ..systems.linear import Array
 
 __all__ = ["Port", "ports"]
 
+_TEXTS = ("kind", "position_unit", "velocity_unit", "force_unit", "description")
 _ARRAYS = ("act", "position", "position_input", "velocity", "velocity_input", "acceleration_input")
 
 
@@ -87,15 +89,15 @@ class Port:
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:
-            raise ModelError(f"the name of a port must be a nonempty str, not {self.name!r}")
+            raise ModelError(f"the name of a port must be a nonempty str, not {shown(self.name)}")
+        for key in _TEXTS:
+            as_text(getattr(self, key), f"{key} of port {self.name!r}")
         if self.kind not in ("mechanical", "first_order"):
             raise ModelError(
                 f"kind of port {self.name!r} must be 'mechanical' or 'first_order', not {self.kind!r}"
             )
         for key in _ARRAYS:
-            array = np.array(getattr(self, key), dtype=float).reshape(-1)
-            if not np.isfinite(array).all():
-                raise ModelError(f"{key} of port {self.name!r} is not finite: {array}")
+            array = as_array(getattr(self, key), f"{key} of port {self.name!r}", error=ModelError).reshape(-1)
             object.__setattr__(self, key, array)
         n_inputs = max(getattr(self, key).size for key in _ARRAYS if key.endswith("_input"))
         for key in _ARRAYS:

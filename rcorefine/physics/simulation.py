@@ -8,6 +8,7 @@ from typing import Any
 import control as ct
 import numpy as np
 
+from ..arguments import as_state, shown
 from ..exceptions import ModelError
 from ..measurement import Measurement
 from ..systems.linear import Array, LinearModel
@@ -162,11 +163,13 @@ def simulate(model: Any, data: Measurement, x0: str | Array = "estimate") -> Sim
     >>> bool(np.allclose(simulate(lag, data, "zero").outputs, data.outputs))
     True
     """
+    if not isinstance(data, Measurement):
+        raise ct.ControlArgument(f"data must be a Measurement, not {shown(data)}")
     inner = getattr(model, "system", model)
     if isinstance(inner, ct.StateSpace) and inner.dt != 0:
         return _simulate_discrete(LinearModel.from_statespace(inner), data, x0)
     structure, theta, substeps = structure_of(model)
-    start = _initial(x0, structure.n_states)
+    start = as_state(x0, structure.n_states)
     engine = Engine(structure, data, substeps=substeps, initial=start)
     check_channels(structure.linear_model, data)
     if start is None:
@@ -199,19 +202,6 @@ def check_channels(model: LinearModel, data: Measurement) -> None:
             )
 
 
-def _initial(x0: str | Array, n: int) -> Array | None:
-    if isinstance(x0, str):
-        if x0 == "estimate":
-            return None
-        if x0 == "zero":
-            return np.zeros(n)
-        raise ct.ControlArgument(f"x0 must be 'estimate', 'zero' or an array, not {x0!r}")
-    start = np.asarray(x0, dtype=float)
-    if start.shape != (n,):
-        raise ct.ControlDimension(f"x0 has shape {start.shape}; the model has {n} states")
-    return start
-
-
 def _simulate_discrete(model: LinearModel, data: Measurement, x0: str | Array) -> Simulation:
     """Free run of a discrete model; its hold is already inside."""
     if model.dt not in (None, True) and not np.isclose(float(model.dt), data.dt, rtol=1e-9):
@@ -219,7 +209,7 @@ def _simulate_discrete(model: LinearModel, data: Measurement, x0: str | Array) -
             f"model {model.name!r} has dt = {model.dt:g} s and the record {data.dt:g} s; resample one of them"
         )
     check_channels(model, data)
-    start = _initial(x0, model.n_states)
+    start = as_state(x0, model.n_states)
     states = _march_discrete(model, data.inputs, np.zeros(model.n_states))
     forced = model.C @ states + model.D @ data.inputs
     if start is None or start.any():

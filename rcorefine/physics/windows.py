@@ -9,6 +9,7 @@ from typing import Any
 import control as ct
 import numpy as np
 
+from ..arguments import as_number
 from ..exceptions import DataError
 from ..measurement import Measurement
 from ..systems.linear import LinearModel
@@ -28,13 +29,10 @@ def checked_horizon(horizon: Any, known_start: bool = False) -> float | None:
     """
     if horizon is None:
         return None
-    if isinstance(horizon, (bool, np.bool_)) or not isinstance(horizon, (int, float, np.number)):
-        raise ct.ControlArgument(f"horizon must be a time in seconds, not {horizon!r}")
-    if not (np.isfinite(horizon) and horizon > 0):
-        raise ct.ControlArgument(f"horizon must be a positive time in seconds, not {horizon!r}")
+    seconds = as_number(horizon, "horizon", above=0.0, unit="of seconds")
     if known_start:
         raise ct.ControlArgument("a given x0 holds for one start only; leave horizon or x0 out")
-    return float(horizon)
+    return seconds
 
 
 def integrates(linear: LinearModel, record: Measurement) -> bool:

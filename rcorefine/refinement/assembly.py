@@ -8,17 +8,17 @@ from typing import Any
 import control as ct
 import numpy as np
 
-from ..arguments import as_flag
+from ..arguments import as_flag, as_list, as_noise, as_number, shown
 from ..exceptions import ModelError
 from ..measurement import Measurement
-from ..physics.effects import Effect
+from ..physics.effects import Effect, as_effects
 from ..physics.physical_model import PhysicalModel, as_physical
 from ..physics.structure import Structure
-from ..physics.windows import integrates
+from ..physics.windows import checked_horizon, integrates
 from ..systems.linear import Array
 from .refinement import Refinement
 
-__all__ = ["assemble", "offset_variants", "priors", "unfold"]
+__all__ = ["assemble", "check_settings", "offset_variants", "priors", "unfold"]
 
 _LOOSE = 30.0  # relative sd of a linear parameter that floats freely
 
@@ -38,6 +38,30 @@ def unfold(model: Any) -> tuple[PhysicalModel, list[tuple[Effect, str]]]:
     return model.physical_model, kept
 
 
+def check_settings(
+    physical: PhysicalModel,
+    *,
+    free: Any = (),
+    tolerance: Any = 0.0,
+    offset: Any = True,
+    noise: Any = None,
+    horizon: Any = None,
+    known_start: bool = False,
+) -> None:
+    """What every fit of a model takes, said before the work begins.
+
+    Raises
+    ------
+    control.ControlArgument, control.ControlDimension
+        If a setting is of the wrong kind, size or out of range.
+    """
+    as_number(tolerance, "tolerance", least=0.0)
+    as_flag(offset, "offset")
+    as_noise(noise, physical.linear.n_outputs)
+    checked_horizon(horizon, known_start)
+    _linear_effects(physical, free, tolerance)
+
+
 def assemble(
     physical: PhysicalModel,
     kept: list[tuple[Effect, str]],
@@ -47,16 +71,8 @@ def assemble(
     offsets: Sequence[Effect],
 ) -> list[tuple[Effect, str]]:
     """Effects with their roles: asked for, linear parameters, offsets."""
-    if isinstance(tolerance, bool) or not isinstance(tolerance, (int, float, np.number)):
-        raise ct.ControlArgument(f"tolerance must be a number, not {tolerance!r}")
-    if not (np.isfinite(tolerance) and tolerance >= 0):
-        raise ct.ControlArgument(f"tolerance must be a finite number >= 0, not {tolerance!r}")
-    if isinstance(effects, Effect):
-        effects = [effects]
     chosen = list(kept)
-    for effect in effects:
-        if not isinstance(effect, Effect):
-            raise ct.ControlArgument(f"effects must hold Effect objects, not {type(effect).__name__}")
+    for effect in as_effects(effects, "effects"):
         if any(same.kind == effect.kind and same.place == effect.place for same, _ in chosen):
             raise ModelError(f"{effect.label} is named twice; give each effect once")
         chosen.append((effect, "effect"))
@@ -87,24 +103,21 @@ def _linear_effects(physical: PhysicalModel, free: Any, tolerance: float) -> lis
     everything = [Effect(q.kind, q.place) for q in physical.parameters if _floats(q, physical)]
     if isinstance(free, str):
         if free != "linear":
-            raise ct.ControlArgument(f"free must be 'linear' or a list, not {free!r}")
+            raise ct.ControlArgument(f"free must be 'linear' or a list, not {shown(free)}")
         return everything
-    if isinstance(free, Effect):
-        free = [free]
-    if not isinstance(free, Sequence):
-        raise ct.ControlArgument(f"free must be 'linear' or a list of names or effects, not {free!r}")
-    if not len(free):
+    entries = [free] if isinstance(free, Effect) else as_list(free, "free", "names or effects, or 'linear'")
+    if not entries:
         return everything if tolerance > 0 else []
     found = []
     by_name = {q.name: Effect(q.kind, q.place) for q in physical.parameters}
-    for entry in free:
+    for entry in entries:
         if isinstance(entry, Effect):
             found.append(entry)
         elif isinstance(entry, str) and entry in by_name:
             found.append(by_name[entry])
         else:
             raise ct.ControlArgument(
-                f"free names {entry!r}; the model has the parameters {', '.join(by_name) or 'none'}"
+                f"free names {shown(entry)}; the model has the parameters {', '.join(by_name) or 'none'}"
             )
     return found
 

@@ -6,9 +6,9 @@ import warnings
 from collections.abc import Sequence
 from typing import Any
 
-import control as ct
 import numpy as np
 
+from ..arguments import as_noise
 from ..exceptions import IdentifiabilityWarning
 from ..measurement import Measurement
 from ..physics.engine import Engine
@@ -29,22 +29,9 @@ def output_weights(
 ) -> Array:
     """One over the noise of each output: declared, or from the residual."""
     ny = records[0].outputs.shape[0]
-    if noise is not None:
-        try:
-            level = np.atleast_1d(np.asarray(noise, dtype=float))
-        except (TypeError, ValueError):
-            raise ct.ControlArgument(f"noise must hold standard deviations, not {noise!r}") from None
-        if not (np.isfinite(level).all() and (level > 0).all()):
-            raise ct.ControlArgument(
-                f"noise must be positive standard deviations, one per output, not {noise!r}"
-            )
-        if level.shape not in ((1,), (ny,)):
-            raise ct.ControlDimension(
-                f"noise has shape {level.shape}; give one standard deviation, or one for each of the "
-                f"{ny} outputs"
-            )
-        level = np.broadcast_to(level, (ny,))
-        return 1.0 / level
+    declared = as_noise(noise, ny)
+    if declared is not None:
+        return 1.0 / declared
     spread = np.concatenate([record.outputs for record in records], axis=1).std(axis=1)
     spread = np.where(spread > 0, spread, 1.0)
     if problem is None or point is None:

@@ -8,16 +8,17 @@ from typing import Any
 import control as ct
 import numpy as np
 
+from ..arguments import as_state, as_whole
 from ..arithmetic import own_arithmetic
 from ..comparison.channels import match_channels, record_for
 from ..exceptions import DataError
 from ..measurement import Measurement
-from ..physics.effects import Effect
+from ..physics.effects import Effect, as_effects
 from ..physics.physical_model import PhysicalModel
 from ..physics.simulation import check_channels
 from ..physics.structure import Structure
 from ..systems.linear import Array
-from .assembly import assemble, offset_variants, priors, unfold
+from .assembly import assemble, check_settings, offset_variants, priors, unfold
 from .doubts import doubted
 from .outcome import output_weights, package
 from .problem import Problem, residual_blocks
@@ -29,6 +30,8 @@ from .windows import as_records, windows
 __all__ = ["Fit", "refine", "refit"]
 
 _ROUGHLY, _EXACTLY = 1e-7, 1e-12  # tolerances of a polish before and after the substep is settled
+
+_MOST_SUBSTEPS = 10_000
 
 
 def refine(
@@ -127,11 +130,19 @@ def refine(
     for record in records:
         check_channels(physical.linear, record)
         record.check_excitation("refine", stacklevel=2)
-    initial = _given_state(x0)
-    if substeps is not None and (
-        isinstance(substeps, bool) or not isinstance(substeps, (int, np.integer)) or substeps < 1
-    ):
-        raise ct.ControlArgument(f"substeps must be a whole number >= 1, not {substeps!r}")
+    initial = as_state(x0, physical.linear.n_states)
+    if substeps is not None:
+        substeps = as_whole(substeps, "substeps", least=1, most=_MOST_SUBSTEPS)
+    effects = as_effects(effects, "effects")
+    check_settings(
+        physical,
+        free=free,
+        tolerance=tolerance,
+        offset=offset,
+        noise=noise,
+        horizon=horizon,
+        known_start=initial is not None,
+    )
     with own_arithmetic():
         segments, note = windows(physical, records, horizon, known_start=initial is not None)
         bare = Structure(physical)
@@ -327,20 +338,6 @@ class Fit:
         blocks = residual_blocks(self.problem, self.result.x)
         residual = np.concatenate([r for r, _ in blocks], axis=1) / self.problem.weights[:, None]
         return float(np.sum(np.log(np.mean(residual**2, axis=1) + 1e-300)))
-
-
-def _given_state(x0: str | Array) -> Array | None:
-    if isinstance(x0, str):
-        if x0 not in ("estimate", "zero"):
-            raise ct.ControlArgument(f"x0 must be 'estimate', 'zero' or an array, not {x0!r}")
-        return None if x0 == "estimate" else np.zeros(0)
-    try:
-        start = np.asarray(x0, dtype=float)
-    except (TypeError, ValueError):
-        raise ct.ControlArgument(f"x0 must be 'estimate', 'zero' or an array, not {x0!r}") from None
-    if not np.isfinite(start).all():
-        raise DataError(f"x0 holds a value that is not finite: {start}")
-    return start
 
 
 def _resized(initial: Array, n: int) -> Array:

@@ -12,6 +12,7 @@ import control as ct
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..arguments import as_text
 from ..exceptions import ModelError
 from ..measurement import Measurement
 from ..physics.effects import Effect
@@ -227,6 +228,9 @@ class Refinement:
         ModelError
             If none or several rows fit.
         """
+        as_text(name, "name")
+        if place is not None:
+            as_text(place, "place")
         rows = [
             row
             for row in self.parameters

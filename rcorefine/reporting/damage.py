@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import control as ct
 import numpy as np
 
+from ..arguments import as_text
 from ..exceptions import ModelError
 from .figures import curve_labels, finish, make_axes, picture, settings, unit_text
 from .tables import html_table, number, text_table
@@ -157,7 +158,7 @@ def plot_damage(
     """Bar chart along the structure; see `DamageMap.plot`."""
     kinds = list(dict.fromkeys(row.kind for row in result.rows))
     if kind is not None:
-        if kind not in kinds:
+        if as_text(kind, "kind") not in kinds:
             raise ModelError(f"kind {kind!r} is none of the candidates': {', '.join(kinds)}")
         kinds = [kind]
     with settings(rcParams):

@@ -8,7 +8,7 @@ import control as ct
 import matplotlib.pyplot as plt
 import numpy as np
 
-from .figures import finish, picture, unit_text
+from .figures import curve_labels, finish, only_axes, picture, unit_text
 
 if TYPE_CHECKING:
     from ..diagnosis.confirmation import Confirmation
@@ -58,10 +58,12 @@ def experiment_plot(
         if own:
             height = 1.6 + 0.32 * max(len(options), 1)
             _, ax = plt.subplots(figsize=(7.0, height), layout="constrained")
+        ax = only_axes(ax)
+        (name,) = curve_labels(label, ["then separated"])
         rows = np.arange(len(options))
         colors = ["C0" if option is advice.chosen else "0.7" for option in options]
         values = [option.probability for option in options]
-        bars = ax.barh(rows, values, color=colors, label=label or "then separated")
+        bars = ax.barh(rows, values, color=colors, label=name)
         for row, option in zip(rows, options, strict=True):
             text = "not possible" if option.failed else f"{option.probability:.2f}"
             far = f", {option.reach:.2g} x the motion" if 1.25 < option.reach < np.inf else ""
@@ -143,6 +145,7 @@ def confirmation_plot(
         axes = np.atleast_1d(np.asarray(ax, dtype=object)).reshape(1, -1)
         if axes.size != count:
             raise ct.ControlDimension(f"ax holds {axes.size} axes; there are {count} coefficients")
+        (name,) = curve_labels(label, ["95 % interval"])
         lines = np.empty((1, count), dtype=object)
         names = [
             f"{e.name}, {e.level:.2g} x input\nresidual p = {e.residual:.2g}" for e in confirmation.estimates
@@ -151,7 +154,7 @@ def confirmation_plot(
         for i, axis in enumerate(axes[0]):
             values = np.array([e.coefficients[i] for e in confirmation.estimates])
             spread = 1.96 * np.array([e.std[i] for e in confirmation.estimates])
-            bars = axis.errorbar(places, values, spread, fmt="o", capsize=4, label=label or "95 % interval")
+            bars = axis.errorbar(places, values, spread, fmt="o", capsize=4, label=name)
             lines[0, i] = [bars.lines[0]]
             axis.set_xticks(places, names)
             axis.set_xlim(-0.5, len(names) - 0.5)

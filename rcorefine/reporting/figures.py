@@ -25,6 +25,7 @@ __all__ = [
     "finish",
     "log_labels",
     "make_axes",
+    "only_axes",
     "picture",
     "settings",
     "style",
@@ -34,7 +35,7 @@ __all__ = [
 MEASURED = "0.15"
 BAND = "0.78"
 _WIDTH = 7.0
-_OPTIONS = ("ax", "label", "title", "legend_loc", "rcParams", "show_legend")
+_OPTIONS = ("ax", "title", "legend_loc", "rcParams", "show_legend")
 
 Parameters = ParamSpec("Parameters")
 
@@ -67,20 +68,22 @@ def picture(draw: Callable[Parameters, ct.ControlPlot]) -> Callable[Parameters, 
 
     @functools.wraps(draw)
     def checked(*args: Parameters.args, **options: Parameters.kwargs) -> ct.ControlPlot:
+        label = options.get("label")
+        if label is not None and not isinstance(label, str):
+            options["label"] = as_texts(label, "label")  # an iterator is read once
         _check_options(**{name: options.get(name) for name in _OPTIONS})
         return draw(*args, **options)
 
     return checked
 
 
-def _check_options(ax: Any, label: Any, title: Any, legend_loc: Any, rcParams: Any, show_legend: Any) -> None:
-    if ax is not None and not all(isinstance(item, Axes) for item in np.ravel(np.asarray(ax, dtype=object))):
+def _check_options(ax: Any, title: Any, legend_loc: Any, rcParams: Any, show_legend: Any) -> None:
+    given = [] if ax is None else list(np.ravel(np.asarray(ax, dtype=object)))
+    if not all(isinstance(item, Axes) for item in given) or (ax is not None and not given):
         raise ct.ControlArgument(f"ax must hold matplotlib axes and nothing else, not {shown(ax)}")
-    if label is not None:
-        as_texts(label, "label")
     if title is not None:
         as_text(title, "title")
-    if legend_loc is not None and not isinstance(legend_loc, bool | np.bool_):
+    if legend_loc is not None and legend_loc is not False:
         as_choice(legend_loc, "legend_loc", Legend.codes)
     if show_legend is not None:
         as_flag(show_legend, "show_legend")
@@ -124,6 +127,14 @@ def make_axes(ax: Any, ratios: Sequence[float], n_columns: int) -> tuple[Any, An
         raise ct.ControlDimension(f"ax holds {axes.shape} axes; this picture needs {shape} (rows, columns)")
     axes = axes.reshape(shape)
     return axes[0, 0].figure, axes
+
+
+def only_axes(ax: Any) -> Any:
+    """The one axes that a picture of one panel is drawn in."""
+    given = np.ravel(np.asarray(ax, dtype=object))
+    if given.size != 1:
+        raise ct.ControlDimension(f"ax holds {given.size} axes; this picture needs one")
+    return given[0]
 
 
 def curve_labels(label: str | Sequence[str] | None, defaults: Sequence[str]) -> list[str]:

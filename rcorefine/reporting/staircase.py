@@ -8,7 +8,7 @@ import control as ct
 import matplotlib.pyplot as plt
 import numpy as np
 
-from .figures import picture
+from .figures import curve_labels, only_axes, picture
 
 if TYPE_CHECKING:
     from ..diagnosis.ledger import Improvement, Step
@@ -54,6 +54,8 @@ def staircase_plot(
     with plt.rc_context(settings):
         if ax is None:
             _, ax = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
+        ax = only_axes(ax)
+        (held_out,) = curve_labels(label, ["held out"])
         steps = improvement.steps
         base = np.array([np.sqrt(np.mean(steps[0].validation_rmse ** 2))])
         position = np.arange(len(steps) + 1) - 0.5
@@ -61,7 +63,7 @@ def staircase_plot(
         styles = (
             ("train_rmse", "fitted", "0.65", ":", 1.5),
             ("choice_rmse", "chosen on", "0.45", "--", 1.5),
-            ("validation_rmse", label or "held out", "C0", "-", 2.5),
+            ("validation_rmse", held_out, "C0", "-", 2.5),
         )
         for attribute, name, color, line, width in styles:
             values = [float(np.sqrt(np.mean(getattr(step, attribute) ** 2))) for step in steps]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from ..arguments import as_choice
 from ..exceptions import ConversionWarning, ModelError
 from .discretization import _balanced, check_sampling_time, discretize, power_of_two
 from .linear import Array, LinearModel
@@ -135,8 +136,7 @@ def d2c(system: ct.StateSpace, method: str = "zoh") -> ct.StateSpace:
     >>> print(back.name, back.dt, abs(back.A - plant.A).max() < 1e-12)
     motor 0 True
     """
-    if method not in ("zoh", "tustin"):
-        raise ct.ControlArgument(f"method {method!r} is unknown; choose 'zoh' or 'tustin'")
+    as_choice(method, "method", ("zoh", "tustin"))
     model = LinearModel.from_statespace(system)
     where = f"system {model.name!r}"
     if model.is_continuous:

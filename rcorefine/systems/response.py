@@ -8,6 +8,7 @@ import control as ct
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..arguments import as_array
 from ..exceptions import ModelError
 from .discretization import check_sampling_time
 from .linear import Array, LinearModel
@@ -174,12 +175,9 @@ def _resolvent_times(a: Array, b: Array, z: NDArray[np.complex128]) -> NDArray[n
 
 
 def _checked_omega(omega: ArrayLike) -> Array:
-    points = np.array(omega, dtype=float)
+    points = as_array(omega, "omega", error=ModelError)
     if points.ndim != 1:
         raise ct.ControlDimension(f"omega must be one-dimensional, not of shape {points.shape}")
-    if not np.isfinite(points).all():
-        where = int(np.flatnonzero(~np.isfinite(points))[0])
-        raise ModelError(f"omega is not finite at point {where}; give finite frequencies in rad/s")
     return points
 
 
