@@ -78,7 +78,7 @@ def as_number(
     below: float = math.inf,
     most: float = math.inf,
     infinite: bool = False,
-    unit: str = "",
+    what: str = "a number",
     error: type[Exception] = ct.ControlArgument,
 ) -> float:
     """One finite number: above < value < below and least <= value <= most.
@@ -92,7 +92,7 @@ def as_number(
     """
     number = _real(value)
     if number is None:
-        raise ct.ControlArgument(f"{name} must be a number{unit and f' {unit}'}, not {shown(value)}")
+        raise ct.ControlArgument(f"{name} must be {what}, not {shown(value)}")
     positive = "be positive" if above == 0 else f"be above {above:g}"
     endless = math.isnan(number) or (math.isinf(number) and not infinite)
     wrong = [
@@ -152,7 +152,7 @@ def as_whole(
         raise ct.ControlArgument(f"{name} must be a whole number, not {shown(value)}")
     if not least <= value <= most:
         bound = f"at least {least}" if value < least else f"at most {most}"
-        raise error(f"{name} must be {bound}, not {shown(value)}")
+        raise error(f"{name} must be {bound}, a whole number, not {shown(value)}")
     return int(value)
 
 
@@ -271,7 +271,7 @@ def as_array(
     if finite and not np.isfinite(array).all():
         index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         where = f"{name}[{', '.join(map(str, index))}]" if index else name
-        raise error(f"{where} must be finite, not {array[index]}")
+        raise error(f"{where} is not finite ({array[index]}); give finite numbers")
     return array.astype(np.float64)
 
 
@@ -334,7 +334,7 @@ def as_noise(value: Any, n_outputs: int, name: str = "noise") -> Array | None:
     """Standard deviations of the sensor noise, one per output; None where they are not known."""
     if value is None:
         return None
-    level = as_vector(value, name, above=0.0, error=ct.ControlArgument)
+    level = as_vector(value, f"{name} (standard deviations)", above=0.0, error=ct.ControlArgument)
     if level.size not in (1, n_outputs):
         raise ct.ControlDimension(
             f"{name} has {level.size} entries; give one standard deviation, or one for each of the "

@@ -11,6 +11,7 @@ import control as ct
 import numpy as np
 
 from .archives import read_archive
+from .arguments import as_texts
 from .exceptions import DataError, MissingExtraError
 from .matlab import Other, read_matlab
 from .systems.linear import Array
@@ -28,13 +29,10 @@ _DELIMITERS = ",;\t|"
 
 def names_of(values: str | Sequence[str], what: str) -> list[str]:
     """List of column names from one name or several."""
-    names = [values] if isinstance(values, str) else list(values)
+    names = as_texts(values, f"{what} (column names)")
     if not names:
         raise DataError(f"{what} names no column; give at least one")
-    for name in names:
-        if not isinstance(name, str):
-            raise ct.ControlArgument(f"{what} must be column names, not {name!r}")
-    return names
+    return list(names)
 
 
 def read_csv(path: Any, names: Sequence[str], *, delimiter: str | None = None) -> dict[str, Array]:

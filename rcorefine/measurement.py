@@ -13,7 +13,7 @@ import numpy as np
 from .arguments import as_choice, as_labels, as_list, as_number, as_share, as_text, as_texts, as_whole
 from .exceptions import DataError, ExcitationWarning
 from .reading import RecordReaders
-from .signals import as_signals, as_time_grid, check_finite, default_labels
+from .signals import HOLDS, as_signals, as_time_grid, check_finite, default_labels
 from .systems.linear import Array
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 __all__ = ["HOLDS", "Measurement", "as_records"]
 
-HOLDS = ("zoh", "foh", "bandlimited")
 _FIELDS = (
     "inputs", "outputs", "dt", "timepts", "hold", "input_labels", "output_labels",
     "input_units", "output_units", "name",
@@ -276,7 +275,7 @@ class Measurement(RecordReaders):
         for name, bound, after in (("start", start, True), ("stop", stop, False)):
             if bound is None:
                 continue
-            bound = as_number(bound, name, infinite=True, unit="of seconds", error=DataError)
+            bound = as_number(bound, name, infinite=True, what="a time in seconds", error=DataError)
             inside &= (self.timepts >= bound - slack) == after
         found = np.flatnonzero(inside)
         if found.size == 0:
@@ -460,7 +459,7 @@ def as_records(data: Any, name: str = "data") -> list[Measurement]:
     for i, record in enumerate(records):
         if not isinstance(record, Measurement):
             raise ct.ControlArgument(
-                f"{name}[{i}] is a {type(record).__name__}; give a Measurement or a list of them"
+                f"{name}[{i}] is a {type(record).__name__}; {name} must be a Measurement or a list of them"
             )
     if not records:
         raise DataError(f"{name} is an empty list; give at least one Measurement")

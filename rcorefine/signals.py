@@ -12,7 +12,9 @@ from .arguments import as_array, as_number
 from .exceptions import DataError
 from .systems.linear import Array
 
-__all__ = ["as_signals", "as_time_grid", "check_finite", "default_labels"]
+__all__ = ["HOLDS", "as_signals", "as_time_grid", "check_finite", "default_labels"]
+
+HOLDS = ("zoh", "foh", "bandlimited")
 
 # A time axis may leave its regular grid by this share of a sample: the rounding of a text file passes,
 # a lost, doubled or shifted sample does not.
@@ -97,7 +99,7 @@ def as_time_grid(dt: Any, timepts: Any, n_samples: int) -> tuple[float, Array]:
         If neither is given, if they contradict each other, or if the times
         are irregular; the message names place and size.
     """
-    step = None if dt is None else as_number(dt, "dt", above=0.0, unit="of seconds", error=DataError)
+    step = None if dt is None else as_number(dt, "dt", above=0.0, what="a time in seconds", error=DataError)
     if timepts is None:
         if step is None:
             raise DataError("the record has no time: give dt (sampling time in s) or timepts (times in s)")

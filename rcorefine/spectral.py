@@ -345,9 +345,11 @@ def estimate_frequency_response(
             )
     length = _segment_length(segment_length, data.n_samples)
     shared = int(as_number(overlap, "overlap", least=0.0, below=1.0, error=DataError) * length)
+    if not isinstance(window, str | tuple):
+        raise ct.ControlArgument(f"window must be a name or a tuple (name, parameters), not {shown(window)}")
     try:
         taper = signal.get_window(window, length)
-    except (ValueError, TypeError, AttributeError) as error:
+    except (ValueError, TypeError, AttributeError, IndexError) as error:
         raise ct.ControlArgument(
             f"window must be one that scipy.signal.get_window knows, not {shown(window)}: {error}"
         ) from error

@@ -145,8 +145,8 @@ def test_horizon_windows_cover_the_record_evenly(w):
     "options, error, message",
     [
         ({"horizon": 0.1}, DataError, "2 samples of 2 output"),
-        ({"horizon": -1}, DataError, "positive time in seconds"),
-        ({"horizon": np.nan}, DataError, "positive time"),
+        ({"horizon": -1}, ct.ControlArgument, "positive"),
+        ({"horizon": np.nan}, ct.ControlArgument, "positive"),
         ({"horizon": "1"}, ct.ControlArgument, "seconds"),
         ({"horizon": 5.0, "x0": np.zeros(4)}, ct.ControlArgument, "one start only"),
         ({"x0": "guess"}, ct.ControlArgument, "guess"),

@@ -253,7 +253,7 @@ def test_options_can_be_set(ambiguous):
     ("settings", "message"),
     [
         ({"probability": 1.0}, "between 0 and 1"),
-        ({"amplitudes": [-1.0]}, "amplitudes must be"),
+        ({"amplitudes": [-1.0]}, "amplitudes = -1 must be positive"),
         ({"lengths": 2.0}, "lengths must be"),
         ({"bands": [(3.0, 1.0)]}, "rad/s"),
         ({"costs": {"lunch": 1.0}}, "costs names"),

@@ -347,7 +347,7 @@ def test_row_by_name(found):
         ({"x0": "rest"}, ct.ControlArgument, "x0"),
         ({"candidates": ["link7"]}, rco.ModelError, "link7"),
         ({"candidates": [rco.Effect("coulomb_friction", "link1")]}, ct.ControlArgument, "hypotheses"),
-        ({"hypotheses": [3]}, TypeError, "iterable"),
+        ({"hypotheses": [3]}, ct.ControlArgument, "list of effects or places"),
         ({"hypotheses": {"a": [3]}}, ct.ControlArgument, "int"),
         ({"nonsense": 1}, TypeError, "nonsense"),
     ],

@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import (
-    as_array,
-    as_choice,
     as_flag,
     as_list,
     as_mapping,
@@ -73,9 +71,9 @@ def suggest(
     if largest_input is not None:
         largest_input = as_vector(largest_input, "largest_input", above=0.0, error=ct.ControlArgument)
         if largest_input.size not in (1, records[0].n_inputs):
-            raise ct.ControlDimension(
-                f"largest_input has {largest_input.size} entries; give one number, or one for each of the "
-                f"{records[0].n_inputs} inputs"
+            raise ct.ControlArgument(
+                f"largest_input must be positive, one number or one for each of the {records[0].n_inputs} "
+                f"inputs, not {largest_input.size} numbers"
             )
     contenders, fitted, why = _contenders(found, records)
     if len(contenders) < 2:
@@ -102,15 +100,16 @@ def _checked(
 ) -> dict[str, float]:
     as_share(probability, "probability")
     for name, values in (("amplitudes", amplitudes), ("lengths", lengths)):
-        if np.size(as_array(values, name)):
+        if len(as_list(values, name, "positive factors")):
             as_vector(values, name, above=0.0, error=ct.ControlArgument)
     for pair in () if bands is None else as_list(bands, "bands", "pairs (low, high) in rad/s"):
         low, high = as_vector(pair, "a band (low, high) in rad/s", 2, least=0.0, error=ct.ControlArgument)
-        if low >= high:
-            raise ct.ControlArgument(f"bands must be pairs (low, high) with low < high, not {shown(pair)}")
+        if not low < high:
+            raise ct.ControlArgument(f"bands must be pairs in rad/s, the lower first, not {shown(pair)}")
     prices = dict(_COSTS)
     for name, value in as_mapping(costs, "costs", "numbers").items():
-        as_choice(name, "a kind of record in costs", prices)
+        if name not in prices:
+            raise ct.ControlArgument(f"costs names {name!r}; there are {', '.join(prices)}")
         prices[name] = as_number(value, f"costs[{name!r}]", least=0.0)
     return prices
 

@@ -113,7 +113,7 @@ def _names(what: str, given: Any) -> tuple[str, ...] | None:
         return None
     names = as_texts(given, what)
     if not names:
-        raise ct.ControlArgument(f"{what} is empty; leave it out for all")
+        raise ct.ControlArgument(f"{what} must be a name or a list of names, not an empty one")
     return names
 
 

@@ -376,7 +376,10 @@ class PhysicalModel:
             Unit, ``""`` where it is unknown, ``"1"`` for a pure number.
         """
         _check_type(effect)
-        as_choice(coefficient, f"coefficient of {effect.label}", effect.coefficients)
+        if as_text(coefficient, "coefficient") not in effect.coefficients:
+            raise ct.ControlArgument(
+                f"{effect.label} has no coefficient {coefficient!r}, only {', '.join(effect.coefficients)}"
+            )
         if coefficient not in effect.spec.coefficient_names:
             return ""  # a custom law's own
         rule = effect.spec.coefficient(coefficient).unit_rule

@@ -29,7 +29,7 @@ def checked_horizon(horizon: Any, known_start: bool = False) -> float | None:
     """
     if horizon is None:
         return None
-    seconds = as_number(horizon, "horizon", above=0.0, unit="of seconds")
+    seconds = as_number(horizon, "horizon", above=0.0, what="a time in seconds")
     if known_start:
         raise ct.ControlArgument("a given x0 holds for one start only; leave horizon or x0 out")
     return seconds

@@ -105,7 +105,7 @@ def _linear_effects(physical: PhysicalModel, free: Any, tolerance: float) -> lis
         if free != "linear":
             raise ct.ControlArgument(f"free must be 'linear' or a list, not {shown(free)}")
         return everything
-    entries = [free] if isinstance(free, Effect) else as_list(free, "free", "names or effects, or 'linear'")
+    entries = [free] if isinstance(free, Effect) else as_list(free, "free", "names or effects")
     if not entries:
         return everything if tolerance > 0 else []
     found = []

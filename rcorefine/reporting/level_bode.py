@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -288,9 +287,7 @@ def _draw_groups(axes: Any, lines: Any, groups: Sequence[_Group], units: BodeUni
         if np.isfinite(level):
             name = f"{name}, {level:.3g} {unit} rms".replace("  ", " ")
         for i, j in np.ndindex(response.response.shape[:2]):
-            upper, lower = draw_measured(
-                axes[2 * i, j], axes[2 * i + 1, j], replace(response, name=name), i, j, name, units
-            )
+            upper, lower = draw_measured(axes[2 * i, j], axes[2 * i + 1, j], response, i, j, name, units)
             for dots in (*upper, *lower):
                 dots.set(color=_GRAYS[index % 3], marker=_MARKERS[index % 3])
             lines[2 * i, j] += upper

@@ -112,7 +112,7 @@ def check_sampling_time(dt: object) -> float:
     >>> check_sampling_time(0.01)
     0.01
     """
-    return as_number(dt, "the sampling time", above=0.0, unit="of seconds", error=ModelError)
+    return as_number(dt, "the sampling time", above=0.0, what="a time in seconds", error=ModelError)
 
 
 def _checked(A: ArrayLike, B: ArrayLike) -> tuple[Array, Array]:
