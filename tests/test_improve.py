@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import rcorefine as rco
-from rcorefine.diagnosis.improve import _excerpt, improve
+from rcorefine.diagnosis.improve import improve
+from rcorefine.diagnosis.parts import excerpt
 
 DT = 0.01
 
@@ -118,7 +119,7 @@ def test_a_long_record_is_climbed_on_in_pieces_of_all_of_it(count: int, samples:
     records = [
         rco.Measurement(np.full(samples, 1.0 + i), np.full(samples, float(i)), dt=0.1) for i in range(count)
     ]
-    pieces = _excerpt(records)
+    pieces = excerpt(records)
     assert sum(piece.n_samples for piece in pieces) <= 8000
     assert min(piece.n_samples for piece in pieces) >= 500
     levels = {float(piece.outputs[0, 0]) for piece in pieces}
@@ -129,7 +130,7 @@ def test_a_long_record_is_climbed_on_in_pieces_of_all_of_it(count: int, samples:
 def test_short_records_are_climbed_on_whole() -> None:
     """What fits is not cut."""
     records = [rco.Measurement(np.ones(3000), np.ones(3000), dt=0.1)] * 2
-    assert _excerpt(records) is records
+    assert excerpt(records) is records
 
 
 def test_coulomb_friction_with_an_offset_is_tied_with_asymmetric_friction() -> None:
