@@ -57,16 +57,17 @@ def _one(ladder: Ladder, found: Diagnosis, race: Race, choices: int) -> Choice |
 
     The most probable of those with which the tests pass; else the one whose plain error on the
     second part falls most per coefficient; else, on trust, the most probable if its likelihood
-    stands out. None may raise the error on the second part.
+    stands out. What has rivals, or likelihood only, may not raise the error on the second part.
     """
     if found.verdict in ("effect", "ambiguous"):
         tied = [row for row in found.ranking if row.effect in found.ambiguous]
         for row in tied[:_REFITTED]:
             settled = _settled(ladder, (row.effect,), row.refinement)
-            if settled is None or (saved := ladder.share((row.effect,), settled)) <= -WORSE:
+            if settled is None:
                 continue
-            on_trust = found.verdict == "ambiguous" and saved < GAIN
-            return Choice((row.effect,), settled, on_trust, found.ambiguous)
+            saved, alone = ladder.share((row.effect,), settled), found.verdict == "effect"
+            if saved > (-np.inf if alone else -WORSE):
+                return Choice((row.effect,), settled, not alone and saved < GAIN, found.ambiguous)
     for effect, refinement, ties in _by_error(ladder, race):
         if ladder.share((effect,), refinement) < GAIN:
             continue

@@ -86,11 +86,11 @@ def improve(
     -----
     An effect is accepted where the model with it, and with no rival, passes every test, or where
     it lowers the log error of the free run on the second part by at least 5 % per coefficient.
-    One that stands out by its likelihood alone, or among rivals, is taken on trust: if the ladder
-    does not end in a model that passes every test, it goes again unless it has earned its place
-    on the second part by then. No step may raise the error there, leave a coefficient
-    that the record does not determine, or lead to a set of effects that was tried before; and
-    steps after which the third part is worse off than at the start are taken back.
+    One that stands out by its likelihood alone, or among rivals, is taken on trust if it costs no
+    more than 2 % there: where the ladder does not end in a model that passes every test, it goes
+    again unless it has earned its place on the second part by then. No coefficient stays that
+    the record does not determine, and no set of effects is tried twice. Steps after which the
+    third part is worse off than at the start are taken back.
 
     Examples
     --------
@@ -122,9 +122,9 @@ def improve(
         physical = ladder.current.physical_model
         library = effect_library(physical) if candidates is None else candidates
         _climb(ladder, library, max_effects)
-        taken_back = _end(ladder)
+        back = _end(ladder)
         verdict = ladder.verdict(library)
-        message = _closing(ladder, verdict, library, max_effects, taken_back)
+        message = _closing(ladder, verdict, library, max_effects, back)
     steps, names = with_other_names(ladder.steps)
     units = tuple(parts.fit[0].output_units)
     notes = (*ladder.notes(), *names)
@@ -149,27 +149,29 @@ def _climb(ladder: Ladder, library: list[Effect], most: int) -> None:
     shorten(ladder, most)
 
 
-def _end(ladder: Ladder) -> bool:
+def _end(ladder: Ladder) -> list[str]:
     """Fit once more, leave out what the records do not determine, and go back as far as the judge demands."""
     ladder.settle()
     while drop_undetermined(ladder):
         ladder.settle(last=True)
-    back = False
+    back: list[str] = []
     while ladder.is_worse_than_start():
+        back.insert(0, ladder.steps[-1].name)
         ladder.take_back()
         ladder.settle(last=True)
-        back = True
     return back
 
 
-def _closing(ladder: Ladder, verdict: str, library: list[Effect], most: int, taken_back: bool) -> str:
+def _closing(ladder: Ladder, verdict: str, library: list[Effect], most: int, back: list[str]) -> str:
     """Why the ladder ends where it ends."""
+    if back and verdict == "adequate":
+        return f"Every test passes. Taken back, since the part that judges was worse off: {', '.join(back)}."
     if verdict == "adequate":
         return "Every test passes: nothing is missing that this record could show."
-    if taken_back:
+    if back:
         return (
-            "Further steps were taken back: the part that took part in nothing was worse off after them than "
-            "at the start. The residual still speaks."
+            f"Taken back: {', '.join(back)}. On the part that took part in nothing the model was worse with "
+            "that than at the start. The residual still speaks."
         )
     if len(ladder.effects) >= most:
         return f"Stopped at max_effects = {most}; the residual still speaks."

@@ -54,6 +54,11 @@ class Step:
     rivals: tuple[Effect, ...]
     refinement: Refinement
 
+    @property
+    def name(self) -> str:
+        """What was done, in words."""
+        return "initial model" if self.effect is None else f"{self.action} {self.effect.label}"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Improvement:
@@ -128,14 +133,13 @@ class Improvement:
     def _rows(self) -> list[list[str]]:
         rows = []
         for i, step in enumerate(self.steps):
-            name = "initial model" if step.effect is None else f"{step.action} {step.effect.label}"
             value = ""
             if step.coefficients:
                 key = next(iter(step.coefficients))
                 value = f"{step.coefficients[key]:.3g} +/- {step.std[key]:.1g}"
             rows.append(
                 [
-                    f"{i} {name}"[:40],
+                    f"{i} {step.name}"[:40],
                     value,
                     *(_size(v) for v in (step.train_rmse, step.choice_rmse, step.validation_rmse)),
                 ]

@@ -60,11 +60,10 @@ def report_improvement(
     ]
     rows = []
     for i, step in enumerate(ladder.steps):
-        name = "initial model" if step.effect is None else f"{step.action} {step.effect.label}"
         values = "; ".join(f"{k} {v:.4g} +/- {step.std[k]:.2g}" for k, v in step.coefficients.items())
         errors_of = (step.train_rmse, step.choice_rmse, step.validation_rmse)
         rivals = ", ".join(effect.label for effect in step.rivals)
-        rows.append([str(i), name, values, *(root_mean_square(e) for e in errors_of), rivals])
+        rows.append([str(i), step.name, values, *(root_mean_square(e) for e in errors_of), rivals])
     tables: Parts = [
         Table(
             ["step", "what", "coefficients", "fitted", "chosen on", "held out", "explains the same alike"],

@@ -11,7 +11,7 @@ import numpy as np
 from .figures import curve_labels, only_axes, picture
 
 if TYPE_CHECKING:
-    from ..diagnosis.ledger import Improvement, Step
+    from ..diagnosis.ledger import Improvement
 
 __all__ = ["staircase_plot"]
 
@@ -95,7 +95,7 @@ def staircase_plot(
         else:
             ax.set_ylim(0, max(held) * 1.35)
         ax.set_xlim(-0.5, len(steps) - 0.5)
-        ax.set_xticks(range(len(steps)), [_name(step) for step in steps], rotation=25, ha="right")
+        ax.set_xticks(range(len(steps)), [step.name for step in steps], rotation=25, ha="right")
         unit = improvement.output_units[0] if len(improvement.output_units) == 1 else ""
         ax.set_ylabel(f"RMS error [{unit}]" if unit else "RMS error")
         ax.set_title(title or f"The error falls: {improvement.verdict} after {len(steps) - 1} step(s)")
@@ -105,8 +105,3 @@ def staircase_plot(
     out = np.empty((1, 1), dtype=object)
     out[0, 0] = lines
     return ct.ControlPlot(out, np.array([[ax]]), ax.figure, legend)
-
-
-def _name(step: Step) -> str:
-    """What a step did, for the axis."""
-    return "initial model" if step.effect is None else f"{step.action} {step.effect.label}"

@@ -1,0 +1,170 @@
+"""What may be a step of a ladder, what goes again, and what is said at its end."""
+
+from __future__ import annotations
+
+import control as ct
+import numpy as np
+import pytest
+
+import rcorefine as rco
+from rcorefine.diagnosis.backward import drop_undetermined, return_trust, shorten
+from rcorefine.diagnosis.forward import climb
+from rcorefine.diagnosis.ladder import Choice, Ladder
+from rcorefine.diagnosis.parts import split_in_parts
+from rcorefine.progress import Progress
+
+DT = 0.02
+
+
+def mass() -> rco.PhysicalModel:
+    return rco.mass_spring_damper([1.0], [0.6], [80.0], sensors="velocity")
+
+
+def oscillator(seed: int, n: int = 1800, *, spring: float = 80.0, friction=lambda k: 0.0) -> rco.Measurement:
+    """One mass by semi-implicit steps of a hundredth of a sample; friction may change with the sample."""
+    rng = np.random.default_rng(seed)
+    force, fine = 5 * rng.standard_normal(n), DT / 100
+    q = v = 0.0
+    seen = np.empty(n)
+    for k in range(n):
+        seen[k] = v
+        brake = friction(k)
+        for _ in range(100):
+            v += fine * (force[k] - 0.6 * v - spring * q - brake * np.tanh(v / 1e-3))
+            q += fine * v
+    return rco.Measurement(force, seen + 0.02 * seen.std() * rng.standard_normal(n), dt=DT)
+
+
+def tanks(seed: int, n: int, noise: float = 0.05) -> tuple[ct.StateSpace, rco.Measurement]:
+    """Two tanks with square-root outflow, an overflow, a capped sensor; and a poor linear guess."""
+    rng = np.random.default_rng(seed)
+    pump = np.repeat(rng.uniform(0.3, 5.0, -(-n // 12)), 12)[:n]
+    h1 = h2 = 2.0
+    seen = np.empty(n)
+    for k in range(n):
+        seen[k] = min(h2, 9.0)
+        for _ in range(8):
+            out1, out2, over = 0.12 * np.sqrt(h1), 0.10 * np.sqrt(h2), 0.25 * max(h1 - 5.0, 0.0)
+            h1, h2 = h1 + 0.5 * (0.088 * pump[k] - out1 - over), h2 + 0.5 * (out1 + 0.6 * over - out2)
+    model = ct.ss(
+        [[-0.03, 0], [0.03, -0.03]], [[0.08], [0]], [[0, 1]], 0,
+        inputs="pump", outputs="level2", states=["level1", "level2"], name="tanks",
+    )  # fmt: skip
+    data = rco.Measurement(
+        pump, seen + noise * rng.standard_normal(n), dt=4.0, input_labels="pump", output_labels="level2"
+    )
+    return model, data
+
+
+def judged(step) -> float:
+    return float(np.mean(np.log(step.validation_rmse)))
+
+
+@pytest.mark.parametrize("seed", [10, 6])
+def test_a_ladder_never_ends_worse_than_it_began_on_what_judges(seed: int) -> None:
+    """The last fifth has levels that the rest does not: what was learned there may not hold here."""
+    model, data = tanks(seed, 400)
+    kinds = [
+        "sqrt_flow",
+        "quadratic_damping",
+        "threshold_flow",
+        "output_delay",
+        "input_lag",
+        "output_saturation",
+    ]
+    laws = [e for e in rco.effect_library(model) if e.kind in kinds]
+    ladder = rco.improve(model, data, free="linear", candidates=laws)
+    assert judged(ladder.steps[-1]) <= judged(ladder.steps[0])
+    assert all(np.isfinite(row.std) for row in ladder.refinement.parameters if row.role == "effect")
+    assert ("max_effects" in ladder.message) == (len(ladder.effects) == 4 and ladder.verdict != "adequate")
+    assert ("Every test passes" in ladder.message) == (ladder.verdict == "adequate")
+
+
+def test_a_tied_effect_that_the_choosing_part_contradicts_is_not_taken() -> None:
+    """Friction that is there in the first 60 % and gone after them: the likelihood alone is sure."""
+    data = oscillator(3, friction=lambda k: 0.9 if k < 1080 else 0.0)
+    laws = [rco.Effect(kind, "link1") for kind in ("coulomb_friction", "asymmetric_friction")]
+    first = rco.diagnose(mass(), data.split(0.6)[0], candidates=laws)
+    assert first.verdict == "ambiguous"
+    ladder = rco.improve(mass(), data, candidates=laws)
+    assert ladder.effects == ()
+    assert ladder.verdict != "adequate"
+    assert "No effect" in ladder.message
+    assert ladder.refinement.rmse == pytest.approx(ladder.steps[0].train_rmse)
+
+
+@pytest.fixture(scope="module")
+def data() -> rco.Measurement:
+    return oscillator(8, 1200, spring=64.0)
+
+
+@pytest.fixture
+def ladder(data: rco.Measurement) -> Ladder:
+    """A ladder at its foot; the truth lacks a fifth of its spring."""
+    settings = {"tolerance": 0.0, "offset": True, "noise": None, "horizon": None}
+    parts = split_in_parts([data], None)
+    return Ladder(mass(), parts, free=(), settings=settings, significance=0.01, progress=Progress())
+
+
+def add(ladder: Ladder, *kinds: str, on_trust: bool = False) -> None:
+    effects = tuple(rco.Effect(kind, "link1") for kind in kinds)
+    model = rco.refine(ladder.current, ladder.parts.fit, effects)
+    ladder.add(Choice(effects, model, on_trust), "unexplained")
+
+
+def held(ladder: Ladder) -> list[str]:
+    return [effect.kind for effect in ladder.effects]
+
+
+def test_what_was_taken_on_trust_goes_wherever_it_stands(ladder: Ladder) -> None:
+    """As the last step as if it had not been tried, below others by a drop; what earned its place stays."""
+    add(ladder, "stiffness")
+    foot = len(ladder.steps)
+    add(ladder, "cubic_damping", on_trust=True)
+    return_trust(ladder)
+    assert held(ladder) == ["stiffness"]
+    assert len(ladder.steps) == foot
+    ladder.drop(ladder.effects[0], ladder.without(ladder.effects[0]))
+    add(ladder, "cubic_stiffness", on_trust=True)
+    add(ladder, "stiffness", on_trust=True)
+    add(ladder, "quadratic_damping")
+    kept = ladder.effects[2]
+    swapped = rco.refine(ladder.without(kept), ladder.parts.fit, [rco.Effect("coulomb_friction", "link1")])
+    ladder.swap(kept, rco.Effect("coulomb_friction", "link1"), swapped, "unexplained")
+    return_trust(ladder)
+    assert held(ladder) == ["stiffness"]
+    assert [step.action for step in ladder.steps[-2:]] == ["drop", "drop"]
+
+
+def test_no_set_of_effects_is_walked_to_twice(ladder: Ladder) -> None:
+    """The spring was held and left out: the climb does not begin the same walk again."""
+    add(ladder, "stiffness")
+    ladder.drop(ladder.effects[0], ladder.without(ladder.effects[0]))
+    assert not ladder.is_new([rco.Effect("stiffness", "link1")])
+    steps = len(ladder.steps)
+    assert climb(ladder, [rco.Effect("stiffness", "link1")], 4) != "adequate"
+    assert len(ladder.steps) == steps
+    assert climb(ladder, [rco.Effect("stiffness", "link1"), rco.Effect("mass", "link1")], 4)
+    assert held(ladder) in ([], ["mass"], ["mass", "stiffness"])
+
+
+def test_a_coefficient_that_the_record_does_not_determine_does_not_stay(ladder: Ladder) -> None:
+    """A cap of the sensor that is never reached, and a spring that is seen."""
+    add(ladder, "stiffness")
+    cap = rco.Effect("output_saturation", ladder.current.physical_model.linear.output_labels[0])
+    far = cap.replace(start={"limit": 3 * float(np.abs(ladder.parts.learn[0].outputs).max())})
+    with pytest.warns(rco.IdentifiabilityWarning, match="output_saturation"):
+        capped = rco.refine(ladder.current, ladder.parts.fit, [far])
+    ladder.add(Choice((cap,), capped), "")
+    assert np.isinf(ladder.steps[-1].std["limit"])
+    assert drop_undetermined(ladder)
+    assert held(ladder) == ["stiffness"]
+    assert not drop_undetermined(ladder)
+
+
+def test_a_ladder_is_shortened_by_what_costs_least(ladder: Ladder) -> None:
+    """The spring is the truth, the rest noise."""
+    add(ladder, "cubic_stiffness", "stiffness")
+    add(ladder, "quadratic_damping")
+    shorten(ladder, 1)
+    assert held(ladder) == ["stiffness"]
