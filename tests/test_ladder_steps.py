@@ -95,12 +95,12 @@ def test_a_tied_effect_that_the_choosing_part_contradicts_is_not_taken() -> None
 
 @pytest.fixture(scope="module")
 def data() -> rco.Measurement:
-    return oscillator(8, 1200, spring=64.0)
+    return oscillator(8, 1200, spring=75.0)
 
 
 @pytest.fixture
 def ladder(data: rco.Measurement) -> Ladder:
-    """A ladder at its foot; the truth lacks a fifth of its spring."""
+    """A ladder at its foot; the truth has a softer spring."""
     settings = {"tolerance": 0.0, "offset": True, "noise": None, "horizon": None}
     parts = split_in_parts([data], None)
     return Ladder(mass(), parts, free=(), settings=settings, significance=0.01, progress=Progress())
@@ -168,3 +168,47 @@ def test_a_ladder_is_shortened_by_what_costs_least(ladder: Ladder) -> None:
     add(ladder, "quadratic_damping")
     shorten(ladder, 1)
     assert held(ladder) == ["stiffness"]
+
+
+def test_a_sensor_that_shows_the_size_of_the_speed_is_found_behind_a_soft_shaft() -> None:
+    """All linear parameters float: the fit without the law bends them and the offset far away."""
+    from scipy.linalg import expm
+
+    rng = np.random.default_rng(2)
+    inertia, stiffness, n, dt = (0.01, 0.02), 4.0, 2400, 0.01
+    torque = np.repeat(rng.uniform(-1, 1, n // 15), 15)
+
+    def matrices(off: float) -> tuple[np.ndarray, np.ndarray]:
+        k, c, b = stiffness * off, 0.02, 0.03 * off
+        A = np.array(
+            [
+                [0, 1, -1],
+                [-k / inertia[0], -(c + b) / inertia[0], c / inertia[0]],
+                [k / inertia[1], c / inertia[1], -(c + b) / inertia[1]],
+            ]
+        )
+        return A, np.array([[0], [1 / inertia[0]], [0]])
+
+    A, B = matrices(1.0)
+    step = expm(np.block([[A, B], [np.zeros((1, 4))]]) * dt)
+    x, seen = np.zeros(3), np.empty(n)
+    for i in range(n):
+        seen[i] = abs(x[2])
+        x = (step @ np.append(x, torque[i]))[:3]
+    data = rco.Measurement(
+        torque,
+        seen + 0.02 * seen.std() * rng.standard_normal(n),
+        dt=dt,
+        input_labels="torque",
+        output_labels="speed",
+    )
+    model = ct.ss(
+        *matrices(1.15), [[0, 0, 1]], 0, inputs="torque", outputs="speed", states=["twist", "w1", "w2"]
+    )
+    kinds = ("output_rectification", "input_deadzone", "coulomb_friction", "output_saturation")
+    laws = [e for e in rco.effect_library(model) if e.kind in kinds]
+    ladder = rco.improve(model, data, free="linear", candidates=laws)
+    assert [effect.kind for effect in ladder.effects] == ["output_rectification"]
+    assert ladder.refinement.parameter("output_rectification").value == pytest.approx(1.0, abs=0.01)
+    assert ladder.verdict == "adequate"
+    assert ladder.steps[-1].validation_rmse[0] == pytest.approx(0.02 * seen.std(), rel=0.15)

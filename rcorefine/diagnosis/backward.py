@@ -112,11 +112,7 @@ def return_trust(ladder: Ladder) -> None:
         lost, effect, without = _cheapest(ladder, ladder.on_trust, cost)
         if lost >= 0:
             break
-        last = ladder.steps[-1]
-        if last.action == "add" and last.effect is effect:
-            ladder.take_back()
-        else:
-            ladder.drop(effect, without)
+        _leave(ladder, effect, without)
 
 
 def drop_undetermined(ladder: Ladder) -> bool:
@@ -152,6 +148,15 @@ def shorten(ladder: Ladder, most: int) -> None:
     """
     while len(ladder.effects) > most:
         _, effect, without = _cheapest(ladder, ladder.effects, lambda _, without: _spread(without))
+        _leave(ladder, effect, without)
+
+
+def _leave(ladder: Ladder, effect: Effect, without: Refinement) -> None:
+    """Drop an effect; the last one that was added is as if it had not been tried."""
+    last = ladder.steps[-1]
+    if last.action == "add" and last.effect is effect:
+        ladder.take_back()
+    else:
         ladder.drop(effect, without)
 
 
