@@ -100,6 +100,39 @@ def streamed(of_inputs, of_outputs, pair):
     return None, figures[:, 0], figures[:, 1]
 
 
+def diagnosed(of_inputs, of_outputs, pair):
+    kinds = ("coulomb_friction", "quadratic_damping", "stiffness", "hysteresis")
+    candidates = [rco.Effect(kind, "q1-q2") for kind in kinds] + [rco.Effect("input_lag", "w")]
+    answer = rco.diagnose(
+        in_units(of_inputs, of_outputs), record(pair, of_inputs, of_outputs), candidates=candidates
+    )
+    words = answer.verdict, [row.effect.label for row in answer.ranking], answer.ambiguous
+    best = answer.best
+    figures = np.array([*best.coefficients.values(), *best.std.values()]) / of_inputs
+    # p-values down to 1e-200: their digits are those of the exponent
+    tests = np.log10([max(test.p_value, 1e-200) for test in answer.tests])
+    return words, np.r_[figures, [row.probability for row in answer.ranking]], tests
+
+
+def adequate(of_inputs, of_outputs, pair):
+    answer = rco.diagnose(in_units(of_inputs, of_outputs), record(pair, of_inputs, of_outputs))
+    return answer.verdict, np.array([test.p_value for test in answer.tests]), np.ones(1)
+
+
+def improved(of_inputs, of_outputs, pair):
+    kinds = ("coulomb_friction", "quadratic_damping", "stiffness")
+    candidates = [rco.Effect(kind, "q1-q2") for kind in kinds]
+    answer = rco.improve(
+        in_units(of_inputs, of_outputs),
+        record(pair, of_inputs, of_outputs),
+        candidates=candidates,
+        max_effects=2,
+    )
+    words = [(step.effect and step.effect.label, step.verdict) for step in answer.steps]
+    errors = [[np.ravel(e)[0] for e in (step.train_rmse, step.validation_rmse)] for step in answer.steps]
+    return words, np.array(errors) / of_outputs, np.ones(1)
+
+
 @pytest.mark.parametrize(
     "task, hidden",
     [
@@ -108,8 +141,11 @@ def streamed(of_inputs, of_outputs, pair):
         (localized, {"change": 1}),
         (watched, {"change": 900}),
         (streamed, {"change": 1}),
+        (adequate, {}),
+        (diagnosed, {"friction": 0.6}),
+        pytest.param(improved, {"friction": 0.6}, marks=pytest.mark.slow),
     ],
-    ids=["compare", "refine", "localize_damage", "Monitor", "RCORefiner"],
+    ids=["compare", "refine", "localize_damage", "Monitor", "RCORefiner", "adequate", "diagnose", "improve"],
 )
 def test_answers_do_not_depend_on_units(task, hidden):
     pair = signals(**hidden)

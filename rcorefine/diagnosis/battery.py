@@ -41,7 +41,7 @@ class Battery:
         self.whitener = whitener or Whitener.fit([r for r, _ in blocks])
         self.residual = self.whitener.apply([r for r, _ in blocks])
         self._judged = fitted.problem.judged(fitted.theta)
-        self.basis = rank_basis(self.whitener.apply([j for _, j in blocks]))
+        self.basis = rank_basis(self.whitener.apply([j * fitted.problem.sizes for _, j in blocks]))
         self.left = project(self.residual, self.basis)
 
     def test(self, name: str, blocks: Sequence[Array]) -> FTest:

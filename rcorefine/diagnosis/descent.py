@@ -87,7 +87,7 @@ def descend(
     for _ in range(evaluations - 1):
         slope = J.T @ r
         pressed = ((x <= low) & (slope > 0)) | ((x >= high) & (slope < 0))
-        step = _step(J, r, damping, ~pressed)
+        step = _step(J, r, damping, ~pressed, problem.sizes)
         predicted = float(-(slope @ step) - 0.5 * np.sum((J @ step) ** 2))
         if predicted <= tolerance * max(cost, 1e-300) and damping <= 1e-3:
             converged = True
@@ -119,12 +119,13 @@ def _lack(problem: Problem, box: Array, r: Array, J: Array) -> float:
     near = 1e-12 * np.abs(box)
     slope = J.T @ r
     pressed = ((box <= low + near) & (slope > 0)) | ((box >= high - near) & (slope < 0))
-    return float(-0.5 * slope @ _step(J, r, _FULL, ~pressed))
+    return float(-0.5 * slope @ _step(J, r, _FULL, ~pressed, problem.sizes))
 
 
-def _step(J: Array, r: Array, damping: float, active: NDArray[np.bool_]) -> Array:
+def _step(J: Array, r: Array, damping: float, active: NDArray[np.bool_], sizes: Array) -> Array:
     size = np.linalg.norm(J, axis=0)
-    keep = active & (size > 1e-12 * max(float(size.max(initial=0.0)), 1e-300))
+    felt = size * sizes  # whatever the units of a coefficient
+    keep = active & (felt > 1e-12 * felt.max(initial=0.0))
     step = np.zeros(J.shape[1])
     if not keep.any():
         return step

@@ -143,8 +143,8 @@ def projected_test(name: str, residual: Array, left: Array, size: Array, basis: 
     """As `f_test`, of columns off which the basis was projected already; `size` is their norm before."""
     norms = np.linalg.norm(left, axis=0)
     keep = norms > 1e-6 * np.maximum(size, 1e-300)
-    c = left[:, keep]
-    q = c / norms[keep] if c.shape[1] == 1 else rank_basis(c)
+    c = left[:, keep] / norms[keep]  # columns come in units of their own
+    q = c if c.shape[1] == 1 else rank_basis(c)
     k = q.shape[1]
     free = residual.size - basis.shape[1] - k
     if k == 0 or free < 10:

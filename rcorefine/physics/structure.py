@@ -350,6 +350,16 @@ class Structure:
         skip |= set(self._output_statics) | set(self._delayed_outputs)
         return np.array([i for i, q in enumerate(self.parameters) if q.effect not in skip], dtype=np.int64)
 
+    def _inner_scale(self, A: NDArray[Any]) -> Array:
+        """Powers of two that bring the states of effects, in units of a signal, to those of the model."""
+        scale = np.ones(self.n_states)
+        for j in range(self.linear_model.n_states, self.n_states):
+            others = np.arange(self.n_states) != j
+            up, down = np.abs(A[others, j]).max(initial=0.0), np.abs(A[j, others]).max(initial=0.0)
+            if up > 0 or down > 0:
+                scale[j] = np.sqrt(up / down) if up > 0 and down > 0 else up or 1.0 / down
+        return power_of_two(scale)
+
     def discretize(self, theta: Array, step: float, *, derivatives: bool = True) -> Discrete:
         """One substep of length `step` seconds, exact for the linear part.
 
@@ -366,15 +376,17 @@ class Structure:
         n, drive = self.n_states, self.n_inputs + 1 + self.n_ports
         size = n + 2 * drive
         blocks = np.zeros((len(sets), size, size), complex if len(linear) else float)
-        # units of inputs and forces must not cost digits of A
-        columns = power_of_two(np.abs(np.hstack([sets[0].B, sets[0].E])).max(axis=0, initial=0.0))
-        for block, matrices in zip(blocks, sets, strict=True):
-            block[:n, :n] = matrices.A * step
-            block[:n, n : n + drive] = np.hstack([matrices.B, matrices.E]) / columns * step
+        # units of inputs, outputs and forces must not cost digits of A
+        states = self._inner_scale(sets[0].A)[:, None]
+        pushes = [states * np.hstack([matrices.B, matrices.E]) for matrices in sets]
+        columns = power_of_two(np.abs(pushes[0]).max(axis=0, initial=0.0))
+        for block, matrices, push in zip(blocks, sets, pushes, strict=True):
+            block[:n, :n] = states * matrices.A / states.T * step
+            block[:n, n : n + drive] = push / columns * step
             block[n : n + drive, n + drive :] = np.eye(drive)
         with np.errstate(over="ignore", invalid="ignore"):  # the engine says so where a model blows up
-            exponentials = exponential(blocks)[:, :n, :]
-            Phi = exponentials[:, :, :n]
+            exponentials = exponential(blocks)[:, :n, :] / states
+            Phi = exponentials[:, :, :n] * states.T
             second = exponentials[:, :, n + drive :] * columns
             first = exponentials[:, :, n : n + drive] * columns - second
         nw = self.n_inputs + 1
