@@ -8,9 +8,9 @@ import numpy as np
 
 from ..systems.linear import Array
 
-__all__ = ["Course"]
+__all__ = ["ROWS", "Course"]
 
-_ROWS = 2048
+ROWS = 2048
 
 
 class Course:
@@ -26,8 +26,8 @@ class Course:
 
     def __init__(self, width: int, stride: int) -> None:
         self.stride = stride
-        self.rows = np.zeros((_ROWS, width))
-        self.samples = np.zeros(_ROWS, dtype=np.int64)
+        self.rows = np.zeros((ROWS, width))
+        self.samples = np.zeros(ROWS, dtype=np.int64)
         self.count = 0
 
     def due(self, sample: int) -> int:
@@ -38,7 +38,7 @@ class Course:
         """Keep a row, if it is due."""
         if sample % self.stride:
             return
-        if self.count == _ROWS:
+        if self.count == ROWS:
             self.stride *= 2
             kept = self.samples % self.stride == 0
             n = self.count = int(kept.sum())

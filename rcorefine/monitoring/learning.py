@@ -18,14 +18,14 @@ from ..physics.observer import observer_gain
 from ..physics.structure import Structure
 from ..systems.linear import Array
 
-__all__ = ["Healthy", "burg", "learn"]
+__all__ = ["MAX_ORDER", "Healthy", "burg", "learn"]
 
 #: Unknown force over the measured input, relative to sensor noise of 3 %: observer gains that are tried.
 RATIOS = (0.0, *(float(r) for r in np.geomspace(2**-11, 2, 13)))
 _FREE = 0.9999  # spectral radius up to which the model may run free
 _WORTH = 3.0  # log-likelihood that another gain has to earn
 _MOST_MISSING = 0.2
-_MAX_ORDER = 40
+MAX_ORDER = 40
 _STANDS_OUT = 8.0  # standard deviations at which a sample is left out of what is learned
 _MOST_ALONE = 0.05  # share of samples up to which they are outliers, not the noise itself
 _PASSES = 3
@@ -222,7 +222,7 @@ def _evaluated(
     return cost, healthy, np.array(white)
 
 
-def burg(signal: Array, known: NDArray[np.bool_], max_order: int = _MAX_ORDER) -> tuple[Array, float]:
+def burg(signal: Array, known: NDArray[np.bool_], max_order: int = MAX_ORDER) -> tuple[Array, float]:
     """Autoregressive model by Burg's recursion, order by the Bayesian criterion.
 
     Parameters

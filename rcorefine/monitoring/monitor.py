@@ -21,6 +21,7 @@ from ..physics.library import effect_library
 from ..rco.checks import as_size
 from ..rco.gaps import Block, as_missing, block_with_gaps, whole_block
 from ..rco.persistence import read_file, write_file
+from ..rco.restoring import damaged
 from ..rco.samples import checked_block
 from ..reporting.tables import html_table, text_table
 from ..systems.discretization import check_sampling_time
@@ -507,7 +508,8 @@ class Monitor:
         DataError
             If the file is none of a monitor, or damaged.
         """
-        return restored(cls, read_file(path, laws, "monitor"))
+        with damaged(path):
+            return restored(cls, read_file(path, laws, "monitor"))
 
     def __str__(self) -> str:
         return text_table(**summary(self))

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..exceptions import DataError
 from ..physics.structure import Structure
 from ..rco.gaps import Block
 from .base import Observer
+from .checking import check_memory, check_monitor
 from .columns import Bank
 from .history import Course
 from .learning import Healthy
@@ -82,12 +82,11 @@ def content_of(monitor: Monitor) -> dict[str, Any]:
 
 
 def restored(cls: type[Monitor], content: Any) -> Monitor:
-    """The monitor that `content` was taken from."""
-    if not isinstance(content, dict) or content.get("what") != "monitor":
-        raise DataError("the file holds no monitor; it was saved by something else")
+    """The monitor that `content` was taken from, every part held against what a fresh one would be."""
     settings = dict(content["settings"])
     monitor = cls(_Base(content["base"]), settings.pop("candidates"), **settings)
-    monitor._count, monitor._latest = int(content["count"]), content["latest"]
+    check_monitor(monitor, content)
+    monitor._count, monitor._latest = content["count"], content["latest"]
     monitor._waiting = [Block(**block) for block in content["waiting"]]
     monitor.remarks = tuple(content["remarks"])
     watch = dict(content["watch"])
@@ -98,11 +97,13 @@ def restored(cls: type[Monitor], content: Any) -> Monitor:
     monitor._course = Course.restored(content["course"])
     if content["stream"] is not None:
         parts = content["stream"]
-        healthy = Healthy(**parts["healthy"])
+        healthy, bank = Healthy(**parts["healthy"]), Bank(**parts["bank"])
+        windows = Windows(**parts["windows"])
         observer = Observer(
             monitor._structure, monitor._theta, monitor.dt, monitor.hold, monitor._substeps, healthy.gain
         )
-        memory = {key: np.array(value) for key, value in parts["memory"].items()}
-        bank, windows = Bank(**parts["bank"]), Windows(**parts["windows"])
-        monitor._stream = Stream(observer, healthy, bank, windows, monitor.learn, memory)
+        stream = Stream(observer, healthy, bank, windows, monitor.learn)
+        check_memory(parts["memory"], stream, monitor._count)
+        stream.memory = {key: np.array(value) for key, value in parts["memory"].items()}
+        monitor._stream = stream
     return monitor

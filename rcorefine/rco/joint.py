@@ -18,6 +18,7 @@ from .gaps import Block
 from .history import pole_samples, poles_of
 from .paper import PaperStages
 from .race import Race
+from .restoring import check_like
 from .uncertainty import response_deviation, variants
 
 __all__ = ["JointStages"]
@@ -220,6 +221,7 @@ class JointStages:
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from what `state` gave."""
+        check_like(state["stopped"], "", "stopped")
         self._static.restore(state["static"])
         self.stopped = state["stopped"]
         if self.first is not None:

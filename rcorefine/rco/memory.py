@@ -9,10 +9,13 @@ import numpy as np
 from ..systems.linear import Array
 from .kernels import Design, Plant, Stage
 from .path import markov_parameters
+from .restoring import check_like, check_range
 from .scaling import Scales, scaled_plant
 from .stage import copied, start
 
-__all__ = ["Memory", "Settings", "Tuned", "begin", "tuned"]
+__all__ = ["Memory", "Settings", "Tuned", "begin", "restored_memory", "tuned"]
+
+_GROWN = {"inputs": "samples", "outputs": "samples"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,3 +118,38 @@ def begin(
         n_samples=0,
         tuned=None if scales is None else tuned(plant, scales, delay, settings),
     )
+
+
+def restored_memory(
+    found: Memory, plant: Plant, delay: int, settings: tuple[Settings, Settings], average: int
+) -> Memory:
+    """Memory from a file, held against a fresh one; what follows from the scales is made anew.
+
+    Raises
+    ------
+    DataError
+        If a refiner with these settings cannot have left it.
+    """
+    check_like(replace(found, tuned=None), begin(plant, delay, settings, average, None), "memory", _GROWN)
+    n_y = plant.C.shape[0]
+    waiting = len(found.inputs)
+    check_range(
+        waiting, 0 if found.tuned else found.n_samples, 0 if found.tuned else found.n_samples, "inputs"
+    )
+    check_range(found.peak, 1.0, np.inf, "peak")
+    for stage in found.stages:
+        slots, recent = stage.rows.shape[0] // n_y, stage.past_u.shape[0]
+        check_range(
+            stage.counters, 0, [slots - 1, found.n_samples, 1, recent - 1, found.n_samples], "counters"
+        )
+    if found.tuned is None:
+        return found
+    scales = found.tuned.scales
+    check_like(
+        scales,
+        Scales(*(np.ones(size) for size in (plant.B.shape[1], n_y, plant.A.shape[0], plant.Bu.shape[1]))),
+        "scales",
+    )
+    for name in ("inputs", "outputs", "states", "corrections"):
+        check_range(getattr(scales, name), np.finfo(float).tiny, np.finfo(float).max, f"scales.{name}")
+    return replace(found, tuned=tuned(plant, scales, delay, settings))

@@ -14,8 +14,9 @@ from . import summary
 from .gaps import Block, take_over_gaps
 from .history import History, pole_samples, poles_of
 from .kernels import Record
-from .memory import Memory, begin
+from .memory import Memory, begin, restored_memory
 from .realization import refined
+from .restoring import check_course
 from .scaling import Scales
 from .setup import Setup
 from .stage import in_units, regressor_scale
@@ -164,8 +165,12 @@ class PaperStages:
         return {"memory": self.memory, "records": self.records}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from what `state` gave."""
-        self.memory, self.records = state["memory"], state["records"]
+        """Go on from what `state` gave, once it was held against a fresh memory."""
+        s = self.setup
+        widths = (s.initial.n_outputs,), (s.initial.n_outputs,), *s.theta_shapes, (s.initial.n_states,)
+        check_course(state["records"], Record(*(np.zeros((0, *w)) for w in widths)), s.initial.n_outputs)
+        self.memory = restored_memory(state["memory"], s.plant, s.delay, s.settings, s.average)
+        self.records = state["records"]
 
     def _present_state(self) -> Array:
         """State of the refined model after the last sample, in the units of the states."""

@@ -6,11 +6,12 @@ import json
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
-from typing import Any
+from typing import Any, get_type_hints
 
 import control as ct
 import numpy as np
 
+from ..archives import read_archive
 from ..exceptions import DataError, ModelError
 from ..physics.effects import Effect
 from ..physics.physical_model import NominalParameter, PhysicalModel
@@ -22,6 +23,7 @@ from .coefficients.stage import CoefficientRecord
 from .kernels import Design, Plant, Record, Stage
 from .memory import Memory, Tuned
 from .race import Frozen, RaceMemory
+from .restoring import damaged, fits
 from .scaling import Scales
 
 __all__ = ["SCHEMA", "read_file", "write_file"]
@@ -65,10 +67,9 @@ def read_file(
         If the file holds something else, is damaged, or comes from a newer version.
     """
     try:
-        with np.load(path, allow_pickle=False) as stored:
-            arrays = {key: stored[key] for key in stored.files}
+        arrays = {key: np.array(value, order="C") for key, value in read_archive(path).items()}
         meta = json.loads(str(arrays.pop(_META)))
-    except FileNotFoundError:
+    except OSError:
         raise
     except Exception as error:
         raise DataError(f"{os.fspath(path)!r} is not a saved {what}, or it is damaged") from error
@@ -78,10 +79,11 @@ def read_file(
             f"{os.fspath(path)!r} has schema version {schema!r}, this version reads {SCHEMA}; "
             "load it with the version of rcorefine that wrote it"
         )
-    try:
-        return _decoded(meta["content"], arrays, laws or {})
-    except (KeyError, TypeError, IndexError) as error:
-        raise DataError(f"{os.fspath(path)!r} is damaged: {error!r}") from error
+    with damaged(path):
+        content = _decoded(meta["content"], arrays, laws or {})
+        if not isinstance(content, dict) or content.get("what") != what:
+            raise DataError(f"{os.fspath(path)!r} holds no {what}; it was saved by something else")
+        return content
 
 
 def _encoded(value: Any, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
@@ -143,6 +145,9 @@ def _decoded(tree: Any, arrays: dict[str, Any], laws: Mapping[str, Callable[...,
     if "kind" in tree:
         kind = _KINDS[tree["kind"]]
         parts = {name: _decoded(part, arrays, laws) for name, part in tree["fields"].items()}
+        for name, hint in get_type_hints(kind).items():
+            if name in parts and not fits(parts[name], hint):
+                raise DataError(f"{tree['kind']}.{name} is {parts[name]!r:.60}: the file is damaged")
         assert is_dataclass(kind) or hasattr(kind, "_fields")
         return kind(**parts)
     if "tuple" in tree:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..exceptions import DivergenceError
+from ..exceptions import DataError, DivergenceError
 from ..systems.conversion import to_discrete
 from ..systems.linear import Array, LinearModel
 from ..systems.stability import growth, stabilized
@@ -21,6 +21,7 @@ from .coefficients.setup import Setup
 from .coefficients.stage import CoefficientRecord
 from .free_run import free_run_cost
 from .gaps import Block
+from .restoring import check_like
 
 __all__ = ["INITIAL", "Frozen", "Race", "RaceMemory"]
 
@@ -255,10 +256,20 @@ class Race:
         return {"race": self.memory, "filters": parts}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from what `state` gave."""
-        self.memory = state["race"]
+        """Go on from what `state` gave, once it was held against a race that begins."""
+        memory, names = state["race"], set(self.filters)
+        bare = replace(memory, frozen=(), scores={}, behind={}, stopped={})
+        check_like(bare, self.memory, "race", dict.fromkeys(("inputs", "outputs", "use"), "samples"))
+        for one in memory.frozen:
+            check_like(one, Frozen("", self._model, False), "race.frozen")
+        for part, fresh in ((memory.scores, 0.0), (memory.behind, 0), (memory.stopped, "")):
+            check_like(part, dict.fromkeys(part, fresh), "race")
+        told_of = {memory.chosen[0], *memory.scores, *memory.behind, *memory.stopped}
+        if not names >= told_of | {one.name for one in memory.frozen} or set(state["filters"]) != names:
+            raise DataError(f"the race is of other forms than {', '.join(names)}: the file is damaged")
         for name, part in state["filters"].items():
             self.filters[name].restore(part)
+        self.memory = memory
 
 
 _ENDS = (32, 64, 128, 256, 512, 1024, 2048)

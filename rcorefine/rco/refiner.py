@@ -26,6 +26,7 @@ from .joint import JointStages
 from .paper import PaperStages
 from .persistence import read_file, write_file
 from .race import Race
+from .restoring import check_like, damaged
 from .samples import checked_block, checked_record
 from .scaling import Scales
 from .setup import sampled_model
@@ -417,6 +418,7 @@ class RCORefiner:
         load
         """
         content = {
+            "what": "refiner",
             "settings": {name: getattr(self, name) for name in _SETTINGS} | {"history": self._keep},
             "state": self._estimator.state(),
             "latest": self._latest,
@@ -462,9 +464,11 @@ class RCORefiner:
         500
         """
         content = read_file(path, laws)
-        refiner = cls(**content["settings"])
-        refiner._estimator.restore(content["state"])
-        refiner._latest = content["latest"]
+        with damaged(path):
+            refiner = cls(**content["settings"])
+            check_like(content["latest"], refiner._latest, "latest")
+            refiner._estimator.restore(content["state"])
+            refiner._latest = content["latest"]
         return refiner
 
     # -- results -----------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ...systems.conversion import to_discrete
 from ...systems.linear import Array, LinearModel
+from ..restoring import check_course, check_like, check_range
 from .guard import cautions
 from .kernel import DONE
 from .memory import CoefficientMemory
@@ -18,6 +19,9 @@ from .setup import Setup
 from .stage import CoefficientRecord, take
 
 __all__ = ["CoefficientFilter", "joined"]
+
+# the first samples, and what was found about them
+_GROWN = {**dict.fromkeys(("inputs", "outputs", "known", "use"), "samples"), "rivals": "valleys"}
 
 
 class CoefficientFilter:
@@ -143,8 +147,21 @@ class CoefficientFilter:
         return [self.memory, self.records]
 
     def restore(self, state: list[Any]) -> None:
-        """Go on from what `state` gave."""
-        self.memory, self.records = state
+        """Go on from what `state` gave, once it was held against a fresh memory."""
+        memory, records = state
+        lay, setup = self.setup.layout, self.setup
+        fresh = setup.begin()
+        if memory.spread.size:  # the first samples have told it
+            fresh = replace(fresh, spread=np.zeros(lay.p))
+        if memory.states.size:
+            fresh = replace(fresh, states=np.zeros(lay.n))
+        check_like(memory, fresh, "memory", _GROWN)
+        target = setup.milestone(memory.rounds)
+        check_range(memory.counters, 0, [target - 1 if target > 0 else np.inf, np.inf, 1], "memory.counters")
+        check_range(memory.sizes, 0.0, np.inf, "memory.sizes")
+        rows = CoefficientRecord(*(np.zeros((0, width)) for width in (lay.p, lay.ny, lay.n)))
+        check_course(records, rows, lay.ny)
+        self.memory, self.records = memory, records
 
     def cautions(self) -> list[str]:
         """What speaks against trusting the coefficients, one sentence each."""

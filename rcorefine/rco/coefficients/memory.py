@@ -136,6 +136,9 @@ class CoefficientMemory:
         """Samples taken."""
         return int(self.counters[0])
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "kernel": None}  # compiled code stays in its process
+
     def copied(self) -> CoefficientMemory:
         """Independent copy of what changes in place."""
         twin = object.__new__(CoefficientMemory)  # dataclasses.replace takes longer than the sample itself
