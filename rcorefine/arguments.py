@@ -152,7 +152,7 @@ def as_whole(
         raise ct.ControlArgument(f"{name} must be a whole number, not {shown(value)}")
     if not least <= value <= most:
         bound = f"at least {least}" if value < least else f"at most {most}"
-        raise error(f"{name} must be {bound}, a whole number, not {shown(value)}")
+        raise error(f"{name} must be {bound}, not {shown(value)}")
     return int(value)
 
 

@@ -17,6 +17,8 @@ try:
 except ImportError:  # Windows, where nobody removes or replaces a file that is open
     fcntl = None  # type: ignore[assignment]
 
+from .arguments import as_path
+
 __all__ = ["replacing"]
 
 _SHOWN = 60  # characters of the file's name in that of its draft: names may have 255 bytes
@@ -56,7 +58,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     >>> path.read_bytes()
     b'whole'
     """
-    target = Path(path)
+    target = as_path(path)
     old = _status(target)
     if old is not None and not stat.S_ISREG(old.st_mode):
         with target.open("wb") as straight:

@@ -91,7 +91,7 @@ def test_bad_prediction(refiner: RCORefiner, w: Any, message: str) -> None:
         ({"order": -1}, rco.ModelError, r"order \(n_c\) must be at least 0, not -1"),
         ({"window": 0}, rco.ModelError, r"window \(p\) must be at least 1"),
         ({"markov": 0}, rco.ModelError, r"markov \(mu\)"),
-        ({"learning_rate": 0.0}, rco.ModelError, r"learning_rate \(alpha\) must be positive"),
+        ({"learning_rate": 0.0}, rco.ModelError, r"learning_rate \(alpha\) = 0 must be positive"),
         ({"learning_rate": -3}, rco.ModelError, "alpha"),
         ({"learning_rate": np.inf}, rco.ModelError, "alpha"),
         ({"learning_rate": "fast"}, ct.ControlArgument, "must be a number"),

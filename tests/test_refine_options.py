@@ -373,7 +373,7 @@ def test_no_warning_where_everything_is_seen():
         (((),), {"x0": "zero", "horizon": 2.0}, ct.ControlArgument, "leave horizon or x0 out"),
         (((),), {"horizon": -1.0}, ct.ControlArgument, "positive"),
         (((),), {"horizon": "1 s"}, ct.ControlArgument, "time in seconds"),
-        (((),), {"substeps": 0}, ct.ControlArgument, "whole number"),
+        (((),), {"substeps": 0}, ct.ControlArgument, "at least 1"),
         (((),), {"substeps": 2.5}, ct.ControlArgument, "whole number"),
     ],
 )  # fmt: skip

@@ -13,10 +13,11 @@ import control as ct
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..arguments import as_list, as_number, as_text
 from ..arithmetic import own_arithmetic
 from ..exceptions import DataError, ModelError
 from ..measurement import Measurement
-from ..physics.effects import Effect
+from ..physics.effects import Effect, as_effects
 from ..physics.library import effect_library
 from ..rco.checks import as_size
 from ..rco.gaps import Block, as_missing, block_with_gaps, whole_block
@@ -165,26 +166,20 @@ class Monitor:
         if dt is None:
             raise ModelError(f"model {name!r} is continuous: give dt, the sampling time in seconds")
         self.dt = check_sampling_time(dt)
-        if hold not in ("zoh", "foh"):
+        if as_text(hold, "hold") not in ("zoh", "foh"):
             raise ct.ControlArgument(
                 f"hold must be 'zoh' or 'foh' on a stream, not {hold!r}: a band-limited input "
                 "needs the future"
             )
         self.hold = hold
         self.missing = as_missing(missing)
-        if isinstance(false_alarms, bool) or not isinstance(false_alarms, int | float):
-            raise ct.ControlArgument(f"false_alarms must be a number, not {false_alarms!r}")
-        if not 0 < false_alarms <= 1000:
-            raise ModelError(
-                f"false_alarms must lie between 0 and 1000 per {_PER} samples, not {false_alarms!r}"
-            )
-        self.false_alarms = float(false_alarms)
-        if disturbance is not None and not (np.isfinite(disturbance) and disturbance >= 0):
-            raise ModelError(f"disturbance must be a finite number >= 0, not {disturbance!r}")
+        self.false_alarms = as_number(
+            false_alarms, f"false_alarms per {_PER} samples", above=0.0, most=1000.0, error=ModelError
+        )
         self.disturbance = disturbance
-        if not (np.isfinite(patience) and patience >= 0):
-            raise ModelError(f"patience must be a finite number of periods >= 0, not {patience!r}")
-        self.patience = float(patience)
+        if disturbance is not None:
+            self.disturbance = as_number(disturbance, "disturbance", least=0.0, error=ModelError)
+        self.patience = as_number(patience, "patience (in periods)", least=0.0, error=ModelError)
         self.candidates = _candidates(self._structure.model, candidates)
         self._pace = pace_of(self._structure, self._theta, self.dt)
         if learn is None:
@@ -531,12 +526,10 @@ class Monitor:
 def _candidates(model: Any, given: Sequence[Effect] | None) -> tuple[Effect, ...]:
     if given is None:
         return tuple(e for e in effect_library(model) if e.kind not in UNSEEN)
-    effects = (given,) if isinstance(given, Effect) else tuple(given)
+    effects = tuple(as_effects(given, "candidates"))
     if not effects:
         raise ModelError("candidates is empty: name at least one Effect, or leave candidates out")
     for effect in effects:
-        if not isinstance(effect, Effect):
-            raise ct.ControlArgument(f"candidates must hold Effect objects, not {type(effect).__name__}")
         model.check(effect)
         if effect.kind in UNSEEN:
             raise ModelError(
@@ -554,8 +547,11 @@ def _lengths(windows: tuple[int, int] | None, period: int) -> Array:
     if windows is None:
         shortest, longest = max(8, period // 4), _LONGEST * period
     else:
-        shortest = as_size(windows[0], "windows[0]", 4, "samples in the shortest window")
-        longest = as_size(windows[1], "windows[1]", shortest, "samples in the longest window")
+        pair = as_list(windows, "windows", "two sizes, the shortest first")
+        if len(pair) != 2:
+            raise ct.ControlDimension(f"windows has {len(pair)} entries; give the shortest and the longest")
+        shortest = as_size(pair[0], "windows[0]", 4, "samples in the shortest window")
+        longest = as_size(pair[1], "windows[1]", shortest, "samples in the longest window")
     count = max(1, round(math.log2(longest / shortest)) + 1)
     return np.asarray(shortest * 2.0 ** np.arange(count))
 

@@ -8,10 +8,12 @@ from typing import Any
 import control as ct
 import numpy as np
 
+from ..arguments import as_flag, as_list, as_whole
 from ..exceptions import ModelError
 from ..physics.consistency import check_stream_hold
+from ..physics.effects import Effect
 from ..physics.physical_model import PhysicalModel
-from .checks import as_flag, as_size
+from .checks import as_size
 from .coefficients.effects import make_effects_setup
 from .coefficients.estimator import CoefficientFilter
 from .coefficients.forms import FORMS, all_entries, correction, named_entries, no_entries, nonzero_entries
@@ -48,19 +50,27 @@ def assembled(given: dict[str, Any], sampled: Sampled) -> Estimator:
     keep = as_flag(given["history"], "history")
     as_flag(given["use_estimated_states"], "use_estimated_states")
     papers = [name for name in _PAPERS if given[name] is not None]
-    if effects is not None and static != "auto":
+    if effects is not None and not (isinstance(static, str) and static == "auto"):
         raise ct.ControlArgument("effects= and static= name the same thing; give one of them")
     listed = effects if effects is not None else (None if isinstance(static, str) else static)
+    if isinstance(listed, Effect):
+        listed = [listed]
+    elif listed is not None:
+        listed = as_list(listed, "static" if effects is None else "effects", "entries or effects")
     if listed is None and static not in ("auto", *FORMS):
         raise ct.ControlArgument(
             f"static must be 'auto', {', '.join(map(repr, FORMS))}, or a list of entries such as "
             f"'A[1,0]' or of effects, not {static!r}"
         )
+    if given["substeps"] is not None:
+        as_whole(given["substeps"], "substeps", least=1, error=ModelError)
+    n_outputs = sampled.initial.n_outputs
+    checked_settings(n_outputs, 1.0, *(given[n] for n in ("hold", "noise", "disturbance", "forgetting")))
     if listed is None and static == "auto" and papers:
         unused = [
             name
             for name, default in _FILTERS.items()
-            if given[name] is not default and given[name] != default
+            if (given[name] is not None if default is None else given[name] != default)
         ]
         if unused:
             raise ct.ControlArgument(
@@ -75,7 +85,7 @@ def assembled(given: dict[str, Any], sampled: Sampled) -> Estimator:
         )
     chosen: CoefficientFilter | Race
     if listed is not None:
-        chosen = CoefficientFilter(_listed(given, sampled, list(listed)), keep)
+        chosen = CoefficientFilter(_listed(given, sampled, listed), keep)
     else:
         if given["substeps"] is not None:
             raise ct.ControlArgument("substeps is a setting of nonlinear effects; give effects=[...]")

@@ -8,36 +8,26 @@ from typing import Any
 import control as ct
 import numpy as np
 
-from ..arguments import as_flag
+from ..arguments import as_array, as_number, as_whole
 from ..exceptions import DataError, ModelError
 from ..systems.linear import Array
 
-__all__ = ["as_flag", "as_matrix", "as_rate", "as_samples", "as_size", "check_samples"]
+__all__ = ["as_matrix", "as_rate", "as_samples", "as_size", "check_samples"]
 
 
 def as_size(value: Any, name: str, least: int, meaning: str) -> int:
     """Whole number that is not below `least`."""
-    if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
-        raise ct.ControlArgument(f"{name} ({meaning}) must be a whole number, not {value!r}")
-    if value < least:
-        raise ModelError(f"{name} ({meaning}) must be at least {least}, not {value}")
-    return int(value)
+    return as_whole(value, f"{name} ({meaning})", least=least, error=ModelError)
 
 
 def as_rate(value: Any, name: str) -> float:
-    """Learning rate: a positive, finite number."""
-    if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.integer | np.floating):
-        raise ct.ControlArgument(f"{name} (alpha) must be a number, not {value!r}")
-    if not (np.isfinite(value) and value > 0):
-        raise ModelError(f"{name} (alpha) must be positive and finite, not {value!r}; larger is slower")
-    return float(value)
+    """Learning rate: a positive, finite number; larger is slower."""
+    return as_number(value, f"{name} (alpha)", above=0.0, error=ModelError)
 
 
 def as_matrix(value: Any, name: str, rows: int, columns: int | None, rows_are: str) -> Array:
     """Finite matrix with these rows; a vector is one column."""
-    array = np.asarray(value)
-    if array.dtype.kind not in "fiu":
-        raise ct.ControlArgument(f"{name} must hold real numbers, not {array.dtype}")
+    array = as_array(value, name, error=ModelError)
     if array.ndim == 1:
         array = array[:, None]
     if array.ndim != 2 or array.shape[0] != rows or array.shape[1] == 0:
@@ -46,10 +36,7 @@ def as_matrix(value: Any, name: str, rows: int, columns: int | None, rows_are: s
         )
     if columns is not None and array.shape[1] != columns:
         raise ct.ControlDimension(f"{name} has {array.shape[1]} column(s) for {columns} correction(s)")
-    if not np.isfinite(array).all():
-        row, column = np.argwhere(~np.isfinite(array))[0]
-        raise ModelError(f"{name} is not finite at [{row}, {column}]")
-    return np.array(array, dtype=np.float64)
+    return array
 
 
 def as_samples(values: Any, what: str, n_signals: int) -> Array:
@@ -64,17 +51,7 @@ def as_samples(values: Any, what: str, n_signals: int) -> Array:
     DataError
         If there is no sample, or a value is masked.
     """
-    if np.ma.isMaskedArray(values) and np.ma.getmaskarray(values).any():
-        place = tuple(int(i) for i in np.argwhere(np.ma.getmaskarray(values))[0])
-        raise DataError(f"{what} is masked at index {place}; leave the sample out or repair it")
-    try:
-        array = np.asarray(values)
-    except ValueError as error:
-        raise ct.ControlDimension(f"{what} holds signals of unequal lengths; give all the same") from error
-    if array.dtype.kind == "c":
-        raise ct.ControlArgument(f"{what} is complex; measured signals are real")
-    if array.dtype.kind not in "fiub":
-        raise ct.ControlArgument(f"{what} must hold real numbers, not {array.dtype}")
+    array = as_array(values, what, finite=False, flags=True)
     if array.size == 0:
         raise DataError(f"{what} is empty (shape {array.shape}); give at least one sample")
     if array.ndim == 1:
@@ -93,7 +70,7 @@ def as_samples(values: Any, what: str, n_signals: int) -> Array:
             f"{what} has shape {np.shape(values)}, but the model has {n_signals} {what}; "
             f"give one sample ({n_signals},) or a block ({n_signals}, N)"
         )
-    return np.array(array, dtype=np.float64)
+    return array
 
 
 def check_samples(signals: Array, labels: Sequence[str], what: str, first: int, dt: float | None) -> None:

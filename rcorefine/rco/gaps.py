@@ -11,6 +11,7 @@ import control as ct
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..arguments import as_choice
 from ..exceptions import DataError
 from ..systems.linear import Array
 from .checks import as_samples, check_samples
@@ -62,9 +63,7 @@ def whole_block(inputs: Array, outputs: Array) -> Block:
 
 def as_missing(value: Any) -> str:
     """What to do about missing samples."""
-    if value not in (RAISE, HOLD_OUT):
-        raise ct.ControlArgument(f"missing must be 'raise' or 'hold-out', not {value!r}")
-    return str(value)
+    return as_choice(value, "missing", (RAISE, HOLD_OUT))
 
 
 def _unmasked(values: Any) -> Any:

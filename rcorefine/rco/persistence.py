@@ -12,6 +12,7 @@ import control as ct
 import numpy as np
 
 from ..archives import read_archive
+from ..arguments import as_mapping, as_path
 from ..exceptions import DataError, ModelError
 from ..physics.effects import Effect
 from ..physics.physical_model import NominalParameter, PhysicalModel
@@ -66,6 +67,8 @@ def read_file(
     DataError
         If the file holds something else, is damaged, or comes from a newer version.
     """
+    path = as_path(path)
+    known = as_mapping(laws, "laws", "functions")
     try:
         arrays = {key: np.array(value, order="C") for key, value in read_archive(path).items()}
         meta = json.loads(str(arrays.pop(_META)))
@@ -80,7 +83,7 @@ def read_file(
             "load it with the version of rcorefine that wrote it"
         )
     with damaged(path):
-        content = _decoded(meta["content"], arrays, laws or {})
+        content = _decoded(meta["content"], arrays, known)
         if not isinstance(content, dict) or content.get("what") != what:
             raise DataError(f"{os.fspath(path)!r} holds no {what}; it was saved by something else")
         return content

@@ -12,12 +12,13 @@ import control as ct
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..arguments import as_flag
 from ..exceptions import RCOError
 from ..measurement import Measurement
 from ..systems.linear import Array, LinearModel
 from . import summary
 from .assembly import assembled
-from .checks import as_flag, as_samples, check_samples
+from .checks import as_samples, check_samples
 from .coefficients.history import CoefficientHistory
 from .estimator import Estimator
 from .gaps import as_missing, block_with_gaps, whole_block

@@ -13,6 +13,7 @@ from typing import Any
 import control as ct
 import numpy as np
 
+from ..arguments import as_array
 from ..exceptions import DataError, ModelError
 from ..systems.linear import Array
 from .kernels import Plant
@@ -144,12 +145,10 @@ def declared_scales(plant: Plant, scale: Mapping[str, Any], n_samples: int) -> S
 
 
 def _positive(name: str, value: Any, size: int) -> Array:
-    array = np.asarray(value)
-    if array.dtype.kind not in "fiu":
-        raise ct.ControlArgument(f"scale: {name} must be numbers, not {value!r}")
+    array = as_array(value, f"scale: {name}", error=ModelError)
     if array.ndim > 1 or (array.ndim == 1 and array.size != size):
         raise ct.ControlDimension(f"scale: {name} has shape {array.shape}; give one number, or {size}")
-    if not (np.isfinite(array).all() and (array > 0).all()):
+    if not (array > 0).all():
         raise ModelError(f"scale: {name} must be positive and finite, not {value!r}")
     return np.full(size, array, dtype=float) if array.ndim == 0 else array.astype(float)
 

@@ -11,9 +11,10 @@ from typing import Any
 import control as ct
 import numpy as np
 
+from ...arguments import as_whole
 from ...exceptions import ModelError
 from ...physics.consistency import check_stream_hold
-from ...physics.effects import Effect
+from ...physics.effects import Effect, as_effects
 from ...physics.engine import Engine, _kernel
 from ...physics.physical_model import PhysicalModel, as_physical
 from ...physics.structure import Structure
@@ -257,11 +258,8 @@ def make_effects_setup(
     substeps: int | None = None,
 ) -> EffectsSetup:
     """Check what `RCORefiner` was given for the physical stage."""
-    if isinstance(effects, Effect):
-        effects = [effects]
+    effects = as_effects(effects, "effects")
     for effect in effects:
-        if not isinstance(effect, Effect):
-            raise ct.ControlArgument(f"effects must hold Effect objects, not {type(effect).__name__}")
         if effect.kind == "output_delay":
             raise ModelError(
                 f"{effect.label}: a delay at an output needs the future and cannot be estimated on a stream; "
@@ -286,9 +284,7 @@ def make_effects_setup(
     bare = Structure(physical, effects)
     if bare.n_parameters == 0:
         raise ModelError("every coefficient of the effects is fixed; leave at least one free")
-    steps = 4 if substeps is None else int(substeps)
-    if steps < 1:
-        raise ModelError(f"substeps must be at least 1, not {substeps}")
+    steps = 4 if substeps is None else as_whole(substeps, "substeps", least=1, error=ModelError)
     return EffectsSetup(physical, tuple(effects), settings, 1 if bare.is_linear else steps)
 
 

@@ -11,6 +11,7 @@ import control as ct
 import numpy as np
 from numpy.typing import NDArray
 
+from ...arguments import as_noise, as_number, as_text
 from ...exceptions import ModelError
 from ...systems.linear import Array, LinearModel
 from .memory import CoefficientMemory, Layout
@@ -251,23 +252,18 @@ def checked_settings(
     n_outputs: int, dt: float, hold: str, noise: Any, disturbance: float | None, forgetting: float
 ) -> FilterSettings:
     """Settings of a coefficient filter, checked."""
-    if hold not in ("zoh", "foh"):
+    if as_text(hold, "hold") not in ("zoh", "foh"):
         raise ct.ControlArgument(
             f"hold must be 'zoh' or 'foh' on a stream, not {hold!r}; a band-limited input needs the future: "
             "use refine() on the record"
         )
-    levels = np.zeros(n_outputs)
-    if noise is not None:
-        levels = np.array(np.broadcast_to(np.asarray(noise, dtype=float), (n_outputs,)))
-        if not (np.isfinite(levels).all() and (levels > 0).all()):
-            raise ct.ControlArgument(
-                f"noise must be positive standard deviations, one per output, not {noise!r}"
-            )
+    declared = as_noise(noise, n_outputs)
+    levels = np.zeros(n_outputs) if declared is None else declared.copy()
+    forgetting = as_number(
+        forgetting, "forgetting (1 forgets nothing)", least=0.5, most=1.0, error=ModelError
+    )
     if disturbance is None:
         # a state that is certain cannot follow a model that changes
         disturbance = 0.0 if forgetting == 1.0 else _CHANGING
-    if not (np.isfinite(disturbance) and disturbance >= 0):
-        raise ModelError(f"disturbance must be a finite number >= 0, not {disturbance!r}")
-    if not 0.5 <= forgetting <= 1.0:
-        raise ModelError(f"forgetting must lie in [0.5, 1] (1 forgets nothing), not {forgetting!r}")
-    return FilterSettings(dt, hold, levels, float(disturbance), float(forgetting))
+    disturbance = as_number(disturbance, "disturbance", least=0.0, error=ModelError)
+    return FilterSettings(dt, hold, levels, disturbance, forgetting)
