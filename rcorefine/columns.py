@@ -32,6 +32,9 @@ def names_of(values: str | Sequence[str], what: str) -> list[str]:
     names = as_texts(values, f"{what} (column names)")
     if not names:
         raise DataError(f"{what} names no column; give at least one")
+    for name in names:
+        if names.count(name) > 1:
+            raise DataError(f"{what} must be unique, but names {name!r} twice")
     return list(names)
 
 
@@ -269,7 +272,10 @@ def read_frame(frame: Any, names: Sequence[str]) -> dict[str, Array]:
             raise ct.ControlArgument(
                 f"from_frame takes a pandas.DataFrame (or a dict of columns), not {type(frame).__name__}"
             )
-        frame = pd.DataFrame(frame)
+        try:
+            frame = pd.DataFrame(frame)
+        except (ValueError, TypeError) as error:
+            raise ct.ControlDimension(f"the columns of the frame do not fit together: {error}") from error
     _require(names, [str(column) for column in frame.columns], "the data frame")
     columns = {}
     for name in names:

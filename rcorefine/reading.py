@@ -301,7 +301,7 @@ class RecordReaders:
             output_labels=response.output_labels,
             input_units=input_units,
             output_units=output_units,
-            name=name or response.sysname,
+            name=(response.sysname or None) if name is None else name,
         )
 
     @classmethod
@@ -344,7 +344,10 @@ def _wanted(
         as_text(options["name"], "name", empty=False)
     if "hold" in options:
         as_choice(options["hold"], "hold", HOLDS)
-    for key in ("input_labels", "output_labels", "input_units", "output_units"):
+    for key in ("input_labels", "output_labels"):
+        if options.get(key) is not None:
+            names_of(options[key], key)
+    for key in ("input_units", "output_units"):
         if options.get(key) is not None:
             as_texts(options[key], key)
     times = () if time is None else (as_text(time, "time"),)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import control as ct
 import numpy as np
 
-from ..arguments import as_choice, shown
+from ..arguments import as_choice, as_whole, shown
 from ..measurement import Measurement
 from ..systems.linear import Array, LinearModel
 from .metrics import fit_percent, root_mean_square
@@ -157,7 +157,7 @@ class Comparison:
         -------
         Measurement
         """
-        return self.data.with_hold(self.holds[index])
+        return self.data.with_hold(self.holds[as_whole(index, "index", most=len(self.holds) - 1)])
 
     def select(self, name: str | int) -> Comparison:
         """Comparison of one of the models.

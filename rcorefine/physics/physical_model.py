@@ -250,6 +250,8 @@ class PhysicalModel:
         Measurement
             The record itself, unless `hold` says otherwise.
         """
+        if not isinstance(data, Measurement):
+            raise ct.ControlArgument(f"data must be a Measurement, not {shown(data)}")
         return data if self.hold is None else data.with_hold(self.hold)
 
     def port(self, name: str) -> Port:
