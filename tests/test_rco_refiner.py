@@ -349,8 +349,8 @@ def test_predict_before_learning_is_the_initial_model() -> None:
     refiner = RCORefiner(example.initial, dt=example.dt)
     expected = example.simulate(record.inputs, model="initial").outputs
     np.testing.assert_allclose(refiner.predict(record.inputs), expected, rtol=1e-9, atol=1e-12)
-    refiner.update(record.inputs[:, :40], record.outputs[:, :40])
-    np.testing.assert_allclose(refiner.predict(record.inputs[0, 40:]), expected[40:], rtol=1e-9, atol=1e-12)
+    refiner.update(record.inputs[:, :20], record.outputs[:, :20])
+    np.testing.assert_allclose(refiner.predict(record.inputs[0, 20:]), expected[20:], rtol=1e-9, atol=1e-12)
 
 
 def test_static_stage_with_memory_predicts_what_it_learned() -> None:
@@ -407,9 +407,10 @@ def test_history_shapes_and_plot(data: rco.Measurement) -> None:
     np.testing.assert_allclose(h.timepts, data.timepts, atol=1e-9)
     np.testing.assert_array_equal(h.theta2[:, :, -1], refiner.static_theta)
     np.testing.assert_array_equal(h.y, data.outputs)
+    assert h.poles.shape == (4, 200)
     cplt = h.plot(title="course")
     assert isinstance(cplt, ct.ControlPlot)
-    assert cplt.axes.shape == (3, 1)
+    assert cplt.axes.shape == (4, 1)
     with pytest.raises(AttributeError):
         h.z1 = h.z2  # frozen
     assert np.isnan(h.performance(5000)[0]).all()

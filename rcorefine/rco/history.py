@@ -186,7 +186,7 @@ def poles_of(models: Sequence[LinearModel], dt: float | None) -> NDArray[np.comp
             rows, columns = linear_sum_assignment(np.abs(found[-1][:, None] - poles[None, :]))
             poles = poles[columns[np.argsort(rows)]]
         found.append(poles)
-    return np.array(found, dtype=complex).reshape(len(found), -1).T
+    return np.array(found).T if found else np.zeros((0, 0), complex)
 
 
 def draw_poles(axis: Any, timepts: Array, poles: NDArray[np.complex128]) -> list[Any]:
