@@ -107,7 +107,7 @@ class CoefficientMemory:
     renewed : int
         Times that the filter began anew, its innovations far beyond what it was sure of.
     doubted : int
-        Sample at which it last began anew with the state alone, -1 for never.
+        Sample at which it last began anew with the state alone, 0 for never.
     kernel : Kernel
         The model discretized at `centre`, made from the other fields.
     """

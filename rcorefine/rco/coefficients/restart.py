@@ -45,7 +45,7 @@ def go_over(setup: EntriesSetup, memory: CoefficientMemory) -> CoefficientMemory
         centre=theta,
         rounds=memory.rounds + 1,
         kernel=None,
-        doubted=-1,
+        doubted=0,
     )
     found = _run(setup, about)
     if found is not None:

@@ -161,7 +161,7 @@ class Setup(ABC):
             rounds=0,
             discretized=0,
             renewed=0,
-            doubted=-1,
+            doubted=0,
         )
 
     def counters(self) -> NDArray[np.int64]:
@@ -215,7 +215,7 @@ class Setup(ABC):
         counters[0] = memory.n_samples
         lay.view(packed, "Pb")[:] = np.diag(memory.states**2)
         lay.view(packed, "surprise")[:] = 0.0
-        if memory.doubted < 0 or memory.n_samples - memory.doubted > _SOON:
+        if memory.doubted == 0 or memory.n_samples - memory.doubted > _SOON:
             return replace(memory, packed=packed, counters=counters, doubted=memory.n_samples)
         lay.view(packed, "theta")[:] = memory.origin
         lay.view(packed, "S")[:] = 0.0
@@ -224,7 +224,7 @@ class Setup(ABC):
         level[1] = np.maximum(level[0], level[1])
         lay.view(packed, "count")[:] = DOUBT
         return replace(
-            memory, packed=packed, counters=counters, centre=memory.origin.copy(), kernel=None, doubted=-1,
+            memory, packed=packed, counters=counters, centre=memory.origin.copy(), kernel=None, doubted=0,
             renewed=memory.renewed + 1,
         )  # fmt: skip
 
