@@ -129,7 +129,7 @@ def motor(folder: Path) -> Outcome:
             f"{1e6 * seconds / train.n_samples:.0f} us per sample, "
             "compilation included. best linear: scipy.optimize.least_squares on K, tau, initial speed; "
             "no offset. hindsight: the same, fitted to the held-out part itself, a bound for any such model.",
-            "What is seen: least squares over the whole record smears the dead zone, in which the motor rests "
+            "What is seen: least squares over the whole record smears the dead zone, where the motor rests "
             "for 36 s; the refiner begins anew when it turns, and ends at the model of the turning motor.",
         ),
         demands=(

@@ -417,7 +417,7 @@ def test_an_input_that_runs_linearly_between_samples():
         ({"static": "nonzero", "effects": [rco.Effect("damping", "q1")]}, ct.ControlArgument, "one of them"),
         ({"static": "discrete", "hold": "foh"}, rco.ModelError, "held"),
         ({"substeps": 3}, ct.ControlArgument, "nonlinear"),
-        ({"noise": [0.1, 0.2]}, ValueError, "shape"),
+        ({"noise": [0.1, 0.2]}, ct.ControlDimension, "one for each"),
     ],
 )
 def test_bad_settings_are_explained(settings, error, match):
