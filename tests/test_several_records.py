@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 
 import control as ct
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from hidden.generator import _with, hidden_record, linear_states
@@ -181,7 +182,7 @@ def test_words_and_picture_of_a_confirmation(mimic):
     assert isinstance(plot, ct.ControlPlot)
     assert plot.axes.shape == (1, len(seen.names))
     with pytest.raises(ct.ControlDimension, match="coefficients"):
-        seen.plot(ax=[None] * (len(seen.names) + 1))
+        seen.plot(ax=plt.subplots(1, len(seen.names) + 1)[1])
 
 
 def test_true_law_is_confirmed_and_alike_amplitudes_are_said(rng):
