@@ -149,6 +149,8 @@ def attack(path, kind, seed, count):
         arrays = dict(stored)
     w, y = signals(6, 48.0, seed=2)
     refused, choices = 0, list(mutants(arrays))
+    again = load(path)  # as it was saved
+    again.update(w, y)
     rng = np.random.default_rng(seed)
     for index in rng.choice(len(choices), min(count, len(choices)), replace=False):
         what, content = choices[index]

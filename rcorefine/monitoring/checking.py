@@ -11,7 +11,7 @@ from ..exceptions import DataError
 from ..physics.laws import CODES as LAWS
 from ..rco.restoring import check_like, check_range
 from .history import ROWS
-from .kernels import CODES
+from .kernels import ALONE, CODES
 from .learning import MAX_ORDER
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ _CODES = frozenset([*CODES.values(), *LAWS.values()]) - {0}  # a user's own law 
 _TINY = np.finfo(float).tiny
 _RANGES = {
     "size": (_TINY, _INF), "factor": (_TINY, _INF), "V": (0.0, _INF), "spread": (0.0, _INF),
-    "known": (0.0, _INF), "crowd": (0.0, _INF), "ring_use": (0, 1),
+    "known": (0.0, _INF), "crowd": (0.0, _INF), "ring_use": (0, ALONE),
 }  # fmt: skip
 
 

@@ -26,6 +26,7 @@ from .restoring import check_like
 __all__ = ["INITIAL", "Frozen", "Race", "RaceMemory"]
 
 INITIAL = "initial"
+_WILD = "!"  # after the name of a form: its model as it is, however fast it grows
 _FIRST, _LONGEST = 32, 2048  # samples of the first stretch, and of the longest
 _ALIKE = 1.02  # in mean square: the form that stands first is taken
 _LOST = 4.0  # times the best mean square, on two stretches in a row: the form stops
@@ -169,7 +170,7 @@ class Race:
             best = min(scores.values())
             behind = {name: 0 for name in self.running}
             for name in self.running:
-                own = min((s for key, s in scores.items() if key.split("!")[0] == name), default=np.inf)
+                own = min((s for key, s in scores.items() if key.removesuffix(_WILD) == name), default=np.inf)
                 if name != INITIAL and own > _LOST * best and self.n_samples > _LATE:
                     behind[name] = memory.behind.get(name, 0) + 1
             self.memory = replace(
@@ -210,7 +211,7 @@ class Race:
         if best < calm[INITIAL]:
             name = next(key for key, score in calm.items() if score <= _ALIKE * best)
         scores = dict(calm)
-        scores.update({f"{key}!": score for key, score in wild.items()})
+        scores.update({key + _WILD: score for key, score in wild.items()})
         unstable = min(wild, key=lambda key: wild[key], default=None)
         if unstable is not None and wild[unstable] < _CLEARLY * calm[name]:
             return (unstable, True), scores
@@ -262,10 +263,13 @@ class Race:
         check_like(bare, self.memory, "race", dict.fromkeys(("inputs", "outputs", "use"), "samples"))
         for one in memory.frozen:
             check_like(one, Frozen("", self._model, False), "race.frozen")
-        for part, fresh in ((memory.scores, 0.0), (memory.behind, 0), (memory.stopped, "")):
+        for part, fresh in ((memory.scores, np.inf), (memory.behind, 0), (memory.stopped, "")):
             check_like(part, dict.fromkeys(part, fresh), "race")
-        told_of = {memory.chosen[0], *memory.scores, *memory.behind, *memory.stopped}
-        if not names >= told_of | {one.name for one in memory.frozen} or set(state["filters"]) != names:
+        scored = {name.removesuffix(_WILD) for name in memory.scores}
+        judged = {one.name for one in memory.frozen}
+        told_of = {memory.chosen[0], *scored, *judged, *memory.behind, *memory.stopped}
+        calm = not judged or INITIAL in {one.name for one in memory.frozen if not one.raw}
+        if not (names >= told_of and set(state["filters"]) == names and calm):
             raise DataError(f"the race is of other forms than {', '.join(names)}: the file is damaged")
         for name, part in state["filters"].items():
             self.filters[name].restore(part)

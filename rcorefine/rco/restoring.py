@@ -103,7 +103,7 @@ def check_like(found: Any, fresh: Any, where: str, grown: Mapping[str, str] = _N
     else:
         _require(type(found) is type(fresh), where, found, f"a {type(fresh).__name__}")
         if type(fresh) is int:
-            check_range(found, 0, _MOST, where)
+            check_range(found, min(0, fresh), _MOST, where)
 
 
 def check_course(found: Any, rows: Any, n_outputs: int) -> None:
