@@ -19,6 +19,7 @@ from scipy.stats import binom, poisson
 import rcorefine as rco
 from rcorefine.monitoring.learning import burg
 from rcorefine.monitoring.thresholds import crossing_rate, threshold
+from rcorefine.rco.gaps import whole_block
 
 SHORT = 3000  # healthy samples before a change
 
@@ -561,6 +562,23 @@ def test_false_alarms_stay_below_the_stated_number(color):
         monitor.update(w, y)
         total += len(monitor.past_alarms) + (monitor.alarm is not None)
     assert poisson.sf(total - 1, seeds * N / 1e5) > 0.002
+
+
+def test_the_learned_noise_level_is_not_forgotten_for_that_of_the_first_samples():
+    # else a first sample that happens to be quiet makes those after it look like a change
+    for seed in range(240, 244):
+        plant = Chain(seed, n=2)
+        w, y = plant.record(np.zeros(500))
+        monitor = rco.Monitor(plant.model, few(plant), dt=plant.dt, learn=500)
+        block = whole_block(w[:, None], y[:, None])
+        stream = monitor._start(block)
+        for k in range(20):
+            part = slice(k, k + 1)
+            stream.advance(
+                block.inputs[part], block.outputs[part], block.use[part], block.known[part], stop=True
+            )
+            # the mean of 200 squares and k more
+            assert abs(stream.memory["size"][0] - 1) < 4 * np.sqrt(2 / 200)
 
 
 @pytest.mark.slow

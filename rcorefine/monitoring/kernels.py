@@ -25,6 +25,7 @@ CODES = {
     "rectification": 106,  # |v| - v
     "delay": 107,  # minus the rate of v
 }
+LEARNED = 200.0  # samples that the noise level of the learning phase is worth
 BORROWED = 10.0  # independent values that the scatter in the next shorter window is worth
 ALONE = 2  # mark of such a sample
 GATE = 8.0  # standard deviations from which an innovation stands out
@@ -273,7 +274,7 @@ def scores(  # type: ignore[no-untyped-def]
         sums[0, at] += gain
         sums[1, at] += info
         if counted and adapt:
-            weight = max(slowest, 1.0 / counters[1])
+            weight = max(slowest, 1.0 / (LEARNED + counters[1]))
             for i in range(ny):
                 if ready[i]:
                     w = min(r[i] * r[i], CLIP * CLIP * size[i])
