@@ -166,7 +166,11 @@ def is_words(value: Any) -> bool:
 
 
 def _listed(value: Any) -> bool:
-    return not isinstance(value, str | bytes | Mapping | set) and hasattr(value, "__len__")
+    return (
+        not isinstance(value, str | bytes | Mapping | set)
+        and hasattr(value, "__len__")
+        and getattr(value, "ndim", 1) > 0
+    )
 
 
 def is_numbers(value: Any) -> bool:

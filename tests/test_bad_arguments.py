@@ -32,7 +32,7 @@ OURS = (
     ct.ControlDimension,
     OSError,  # a path that is not there, as everywhere in Python
 )
-LONGEST = 5  # seconds that a call may take
+LONGEST = 5  # seconds of work that a call may take
 
 
 class _Object:
@@ -167,16 +167,16 @@ def _in_time() -> Iterator[None]:
     def late(*_: Any) -> None:
         raise TimeoutError(f"took longer than {LONGEST} s")
 
-    if not hasattr(signal, "SIGALRM"):
+    if not hasattr(signal, "SIGPROF"):
         yield
         return
-    before = signal.signal(signal.SIGALRM, late)
-    signal.setitimer(signal.ITIMER_REAL, LONGEST)
+    before = signal.signal(signal.SIGPROF, late)
+    signal.setitimer(signal.ITIMER_PROF, LONGEST)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)
 
 
 def _outcome(call: Call, argument: str, value: Any, *, whole: bool) -> Exception | None:

@@ -78,3 +78,8 @@ def test_a_given_start_and_a_sampled_integrator():
     assert rco.compare(servo(), data, x0="zero").starts == (0,)
     with pytest.raises(ct.ControlArgument, match="one start only"):
         rco.compare(servo(), data, x0="zero", horizon=1.0)
+
+
+def test_windows_may_be_shorter_than_the_lags_of_the_tests():
+    found = rco.diagnose(servo(), record(), candidates=[Effect("damping", "angle")], horizon=0.25)
+    assert found.verdict == "adequate"

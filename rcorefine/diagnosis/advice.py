@@ -62,8 +62,9 @@ def suggest(
     largest_input: ArrayLike | None = None,
 ) -> ExperimentAdvice:
     """The work behind `Diagnosis.suggest_experiment`, which has the documentation."""
-    prices = _checked(probability, amplitudes, lengths, bands, costs)
+    prices = _checked(amplitudes, lengths, bands, costs)
     as_flag(repeat, "repeat")
+    probability = as_share(probability, "probability")
     if sensors is not None:
         sensors = as_texts(sensors, "sensors")
         sensor_rows(found.base.physical_model, sensors)
@@ -96,9 +97,8 @@ def suggest(
 
 
 def _checked(
-    probability: float, amplitudes: Any, lengths: Any, bands: Any, costs: Mapping[str, float] | None
+    amplitudes: Any, lengths: Any, bands: Any, costs: Mapping[str, float] | None
 ) -> dict[str, float]:
-    as_share(probability, "probability")
     for name, values in (("amplitudes", amplitudes), ("lengths", lengths)):
         if len(as_list(values, name, "positive factors")):
             as_vector(values, name, above=0.0, error=ct.ControlArgument)

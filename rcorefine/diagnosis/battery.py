@@ -160,7 +160,7 @@ def _lagged(record: Measurement, at_once: NDArray[np.bool_], powers: dict[int, i
             signal = unit**power
             signal = signal - signal.mean()
             for lag in range(lags):
-                moved = np.concatenate([np.zeros(lag), signal[: signal.size - lag]])
+                moved = np.concatenate([np.zeros(lag), signal])[: signal.size]  # a window may be shorter
                 rows += [(i, moved) for i in range(record.n_outputs) if lag or at_once[i, j]]
     full = np.zeros((record.n_outputs, record.n_samples, len(rows)))
     for k, (i, moved) in enumerate(rows):

@@ -9,6 +9,7 @@ import numpy as np
 from scipy import stats
 from scipy.signal import lfilter
 
+from ..exceptions import DataError
 from ..refinement.uncertainty import autoregression
 from ..systems.linear import Array
 
@@ -60,13 +61,24 @@ class Whitener:
         """Whiten blocks of shape (n_y, N) or (n_y, N, k) and stack their rows.
 
         The first samples of each block, where the filter has no past, are left out.
+
+        Raises
+        ------
+        DataError
+            If that leaves none.
         """
         rows = []
         for block in blocks:
             for i, a in enumerate(self.filters):
                 white = lfilter(a, [1.0], block[i], axis=0) / self.scales[i]
                 rows.append(white[a.size - 1 :])
-        return np.concatenate(rows, axis=0)
+        white = np.concatenate(rows, axis=0)
+        if not len(white):
+            raise DataError(
+                f"free runs of {max(block.shape[1] for block in blocks)} samples are too short to test: the "
+                "noise is correlated for longer; give a longer horizon, or a longer record"
+            )
+        return white
 
 
 @dataclass(frozen=True, slots=True)

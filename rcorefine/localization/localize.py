@@ -150,7 +150,10 @@ def localize_damage(
     >>> [(row.label, round(row.percent)) for row in found.named]
     [('stiffness at link2', -30)]
     """
-    _check_options(damping, significance, power, least)
+    if damping is not None:
+        as_choice(damping, "damping", _RULES)
+    significance, power = as_share(significance, "significance"), as_share(power, "power")
+    least = as_number(least, "least (in percent)", least=0.0)
     physical, base, substeps = _baseline(model)
     initial = as_state(x0, physical.linear.n_states)
     scenarios = None if hypotheses is None else named_hypotheses(hypotheses)
@@ -206,14 +209,6 @@ def localize_damage(
             f"the record sees only together: {', '.join(group)}", IdentifiabilityWarning, stacklevel=2
         )
     return result
-
-
-def _check_options(damping: str | None, significance: float, power: float, least: float) -> None:
-    if damping is not None:
-        as_choice(damping, "damping", _RULES)
-    as_share(significance, "significance")
-    as_share(power, "power")
-    as_number(least, "least (in percent)", least=0.0)
 
 
 def _baseline(model: Any) -> tuple[PhysicalModel, tuple[Effect, ...], int]:
