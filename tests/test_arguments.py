@@ -67,7 +67,7 @@ def test_a_validation_record_is_looked_at_where_nothing_is_missing_too(name, wro
 
 @pytest.mark.parametrize("bound", [{"start": float("nan")}, {"stop": np.float64("nan")}])
 def test_a_segment_has_no_bound_that_is_nan(bound, data):
-    with pytest.raises(rco.DataError, match="not NaN"):
+    with pytest.raises(rco.DataError, match="must be finite"):
         data.segment(**bound)
 
 

@@ -176,7 +176,7 @@ def test_csv_lines_that_are_damaged(tmp_path, text, message):
 def test_a_delimiter_is_one_character(tmp_path, delimiter):
     path = tmp_path / "r.csv"
     path.write_text("u,y\n1,2\n")
-    with pytest.raises(ct.ControlArgument, match="one character"):
+    with pytest.raises(ct.ControlArgument, match="one character|must be a text"):
         Measurement.from_csv(path, "u", "y", dt=0.1, delimiter=delimiter)
 
 

@@ -164,7 +164,7 @@ def test_timebases_that_cannot_be_converted(dt, words):
 def test_wrong_types():
     with pytest.raises(ct.ControlArgument, match="TransferFunction"):
         d2c(ct.tf([1.0], [1.0, 0.5], 0.1))
-    with pytest.raises(ct.ControlArgument, match="'foh' is unknown"):
+    with pytest.raises(ct.ControlArgument, match="not 'foh'"):
         d2c(ct.ss([[0.5]], [[1.0]], [[1.0]], 0, 0.1), "foh")
     with pytest.raises(TypeError, match="unexpected keyword"):
         d2c(ct.ss([[0.5]], [[1.0]], [[1.0]], 0, 0.1), mode="zoh")
