@@ -1,0 +1,39 @@
+"""The pages of the documentation: what they link to is there, and pictures stay small."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
+LINK = re.compile(r"\]\((?!https?:)([^)#]*)(?:#([^)]*))?\)")
+
+
+def anchors(text):
+    """Headings as the names that a link may jump to."""
+    headings = re.findall(r"^#+ (.*)$", text, flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading).lower().replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    found = LINK.findall(page.read_text(encoding="utf-8"))
+    assert found, "no link was recognized"
+    for path, anchor in found:
+        target = page.parent / path if path else page
+        assert target.exists(), f"{page.name} links to {path}"
+        if anchor:
+            assert anchor in anchors(target.read_text(encoding="utf-8")), f"no heading {anchor} in {target}"
+
+
+def test_pictures_are_shown_and_small():
+    text = "".join(page.read_text(encoding="utf-8") for page in DOCS.glob("*.md"))
+    pictures = sorted((DOCS / "pictures").glob("*.png"))
+    assert pictures
+    for picture in pictures:
+        assert f"pictures/{picture.name}" in text, f"{picture.name} stands on no page"
+        assert picture.stat().st_size < 100_000
