@@ -1,0 +1,46 @@
+"""pytest plugin for runs without numba: a test that plain Python is too slow for is skipped, and says so.
+
+RCOREFINE_TEST_SECONDS=6 python -m pytest -p tests.time_limit
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+
+LIMIT = float(os.environ["RCOREFINE_TEST_SECONDS"])
+
+
+@contextmanager
+def _limited() -> Iterator[None]:
+    """End what runs longer; the exception is no `Exception`, so nothing takes it for a failed fit."""
+
+    def stop(number: int, frame: Any) -> None:
+        pytest.skip(f"longer than {LIMIT:g} s in plain Python")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, LIMIT)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup(item: pytest.Item) -> Iterator[Any]:
+    """Fixtures of a module may be slow as well."""
+    with _limited():
+        return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[Any]:
+    """The test itself."""
+    with _limited():
+        return (yield)
