@@ -31,7 +31,7 @@ def prepare(example: Any, n_samples: int) -> tuple[Any, Plant, np.ndarray, np.nd
     record = example.record(n_samples)
     scout = rco.RCORefiner(example.initial, dt=example.dt, **example.settings)
     scout.update(record.inputs, record.outputs)
-    tuned = scout._memory.tuned
+    tuned = scout._estimator.memory.tuned
     assert tuned is not None
     scales = {name: getattr(tuned.scales, name) for name in ("inputs", "outputs", "states", "corrections")}
     refiner = rco.RCORefiner(example.initial, dt=example.dt, scale=scales, **example.settings)
@@ -53,7 +53,7 @@ def compare(example: Any, n_samples: int, repeats: int) -> tuple[float, float, f
         begin = time.perf_counter()
         refiner.update(record.inputs, record.outputs)
         ours.append((time.perf_counter() - begin) / n_samples)
-    theta = refiner._memory.stages[0].theta[: first.theta[-1].size]
+    theta = refiner._estimator.memory.stages[0].theta[: first.theta[-1].size]
     difference = np.abs(theta - first.theta[-1].ravel()).max() / np.abs(theta).max()
     ratio = float(np.median(np.array(theirs) / np.array(ours)))
     return float(np.median(theirs)), float(np.median(ours)), ratio, float(difference)
