@@ -45,11 +45,14 @@ _Method = TypeVar("_Method", bound=Callable[..., Any])
 
 
 def _alone(method: _Method) -> _Method:
-    """Let one thread at a time into a method, so that no sample is lost between two."""
+    """Let one thread at a time into a method, so that no sample is lost between two.
+
+    The kernels notice what overflows themselves; as plain Python they are as silent about it as compiled.
+    """
 
     @wraps(method)
     def locked(self: RCORefiner, *args: Any, **kwargs: Any) -> Any:
-        with self._lock:
+        with self._lock, np.errstate(all="ignore"):
             return method(self, *args, **kwargs)
 
     return cast(_Method, locked)
