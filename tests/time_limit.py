@@ -13,7 +13,8 @@ from typing import Any
 
 import pytest
 
-LIMIT = float(os.environ["RCOREFINE_TEST_SECONDS"])
+#: s; 0: no limit
+LIMIT = float(os.environ.get("RCOREFINE_TEST_SECONDS", "0"))
 
 
 @contextmanager
