@@ -28,8 +28,8 @@ import rcorefine as rco
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from failure_map import structure
-from hidden.generator import SECOND_ORDER, hidden_record, several_hidden
-from hidden_effects import ROWS
+from hidden.generator import SECOND_ORDER, several_hidden
+from hidden_effects import ROWS, record_of
 from monitor import changing_record
 
 RELATIVE = 1e-6
@@ -85,7 +85,7 @@ def hidden_effects() -> Iterator[tuple[str, Any]]:
         for name, record, settings in rows:
             for seed in SEEDS:
                 try:
-                    hidden = hidden_record(seed, **{"samples": 2500, **record})
+                    hidden = record_of(seed, **{"samples": 2500, **record})
                 except FloatingPointError:
                     continue
                 found = rco.diagnose(

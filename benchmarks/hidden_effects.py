@@ -101,7 +101,7 @@ def _wanted(record: dict) -> str:
     )
 
 
-def _record(seed: int, *, effect: str | None = "any", **settings: object) -> Hidden:
+def record_of(seed: int, *, effect: str | None = "any", **settings: object) -> Hidden:
     """The record of a row."""
     made = {"fed back": fed_back, "servo": servo_record, "strong": strong_record}.get(effect)
     if made is not None:
@@ -115,7 +115,7 @@ def run_row(first: int, seeds: int, record: dict, settings: dict, verbose: bool)
     times, deviations, claims, link = [], [], [], []
     for seed in range(first, first + seeds):
         try:
-            hidden = _record(seed, **record)
+            hidden = record_of(seed, **record)
         except FloatingPointError:
             counts["no record"] += 1
             continue
