@@ -20,10 +20,10 @@ import numpy as np
 from scipy.stats import beta
 
 from rcorefine import Effect, Measurement, ports, refine
-from rcorefine.physics import KINDS
-from rcorefine.physics.engine import Engine
-from rcorefine.physics.structure import Structure
-from rcorefine.reporting.tables import text_table
+from rcorefine.effects.law import KINDS
+from rcorefine.engine.engine import Engine
+from rcorefine.engine.structure import Structure
+from rcorefine.views.tables import text_table
 
 SAMPLES, FINE, NOISE = 2000, 32, 0.01
 M1, M2, C1, K1, K2 = 1.0, 0.7, 0.3, 40.0, 25.0

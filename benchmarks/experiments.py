@@ -25,13 +25,14 @@ import numpy as np
 from scipy.stats import beta
 
 import rcorefine as rco
-from rcorefine.diagnosis.columns import candidate_columns
-from rcorefine.diagnosis.experiment import ExperimentOption
-from rcorefine.diagnosis.records import confirm
-from rcorefine.diagnosis.rivals import run_race
-from rcorefine.diagnosis.sensors import sensor_rows, with_sensor
-from rcorefine.diagnosis.state import base_fit, fitted_from
-from rcorefine.refinement.starts import Motion
+from rcorefine.diagnosis.candidate_fits import run_race
+from rcorefine.diagnosis.confirm import confirm
+from rcorefine.diagnosis.experiment_design.result import ExperimentOption
+from rcorefine.diagnosis.experiment_design.sensors import sensor_rows, with_sensor
+from rcorefine.inference.fitted import fitted_from
+from rcorefine.inference.sensitivities import candidate_columns
+from rcorefine.inference.starts import Motion
+from rcorefine.refinement.base_fit import base_fit
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from hidden.generator import Hidden, _with, hidden_record, linear_states

@@ -23,7 +23,7 @@ from scipy.signal import butter, chirp, lfilter
 from scipy.stats import beta
 
 import rcorefine as rco
-from rcorefine.reporting.tables import text_table
+from rcorefine.views.tables import text_table
 
 Array = np.ndarray
 DT, SAMPLES, NOISE, STEPS = 0.02, 3000, 0.02, 20

@@ -21,10 +21,10 @@ import control as ct
 import numpy as np
 
 import rcorefine as rco
+from rcorefine.engine.engine import Engine
+from rcorefine.engine.nonlinear import nonlinear_system
+from rcorefine.engine.structure import Structure
 from rcorefine.jit import NUMBA
-from rcorefine.physics.engine import Engine
-from rcorefine.physics.nonlinear import nonlinear_system
-from rcorefine.physics.structure import Structure
 
 WARM_UP = 4000  # samples before the clock starts: the refiner has settled
 

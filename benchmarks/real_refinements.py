@@ -26,7 +26,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 import rcorefine as rco
-from rcorefine.reporting.tables import number, text_table
+from rcorefine.views.tables import number, text_table
 
 TRAINING = 0.7
 

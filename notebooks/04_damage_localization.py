@@ -28,8 +28,8 @@ import numpy as np
 
 import rcorefine as rco
 from rcorefine import examples
-from rcorefine.physics.structure import Structure
-from rcorefine.refinement.starts import estimated_motion
+from rcorefine.engine.structure import Structure
+from rcorefine.inference.starts import estimated_motion
 
 plt.rcParams.update({"figure.dpi": 110, "axes.grid": True, "grid.alpha": 0.3, "legend.framealpha": 0.9})
 

@@ -6,11 +6,15 @@ out. The estimator is retrospective cost model refinement (D'Amato et al.).
 
 from . import examples
 from .comparison import Comparison, compare
+from .data.measurement import Measurement
 from .diagnosis import Diagnosis, diagnose
+from .diagnosis.confirm import confirm
 from .diagnosis.confirmation import Confirmation
-from .diagnosis.improve import improve
-from .diagnosis.ledger import Improvement
-from .diagnosis.records import confirm
+from .diagnosis.stepwise.improve import improve
+from .diagnosis.stepwise.improvement import Improvement
+from .effects.effect import Effect, describe_effects
+from .engine.amplitude_response import AmplitudeResponse, frequency_response_at
+from .engine.simulation import Simulation, simulate
 from .exceptions import (
     ConversionWarning,
     DataError,
@@ -23,31 +27,24 @@ from .exceptions import (
     RCOWarning,
 )
 from .localization import DamageMap, localize_damage
-from .measurement import Measurement
-from .monitoring import Alarm, Monitor
-from .physics import (
-    Effect,
-    NominalParameter,
-    PhysicalModel,
-    Port,
+from .models.builders import (
     dc_motor,
-    describe_effects,
-    effect_library,
     mass_spring_damper,
     mechanical,
-    ports,
     quarter_car,
     series_rlc,
     thermal_network,
     two_tanks,
 )
-from .physics.amplitude_response import AmplitudeResponse, frequency_response_at
-from .physics.simulation import Simulation, simulate
-from .rco import RCORefiner
+from .models.conversion import ports
+from .models.library import effect_library
+from .models.parameters import NominalParameter
+from .models.physical_model import PhysicalModel
+from .models.ports import Port
 from .refinement import EstimatedParameter, Refinement, refine
+from .streaming import RCORefiner
+from .streaming.monitor import Alarm, Monitor
 from .systems import d2c
-
-__version__ = "0.1.0"
 
 __all__ = [
     "Alarm",
@@ -97,3 +94,5 @@ __all__ = [
     "thermal_network",
     "two_tanks",
 ]
+
+__version__ = "0.1.0"

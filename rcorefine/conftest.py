@@ -6,14 +6,14 @@ import os
 from collections.abc import Iterator
 from typing import Any
 
-os.environ.setdefault("MPLBACKEND", "Agg")
-
 import control as ct
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
 import rcorefine as rco
+
+os.environ.setdefault("MPLBACKEND", "Agg")
 
 
 @pytest.fixture(autouse=True)

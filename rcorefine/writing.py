@@ -12,14 +12,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, cast
 
+from .arguments import as_path
+
+__all__ = ["replacing"]
+
 try:
     import fcntl
 except ImportError:  # Windows, where nobody removes or replaces a file that is open
     fcntl = None  # type: ignore[assignment]
-
-from .arguments import as_path
-
-__all__ = ["replacing"]
 
 _SHOWN = 60  # characters of the file's name in that of its draft: names may have 255 bytes
 

@@ -21,7 +21,7 @@ import control as ct
 import numpy as np
 
 import rcorefine as rco
-from rcorefine.spectral import FrequencyResponse
+from rcorefine.data.frequency_response import FrequencyResponse
 
 N, DT = 240, 0.05
 
@@ -380,7 +380,7 @@ CALLS: dict[str, Call] = {
     "Comparison.seen_by": Call(_method(comparison, "seen_by"), lambda: {"index": 0}, {"index": is_number}),
     "Measurement.with_hold": Call(_method(record, "with_hold"), lambda: {"hold": "foh"}, {"hold": is_text}),
     "Measurement.from_csv": _reader("from_csv", "a.csv"),
-    "Measurement.from_mat": _reader("from_mat", "a.mat", work="rcorefine.reading.read_mat"),
+    "Measurement.from_mat": _reader("from_mat", "a.mat", work="rcorefine.data.reading.read_mat"),
     "Measurement.from_npz": _reader("from_npz", "a.npz"),
     "Measurement.from_frame": Call(
         lambda: MEASURE.from_frame,
@@ -676,7 +676,7 @@ CALLS: dict[str, Call] = {
             "costs": is_mapping,
             "largest_input": is_numbers,
         },
-        work="rcorefine.diagnosis.advice._contenders",
+        work="rcorefine.diagnosis.experiment_design.suggest._contenders",
     ),
     "ExperimentAdvice.sentences": Call(_method(advice, "sentences"), dict),
     "ExperimentAdvice.plot": _plot(advice),
@@ -684,7 +684,7 @@ CALLS: dict[str, Call] = {
         lambda: rco.improve,
         lambda: {"model": model(), "data": record(), "candidates": [EFFECT], "max_effects": 1},
         {**FIT, "max_effects": is_whole},
-        work="rcorefine.diagnosis.improve.Ladder",
+        work="rcorefine.diagnosis.stepwise.improve.Ladder",
     ),
     "Improvement.plot": _plot(improvement, legend_loc=or_none(is_legend)),
     "Improvement.report": _report(improvement, data=is_nothing),
@@ -693,7 +693,7 @@ CALLS: dict[str, Call] = {
         lambda: rco.confirm,
         lambda: {"model": refinement(), "data": [record(), small_record(2)], "candidates": [EFFECT]},
         {**FIT, "force_ratio": is_level},
-        work="rcorefine.diagnosis.records._alone",
+        work="rcorefine.diagnosis.confirm._alone",
     ),
     "Confirmation.plot": _plot(confirmation),
     "Confirmation.sentences": Call(_method(confirmation, "sentences"), dict),

@@ -11,11 +11,11 @@ import pytest
 from test_report import code_of
 
 import rcorefine as rco
-from rcorefine.cli import main
-from rcorefine.physics import kernels
-from rcorefine.physics.engine import Engine
-from rcorefine.physics.structure import Structure
-from rcorefine.reporting.page_code import comment, effects_code
+from rcorefine.commands.cli import main
+from rcorefine.engine import kernels
+from rcorefine.engine.engine import Engine
+from rcorefine.engine.structure import Structure
+from rcorefine.views.pages.code import comment, effects_code
 
 
 def motor(friction=0.02, **options):

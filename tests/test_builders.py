@@ -9,10 +9,8 @@ import pytest
 from scipy.linalg import eigh
 
 from rcorefine.exceptions import ModelError
-from rcorefine.physics import (
-    PhysicalModel,
+from rcorefine.models.builders import (
     dc_motor,
-    effect_library,
     mass_spring_damper,
     mechanical,
     quarter_car,
@@ -20,6 +18,8 @@ from rcorefine.physics import (
     thermal_network,
     two_tanks,
 )
+from rcorefine.models.library import effect_library
+from rcorefine.models.physical_model import PhysicalModel
 
 OMEGA = np.geomspace(1e-2, 1e3, 25)
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import rcorefine as rco
-from rcorefine.cli import main
+from rcorefine.commands.cli import main
 
 ROOT = Path(__file__).resolve().parent.parent
 DEMO_LIMIT = 60.0  # s, the promise of the README for two cores, first compilation included

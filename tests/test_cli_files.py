@@ -14,10 +14,10 @@ import pytest
 import scipy.io
 
 import rcorefine as rco
-from rcorefine.cli import main
 from rcorefine.commands.analysis import wanted_candidates
+from rcorefine.commands.cli import main
 from rcorefine.commands.example import NAMES, example_csv, example_toml
-from rcorefine.reading_models import builder_names, read_model
+from rcorefine.models.reading import builder_names, read_model
 
 ROOT = Path(__file__).resolve().parent.parent
 A, B, C = [[0.0, 1.0], [-100.0, -0.4]], [[0.0], [1.0]], [[1.0, 0.0]]

@@ -12,9 +12,10 @@ import pytest
 import scipy.io
 
 import rcorefine as rco
-from rcorefine import DataError, Measurement, ModelError, matlab
-from rcorefine.cli import main
-from rcorefine.reading_models import read_model
+from rcorefine import DataError, Measurement, ModelError
+from rcorefine.commands.cli import main
+from rcorefine.data import matlab
+from rcorefine.models.reading import read_model
 
 OURS = (rco.RCOError, ct.ControlArgument, ct.ControlDimension)
 

@@ -8,9 +8,9 @@ import pytest
 from scipy.signal import cont2discrete, lfilter
 
 import rcorefine as rco
-from rcorefine.physics.engine import Engine
-from rcorefine.physics.structure import Structure
-from rcorefine.refinement.problem import Problem
+from rcorefine.engine.engine import Engine
+from rcorefine.engine.structure import Structure
+from rcorefine.inference.problem import Problem
 
 PLANTS = {
     "heater": (np.array([[-0.9]]), np.array([[0.5]]), np.array([[1.0]]), 0.08),

@@ -7,9 +7,11 @@ import pickle
 import control as ct
 import pytest
 
+from rcorefine.effects.effect import Effect, describe_effects
+from rcorefine.effects.law import KINDS
 from rcorefine.exceptions import ModelError
-from rcorefine.physics import KINDS, Effect, describe_effects, mass_spring_damper, series_rlc, two_tanks
-from rcorefine.physics.units import combine_units
+from rcorefine.models.builders import mass_spring_damper, series_rlc, two_tanks
+from rcorefine.models.units import combine_units
 
 # what the design promises: kind -> (places, coefficients)
 TABLE = {
@@ -302,7 +304,7 @@ class TestCheck:
             mass_spring_damper([1, 1], [1, 1], [1, 1]).check(effect)
 
     def test_no_displacement_no_stiffness(self):
-        from rcorefine.physics import dc_motor
+        from rcorefine.models.builders import dc_motor
 
         with pytest.raises(ModelError, match="no position at shaft"):
             dc_motor(gain=1.0, time_constant=1.0).check(Effect("stiffness", "shaft"))

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from rcorefine.data.measurement import Measurement
+from rcorefine.effects.effect import Effect
+from rcorefine.engine.engine import Engine
+from rcorefine.engine.simulation import simulate
+from rcorefine.engine.structure import Structure
 from rcorefine.exceptions import DivergenceError
-from rcorefine.measurement import Measurement
-from rcorefine.physics.effects import Effect
-from rcorefine.physics.engine import Engine
-from rcorefine.physics.simulation import simulate
-from rcorefine.physics.structure import Structure
 
 M1, M2, C1, K1, K2 = 1.0, 0.7, 0.3, 40.0, 25.0
 DT = 0.05
@@ -381,7 +381,7 @@ def test_observer_pulls_towards_the_record_and_windows_let_go():
     data = Measurement(w, truth.outputs, dt=DT, hold="foh")
     engine = Engine(wrong, data)
     theta = np.array([8.0])
-    from rcorefine.physics.observer import observer_gain
+    from rcorefine.engine.observer import observer_gain
 
     gain = observer_gain(wrong, theta, data, 1.0)
     free = engine.run(theta).outputs - truth.outputs

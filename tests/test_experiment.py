@@ -17,10 +17,10 @@ from scipy.optimize import least_squares
 from scipy.signal import StateSpace, lfilter, ss2tf
 
 import rcorefine as rco
-from rcorefine.diagnosis.planning import in_band
-from rcorefine.diagnosis.sensors import sensor_rows, with_sensor
-from rcorefine.diagnosis.separation import Contender, Plan, separation
-from rcorefine.diagnosis.whitening import Whitener
+from rcorefine.diagnosis.experiment_design.planning import in_band
+from rcorefine.diagnosis.experiment_design.sensors import sensor_rows, with_sensor
+from rcorefine.diagnosis.experiment_design.separation import Contender, Plan, separation
+from rcorefine.inference.whitening import Whitener
 
 DT, N, NOISE = 0.02, 800, 0.02
 WHITE = Whitener((np.ones(1),), np.ones(1))

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import rcorefine as rco
-from rcorefine.diagnosis.improve import improve
-from rcorefine.diagnosis.parts import excerpt
+from rcorefine.diagnosis.stepwise.improve import improve
+from rcorefine.diagnosis.stepwise.parts import excerpt
 
 DT = 0.01
 

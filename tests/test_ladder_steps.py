@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import rcorefine as rco
-from rcorefine.diagnosis.backward import drop_undetermined, return_trust, shorten
-from rcorefine.diagnosis.forward import climb
-from rcorefine.diagnosis.ladder import Choice, Ladder
-from rcorefine.diagnosis.parts import split_in_parts
+from rcorefine.diagnosis.stepwise.backward import drop_undetermined, return_trust, shorten
+from rcorefine.diagnosis.stepwise.forward import climb
+from rcorefine.diagnosis.stepwise.parts import split_in_parts
+from rcorefine.diagnosis.stepwise.selection import Choice, Ladder
 from rcorefine.progress import Progress
 
 DT = 0.02

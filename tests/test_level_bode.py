@@ -10,9 +10,9 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import rcorefine as rco
-from rcorefine.physics.engine import Engine
-from rcorefine.physics.structure import Structure
-from rcorefine.reporting.level_bode import hold_factor, level_bode, stretches_by_level
+from rcorefine.engine.engine import Engine
+from rcorefine.engine.structure import Structure
+from rcorefine.views.level_bode import hold_factor, level_bode, stretches_by_level
 
 M, C, K = 1.0, 0.4, 100.0
 
@@ -459,8 +459,8 @@ def test_level_bode_keywords(refined):
 @pytest.mark.parametrize("kind", ["coulomb_friction", "clearance", "stribeck_friction", "hysteresis"])
 def test_kernels_are_the_same_compiled_or_not(kind):
     """One source; and a whole turn of Dahl's law leaves the inner state where it began."""
-    from rcorefine.physics.laws import CODES
-    from rcorefine.physics.periods import dahl_over_period, law_over_period
+    from rcorefine.effects.kernel import CODES
+    from rcorefine.engine.periods import dahl_over_period, law_over_period
 
     turn = 2 * np.pi * np.arange(64) / 64
     d, p = 0.1 * np.cos(turn) + 0.02 * np.sin(3 * turn), np.array([1.5, 0.03, 0.2, 0.0])

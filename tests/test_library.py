@@ -4,11 +4,10 @@ import control as ct
 import numpy as np
 import pytest
 
+from rcorefine.effects.law import KINDS
 from rcorefine.exceptions import ModelError
-from rcorefine.physics import (
-    KINDS,
+from rcorefine.models.builders import (
     dc_motor,
-    effect_library,
     mass_spring_damper,
     mechanical,
     quarter_car,
@@ -16,6 +15,7 @@ from rcorefine.physics import (
     thermal_network,
     two_tanks,
 )
+from rcorefine.models.library import effect_library
 
 
 def listed(model, **options):

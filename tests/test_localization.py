@@ -12,10 +12,10 @@ from scipy import linalg
 from scipy.stats import binom
 
 import rcorefine as rco
+from rcorefine.engine.simulation import simulate
 from rcorefine.localization import localize_damage
 from rcorefine.localization.damping import square_root
 from rcorefine.localization.estimate import log_likelihood
-from rcorefine.physics.simulation import simulate
 
 MASSES = np.array([3452.4, 2652.4, 2652.4, 1809.9])
 STIFFNESS = np.full(4, 67.9e6)

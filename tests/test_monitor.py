@@ -17,9 +17,9 @@ from scipy.signal import lfilter
 from scipy.stats import binom, poisson
 
 import rcorefine as rco
-from rcorefine.monitoring.learning import burg
-from rcorefine.monitoring.thresholds import crossing_rate, threshold
-from rcorefine.rco.gaps import whole_block
+from rcorefine.streaming.gaps import whole_block
+from rcorefine.streaming.monitor.baseline import burg
+from rcorefine.streaming.monitor.thresholds import crossing_rate, threshold
 
 SHORT = 3000  # healthy samples before a change
 

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from rcorefine.exceptions import ModelError
-from rcorefine.physics import PhysicalModel, Port, as_physical, ports
+from rcorefine.models.conversion import as_physical, ports
+from rcorefine.models.physical_model import PhysicalModel
+from rcorefine.models.ports import Port
 
 CHAIN_M = np.diag([0.8, 0.5])
 CHAIN_C = np.array([[300.0, -200.0], [-200.0, 320.0]])  # c = 100, 200, 120

@@ -11,7 +11,7 @@ import pytest
 from test_rco_refiner import DT, SETTINGS, damaged, record_of, state_of, two_by_two
 
 import rcorefine as rco
-from rcorefine.rco import RCORefiner
+from rcorefine.streaming import RCORefiner
 
 N = 150
 

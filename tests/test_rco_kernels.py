@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rcorefine.rco import kernels
-from rcorefine.rco.kernels import Design, learn
-from rcorefine.rco.stage import start
+from rcorefine.streaming.rcmr import kernels
+from rcorefine.streaming.rcmr.kernels import Design, learn
+from rcorefine.streaming.rcmr.stage import start
 
 Array = np.ndarray
 

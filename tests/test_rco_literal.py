@@ -13,7 +13,7 @@ import pytest
 from literal_rco import Array, Plant, Trace, literal
 
 import rcorefine as rco
-from rcorefine.rco import RCORefiner
+from rcorefine.streaming import RCORefiner
 
 UNIT = {"inputs": 1.0, "outputs": 1.0, "states": 1.0, "corrections": 1.0}
 SETTINGS = {"order": 3, "window": 30, "markov": 1, "learning_rate": 20.0, "static_learning_rate": 5.0}

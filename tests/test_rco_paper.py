@@ -9,7 +9,7 @@ import pytest
 
 import rcorefine as rco
 from rcorefine.jit import NUMBA
-from rcorefine.rco import RCORefiner
+from rcorefine.streaming import RCORefiner
 from rcorefine.systems.response import bode_error
 
 NOMINAL = np.array([55e-3, 23.5e-6])

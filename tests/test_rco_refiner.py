@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import rcorefine as rco
-from rcorefine.rco import RCORefiner
+from rcorefine.streaming import RCORefiner
 
 Array = np.ndarray
 

@@ -9,7 +9,7 @@ from scipy.signal import butter, cont2discrete, lfilter
 import rcorefine as rco
 from rcorefine.diagnosis.excitation import record_remarks
 from rcorefine.diagnosis.holds import best_hold, hold_errors
-from rcorefine.diagnosis.state import base_fit
+from rcorefine.refinement.base_fit import base_fit
 
 SETTINGS = {"tolerance": 0.0, "offset": True, "noise": None}
 FINE = 16  # points per sample

@@ -15,7 +15,7 @@ from test_refine import STEP, chain, held_response
 
 import rcorefine as rco
 from rcorefine import DataError, Effect, IdentifiabilityWarning, Measurement, ModelError, refine
-from rcorefine.refinement.uncertainty import stable_model
+from rcorefine.inference.covariance import stable_model
 
 N = 800
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from rcorefine import Measurement, compare
-from rcorefine.reporting import bode_comparison, html_table, text_table
-from rcorefine.reporting.bode import as_sampled
-from rcorefine.spectral import FrequencyResponse
+from rcorefine.data.frequency_response import FrequencyResponse
 from rcorefine.systems.linear import LinearModel
+from rcorefine.views import bode_comparison, html_table, text_table
+from rcorefine.views.bode import as_sampled
 
 DT = 0.1
 

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 import rcorefine as rco
 from rcorefine.comparison.residual_tests import free_run_tests, input_correlation
-from rcorefine.diagnosis.whitening import f_test, project, rank_basis, unequal_variances
+from rcorefine.inference.whitening import f_test, project, rank_basis, unequal_variances
 
 
 def motion_of(rng, n, bursts):

@@ -11,18 +11,18 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
+from ..comparison.adequacy import best_of, failures_of
 from ..comparison.compare import compare
 from ..diagnosis.diagnose import diagnose
-from ..diagnosis.improve import improve
+from ..diagnosis.stepwise.improve import improve
+from ..effects.effect import Effect
+from ..effects.law import KINDS
 from ..exceptions import ModelError
-from ..physics.effects import Effect
-from ..physics.kinds import KINDS
-from ..physics.library import effect_library
-from ..reading_models import read_model
-from ..reporting.adequacy import best_of, failures_of
-from ..reporting.page import check_target
-from ..reporting.page_answers import comparison_answer, diagnosis_answer, improvement_answer
-from ..reporting.page_code import comment
+from ..models.library import effect_library
+from ..models.reading import read_model
+from ..views.pages.answers import comparison_answer, diagnosis_answer, improvement_answer
+from ..views.pages.code import comment
+from ..views.pages.page import check_target
 from .machine import comparison_object, diagnosis_object, improvement_object, json_text, record_object
 from .records import fitted_and_held_out
 

@@ -175,11 +175,11 @@ def example_csv(name: str, *, seed: int = 1, exact: bool = False) -> str:
     str
         CSV with a header line: time, inputs, outputs.
     """
-    from ..measurement import Measurement
-    from ..physics.effects import Effect
-    from ..physics.engine import Engine
-    from ..physics.physical_model import as_physical
-    from ..physics.structure import Structure
+    from ..data.measurement import Measurement
+    from ..effects.effect import Effect
+    from ..engine.engine import Engine
+    from ..engine.structure import Structure
+    from ..models.conversion import as_physical
 
     made = _EXAMPLES[name]
     rng = np.random.default_rng(seed)
@@ -209,7 +209,7 @@ def example_csv(name: str, *, seed: int = 1, exact: bool = False) -> str:
 def _model_of(toml: str) -> object:
     from tempfile import TemporaryDirectory
 
-    from ..reading_models import read_model
+    from ..models.reading import read_model
 
     with TemporaryDirectory() as folder:
         path = Path(folder) / "model.toml"

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from ..comparison.failure_map import FailureMap
+from ..comparison.adequacy import failures_of
+from ..comparison.failure_map.search import FailureMap
 from ..comparison.result import Comparison
-from ..diagnosis.ledger import Improvement
+from ..data.measurement import Measurement
 from ..diagnosis.result import Diagnosis
-from ..measurement import Measurement
-from ..physics.effects import Effect
-from ..refinement.refinement import Refinement
-from ..reporting.adequacy import failures_of
-from ..reporting.page_origin import fingerprint
+from ..diagnosis.stepwise.improvement import Improvement
+from ..effects.effect import Effect
+from ..inference.refinement import Refinement
+from ..views.pages.origin import fingerprint
 
 __all__ = ["comparison_object", "diagnosis_object", "improvement_object", "json_text", "record_object"]
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
-from ..measurement import HOLDS
+from ..data.measurement import HOLDS
 
 __all__ = ["build_parser"]
 

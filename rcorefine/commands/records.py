@@ -7,8 +7,8 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
+from ..data.measurement import Measurement
 from ..exceptions import DataError
-from ..measurement import Measurement
 from ..systems.linear import LinearModel
 
 __all__ = ["fitted_and_held_out", "read_record"]

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from .compare import compare
-from .failure_map import Failure, FailureMap, ResidualForce, residual_force
+from .failure_map.search import Failure, FailureMap, ResidualForce, residual_force
 from .horizon import HorizonError, horizon_error
-from .in_frequency_domain import FrequencyComparison
 from .metrics import fit_percent, root_mean_square
 from .model_error import ModelError, model_error
 from .residual_tests import (
@@ -18,6 +17,7 @@ from .residual_tests import (
     input_correlation,
     whiteness,
 )
+from .responses import FrequencyComparison
 from .result import Comparison
 
 __all__ = [

@@ -9,16 +9,16 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_state
+from ..data.channels import Channels, aligned, match_channels, record_for, with_outputs
+from ..data.frequency_response import FrequencyResponse
+from ..data.measurement import Measurement
+from ..engine.free_runs import checked_horizon, free_runs
+from ..engine.simulation import simulate, unjudged_samples
 from ..exceptions import DataError, DivergenceError
-from ..measurement import Measurement
-from ..physics.physical_model import PhysicalModel
-from ..physics.simulation import simulate, unjudged_samples
-from ..physics.windows import checked_horizon, free_runs
-from ..spectral import FrequencyResponse
+from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array, LinearModel
-from .channels import Channels, aligned, match_channels, record_for, with_outputs
-from .in_frequency_domain import FrequencyComparison, compare_responses
-from .places import given_places
+from .failure_map.places import given_places
+from .responses import FrequencyComparison, compare_responses
 from .result import Comparison
 
 __all__ = ["compare"]

@@ -12,7 +12,7 @@ from scipy.linalg import LinAlgError, solve_discrete_are
 
 from ..jit import compiled
 from ..systems.linear import Array
-from .scene import Scene
+from .failure_map.record import Scene
 
 if TYPE_CHECKING:
     from .result import Comparison

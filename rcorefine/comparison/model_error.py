@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from ..measurement import Measurement
-from ..spectral import estimate_frequency_response
+from ..data.frequency_response import estimate_frequency_response
+from ..data.measurement import Measurement
 from ..systems.linear import Array
 from ..systems.response import frequency_response
 
@@ -99,7 +99,7 @@ def model_error(comparison: Comparison, model: int = 0, *, segment_length: int |
     >>> bool(model_error(rco.compare(plant, data)).differs.any())
     False
     """
-    from ..reporting.bode import as_sampled
+    from ..views.bode import as_sampled
 
     data = comparison.seen_by(model)
     residual = Measurement(

@@ -12,13 +12,19 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 from ..exceptions import DataError
+from ..inference.autoregression import whitened
 from ..systems.linear import Array
-from .whitening import whitened
 
 __all__ = [
-    "Correlogram", "ResidualTest", "TestTable", "correlogram", "free_run_tests", "higher_order_correlation",
-    "input_correlation", "whiteness",
-]  # fmt: skip
+    "Correlogram",
+    "ResidualTest",
+    "TestTable",
+    "correlogram",
+    "free_run_tests",
+    "higher_order_correlation",
+    "input_correlation",
+    "whiteness",
+]
 
 
 class ResidualTest(NamedTuple):
@@ -93,7 +99,7 @@ class TestTable:
         return tuple(bad)
 
     def _cells(self) -> tuple[list[str], list[list[str]], list[str]]:
-        from ..reporting.tables import number
+        from ..views.tables import number
 
         rows = [[r.test, r.signal, number(r.statistic), str(r.dof), f"{r.p_value:.2g}"] for r in self.rows]
         bad = self.failed()
@@ -105,13 +111,13 @@ class TestTable:
         return ["test", "signal", "statistic", "dof", "p-value"], rows, [verdict, self.note]
 
     def __str__(self) -> str:
-        from ..reporting.tables import text_table
+        from ..views.tables import text_table
 
         headers, rows, notes = self._cells()
         return text_table(headers, rows, notes=notes, left=2)
 
     def _repr_html_(self) -> str:
-        from ..reporting.tables import html_table
+        from ..views.tables import html_table
 
         headers, rows, notes = self._cells()
         return html_table(headers, rows, notes=notes, left=2)
@@ -494,7 +500,7 @@ def free_run_tests(
 
 def _mean(name: str, e: Array) -> ResidualTest:
     """Mean against its standard error, the color of the residual allowed for."""
-    from .whitening import ar_order, autoregressive_filter
+    from ..inference.autoregression import ar_order, autoregressive_filter
 
     order = ar_order(e.size)
     a = autoregressive_filter(e, order)

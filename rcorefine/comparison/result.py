@@ -12,14 +12,14 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_choice, as_whole, shown
-from ..measurement import Measurement
+from ..data.measurement import Measurement
 from ..systems.linear import Array, LinearModel
+from .failure_map.places import Places
 from .metrics import fit_percent, root_mean_square
-from .places import Places
 
 if TYPE_CHECKING:
-    from ..spectral import FrequencyResponse
-    from .failure_map import FailureMap
+    from ..data.frequency_response import FrequencyResponse
+    from .failure_map.search import FailureMap
 
 __all__ = ["Comparison"]
 
@@ -121,7 +121,7 @@ class Comparison:
         gives no reason to doubt the model, whatever the color of the noise.
         Searched when first asked for, which takes a second or so per model.
         """
-        from .failure_map import failure_map
+        from .failure_map.search import failure_map
 
         for index in range(len(self.names)):
             if index not in self._found:
@@ -200,12 +200,12 @@ class Comparison:
         )
 
     def __str__(self) -> str:
-        from ..reporting.comparisons import comparison_text
+        from ..views.comparison import comparison_text
 
         return comparison_text(self)
 
     def _repr_html_(self) -> str:
-        from ..reporting.comparisons import comparison_html
+        from ..views.comparison import comparison_html
 
         return comparison_html(self)
 
@@ -269,7 +269,7 @@ class Comparison:
         """
         as_choice(kind, "kind", _KINDS)
         if kind == "bode":
-            from ..reporting.bode import bode_comparison
+            from ..views.bode import bode_comparison
 
             return bode_comparison(
                 [(model.name, model) for model in self.models],
@@ -285,9 +285,9 @@ class Comparison:
         for keyword, value in (("measured", measured), ("omega", omega)):
             if value is not None:
                 raise ct.ControlArgument(f"{keyword} belongs to kind='bode', not to kind={kind!r}")
-        from ..reporting.comparisons import plot_time
-        from ..reporting.failure_picture import plot_map
-        from ..reporting.residuals import plot_horizon, plot_residual
+        from ..views.comparison import plot_time
+        from ..views.failure_map import plot_map
+        from ..views.residuals import plot_horizon, plot_residual
 
         draw = {"time": plot_time, "residual": plot_residual, "horizon": plot_horizon, "map": plot_map}[kind]
         return draw(
@@ -333,7 +333,7 @@ class Comparison:
         FileExistsError
             If another file is there.
         """
-        from ..reporting.page_of_comparison import report_comparison
+        from ..views.pages.comparison import report_comparison
 
         return report_comparison(self, path, title=title, code=code, overwrite=overwrite)
 

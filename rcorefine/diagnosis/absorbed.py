@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..refinement.refinement import EstimatedParameter, Refinement
+from ..inference.refinement import EstimatedParameter, Refinement
 
 __all__ = ["what_was_absorbed"]
 

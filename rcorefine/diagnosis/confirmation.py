@@ -8,8 +8,8 @@ from typing import Any
 
 import control as ct
 
+from ..inference.whitening import FTest
 from ..systems.linear import Array
-from .whitening import FTest
 
 __all__ = ["Confirmation", "RecordEstimate"]
 
@@ -106,7 +106,7 @@ class Confirmation:
         return rows
 
     def __str__(self) -> str:
-        from ..reporting.tables import text_table
+        from ..views.tables import text_table
 
         parts = [f"Further records: {self.verdict.upper()}", *textwrap.wrap(self.message, 80)]
         parts.append(text_table(_HEADER, self._rows(), left=2))
@@ -114,7 +114,7 @@ class Confirmation:
         return "\n".join(parts)
 
     def _repr_html_(self) -> str:
-        from ..reporting.tables import html_table
+        from ..views.tables import html_table
 
         title = f"Further records: {self.verdict}"
         return html_table(_HEADER, self._rows(), title=title, notes=self.sentences(), left=2)
@@ -150,7 +150,7 @@ class Confirmation:
         -------
         ControlPlot
         """
-        from ..reporting.experiment import confirmation_plot
+        from ..views.experiment import confirmation_plot
 
         return confirmation_plot(
             self,

@@ -12,27 +12,28 @@ import numpy as np
 
 from ..arguments import as_share
 from ..arithmetic import own_arithmetic
-from ..comparison.channels import match_channels, record_for
 from ..comparison.compare import compare
+from ..data.channels import match_channels, record_for
+from ..data.measurement import Measurement
+from ..effects.effect import Effect, as_effects
 from ..exceptions import DataError, IdentifiabilityWarning
-from ..measurement import Measurement
-from ..physics.effects import Effect, as_effects
-from ..physics.library import effect_library
-from ..physics.physical_model import as_physical
+from ..inference.assembly import check_settings
+from ..inference.fitted import Fitted, fitted_from
+from ..inference.refinement import Refinement
+from ..inference.sensitivities import Candidate, candidate_columns
+from ..inference.starts import Motion
+from ..inference.whitening import FTest, project
+from ..inference.windows import as_records, check_validation, windows
+from ..models.conversion import as_physical
+from ..models.library import effect_library
 from ..progress import Progress
-from ..refinement.assembly import check_settings
-from ..refinement.refinement import Refinement
-from ..refinement.starts import Motion
-from ..refinement.windows import as_records, check_validation, windows
-from .battery import Battery, run_battery
-from .columns import Candidate, candidate_columns
+from ..refinement.base_fit import base_fit
+from .candidate_fits import Race, run_race, shortlist
 from .excitation import no_motion, not_excited, record_remarks
 from .holds import best_hold
 from .remarks import amplitude_test, fit_remarks, remarks
+from .residual_tests import Battery, run_battery
 from .result import Detectable, Diagnosis, RankedEffect
-from .rivals import Race, run_race, shortlist
-from .state import Fitted, base_fit, fitted_from
-from .whitening import FTest, project
 
 __all__ = ["diagnose", "investigate"]
 

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..comparison.range_ends import cut_off, longest_run
-from ..measurement import Measurement
-from ..refinement.doubts import explains_nothing
-from ..refinement.refinement import Refinement
+from ..data.measurement import Measurement
+from ..data.range_ends import cut_off, longest_run
+from ..inference.doubts import explains_nothing
+from ..inference.refinement import Refinement
 from ..systems.linear import Array
 
 __all__ = ["no_motion", "not_excited", "record_remarks"]

@@ -8,16 +8,17 @@ from typing import Any
 
 import numpy as np
 
+from ..data.measurement import HOLDS, Measurement
+from ..effects.effect import Effect
+from ..engine.structure import Structure
 from ..exceptions import DivergenceError
-from ..measurement import HOLDS, Measurement
-from ..physics.effects import Effect
-from ..physics.structure import Structure
-from ..refinement.assembly import assemble, unfold
-from ..refinement.outcome import output_weights
-from ..refinement.refine import Fit, refit
-from ..refinement.refinement import Refinement
-from ..refinement.search import starting_states
-from ..refinement.windows import windows
+from ..inference.assembly import assemble, unfold
+from ..inference.fit import Fit
+from ..inference.outcome import output_weights
+from ..inference.refinement import Refinement
+from ..inference.search import starting_states
+from ..inference.windows import windows
+from ..refinement.refine import refit
 
 __all__ = ["best_hold", "hold_errors"]
 

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
-from ..refinement.problem import Problem
+from ..inference.fitted import Fitted
+from ..inference.gauss_newton import descend
+from ..inference.problem import Problem
+from ..inference.sensitivities import Candidate
+from ..inference.whitening import Whitener
 from ..systems.linear import Array
-from .battery import Battery
-from .columns import Candidate
-from .descent import descend
-from .rivals import Race
-from .state import Fitted
-from .whitening import Whitener
+from .candidate_fits import Race
+from .residual_tests import Battery
 
 __all__ = ["amplitude_test", "fit_remarks", "remarks"]
 

@@ -13,15 +13,15 @@ import control as ct
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..measurement import Measurement
-from ..physics.effects import Effect
-from ..refinement.refinement import Refinement
+from ..data.measurement import Measurement
+from ..effects.effect import Effect
+from ..inference.refinement import Refinement
+from ..inference.whitening import FTest
 from ..systems.linear import Array
 from .absorbed import what_was_absorbed
-from .whitening import FTest
 
 if TYPE_CHECKING:
-    from .experiment import ExperimentAdvice
+    from .experiment_design.result import ExperimentAdvice
 
 __all__ = ["Detectable", "Diagnosis", "RankedEffect"]
 
@@ -215,7 +215,7 @@ class Diagnosis:
         >>> print(found.suggest_experiment().message)
         Nothing to separate: no test fires, and no candidate comes near.
         """
-        from .advice import suggest
+        from .experiment_design.suggest import suggest
 
         return suggest(
             self,
@@ -236,7 +236,7 @@ class Diagnosis:
         -------
         list of Measurement
         """
-        from ..comparison.channels import match_channels, record_for
+        from ..data.channels import match_channels, record_for
 
         linear = self.base.physical_model.linear
         return [record_for(r, match_channels(linear, r)) for r in self.records]
@@ -297,7 +297,7 @@ class Diagnosis:
         return ", ".join(effect.label for effect in self.ambiguous)
 
     def __str__(self) -> str:
-        from ..reporting.tables import text_table
+        from ..views.tables import text_table
 
         parts = [f"Diagnosis: {self.verdict.upper()}"]
         for sentence in self.sentences():
@@ -307,7 +307,7 @@ class Diagnosis:
         return "\n".join(parts)
 
     def _repr_html_(self) -> str:
-        from ..reporting.tables import html_table
+        from ..views.tables import html_table
 
         title = f"Diagnosis: {self.verdict}"
         return html_table(_HEADER, self._rows(), title=title, notes=self.sentences())
@@ -353,7 +353,7 @@ class Diagnosis:
         -------
         ControlPlot
         """
-        from ..reporting.diagnosis import diagnosis_plot
+        from ..views.diagnosis import diagnosis_plot
 
         return diagnosis_plot(
             self, title=title, rcParams=rcParams, legend_loc=legend_loc, show_legend=show_legend
@@ -392,7 +392,7 @@ class Diagnosis:
         FileExistsError
             If another file is there.
         """
-        from ..reporting.page_of_diagnosis import report_diagnosis
+        from ..views.pages.diagnosis import report_diagnosis
 
         return report_diagnosis(self, path, title=title, code=code, overwrite=overwrite)
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..physics.laws import JUMPING
+from ..effects.kernel import JUMPING
+from ..inference.gauss_newton import Descent, descend
+from ..inference.sensitivities import Candidate
+from ..inference.whitening import Whitener
 from ..systems.linear import Array
-from .columns import Candidate
-from .descent import Descent, descend
-from .whitening import Whitener
 
 __all__ = ["settled_width"]
 

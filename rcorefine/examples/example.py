@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import as_choice, as_generator, as_number, as_whole
+from ..data.measurement import Measurement
+from ..data.signals import as_signals, check_finite
 from ..exceptions import DataError
-from ..measurement import Measurement
-from ..signals import as_signals, check_finite
 from ..systems import LinearModel, to_discrete
 from ..systems.linear import Array
 

@@ -9,9 +9,9 @@ from typing import Any
 import control as ct
 
 from ..arguments import as_text
-from ..diagnosis.whitening import FTest
+from ..effects.effect import Effect
 from ..exceptions import ModelError
-from ..physics.effects import Effect
+from ..inference.whitening import FTest
 from ..systems.linear import Array, LinearModel
 from .residual import overall
 
@@ -271,7 +271,7 @@ class DamageMap:
         -------
         ControlPlot
         """
-        from ..reporting.damage import plot_damage
+        from ..views.damage_map import plot_damage
 
         return plot_damage(
             self,
@@ -285,11 +285,11 @@ class DamageMap:
         )
 
     def __str__(self) -> str:
-        from ..reporting.damage import damage_text
+        from ..views.damage_map import damage_text
 
         return damage_text(self)
 
     def _repr_html_(self) -> str:
-        from ..reporting.damage import damage_html
+        from ..views.damage_map import damage_html
 
         return damage_html(self)

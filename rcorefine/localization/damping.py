@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..effects.effect import Effect
+from ..engine.structure import Parameter, Structure
 from ..exceptions import ModelError
-from ..physics.effects import Effect
-from ..physics.physical_model import PhysicalModel
-from ..physics.structure import Parameter, Structure
+from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 
 __all__ = ["RATIO_NAMES", "RatioStructure", "mechanical_pairs", "square_root"]

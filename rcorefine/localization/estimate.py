@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from ..measurement import Measurement
-from ..physics.observer import observer_gain
-from ..physics.structure import Structure
-from ..refinement.outcome import output_weights
-from ..refinement.problem import Problem, residual_blocks
-from ..refinement.search import starting_states
-from ..refinement.starts import far_starts
-from ..refinement.uncertainty import autoregression, stable_model
+from ..data.measurement import Measurement
+from ..engine.observer import observer_gain
+from ..engine.structure import Structure
+from ..inference.covariance import autoregression, stable_model
+from ..inference.outcome import output_weights
+from ..inference.problem import Problem, residual_blocks
+from ..inference.search import starting_states
+from ..inference.starts import far_starts
 from ..systems.linear import Array
 from .spectrum import sparse_starts, spectral_starts
 

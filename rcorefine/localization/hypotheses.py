@@ -10,13 +10,13 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_list, as_mapping
-from ..measurement import Measurement
-from ..physics.effects import Effect
-from ..physics.physical_model import PhysicalModel
-from ..physics.structure import Structure
-from ..refinement.problem import residual_blocks
-from ..refinement.refine import Fit
-from ..refinement.starts import Motion, law_widths
+from ..data.measurement import Measurement
+from ..effects.effect import Effect
+from ..engine.structure import Structure
+from ..inference.fit import Fit
+from ..inference.problem import residual_blocks
+from ..inference.starts import Motion, law_widths
+from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 from .damage_map import HypothesisRow
 from .damping import RatioStructure

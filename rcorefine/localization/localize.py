@@ -12,19 +12,20 @@ from scipy.stats import norm
 
 from ..arguments import as_choice, as_list, as_number, as_share, as_state
 from ..arithmetic import own_arithmetic
-from ..comparison.channels import match_channels, record_for
-from ..diagnosis.whitening import FTest
+from ..data.channels import match_channels, record_for
+from ..data.measurement import Measurement
+from ..effects.effect import Effect
+from ..engine.simulation import check_channels
+from ..engine.structure import Structure
 from ..exceptions import IdentifiabilityWarning, ModelError
-from ..measurement import Measurement
-from ..physics.effects import Effect
-from ..physics.physical_model import PhysicalModel, as_physical
-from ..physics.simulation import check_channels
-from ..physics.structure import Structure
-from ..refinement.assembly import assemble, check_settings, offset_variants
-from ..refinement.outcome import _initial_fit
-from ..refinement.refinement import Refinement
-from ..refinement.starts import estimated_motion
-from ..refinement.windows import as_records, windows
+from ..inference.assembly import assemble, check_settings, offset_variants
+from ..inference.outcome import _initial_fit
+from ..inference.refinement import Refinement
+from ..inference.starts import estimated_motion
+from ..inference.whitening import FTest
+from ..inference.windows import as_records, windows
+from ..models.conversion import as_physical
+from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 from .damage_map import DamageMap, DamageRow, NuisanceRow
 from .damping import RATIO_NAMES, RatioStructure

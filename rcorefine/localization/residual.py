@@ -8,16 +8,16 @@ from typing import Any, cast
 
 import numpy as np
 
-from ..diagnosis.battery import Battery, run_battery
-from ..diagnosis.columns import candidate_columns
-from ..diagnosis.state import Fitted
-from ..diagnosis.whitening import FTest
-from ..physics.effects import Effect
-from ..physics.library import effect_library
-from ..physics.physical_model import PhysicalModel
-from ..physics.structure import Structure
-from ..refinement.problem import Problem
-from ..refinement.starts import Motion
+from ..diagnosis.residual_tests import Battery, run_battery
+from ..effects.effect import Effect
+from ..engine.structure import Structure
+from ..inference.fitted import Fitted
+from ..inference.problem import Problem
+from ..inference.sensitivities import candidate_columns
+from ..inference.starts import Motion
+from ..inference.whitening import FTest
+from ..models.library import effect_library
+from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 from .damping import RatioStructure
 from .estimate import Joint

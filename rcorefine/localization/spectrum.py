@@ -8,9 +8,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import least_squares
 
+from ..data.measurement import Measurement
+from ..engine.structure import Structure
 from ..exceptions import DataError
-from ..measurement import Measurement
-from ..physics.structure import Structure
 from ..systems.linear import Array
 
 __all__ = ["sparse_starts", "spectral_starts"]

@@ -1,6 +1,6 @@
 """Batch estimation: effects, physical parameters, and how sure they are."""
 
+from ..inference.refinement import EstimatedParameter, Refinement
 from .refine import refine
-from .refinement import EstimatedParameter, Refinement
 
 __all__ = ["EstimatedParameter", "Refinement", "refine"]

@@ -5,31 +5,26 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import control as ct
 import numpy as np
 
 from ..arguments import as_state, as_whole
 from ..arithmetic import own_arithmetic
-from ..comparison.channels import match_channels, record_for
-from ..exceptions import DataError
-from ..measurement import Measurement
-from ..physics.effects import Effect, as_effects
-from ..physics.physical_model import PhysicalModel
-from ..physics.simulation import check_channels
-from ..physics.structure import Structure
+from ..data.channels import match_channels, record_for
+from ..data.measurement import Measurement
+from ..effects.effect import Effect, as_effects
+from ..engine.simulation import check_channels
+from ..engine.structure import Structure
+from ..inference.assembly import assemble, check_settings, offset_variants, unfold
+from ..inference.doubts import doubted
+from ..inference.fit import Fit
+from ..inference.outcome import package
+from ..inference.refinement import Refinement
+from ..inference.starts import estimated_motion, law_widths
+from ..inference.windows import as_records, windows
+from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
-from .assembly import assemble, check_settings, offset_variants, priors, unfold
-from .doubts import doubted
-from .outcome import output_weights, package
-from .problem import Problem, residual_blocks
-from .refinement import Refinement
-from .search import search, starting_states, sufficient_steps
-from .starts import Motion, estimated_motion, law_widths
-from .windows import as_records, windows
 
-__all__ = ["Fit", "refine", "refit"]
-
-_ROUGHLY, _EXACTLY = 1e-7, 1e-12  # tolerances of a polish before and after the substep is settled
+__all__ = ["refine", "refit"]
 
 _MOST_SUBSTEPS = 10_000
 
@@ -235,115 +230,3 @@ def _other_offsets(
         if mine and places != mine and len(places) == len(mine):
             found.append(rest + [(e, "offset") for e in offsets])
     return found
-
-
-class Fit:
-    """One set of effects on the records: search, polish, substeps, noise levels."""
-
-    def __init__(
-        self,
-        structure: Structure,
-        roles: Sequence[str],
-        segments: Sequence[Measurement],
-        noise: Any,
-        initial: Array | None,
-        tolerance: float,
-    ) -> None:
-        self.structure, self.roles, self.segments, self.noise = structure, roles, segments, noise
-        self.initial = None if initial is None else _resized(initial, structure.n_states)
-        self.mean, self.sd = priors(structure, roles, tolerance)
-        # a prior so wide that it only settles what the record cannot; no part of the error bars
-        self.loose = np.array(
-            [roles[q.effect] == "linear" and tolerance == 0 for q in structure.parameters], dtype=bool
-        )
-        self.weights = output_weights(segments, noise)
-        self.steps = 1
-        self.problem: Problem
-        self.result: Any = None
-        values = sum(record.outputs.size for record in segments)
-        unknowns = structure.n_parameters + structure.n_states * len(segments)
-        if values <= unknowns:
-            raise DataError(
-                f"the record has {values} output values and {unknowns} numbers are to be estimated; "
-                "give a longer record or fewer effects"
-            )
-
-    def build(self, segments: Sequence[Measurement], steps: int, unknown_start: bool = False) -> Problem:
-        """The problem on some segments at the present noise levels."""
-        return Problem(
-            self.structure,
-            segments,
-            self.weights,
-            prior_mean=self.mean,
-            prior_sd=self.sd,
-            substeps=steps,
-            initial=None if unknown_start else self.initial,
-        )
-
-    def run(self, motion: Motion, substeps: int | None, rival: Fit | None = None) -> None:
-        """Search (or start from a rival's minimum), polish, refine the substep until it no longer matters."""
-        if rival is not None:
-            self.steps = rival.steps
-            self.problem = self.build(self.segments, self.steps)
-            point = self.problem.pack(*rival.problem.unpack(rival.result.x))
-        else:
-            self.steps = substeps or (1 if self.structure.is_linear else 2)
-            point, found = search(self.build, self.structure, self.segments, motion, self.steps)
-            self.steps = substeps or found
-            self.problem = self.build(self.segments, self.steps)
-        self._settle(point, substeps)
-
-    def resume(self, steps: int, states: Array) -> None:
-        """Polish from the starts of the effects themselves, and from known initial states if they suit."""
-        self.steps = max(steps, 1 if self.structure.is_linear else 2)
-        self.problem = self.build(self.segments, self.steps)
-        theta = self.structure.start()
-        points = [self.problem.pack(theta, starting_states(self.problem, theta))]
-        if states.shape == (len(self.segments), self.structure.n_states):
-            points.append(self.problem.pack(theta, states))
-        self._settle(min(points, key=self.problem.cost), None)
-
-    def _settle(self, point: Array, substeps: int | None) -> None:
-        self._polish(point, _ROUGHLY)
-        while True:
-            self._reweigh()
-            finer = sufficient_steps(self.build, self.segments, self.problem, self.result.x)
-            if substeps or finer == self.steps:
-                break
-            self.steps = finer
-            self.problem = self.build(self.segments, self.steps)
-            self._polish(self.result.x, _ROUGHLY)
-        self._polish(self.result.x, _EXACTLY)
-
-    def _polish(self, point: Array, tolerance: float) -> None:
-        self.result = self.problem.minimize(point, max_nfev=60, tol=tolerance)
-
-    def _reweigh(self) -> None:
-        """Noise levels from the residual, and once more at these where that moves the minimum."""
-        if self.noise is not None:
-            return
-        self.weights = output_weights(self.segments, None, self.problem, self.result.x)
-        self.problem = self.build(self.segments, self.steps)
-        if self.weights.size > 1 or np.isfinite(self.sd[~self.loose]).any():
-            self._polish(self.result.x, _ROUGHLY)
-
-    @property
-    def theta(self) -> Array:
-        """Coefficients at the minimum."""
-        return self.problem.unpack(self.result.x)[0]
-
-    @property
-    def cost(self) -> float:
-        """Log of the residual power over the outputs: comparable between rivals."""
-        blocks = residual_blocks(self.problem, self.result.x)
-        residual = np.concatenate([r for r, _ in blocks], axis=1) / self.problem.weights[:, None]
-        return float(np.sum(np.log(np.mean(residual**2, axis=1) + 1e-300)))
-
-
-def _resized(initial: Array, n: int) -> Array:
-    """Known initial state; states that effects add start at rest."""
-    full = np.zeros(n)
-    if initial.ndim != 1 or initial.size > n:
-        raise ct.ControlDimension(f"x0 has shape {initial.shape}; the model has {n} states")
-    full[: initial.size] = initial
-    return full

@@ -9,9 +9,9 @@ import control as ct
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-
 __all__ = ["Array", "LinearModel"]
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

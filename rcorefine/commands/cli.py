@@ -1,0 +1,103 @@
+"""The command `rcorefine`: the loop from the terminal."""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+import warnings
+from argparse import Namespace
+from collections.abc import Sequence
+from typing import Any
+
+import control as ct
+
+from ..exceptions import RCOError
+from .parser import build_parser
+
+__all__ = ["main"]
+
+_FAULT = 3
+# what a wrong file, record or model raises; anything else is a fault of the program and shows where
+_EXPECTED = (RCOError, OSError, ct.ControlDimension, ct.ControlArgument)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        Arguments without the name of the program; default those of the
+        process.
+
+    Returns
+    -------
+    int
+        0 where nothing was found, 1 where something was (for ``demo``: where
+        the work failed), 2 where a file or the record cannot be used; the
+        message is on standard error. Wrong usage ends the process with 2; 3 is a
+        fault of the program itself, with its traceback on standard error.
+
+    Examples
+    --------
+    >>> from rcorefine.commands.cli import main
+    >>> main(["--version"])
+    Traceback (most recent call last):
+    SystemExit: 0
+    """
+    words = list(sys.argv[1:] if argv is None else argv)
+    arguments = build_parser().parse_args(words)
+    arguments.words = words
+    failed = 1 if arguments.command == "demo" else 2
+    try:
+        with warnings.catch_warnings():
+            if argv is None:  # in a process of its own: a warning is a line, not a place in the source
+                warnings.showwarning = _say_warning
+            return _run(arguments)
+    except BrokenPipeError:
+        # the reader left (rcorefine demo | head); keep the interpreter from complaining once more on exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return failed
+    except KeyboardInterrupt:
+        sys.stderr.write(f"rcorefine {arguments.command}: interrupted\n")
+        return 130
+    except _EXPECTED as error:
+        sys.stderr.write(f"rcorefine {arguments.command}: {_message(error)}\n")
+        return failed
+    except Exception:
+        # a fault of the program must not pass for an answer: Python would end with 1
+        traceback.print_exc()
+        return _FAULT
+
+
+def _run(arguments: Namespace) -> int:
+    # late, so that --help and wrong usage answer at once
+    if arguments.command == "demo":
+        from .demo import run_demo
+
+        run_demo(arguments.output, seed=arguments.seed, progress=not arguments.quiet)
+        return 0
+    if arguments.command == "example":
+        from .example import run_example
+
+        return run_example(arguments)
+    from . import analysis
+
+    run = {
+        "compare": analysis.run_compare,
+        "diagnose": analysis.run_diagnose,
+        "improve": analysis.run_improve,
+    }
+    return run[arguments.command](arguments)
+
+
+def _message(error: Exception) -> str:
+    """What went wrong, on one line: also where the system says it with a number."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return " ".join(str(error).split())
+
+
+def _say_warning(message: Any, *_: Any, **__: Any) -> None:
+    sys.stderr.write(f"rcorefine: warning: {' '.join(str(message).split())}\n")

@@ -1,0 +1,204 @@
+"""The loop on one example, told as it runs: what `rcorefine demo` does."""
+
+from __future__ import annotations
+
+import sys
+import textwrap
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from ..comparison import Comparison, compare
+from ..data.measurement import Measurement
+from ..diagnosis import Diagnosis, diagnose
+from ..diagnosis.stepwise.improve import improve
+from ..diagnosis.stepwise.improvement import Improvement
+from ..effects.effect import Effect
+from ..engine.engine import Engine
+from ..engine.structure import Structure
+from ..jit import NUMBA
+from ..models.builders import mass_spring_damper
+from ..models.physical_model import PhysicalModel
+from ..writing import replacing
+
+__all__ = ["run_demo"]
+
+N_SAMPLES, DT = 2000, 0.01
+NOISE = 0.03
+TRAINING = 0.7
+FRICTION, LOSS = 0.5, -20.0  # what the model lacks at link2 [N], and later at link3 [N/m]
+LAWS = ("stiffness", "damping", "cubic_stiffness", "coulomb_friction")
+STRETCH = 3.0  # s of the held-out record that are drawn: short enough to see the curves
+WIDTH = 78
+_SUBSTEPS, _SHARP = 16, 1e-3  # of the simulated truth: finer than the estimator, and a sharper sign(v)
+
+
+def run_demo(output: Path | str, *, seed: int = 1, progress: bool = True) -> None:
+    """Compare, diagnose, refine, compare again, and improve; tell the story and draw it.
+
+    Parameters
+    ----------
+    output : path-like
+        Folder for the pictures ``overview.png``, ``map.png``, ``diagnosis.png``
+        and ``staircase.png`` and for ``report.html``, made if absent.
+    seed : int, optional
+        Seed of the excitation and the noise.
+    progress : bool, optional
+        Whether to show the steps of the long parts on standard error.
+
+    Raises
+    ------
+    OSError
+        If the folder or a picture cannot be written.
+    FileExistsError
+        If ``report.html`` is there and is no report.
+    """
+    folder = Path(output)
+    folder.mkdir(parents=True, exist_ok=True)  # before the work, not after it
+
+    if progress and NUMBA:
+        sys.stderr.write(
+            "(numba compiles on first use, which takes part of a minute; later runs take seconds)\n"
+        )
+    rng = np.random.default_rng(seed)
+    model = mass_spring_damper(
+        [1.0, 1.2], [0.4, 0.4, 0.4], [300.0, 250.0, 200.0], sensors=("velocity", 1), name="model"
+    )
+    friction = Effect("coulomb_friction", "link2")
+    candidates = [Effect(law, f"link{i}") for i in (1, 2, 3) for law in LAWS]
+    data = _record(model, {friction: FRICTION}, rng, "first test")
+    train, test = data.split(TRAINING)
+    _title("A structure, a record of it, and a model that lacks something")
+    _say(
+        "Two masses hang between two walls on three springs and dampers. A random force drives the "
+        f"first mass, and one sensor reads its velocity: {N_SAMPLES} samples, {1e3 * DT:g}~ms apart, "
+        f"with {100 * NOISE:g}~% of noise. Masses, springs and dampers of the model are right, but the "
+        f"structure does something that the model does not. The first {100 * TRAINING:g}~% of the record "
+        "are to learn from, the rest to judge by."
+    )
+
+    _title("1. Compare the model with the measurement")
+    before = compare(model, test)
+    _write(str(before))
+    _say(_where_it_fails(before))
+
+    _title("2. What is missing?")
+    _say(f"{len(LAWS)} laws at 3 links are {len(candidates)} answers. Which one does the record support?\n")
+    found = diagnose(model, train, candidates=candidates, progress=progress)
+    _write(str(found))
+
+    _title("3. Refine: add it, and fit it to convergence")
+    better = found.refine()
+    _write(str(better))
+
+    _title("4. Compare again, on the data that was held out")
+    after = compare([model, better], test)
+    _write(str(after))
+    first, last = (float(fit) for fit in np.ravel(after.fit))
+    _say(
+        f"The fit rises from {first:.1f}~% to {last:.1f}~%. With {100 * NOISE:g}~% of noise "
+        f"even the true model would stop at about {100 * (1 - NOISE):.0f}~%. The secret: {FRICTION:g}~N "
+        "of dry friction at link2, between the two masses, where there is no sensor."
+    )
+
+    _title("5. Two things at once: improve, step by step")
+    _say(
+        "A later record of the same structure: the friction is still there, and the spring at link3 has "
+        f"lost {-LOSS:g} of its 200~N/m. The same model, one effect after the other:\n"
+    )
+    later = _record(model, {friction: FRICTION, Effect("stiffness", "link3"): LOSS}, rng, "later test")
+    ladder = improve(model, later, candidates=candidates, progress=progress)
+    _write(str(ladder))
+
+    _title("6. Take it along")
+    _say(
+        "The linear part of each refined model is a control.StateSpace with the signal names and the "
+        "timebase of the first one. It goes on into control.bode_plot, control.feedback, and the rest:"
+    )
+    _write(f"\n{better.system}\n")
+    for name, words in _draw([model, better], test, before, found, ladder, folder).items():
+        _write(f"{folder / name}\n{textwrap.indent(textwrap.fill(words, WIDTH - 4), '    ')}")
+
+
+def _record(
+    model: PhysicalModel, hidden: dict[Effect, float], rng: np.random.Generator, name: str
+) -> Measurement:
+    """What the sensor reads where the effects in `hidden` act."""
+    force = 20 * np.convolve(rng.standard_normal(N_SAMPLES + 4), np.ones(5) / 5, "valid")
+    blank = Measurement(force, np.zeros(N_SAMPLES), dt=DT)
+    structure = Structure(model, list(hidden), constants={0: _SHARP})  # the friction comes first
+    run = Engine(structure, blank, substeps=_SUBSTEPS).run(np.array(list(hidden.values())), sensitivity=False)
+    y = run.outputs[0]
+    return Measurement(
+        force,
+        y + NOISE * y.std() * rng.standard_normal(y.size),
+        dt=DT,
+        input_labels=model.linear.input_labels,
+        output_labels=model.linear.output_labels,
+        input_units="N",
+        output_units="m/s",
+        name=name,
+    )
+
+
+def _where_it_fails(comparison: Comparison) -> str:
+    """The most telling row of the failure map, in words."""
+    rows = comparison.failures.rows
+    if not rows:
+        return "Where does it fail? Nowhere that this record could show."
+    return f"Where does it fail? {rows[0].sentence}"
+
+
+def _draw(
+    models: list[Any],
+    test: Measurement,
+    before: Comparison,
+    found: Diagnosis,
+    ladder: Improvement,
+    folder: Path,
+) -> dict[str, str]:
+    """Draw the pictures and write the report; return what each one shows."""
+    overview = plt.figure(figsize=(12, 5), layout="constrained")
+    [[left, right]] = overview.subfigures(1, 2, squeeze=False)
+    axes = left.subplots(2, 1, sharex=True, squeeze=False, height_ratios=(2, 1))
+    stretch = test.segment(test.timepts[0], test.timepts[0] + STRETCH)
+    compare(models, stretch).plot(ax=axes)
+    left.suptitle("One effect missing: held-out record, both models, what is left over")
+    right.suptitle("Two effects missing: each that is added takes its part of the error")
+    ladder.plot(ax=right.subplots(), title="")
+    pictures = {
+        "overview.png": (overview, 100),
+        "map.png": (before.plot("map").figure, 100),
+        "diagnosis.png": (found.plot().figure, 100),
+        "staircase.png": (ladder.plot().figure, 120),
+    }
+    for name, (figure, dpi) in pictures.items():
+        with replacing(folder / name) as stream:
+            figure.savefig(stream, format="png", dpi=dpi)
+    found.report(folder / "report.html")
+    plt.close("all")
+    return {
+        "overview.png": f"{STRETCH:g} s of the held-out record, both models, what is left over; beside it "
+        "the staircase",
+        "map.png": "where the model fails, over time, frequency, state and place",
+        "diagnosis.png": "the rivals; the hidden force against the motion, estimated without any law; what "
+        "is left over",
+        "report.html": "the diagnosis on one page: to read, to send, to print",
+        "staircase.png": "the error on data that took part in nothing, after each effect that was added",
+    }
+
+
+def _title(text: str) -> None:
+    _write(f"\n{text}\n{'-' * len(text)}")
+
+
+def _say(text: str) -> None:
+    # ~ ties a number to its unit
+    _write(textwrap.fill(text, WIDTH).replace("~", " ") + "\n" * text.endswith("\n"))
+
+
+def _write(text: str) -> None:
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()

@@ -1,0 +1,1 @@
+"""Where a model fails: over time, frequency, amplitude, state space and place."""

@@ -1,0 +1,143 @@
+"""Failures in amplitude: inputs that act less or more than in proportion, responses that do not scale."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.signal import hilbert
+
+from ...systems.linear import Array
+from .frequency import band_columns, frequency_text
+from .likelihood import Explanation
+from .record import Finding, Scene
+
+__all__ = ["input_laws", "level_dependence"]
+
+
+def input_laws(scene: Scene) -> list[Finding]:
+    """Static laws at each input: dead zone, saturation, unequal sides, odd and even distortion."""
+    found = []
+    for j, w in enumerate(scene.data.inputs):
+        if np.ptp(w) == 0.0:
+            continue
+        name, unit = scene.data.input_labels[j], scene.data.input_units[j]
+        size = np.abs(w)
+        levels = np.unique(np.quantile(size, np.linspace(0.05, 0.98, 24)))
+        levels = levels[levels > 0]
+        spread = float(w.std())
+        plain = scene.evidence.linear(scene.driven([(j, w)]))
+        searches: tuple[tuple[str, Callable[[Array, float], Array], str, str], ...] = (
+            (
+                "dead zone",
+                lambda w, g: -np.clip(w, -g, g),
+                "|{n}| < {g}",
+                "small values of {n} (below {g}) do less than the model says: a dead zone",
+            ),
+            (
+                "saturation",
+                lambda w, g: np.clip(w, -g, g) - w,
+                "|{n}| > {g}",
+                "values of {n} beyond {g} do less than the model says: the actuator saturates",
+            ),
+        )
+        for kind, law, where, sentence in searches:
+
+            def shape(
+                g: float, law: Callable[[Array, float], Array] = law, j: int = j, w: Array = w
+            ) -> Array:
+                return scene.driven([(j, law(w, g))])[0]
+
+            if levels.size < 3:
+                continue
+            one = scene.evidence.searched(shape, levels[::2], scaled=True)
+            if one.gain <= plain.gain + np.log(scene.n_samples):
+                continue  # it is but the gain: the level lies where the input hardly comes
+            g = float(one.values[-1])
+            text = {"n": name, "g": f"{g:.3g}{' ' + unit if unit else ''}"}
+            found.append(
+                Finding(
+                    "amplitude",
+                    where.format(**text),
+                    kind,
+                    one,
+                    2,
+                    12,
+                    sentence[0].upper() + sentence[1:].format(**text) + ".",
+                    {"input": name, "level": g, "factor": float(one.values[0]), "kind": kind},
+                )
+            )
+        fixed = (
+            (
+                "asymmetry",
+                np.abs(w),
+                f"the two signs of {name}",
+                f"{name} acts by different factors to the two sides.",
+            ),
+            (
+                "odd distortion",
+                w**3 / spread**2,
+                f"large |{name}|",
+                f"{name} acts by another factor where it is large, alike to both sides.",
+            ),
+            (
+                "even distortion",
+                w**2 / spread,
+                f"large |{name}|",
+                f"{name} has a part in its square: both signs push the same way.",
+            ),
+        )
+        for (kind, _, where, sentence), one in zip(
+            fixed,
+            (scene.evidence.linear([c]) for c in scene.driven([(j, s) for _, s, _, _ in fixed])),
+            strict=True,
+        ):
+            found.append(
+                Finding("amplitude", where, kind, one, 1, 3, sentence, {"input": name, "kind": kind})
+            )
+    return found
+
+
+def level_dependence(scene: Scene) -> list[Finding]:
+    """Bands in which gain or phase change with the level of the response."""
+    found = []
+    for i in range(scene.n_outputs):
+        run = scene.run[i] - scene.run[i].mean()
+        energy = np.abs(np.fft.rfft(run)) ** 2
+        omega = 2.0 * np.pi * np.fft.rfftfreq(scene.n_samples, scene.dt)
+        share = np.cumsum(energy) / max(float(energy.sum()), 1e-300)
+        low, high = (float(np.interp(q, share, omega)) for q in (0.02, 0.98))
+        if not 0 < low < high or scene.n_samples < 200:
+            continue
+        centers = np.geomspace(low, high, 5)
+        plain = band_columns(scene, i, centers)
+        modulated = []
+        for k in range(centers.size):
+            pair = plain[2 * k : 2 * k + 2]
+            level = np.abs(hilbert(pair[0][i])) ** 2
+            level = level / max(float(level.mean()), 1e-300) - 1.0
+            modulated.append([column * level for column in pair])
+        base = scene.evidence.linear(plain)
+        singles = [scene.evidence.linear([*plain, *pair]) for pair in modulated]
+        k = int(np.argmax([one.gain for one in singles]))
+        every = scene.evidence.linear([*plain, *(c for pair in modulated for c in pair)])
+        dof = 2
+        best = singles[k]
+        if every.gain - best.gain > 8 * np.log(scene.n_samples):
+            best, dof = every, 10
+        own = Explanation(best.fit - base.fit, best.gain - base.gain, best.values)
+        name = scene.named(i)
+        found.append(
+            Finding(
+                "amplitude",
+                f"{name} near {frequency_text(float(centers[k]))}",
+                "level dependence",
+                own,
+                dof,
+                centers.size,
+                f"Near {frequency_text(float(centers[k]))} the response of {name} changes with its level: "
+                "it does not scale, so the system is not linear there.",
+                {"output": name, "omega": float(centers[k]), "kind": "level"},
+            )
+        )
+    return found

@@ -1,0 +1,291 @@
+"""How much more likely a record becomes when a part of its residual is explained."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+from scipy.optimize import minimize_scalar
+
+from ...inference.autoregression import ar_order, autoregressive_filter
+from ...systems.linear import Array
+
+__all__ = ["Evidence", "Explanation"]
+
+# Differences below this share of an output are rounding, not evidence.
+_FLOOR = 1e-7
+_MASKED = 0.03  # weight of samples that are set aside
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Explanation:
+    """A part of the residual that a hypothesis explains.
+
+    Attributes
+    ----------
+    fit : ndarray of shape (n_y, N)
+        The part, in units of the outputs' spreads.
+    gain : float
+        Twice the log-likelihood that it adds.
+    values : ndarray
+        What was fitted: coefficients, then what was searched for.
+    level : ndarray of shape (n_y, N) or None
+        What it says about constant offsets, of which `fit` is free; None for nothing.
+    """
+
+    fit: Array
+    gain: float
+    values: Array
+    level: Array | None = None
+
+
+class Evidence:
+    """A residual, and what is taken out of everything before it is judged.
+
+    The initial state (where compare estimated it) and a constant offset of each
+    output are nuisances: they are projected off residual and explanations alike.
+    The noise is an autoregressive process, estimated anew from what each
+    explanation leaves, so that coloured noise is nobody's failure.
+
+    Parameters
+    ----------
+    residual : ndarray of shape (n_y, N)
+        Measured minus simulated, over the spread of each output.
+    starts : sequence of int
+        First sample of each free run.
+    initial : ndarray of shape (L, n_y, n) or None
+        Responses to unit initial states, the longest run; None where the
+        initial state was not estimated.
+    """
+
+    def __init__(self, residual: Array, starts: Sequence[int], initial: Array | None) -> None:
+        self.n_outputs, self.n_samples = residual.shape
+        self.edges = [*starts, self.n_samples]
+        self._bases: dict[int, Array] = {}
+        if initial is not None:
+            for length in {b - a for a, b in zip(self.edges[:-1], self.edges[1:], strict=True)}:
+                rows = np.moveaxis(initial[:length], 0, 1).reshape(self.n_outputs * length, -1)
+                u, s, _ = np.linalg.svd(rows, full_matrices=False)
+                self._bases[length] = u[:, s > 1e-8 * s.max(initial=0.0)]
+        self.order = ar_order(self.n_samples)
+        self.constants = [
+            self._initial_out(np.eye(self.n_outputs)[i][:, None] * np.ones(self.n_samples))
+            for i in range(self.n_outputs)
+        ]
+        self.with_offset = self._initial_out(residual)
+        self.residual = self.without_nuisance(residual)
+        self.use(self.residual)
+        self.base = self.log_likelihood(self.residual)
+
+    # ------------------------------------------------------------------ nuisances
+    def _initial_out(self, signals: Array) -> Array:
+        """Take the best initial states out of (n_y, N)."""
+        if not self._bases:
+            return signals.copy()
+        out = signals.copy()
+        for a, b in zip(self.edges[:-1], self.edges[1:], strict=True):
+            q = self._bases[b - a]
+            flat = out[:, a:b].reshape(-1)
+            out[:, a:b] = (flat - q @ (q.T @ flat)).reshape(self.n_outputs, b - a)
+        return out
+
+    @cached_property
+    def _constant_basis(self) -> Array:
+        flat = np.array([c.reshape(-1) for c in self.constants]).T
+        u, s, _ = np.linalg.svd(flat, full_matrices=False)
+        return np.asarray(u[:, s > 1e-6 * np.sqrt(self.n_samples)])
+
+    def without_nuisance(self, signals: Array) -> Array:
+        """What is left of (n_y, N) beside initial states and constant offsets."""
+        out = self._initial_out(signals)
+        q = self._constant_basis
+        flat = out.reshape(-1)
+        return np.asarray((flat - q @ (q.T @ flat)).reshape(out.shape))
+
+    def outside(self, mask: NDArray[np.bool_]) -> Array:
+        """Residual (n_y, N) with the initial states and offsets that fit best outside a mask.
+
+        The masked samples keep a little weight, for the rest may say nothing about an
+        initial state.
+        """
+        out = self.residual.copy()
+        for a, b in zip(self.edges[:-1], self.edges[1:], strict=True):
+            level = np.repeat(np.eye(self.n_outputs), b - a, axis=0)
+            basis = np.hstack([self._bases[b - a], level]) if self._bases else level
+            weight = np.where(mask[:, a:b].reshape(-1), _MASKED, 1.0)[:, None]
+            flat = out[:, a:b].reshape(-1)
+            best = np.linalg.lstsq(basis * weight, flat * weight[:, 0], rcond=1e-8)[0]
+            out[:, a:b] = (flat - basis @ best).reshape(self.n_outputs, b - a)
+        return out
+
+    def after(self, fit: Array, whole: Array) -> Evidence:
+        """Evidence on what an explanation leaves, beside constant offsets and with them."""
+        rest = copy.copy(self)
+        rest.residual = self.residual - fit
+        rest.with_offset = self.with_offset - whole
+        rest.use(rest.residual)
+        rest.base = rest.log_likelihood(rest.residual)
+        return rest
+
+    # ------------------------------------------------------------------ noise
+    def use(self, remainder: Array) -> None:
+        """Take the noise model from this remainder."""
+        self.filters, self.scales = self._noise(remainder)
+        self._white = self._filtered(self.residual)
+
+    def use_white(self) -> None:
+        """Weigh all frequencies alike: right where a failure stands far above the noise."""
+        nothing = np.zeros(self.order + 1)
+        nothing[0] = 1.0
+        self.filters, self.scales = [nothing] * self.n_outputs, np.ones(self.n_outputs)
+        self._white = self._filtered(self.residual)
+
+    def _noise(self, remainder: Array) -> tuple[list[Array], Array]:
+        filters = [autoregressive_filter(row, self.order) for row in remainder]
+        left = [np.convolve(row, a, "valid") for a, row in zip(filters, remainder, strict=True)]
+        return filters, np.sqrt([float(np.mean(e**2)) + _FLOOR**2 for e in left])
+
+    def log_likelihood(self, remainder: Array) -> float:
+        """Log-likelihood of a remainder under its own noise model, up to a constant."""
+        return float(-(self.n_samples - self.order) * np.log(self._noise(remainder)[1]).sum())
+
+    def _filtered(self, signals: Array) -> Array:
+        rows = [
+            np.convolve(row, a / s, "valid")
+            for a, s, row in zip(self.filters, self.scales, signals, strict=True)
+        ]
+        return np.concatenate(rows)
+
+    def white(self, columns: Sequence[Array]) -> tuple[Array, Array]:
+        """Whitened columns (rows, k) and residual (rows,), nuisances taken out of both."""
+        return np.array([self._filtered(self.without_nuisance(c)) for c in columns]).T, self._white
+
+    # ------------------------------------------------------------------ explanations
+    def linear(self, columns: Sequence[Array]) -> Explanation:
+        """Least-squares fit of columns (n_y, N) to the residual, and what it is worth."""
+        left = [self.without_nuisance(c) for c in columns]
+        white = np.array([self._filtered(c) for c in left]).T
+        values = _least_squares(white, self._white)
+        fit = np.tensordot(values, np.array(left), 1)
+        whole = self._initial_out(np.tensordot(values, np.array(columns), 1))
+        return Explanation(fit, self.gain(fit), values, whole - fit)
+
+    def best_of(self, groups: Sequence[Sequence[Array]], most: int = 3) -> list[tuple[int, Explanation]]:
+        """The groups of columns that explain most under the present noise model, each judged."""
+        taken = []
+        for group in groups:
+            white = np.array([self._filtered(self.without_nuisance(c)) for c in group]).T
+            values = _least_squares(white, self._white)
+            left = float(np.sum((self._white - white @ values) ** 2))
+            taken.append(left + self._white.size / self.n_samples * len(group) * np.log(self.n_samples))
+        order = np.argsort(taken, kind="stable")[:most]
+        return [(int(k), self.linear(groups[k])) for k in order]
+
+    def gain(self, fit: Array) -> float:
+        """Twice the log-likelihood that an explanation adds to the residual."""
+        return 2.0 * (self.log_likelihood(self.residual - fit) - self.base)
+
+    def misfit(self, shape: Array, *, scaled: bool = False) -> float:
+        """Whitened sum of squares left by a shape; with its best factor where `scaled`."""
+        white = self._filtered(self.without_nuisance(shape))
+        if not scaled:
+            return float(np.sum((self._white - white) ** 2))
+        power = float(white @ white)
+        total = float(self._white @ self._white)
+        return total if power <= 1e-300 else total - float(white @ self._white) ** 2 / power
+
+    def searched(
+        self, shape: Callable[[float], Array], grid: Sequence[float] | Array, *, scaled: bool = False
+    ) -> Explanation:
+        """Best of a family of shapes with one unknown, with a factor where `scaled`."""
+        points = np.unique(np.asarray(grid, dtype=float))
+        costs = [self.misfit(shape(float(g)), scaled=scaled) for g in points]
+        k = int(np.argmin(costs))
+        best = float(points[k])
+        low, high = points[max(k - 1, 0)], points[min(k + 1, points.size - 1)]
+        if high > low:
+            found = minimize_scalar(
+                lambda g: self.misfit(shape(float(g)), scaled=scaled),
+                bounds=(float(low), float(high)),
+                method="bounded",
+                options={"maxiter": 25, "xatol": 1e-3 * float(high - low)},
+            )
+            if found.fun < costs[k]:
+                best = float(found.x)
+        if scaled:
+            linear = self.linear([shape(best)])
+            return replace(linear, values=np.append(linear.values, best))
+        return self._explained(shape(best), np.array([best]))
+
+    def descended(
+        self, shape: Callable[[Array], Array], start: Array, *, iterations: int = 8, step: float = 1e-3
+    ) -> Explanation:
+        """Damped Gauss-Newton on a shape with several unknowns."""
+
+        def left(point: Array) -> Array:
+            return self._white - self._filtered(self.without_nuisance(shape(point)))
+
+        point = np.asarray(start, dtype=float)
+        error, damping = left(point), 1e-3
+        for _ in range(iterations):
+            slopes = np.array([(error - left(point + step * e)) / step for e in np.eye(point.size)]).T
+            size = np.linalg.norm(slopes, axis=0)
+            size[size <= 1e-12] = np.inf
+            normal = (slopes / size).T @ (slopes / size)
+            target = (slopes / size).T @ error
+            for _ in range(6):
+                lower = np.linalg.cholesky(normal + damping * np.eye(point.size))
+                move = solve_triangular(lower.T, solve_triangular(lower, target, lower=True)) / size
+                trial = left(point + np.clip(move, -0.5, 0.5))
+                if trial @ trial < error @ error:
+                    break
+                damping *= 10
+            else:
+                break
+            done = trial @ trial > (1 - 1e-6) * (error @ error)
+            point, error, damping = point + np.clip(move, -0.5, 0.5), trial, damping * 0.2
+            if done:
+                break
+        return self._explained(shape(point), point)
+
+    def _explained(self, shape: Array, values: Array) -> Explanation:
+        fit = self.without_nuisance(shape)
+        return Explanation(fit, self.gain(fit), values, self._initial_out(shape) - fit)
+
+    def whole(self, one: Explanation) -> Array:
+        """What an explanation takes off the error, the constant offset included where that fits."""
+        if one.level is None:
+            return one.fit
+        both = one.fit + one.level
+        return max(one.fit, both, key=lambda part: -float(np.sum((self.with_offset - part) ** 2)))
+
+    def share_of_error(self, part: Array) -> float:
+        """Share of the error's energy, constant offsets included, that a part takes away, 0 to 1."""
+        total = float(np.sum(self.with_offset**2))
+        left = float(np.sum((self.with_offset - part) ** 2))
+        return float(np.clip(1.0 - left / total, 0.0, 1.0)) if total > 0 else 0.0
+
+    def share(self, fit: Array) -> float:
+        """Share of the energy beside constant offsets that an explanation takes away, 0 to 1."""
+        total = float(np.sum(self.residual**2))
+        left = float(np.sum((self.residual - fit) ** 2))
+        return float(np.clip(1.0 - left / total, 0.0, 1.0)) if total > 0 else 0.0
+
+
+def _least_squares(columns: Array, target: Array) -> Array:
+    """Coefficients of columns (rows, k), those that are nearly nothing left out."""
+    size = np.linalg.norm(columns, axis=0)
+    keep = size > 1e-12 * max(float(size.max(initial=0.0)), 1e-300)
+    values = np.zeros(columns.shape[1])
+    if keep.any():
+        unit = columns[:, keep] / size[keep]
+        weights, vectors = np.linalg.eigh(unit.T @ unit)
+        good = weights > 1e-10 * weights[-1]
+        along = vectors[:, good].T @ (unit.T @ target)
+        values[keep] = vectors[:, good] @ (along / weights[good]) / size[keep]
+    return values

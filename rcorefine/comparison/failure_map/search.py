@@ -1,0 +1,395 @@
+"""Where a model fails: one table over time, frequency, amplitude, state space and place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy import stats
+
+from ...systems.linear import Array
+from .amplitude import input_laws, level_dependence
+from .distortion import distortions
+from .frequency import bands, modes, modes_together, shifts
+from .likelihood import Evidence
+from .motion import estimated_motion
+from .places import found_places
+from .record import DIMENSIONS, Finding, Scene
+from .state import forces_at_places
+from .time import clipping, delays, drifts, pinned, signs, stretches
+
+if TYPE_CHECKING:
+    from ..result import Comparison
+
+__all__ = ["Failure", "FailureMap", "ResidualForce", "failure_map", "residual_force"]
+
+#: Probability that a correct model shows any row.
+SIGNIFICANCE = 0.01
+# Share of the leader's part of the error from which on another row counts as a view of the same ...
+_RIVAL = 0.5
+# ... and from which on it comes before a mere place.
+_EQUAL = 0.9
+_SOME = 0.1  # ... of the best row of its dimension
+_MUCH = 4.0
+_REMAINS = 0.02  # of its worth: what a row may add to the leader that causes it
+_BESIDES = 2
+_LEAST = 0.005  # of the error's energy that a second failure must explain
+_SHOWN = 10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Failure:
+    """One row of a failure map.
+
+    Attributes
+    ----------
+    dimension : str
+        "time", "frequency", "amplitude", "state" or "place".
+    where : str
+        Region: a stretch of time, a mode or band, a level, a side, a port.
+    measure : str
+        What departs: delay, dropout, mode, residual force, ...
+    statistic : float
+        Twice the log-likelihood that allowing for it adds to the record.
+    p_value : float
+        Probability of such a row anywhere in the map if the model is right,
+        the number of regions looked at allowed for.
+    share : float
+        Share of the error's energy that it explains, 0 to 1. Rows overlap,
+        so that shares do not add up to one.
+    sentence : str
+        What it means.
+    role : str
+        "first"; "besides" for what is left when the rows before are allowed
+        for; "instead" for another view of the same error.
+    values : dict
+        The region and what was found, as numbers.
+    """
+
+    dimension: str
+    where: str
+    measure: str
+    statistic: float
+    p_value: float
+    share: float
+    sentence: str
+    role: str
+    values: dict[str, Any]
+
+    def __str__(self) -> str:
+        return f"{self.dimension}: {self.where}: {self.sentence}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FailureMap:
+    """Where one model fails on a record, most telling row first.
+
+    Behaves as a sequence of its rows; empty where nothing is significant.
+
+    Attributes
+    ----------
+    name : str
+        Model.
+    rows : tuple of Failure
+        Failures.
+    residual_rms : ndarray of shape (n_y,)
+        Error of the free run, in the outputs' units.
+    looked : tuple of str
+        Dimensions that were searched.
+    notes : tuple of str
+        What could not be searched, and why.
+    """
+
+    name: str
+    rows: tuple[Failure, ...]
+    residual_rms: Array
+    looked: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __iter__(self) -> Iterator[Failure]:
+        return iter(self.rows)
+
+    def __getitem__(self, index: int) -> Failure:
+        return self.rows[index]
+
+    def __bool__(self) -> bool:
+        return bool(self.rows)
+
+    def __str__(self) -> str:
+        from ...views.failure_map import failure_text
+
+        return failure_text(self)
+
+    def _repr_html_(self) -> str:
+        from ...views.failure_map import failure_html
+
+        return failure_html(self)
+
+
+def failure_map(comparison: Comparison, index: int) -> FailureMap:
+    """Search for where one model of a comparison fails.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        Models on a record.
+    index : int
+        Which of the models.
+
+    Returns
+    -------
+    FailureMap
+
+    Notes
+    -----
+    Every region is an explanation of part of the residual: a pole moved, a
+    band rescaled, a delay, a force over displacement or velocity at a port.
+    Its worth is the log-likelihood that it adds when the noise, an
+    autoregressive process, is estimated anew from what it leaves; so
+    coloured noise is no failure, and the explanation that leaves least
+    structure leads. The noise model of the leader is then used to judge all
+    once more. p-values are multiplied by the number of regions (Bonferroni).
+    """
+    scene, notes = _scene(comparison, index)
+    rms = np.sqrt(np.mean((comparison.data.outputs - comparison.runs[index]) ** 2, axis=1))
+    looked = tuple(d for d in DIMENSIONS if scene.places is not None or d not in ("state", "place"))
+    if scene.n_samples < 60:
+        notes.append(f"{scene.n_samples} samples are too few to search for regions; give at least 60")
+        return FailureMap(comparison.names[index], (), rms, (), tuple(notes))
+    rows = _rows(scene)
+    return FailureMap(comparison.names[index], rows, rms, looked, tuple(notes))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResidualForce:
+    """Force that a model lacks at a place, along the motion there.
+
+    Attributes
+    ----------
+    place : str
+        Port.
+    mechanical : bool
+        Whether it has a displacement and a velocity.
+    position, velocity, force : ndarray of shape (N,)
+        Motion, and resisting force, in the model's units.
+    position_unit, velocity_unit : str
+        Units.
+    """
+
+    place: str
+    mechanical: bool
+    position: Array
+    velocity: Array
+    force: Array
+    position_unit: str
+    velocity_unit: str
+
+
+def residual_force(comparison: Comparison, index: int = 0, place: str | None = None) -> ResidualForce | None:
+    """Estimate the force that a model lacks at a place.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        Models on a record.
+    index : int
+        Which of the models.
+    place : str, optional
+        Port; default the one whose force explains most of the record.
+
+    Returns
+    -------
+    ResidualForce or None
+        None for a model without ports.
+    """
+    scene, _ = _scene(comparison, index)
+    if scene.places is None:
+        return None
+    names = [p.name for p in scene.places.places]
+    tried = range(len(names)) if place is None else [names.index(place)]
+    estimates = [(estimated_motion(scene, [i]), i) for i in tried]
+    estimate, chosen = max(estimates, key=lambda pair: pair[0].likelihood)
+    port, x, w = scene.places.places[chosen], estimate.states, comparison.data.inputs
+    return ResidualForce(
+        port.name,
+        port.kind == "mechanical",
+        np.asarray(port.position @ x + port.position_input @ w),
+        np.asarray(port.velocity @ x + port.velocity_input @ w),
+        estimate.forces[0],
+        port.position_unit,
+        port.velocity_unit,
+    )
+
+
+def _scene(comparison: Comparison, index: int) -> tuple[Scene, list[str]]:
+    notes: list[str] = []
+    model = comparison.models[index]
+    places = comparison.places[index]
+    if places is None:
+        places = found_places(model, comparison.data.dt)
+    if places is None or not places.places:
+        places = None
+        notes.append("State space and place were not searched: no ports were found in this model")
+    scene = Scene(
+        comparison.seen_by(index), model, comparison.runs[index], comparison.states[index], comparison.starts,
+        estimated=comparison.x0 == "estimate", places=places,
+    )  # fmt: skip
+    return scene, notes
+
+
+def _searched(scene: Scene) -> list[Finding]:
+    """All findings under the present noise model."""
+    found = [
+        *stretches(scene),
+        *drifts(scene),
+        *delays(scene),
+        *signs(scene),
+        *clipping(scene),
+        *pinned(scene),
+    ]
+    moved = shifts(scene)
+    single = modes(scene, moved)
+    found += [*single, *modes_together(scene, moved, single), *bands(scene)]
+    found += [*input_laws(scene), *level_dependence(scene), *distortions(scene)]
+    if scene.places is not None:
+        found += forces_at_places(scene)
+    return found
+
+
+def _net(finding: Finding, scene: Scene) -> float:
+    """Worth less what the numbers fitted cost (Schwarz)."""
+    return finding.explanation.gain - finding.dof * float(np.log(scene.n_samples))
+
+
+def _p_value(finding: Finding, scene: Scene, count: int) -> float:
+    """Likelihood ratio as an F-test, times the number of regions."""
+    n = scene.n_samples - scene.evidence.order
+    gain = finding.explanation.gain
+    if gain <= 0:
+        return 1.0
+    free = n - finding.dof - scene.evidence.order
+    ratio = np.expm1(min(gain / n, 500.0)) * free / finding.dof
+    return float(min(1.0, stats.f.sf(ratio, finding.dof, free) * count))
+
+
+def _rows(scene: Scene) -> tuple[Failure, ...]:
+    """The leader, what is left besides it, and other views of it; significant ones only."""
+    whole = scene.evidence
+    # first as if the noise were nothing, then with the noise that the leader leaves
+    whole.use_white()
+    findings = _searched(scene)
+    count = 2 * sum(f.tried for f in findings)
+    sure = [f for f in findings if _p_value(f, scene, count) < SIGNIFICANCE]
+    leaders = _in_order(sure, scene)
+    whole.use(scene.residual - (leaders[0].explanation.fit if leaders else 0.0))
+    ranked = _ranked(findings + _searched(scene), scene, count)
+    if not ranked:
+        return ()
+    rows = [_row(ranked[0], scene, count, "first", whole)]
+    fit, all_of_it = ranked[0].explanation.fit, whole.whole(ranked[0].explanation)
+    lead = whole.share(fit)
+    shown = [_region(ranked[0])]
+    for _ in range(_BESIDES):
+        scene.evidence, scene.known, scene.laws = whole.after(fit, all_of_it), {}, None
+        left = [
+            f
+            for f in _ranked(_searched(scene), scene, count)
+            if f.dimension != "place"
+            and _region(f) not in shown
+            and max(
+                whole.share(fit + f.explanation.fit) - whole.share(fit),
+                scene.evidence.share_of_error(scene.evidence.whole(f.explanation))
+                * (1.0 - whole.share_of_error(all_of_it)),
+            )
+            >= _LEAST
+        ]
+        if not left:
+            break
+        rows.append(_row(left[0], scene, count, "besides", whole))
+        shown.append(_region(left[0]))
+        fit, all_of_it = fit + left[0].explanation.fit, all_of_it + scene.evidence.whole(left[0].explanation)
+    scene.evidence = whole
+    dimensions = {ranked[0].dimension}
+    for f in ranked[1:]:
+        share = whole.share(f.explanation.fit)
+        # the best row of each dimension, and what explains nearly as much as the leader
+        seen = share >= _RIVAL * lead or (f.dimension not in dimensions and share >= _SOME * lead)
+        if seen and not _follows(f, ranked[0], whole):
+            rows.append(_row(f, scene, count, "instead", whole))
+            dimensions.add(f.dimension)
+    return tuple(rows[:_SHOWN])
+
+
+def _follows(f: Finding, leader: Finding, whole: Evidence) -> bool:
+    """Whether a row is but a consequence of the leader, and no view of the error by its own right.
+
+    Beside the leader it says nothing more, while the leader beside it does (or says the same
+    with fewer numbers). Bands and places only describe where the error lies: they stay.
+    """
+    if f.dimension == "place" or f.measure == "band":
+        return False
+    price = float(np.log(whole.n_samples))
+
+    def more(one: Finding, than: Finding) -> float:
+        left = whole.after(than.explanation.fit, than.explanation.fit)
+        return left.linear([one.explanation.fit]).gain
+
+    if more(f, leader) > max(f.dof * price, _REMAINS * f.explanation.gain):
+        return False
+    return more(leader, f) > leader.dof * price or (f.dimension == leader.dimension and f.dof > leader.dof)
+
+
+def _row(f: Finding, scene: Scene, count: int, role: str, whole: Evidence) -> Failure:
+    return Failure(
+        f.dimension, f.where, f.measure, f.explanation.gain, _p_value(f, scene, count),
+        whole.share_of_error(whole.whole(f.explanation)), f.sentence, role, f.values,
+    )  # fmt: skip
+
+
+def _ranked(findings: Sequence[Finding], scene: Scene, count: int) -> list[Finding]:
+    """Best finding of each kind of region, significant ones only, best first."""
+    best: dict[tuple[str, ...], Finding] = {}
+    for finding in _in_order([f for f in findings if _p_value(f, scene, count) < SIGNIFICANCE], scene):
+        best.setdefault(_region(finding), finding)
+    return _settled(list(best.values()), scene)
+
+
+def _in_order(findings: Sequence[Finding], scene: Scene) -> list[Finding]:
+    """By worth; but what leaves several times as much of the error as another cannot come before it.
+
+    The likelihood forgives a slow error as noise of that color. Where something explains
+    the error itself, that counts.
+    """
+    left = [1.0 - scene.evidence.share(f.explanation.fit) for f in findings]
+    bound = _MUCH * min(left, default=0.0) + 0.01
+    order = sorted(range(len(findings)), key=lambda k: (left[k] > bound, -_net(findings[k], scene)))
+    return [findings[k] for k in order]
+
+
+def _region(finding: Finding) -> tuple[str, ...]:
+    """What counts as the same row: of rivals for one region only the best is shown."""
+    v, kind = finding.values, str(finding.values.get("kind", finding.measure))
+    if finding.dimension == "time" and "span" in v:
+        return "time", "stretch", str(v["output"]), str(round(v["span"][0] / 20))
+    if kind == "mode":
+        return "frequency", "mode", str(v["modes"][0]["mode"])
+    owner = v.get("place") or v.get("input") or v.get("output") or ""
+    if finding.dimension == "amplitude":
+        kind = kind + str(v.get("parity", "")) if kind in ("level", "distortion") else "input"
+    return finding.dimension, kind, str(owner)
+
+
+def _settled(ranked: list[Finding], scene: Scene) -> list[Finding]:
+    """A place is another view of what the other dimensions show, and comes after the best of them."""
+    if not ranked or ranked[0].dimension != "place":
+        return ranked
+    lead = scene.evidence.share(ranked[0].explanation.fit)
+    for other in ranked:
+        if other.dimension != "place" and scene.evidence.share(other.explanation.fit) >= _EQUAL * lead:
+            return [other, *(f for f in ranked if f is not other)]
+    return ranked

@@ -1,0 +1,383 @@
+"""Failures in the state space: forces at a place that follow its displacement or velocity."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from ...jit import compiled
+from ...systems.discretization import discretize
+from ...systems.linear import Array
+from .likelihood import Explanation
+from .motion import estimated_motion
+from .places import Place
+from .record import Finding, Scene
+
+__all__ = ["forces_at_places"]
+
+_STEPS = 6
+_WORTH = 30.0  # twice the log-likelihood from which on a law is tried in the loop
+_FINE = 8
+_SEEN = 0.1  # of a response, beside offset and initial state, from which on it can be told from them
+_UNLIKE = 0.2  # of the larger of two steps, from which on they count as different
+_QUANTILES = (0.3, 0.5, 0.65, 0.8, 0.9)
+
+
+def _columns(scene: Scene) -> list[tuple[int, Place, list[dict[str, Any]], list[Array]]]:
+    """Laws at each place along the motion that the record shows if a force acts there."""
+    if scene.laws is None:
+        assert scene.places is not None
+        scene.laws = []
+        w = scene.data.inputs
+        seen: list[Array] = []
+        for i, p in enumerate(scene.places.places):
+            rows = np.concatenate([p.act, p.position, p.velocity, p.position_input, p.velocity_input])
+            if any(np.array_equal(rows, other) for other in seen):
+                continue  # the same place by another name
+            seen.append(rows)
+            x = estimated_motion(scene, [i]).states
+            d, v = p.position @ x + p.position_input @ w, p.velocity @ x + p.velocity_input @ w
+            laws = _laws(p, *_between(scene, d, v))
+            if laws:
+                scene.laws.append((i, p, laws, scene.forced([(i, f) for law in laws for f in law["forces"]])))
+                for law in laws:
+                    law["forces"] = [None] * len(law["forces"])  # they have served
+    return scene.laws
+
+
+def forces_at_places(scene: Scene) -> list[Finding]:
+    """Laws at each place, and all of them together per place."""
+    assert scene.places is not None
+    found: list[Finding] = []
+    count = len(scene.places.places)
+    leaders: list[tuple[float, int, Place, dict[str, Any], Explanation, int]] = []
+    for index, place, laws, columns in _columns(scene):
+        cuts = np.cumsum([len(law["forces"]) for law in laws])[:-1]
+        groups = [columns[a:b] for a, b in zip([0, *cuts], [*cuts, len(columns)], strict=True)]
+        curved = [k for k, law in enumerate(laws) if not law["linear"]]
+        curved = [k for k in curved if laws[k]["name"] != "dry by direction" or _apart(scene, *groups[k])]
+        judged = scene.evidence.best_of([groups[k] for k in curved])
+        found += [_finding(place, laws[curved[k]], one, len(laws) * count) for k, one in judged]
+        if judged:
+            k, one = max(judged, key=lambda pair: pair[1].gain)
+            leaders.append((one.gain, index, place, laws[curved[k]], one, len(laws) * count))
+        straight = [c for k, law in enumerate(laws) if law["linear"] for c in groups[k]]
+        together = straight + [
+            c
+            for k, law in enumerate(laws)
+            if law["name"] in ("dry", "odd velocity", "odd displacement")
+            for c in groups[k]
+        ]
+        whole = scene.evidence.linear(together)
+        found.append(
+            Finding(
+                "place",
+                f"force at {place.name}",
+                "hidden force",
+                whole,
+                len(together),
+                count,
+                f"A force at {place.name} that follows the motion there would explain "
+                f"{100 * scene.evidence.share_of_error(scene.evidence.whole(whole)):.3g} % of the error.",
+                {"place": place.name, "kind": "force"},
+            )
+        )
+        linear = scene.evidence.linear(straight)
+        law_text = "stiffness and damping at" if place.kind == "mechanical" else "coefficient of"
+        found.append(
+            Finding(
+                "place",
+                f"{law_text} {place.name}",
+                "linear force",
+                linear,
+                len(straight),
+                count,
+                f"A change of the linear law at {place.name} alone would explain "
+                f"{100 * scene.evidence.share_of_error(scene.evidence.whole(linear)):.3g} % of the error.",
+                {"place": place.name, "kind": "linear force"},
+            )
+        )
+    for gain, index, place, law, one, tried in sorted(leaders, key=lambda row: -row[0])[:2]:
+        if gain > _WORTH:
+            found.append(_finding(place, *_settled(scene, index, law, one), tried))
+    return found
+
+
+def _apart(scene: Scene, forward: Array, backward: Array) -> bool:
+    """Whether steps that differ with the direction would show as more than a constant offset."""
+    both = forward - backward
+    left = scene.evidence.without_nuisance(both)
+    if np.linalg.norm(left) < _SEEN * np.linalg.norm(both):
+        return False
+    steps = scene.evidence.linear([forward, backward]).values
+    return bool(min(steps * np.sign(steps.sum())) > 0 and np.ptp(steps) > _UNLIKE * np.abs(steps).max())
+
+
+def _settled(
+    scene: Scene, index: int, law: dict[str, Any], one: Explanation
+) -> tuple[dict[str, Any], Explanation]:
+    """The law in the loop: its force follows the motion that it causes itself."""
+    if law["code"] < 0 or scene.places is None:
+        return law, one
+    places, w = scene.places, scene.data.inputs
+    place = places.places[index]
+    d = place.position @ scene.states + place.position_input @ w
+    v = place.velocity @ scene.states + place.velocity_input @ w
+    steps = _STEPS if d.size < 30_000 else 2
+    fine_d, fine_v = _between(scene, d, v, steps)
+    Phi, G, _ = discretize(places.A, place.act[:, None], scene.dt / steps, "zoh")
+    searched = law["code"] in (1, 7, 8)
+
+    def shape(point: Array) -> Array:
+        out = np.zeros((scene.n_samples, scene.n_outputs))
+        loop(
+            np.ascontiguousarray(Phi),
+            G[:, 0].copy(),
+            np.ascontiguousarray(places.C),
+            place.through,
+            place.position,
+            place.velocity,
+            fine_d,
+            fine_v,
+            steps,
+            scene.reset,
+            law["code"],
+            float(one.values[0] * (1.0 + point[0])),
+            float(law["size"] * np.exp(point[1])) if searched else float(law["size"]),
+            out,
+        )
+        return np.asarray(out.T / scene.scale)
+
+    with np.errstate(over="ignore", invalid="ignore"):
+        first = shape(np.zeros(1 + searched))
+        if not np.isfinite(first).all() or np.abs(first).max() > 1e3:
+            return law, one
+        found = scene.evidence.descended(shape, np.zeros(1 + searched))
+    if not np.isfinite(found.gain) or found.gain <= one.gain:
+        return law, one
+    if searched:
+        g = float(law["size"] * np.exp(found.values[1]))
+        law = {
+            **law,
+            "values": {**law["values"], "low": g},
+            "where": law["where"].replace(f"{law['size']:.3g}", f"{g:.3g}"),
+        }
+    return law, found
+
+
+@compiled
+def loop(  # type: ignore[no-untyped-def]
+    Phi,  # (n, n)  of a substep
+    G,  # (n,)
+    C,  # (n_y, n)
+    through,  # (n_y,)
+    row_d,  # (n,)
+    row_v,  # (n,)
+    d0,  # (N steps,)  motion without the force
+    v0,  # (N steps,)
+    steps,
+    reset,
+    code,
+    factor,
+    size,
+    out,  # (N, n_y)
+):
+    x = np.zeros(Phi.shape[0])
+    for k in range(out.shape[0]):
+        if reset[k]:
+            x = np.zeros(Phi.shape[0])
+        for j in range(steps):
+            d = d0[k * steps + j] + row_d @ x
+            v = v0[k * steps + j] + row_v @ x
+            if code == 0:
+                f = np.tanh(v / size)
+            elif code == 1:
+                f = np.sign(d) * max(abs(d) - size, 0.0)
+            elif code == 2:
+                f = d**3 / size**2
+            elif code == 3:
+                f = v * abs(v)
+            elif code == 4:
+                f = v**3 / size**2
+            elif code == 5:
+                f = abs(d)
+            elif code == 6:
+                f = d * d / size
+            elif code == 7:
+                f = max(d - size, 0.0)
+            elif code == 8:
+                f = min(d + size, 0.0)
+            else:
+                f = abs(v)
+            if j == 0:
+                out[k] = C @ x + through * (factor * f)
+            x = Phi @ x + G * (factor * f)
+
+
+def _between(scene: Scene, d: Array, v: Array, factor: int = 0) -> tuple[Array, Array]:
+    """Motion several times per sample: a force that jumps does so between samples."""
+    n, factor = d.size, factor or (_FINE if d.size < 30_000 else 2)
+    grid = np.arange(n, dtype=float)
+    fine = np.arange(n * factor) / factor
+    edges = [*scene.starts, n]
+    found = []
+    for signal in (d, v):
+        parts = []
+        for a, b in pairwise(edges):
+            at = np.clip(fine[a * factor : b * factor], a, b - 1)
+            if b - a < 4 or not np.ptp(signal[a:b]):
+                parts.append(np.interp(at, grid[a:b], signal[a:b]))
+            else:
+                parts.append(CubicSpline(grid[a:b], signal[a:b])(at))
+        found.append(np.concatenate(parts))
+    return found[0], found[1]
+
+
+def _laws(place: Place, d: Array, v: Array) -> list[dict[str, Any]]:
+    """Forces over displacement and velocity, with the region in which each departs from zero."""
+    laws: list[dict[str, Any]] = []
+
+    def law(
+        name: str,
+        where: str,
+        forces: list[Array],
+        dof: int,
+        linear: bool = False,
+        code: int = -1,
+        size: float = 1.0,
+        **values: Any,
+    ) -> None:
+        if all(np.all(np.isfinite(f)) and np.ptp(f) > 0 for f in forces):
+            laws.append(
+                {
+                    "name": name,
+                    "where": where,
+                    "forces": forces,
+                    "dof": dof,
+                    "linear": linear,
+                    "code": code,
+                    "size": size,
+                    "values": values,
+                }
+            )
+
+    first = place.kind == "first_order"
+    letter, unit = ("x", place.velocity_unit) if first else ("v", place.velocity_unit)
+    if np.ptp(v) > 0:
+        spread = float(v.std())
+        law("linear velocity", "everywhere", [v], 1, linear=True)
+        width = 0.005 * spread
+        if v.min() < -0.05 * spread and v.max() > 0.05 * spread:
+            law(
+                "dry",
+                f"near {letter} = 0",
+                [np.tanh(v / width)],
+                1,
+                code=0,
+                size=width,
+                low=0.0,
+                high=0.0,
+                axis=letter,
+            )
+            law(
+                "dry by direction",
+                f"near {letter} = 0",
+                [np.maximum(np.tanh(v / width), 0.0), np.minimum(np.tanh(v / width), 0.0)],
+                2,
+                low=0.0,
+                high=0.0,
+                axis=letter,
+            )
+        law("odd velocity", f"at large |{letter}|", [v * np.abs(v)], 1, code=3, axis=letter)
+        law("odd velocity", f"at large |{letter}|", [v**3 / spread**2], 1, code=4, size=spread, axis=letter)
+        if not first and v.min() < 0 < v.max():
+            law("one side of velocity", f"one sign of {letter}", [np.abs(v)], 1, code=9, axis=letter)
+        if first:
+            law("root", f"as the root of {letter}", [np.sign(v) * np.sqrt(np.abs(v))], 1, axis=letter)
+            for q in (0.5, 0.7, 0.85, 0.95):
+                g = float(np.quantile(v, q))
+                law(
+                    "beyond",
+                    f"{letter} > {g:.3g}{_spaced(unit)}",
+                    [np.maximum(v - g, 0.0)],
+                    2,
+                    low=g,
+                    axis=letter,
+                )
+    if np.ptp(d) > 0:
+        unit = place.position_unit
+        spread = float(d.std())
+        law("linear displacement", "everywhere", [d], 1, linear=True)
+        law("odd displacement", "at large |d|", [d**3 / spread**2], 1, code=2, size=spread, axis="d")
+        law("even displacement", "d of one sign more", [d * d / spread], 1, code=6, size=spread, axis="d")
+        for q in _QUANTILES:
+            g = float(np.quantile(np.abs(d), q))
+            text = f"{g:.3g}{_spaced(unit)}"
+            law(
+                "beyond",
+                f"|d| > {text}",
+                [np.sign(d) * np.maximum(np.abs(d) - g, 0.0)],
+                2,
+                code=1,
+                size=g,
+                low=g,
+                axis="d",
+            )
+            law(
+                "beyond, one side",
+                f"d > {text}",
+                [np.maximum(d - g, 0.0)],
+                2,
+                code=7,
+                size=g,
+                low=g,
+                axis="d",
+                side=1,
+            )
+            law(
+                "beyond, one side",
+                f"d < -{text}",
+                [np.minimum(d + g, 0.0)],
+                2,
+                code=8,
+                size=g,
+                low=g,
+                axis="d",
+                side=-1,
+            )
+        law("one side", "d > 0 apart from d < 0", [np.abs(d)], 1, code=5, low=0.0, axis="d")
+    return laws
+
+
+def _spaced(unit: str) -> str:
+    return f" {unit}" if unit else ""
+
+
+_MEANINGS = {
+    "dry": "jumps where the motion turns, as dry friction does",
+    "dry by direction": "jumps where the motion turns, by different steps, as worn guides do",
+    "odd velocity": "grows more than in proportion to speed, as drag does",
+    "one side of velocity": "differs with the direction of motion",
+    "root": "follows the square root, as an outflow does",
+    "beyond": "sets in beyond that, as a stop or a hardening spring does",
+    "beyond, one side": "sets in beyond that on one side only, as a stop does",
+    "odd displacement": "grows more than in proportion to displacement, as a hardening spring does",
+    "even displacement": "grows to one side, as an asymmetric spring does",
+    "one side": "differs between the two sides, as a crack or a loose contact does",
+}
+
+
+def _finding(place: Place, law: dict[str, Any], one: Explanation, tried: int) -> Finding:
+    return Finding(
+        "state",
+        f"{place.name}, {law['where']}",
+        "residual force",
+        one,
+        law["dof"],
+        tried,
+        f"The force that the model lacks at {place.name} {_MEANINGS[law['name']]} ({law['where']}).",
+        {"place": place.name, "law": law["name"], "kind": "state", **law["values"]},
+    )

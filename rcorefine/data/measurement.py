@@ -1,0 +1,470 @@
+"""The measured record: inputs, outputs, time, and what happens between the samples."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import control as ct
+import numpy as np
+
+from ..arguments import as_choice, as_labels, as_list, as_number, as_share, as_text, as_texts, as_whole
+from ..exceptions import DataError, ExcitationWarning
+from ..systems.linear import Array
+from .reading import RecordReaders
+from .signals import HOLDS, as_signals, as_time_grid, check_finite, default_labels
+
+if TYPE_CHECKING:
+    from .frequency_response import FrequencyResponse
+
+__all__ = ["HOLDS", "Measurement", "as_records"]
+
+_FIELDS = (
+    "inputs", "outputs", "dt", "timepts", "hold", "input_labels", "output_labels",
+    "input_units", "output_units", "name",
+)  # fmt: skip
+_ARRAYS = ("inputs", "outputs", "timepts")
+
+
+@dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
+class Measurement(RecordReaders):
+    """Measured inputs and outputs on a regular time grid.
+
+    The record keeps read-only copies: nothing that you do to your arrays
+    afterwards, and nothing that rcorefine does, changes it.
+
+    Parameters
+    ----------
+    inputs : array_like of shape (N,) or (n_w, N)
+        What drove the system; one row per signal, time last.
+    outputs : array_like of shape (N,) or (n_y, N)
+        What was measured.
+    dt : float, optional
+        Sampling time in s. Either `dt` or `timepts` must be given.
+    timepts : array_like of shape (N,), optional
+        Times in s. They must lie on a regular grid; rounding up to 2 % of a
+        sample is accepted and the regular grid is held.
+    hold : {"zoh", "foh", "bandlimited"}
+        How the input runs between samples: constant (a D/A converter),
+        straight lines, or band-limited (an analog input behind an
+        anti-aliasing filter). It outweighs most physical effects.
+    input_labels, output_labels : str or sequence of str, optional
+        Signal names; default ``u[0], ...`` and ``y[0], ...`` as in
+        python-control. `compare` matches named channels by name.
+    input_units, output_units : str or sequence of str, optional
+        Units for labels of plots and tables.
+    name : str, optional
+        Name of the record, default "measured".
+
+    Attributes
+    ----------
+    inputs, outputs : ndarray of shape (n_w, N) and (n_y, N)
+        The signals, read-only, float64.
+    dt : float
+        Sampling time in s.
+    timepts : ndarray of shape (N,)
+        Times in s, read-only.
+
+    Raises
+    ------
+    DataError
+        NaN or Inf (signal and sample are named), no sample, no or
+        contradictory time, irregular time (place and size are named).
+    control.ControlDimension
+        Unequal lengths, transposed arrays, wrong number of labels.
+    control.ControlArgument
+        Complex values, text, an unknown hold.
+
+    Notes
+    -----
+    A constant input is legitimate (a free decay), so it is accepted here.
+    Functions that judge or estimate what the input drives call
+    `check_excitation`, which emits `ExcitationWarning`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> data = Measurement(np.ones(50), np.arange(50.0), dt=0.1, input_labels="force")
+    >>> data.n_samples, data.inputs.shape
+    (50, (1, 50))
+    >>> train, test = data.split(0.7)
+    >>> float(test.timepts[0])
+    3.5
+    """
+
+    inputs: Array
+    outputs: Array
+    dt: float
+    timepts: Array
+    hold: str
+    input_labels: tuple[str, ...]
+    output_labels: tuple[str, ...]
+    input_units: tuple[str, ...]
+    output_units: tuple[str, ...]
+    name: str
+
+    def __init__(
+        self,
+        inputs: Any,
+        outputs: Any,
+        *,
+        dt: float | None = None,
+        timepts: Any = None,
+        hold: str = "zoh",
+        input_labels: str | Sequence[str] | None = None,
+        output_labels: str | Sequence[str] | None = None,
+        input_units: str | Sequence[str] | None = None,
+        output_units: str | Sequence[str] | None = None,
+        name: str | None = None,
+    ) -> None:
+        w = as_signals(inputs, "inputs")
+        y = as_signals(outputs, "outputs")
+        n_samples = y.shape[1]
+        if w.shape[1] != n_samples:
+            raise ct.ControlDimension(
+                f"inputs have {w.shape[1]} samples and outputs {n_samples}; give both over the same time "
+                "(nothing is cut for you)"
+            )
+        as_choice(hold, "hold", HOLDS)
+        if name is not None:
+            as_text(name, "name", empty=False)
+        w_labels = as_labels(input_labels, "input_labels", default_labels("u", w.shape[0]))
+        y_labels = as_labels(output_labels, "output_labels", default_labels("y", y.shape[0]))
+        step, times = as_time_grid(dt, timepts, n_samples)
+        check_finite(w, w_labels, times, "input")
+        check_finite(y, y_labels, times, "output")
+        for array in (w, y, times):
+            array.setflags(write=False)
+        w_units = _units(input_units, "input_units", w.shape[0])
+        y_units = _units(output_units, "output_units", y.shape[0])
+        values = (w, y, step, times, hold, w_labels, y_labels, w_units, y_units, name or "measured")
+        for field, value in zip(_FIELDS, values, strict=True):
+            object.__setattr__(self, field, value)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {field: getattr(self, field) for field in _FIELDS}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        # neither pickle nor deepcopy keeps the read-only flag of an array
+        for field in _FIELDS:
+            if field in _ARRAYS:
+                state[field].setflags(write=False)
+            object.__setattr__(self, field, state[field])
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples N."""
+        return int(self.timepts.size)
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of inputs n_w."""
+        return int(self.inputs.shape[0])
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs n_y."""
+        return int(self.outputs.shape[0])
+
+    @property
+    def duration(self) -> float:
+        """Length of the record in s, N dt."""
+        return self.n_samples * self.dt
+
+    def check_excitation(self, purpose: str = "the record", stacklevel: int = 2) -> tuple[str, ...]:
+        """Warn about inputs that never change, and name them.
+
+        Parameters
+        ----------
+        purpose : str
+            What the record is used for, opens the message.
+        stacklevel : int
+            As in `warnings.warn`, counted from the caller.
+
+        Returns
+        -------
+        tuple of str
+            Labels of the constant inputs.
+
+        Warns
+        -----
+        ExcitationWarning
+            If an input is constant: a free decay still shows how the system
+            settles, but nothing of what that input drives.
+        """
+        as_text(purpose, "purpose")
+        as_whole(stacklevel, "stacklevel", most=1000)
+        still = tuple(
+            label
+            for label, row in zip(self.input_labels, self.inputs, strict=True)
+            if np.ptp(row) == 0.0 and self.n_samples > 1
+        )
+        if still:
+            values = ", ".join(
+                f"{label!r} = {self.inputs[self.input_labels.index(label), 0]:g}" for label in still
+            )
+            warnings.warn(
+                f"{purpose}: constant over all {self.n_samples} samples: {values}. The record shows how the "
+                "system settles (a free decay), not what this input drives; vary the input to learn that",
+                ExcitationWarning,
+                stacklevel=stacklevel + 1,
+            )
+        return still
+
+    def split(self, fraction: float) -> tuple[Measurement, Measurement]:
+        """Cut in two: the first part to learn from, the rest to judge by.
+
+        Parameters
+        ----------
+        fraction : float
+            Share of the samples in the first part, between 0 and 1.
+
+        Returns
+        -------
+        first, second : Measurement
+            Both keep their true times.
+
+        Raises
+        ------
+        DataError
+            If a part would be without samples.
+
+        Examples
+        --------
+        >>> train, test = Measurement(np.zeros(10), np.arange(10.0), dt=1.0).split(0.7)
+        >>> train.n_samples, float(test.timepts[0])
+        (7, 7.0)
+        """
+        cut = round(as_share(fraction, "fraction", error=DataError) * self.n_samples)
+        if not 0 < cut < self.n_samples:
+            raise DataError(
+                f"fraction = {fraction} of {self.n_samples} samples leaves a part empty; "
+                "take one between 0 and 1"
+            )
+        return self._part(slice(0, cut)), self._part(slice(cut, None))
+
+    def segment(self, start: float | None = None, stop: float | None = None) -> Measurement:
+        """Stretch of the record from `start` up to, not including, `stop`.
+
+        Parameters
+        ----------
+        start, stop : float, optional
+            Seconds on the record's own time axis (`timepts`); default its
+            beginning and its end. Adjoining segments do not overlap.
+
+        Returns
+        -------
+        Measurement
+            The samples with start <= t < stop; times are kept.
+
+        Raises
+        ------
+        DataError
+            If no sample lies in between.
+
+        Examples
+        --------
+        >>> data = Measurement(np.zeros(10), np.arange(10.0), dt=0.5)
+        >>> data.segment(1.0, 2.0).timepts
+        array([1. , 1.5])
+        """
+        slack = 1e-6 * self.dt
+        inside = np.ones(self.n_samples, dtype=bool)
+        for name, bound, after in (("start", start, True), ("stop", stop, False)):
+            if bound is None:
+                continue
+            bound = as_number(bound, name, infinite=True, what="a time in seconds", error=DataError)
+            inside &= (self.timepts >= bound - slack) == after
+        found = np.flatnonzero(inside)
+        if found.size == 0:
+            raise DataError(
+                f"no sample lies between start = {start} and stop = {stop} s; "
+                f"the record runs from {self.timepts[0]:g} to {self.timepts[-1]:g} s"
+            )
+        return self._part(slice(int(found[0]), int(found[-1]) + 1))
+
+    def with_hold(self, hold: str) -> Measurement:
+        """The same record with another behaviour of the inputs between samples.
+
+        Parameters
+        ----------
+        hold : {"zoh", "foh", "bandlimited"}
+            Held, linear, or interpolated without content above half the sampling rate.
+
+        Returns
+        -------
+        Measurement
+
+        Examples
+        --------
+        >>> Measurement(np.ones(4), np.arange(4.0), dt=0.5).with_hold("foh").hold
+        'foh'
+        """
+        as_choice(hold, "hold", HOLDS)
+        return self if hold == self.hold else self._part(slice(None), hold)
+
+    def _part(self, where: slice, hold: str | None = None) -> Measurement:
+        return Measurement(
+            self.inputs[:, where],
+            self.outputs[:, where],
+            dt=self.dt,
+            timepts=self.timepts[where],
+            hold=hold or self.hold,
+            input_labels=self.input_labels,
+            output_labels=self.output_labels,
+            input_units=self.input_units,
+            output_units=self.output_units,
+            name=self.name,
+        )
+
+    def to_response(self) -> ct.TimeResponseData:
+        """The record as `control.TimeResponseData`, labels and times kept.
+
+        Returns
+        -------
+        TimeResponseData
+            Copies; plots with its inputs.
+
+        Examples
+        --------
+        >>> data = Measurement(np.ones(4), np.arange(4.0), dt=0.5, output_labels="speed")
+        >>> data.to_response().output_labels
+        ['speed']
+        """
+        return ct.TimeResponseData(
+            self.timepts.copy(),
+            self.outputs.copy(),
+            inputs=self.inputs.copy(),
+            output_labels=list(self.output_labels),
+            input_labels=list(self.input_labels),
+            issiso=self.n_inputs == self.n_outputs == 1,
+            sysname=self.name,
+            plot_inputs=True,
+        )
+
+    def frequency_response(
+        self,
+        *,
+        segment_length: int | None = None,
+        overlap: float = 0.5,
+        window: str | tuple[Any, ...] = "hann",
+    ) -> FrequencyResponse:
+        """Measured frequency response with coherence and standard deviation.
+
+        Parameters
+        ----------
+        segment_length : int, optional
+            Samples per averaged segment; default about N/8.
+        overlap : float
+            Share of a segment that the next one repeats, 0 <= overlap < 1.
+        window : str or tuple
+            Window, as for `scipy.signal.get_window`.
+
+        Returns
+        -------
+        FrequencyResponse
+            Holds `omega`, `response`, `coherence`, `std`, and as `frd` the
+            named `control.FrequencyResponseData`.
+
+        Raises
+        ------
+        DataError
+            If an input is constant, inputs run together, or the record is
+            too short.
+
+        See Also
+        --------
+        rcorefine.data.frequency_response.estimate_frequency_response : The formulas.
+        """
+        from .frequency_response import estimate_frequency_response
+
+        return estimate_frequency_response(
+            self, segment_length=segment_length, overlap=overlap, window=window
+        )
+
+    def plot(
+        self,
+        *,
+        ax: Any = None,
+        label: str | None = None,
+        title: str | None = None,
+        legend_loc: str | bool | None = None,
+        rcParams: dict[str, Any] | None = None,
+        show_legend: bool | None = None,
+    ) -> ct.ControlPlot:
+        """Plot outputs over inputs, one row per signal.
+
+        Parameters
+        ----------
+        ax : array of Axes, optional
+            Axes to draw in, shape (n_y + n_w, 1).
+        label : str, optional
+            Label of the curves; default the record's name.
+        title : str, optional
+            Title of the figure.
+        legend_loc : str or False, optional
+            Place of the legend, as in matplotlib.
+        rcParams : dict, optional
+            Matplotlib settings on top of `control.rcParams`.
+        show_legend : bool, optional
+            Force the legend on or off; default: off for one record.
+
+        Returns
+        -------
+        ControlPlot
+            Lines, axes, figure.
+        """
+        from ..views.measurement import plot_measurement
+
+        return plot_measurement(
+            self,
+            ax=ax,
+            label=label,
+            title=title,
+            legend_loc=legend_loc,
+            rcParams=rcParams,
+            show_legend=show_legend,
+        )
+
+    def __repr__(self) -> str:
+        return (
+            f"<Measurement {self.name!r}: {self.n_inputs} input(s), {self.n_outputs} output(s), "
+            f"{self.n_samples} samples, dt={self.dt:g}, hold={self.hold!r}>"
+        )
+
+    def __str__(self) -> str:
+        from ..views.measurement import measurement_text
+
+        return measurement_text(self)
+
+    def _repr_html_(self) -> str:
+        from ..views.measurement import measurement_html
+
+        return measurement_html(self)
+
+
+def as_records(data: Any, name: str = "data") -> list[Measurement]:
+    """One record or several, as a list.
+
+    Raises
+    ------
+    control.ControlArgument
+        If it is something else.
+    DataError
+        If the list is empty.
+    """
+    records = [data] if isinstance(data, Measurement) else as_list(data, name, "Measurement objects")
+    for i, record in enumerate(records):
+        if not isinstance(record, Measurement):
+            raise ct.ControlArgument(
+                f"{name}[{i}] is a {type(record).__name__}; {name} must be a Measurement or a list of them"
+            )
+    if not records:
+        raise DataError(f"{name} is an empty list; give at least one Measurement")
+    return records
+
+
+def _units(values: Any, what: str, count: int) -> tuple[str, ...]:
+    return ("",) * count if values is None else as_texts(values, what, count)

@@ -1,0 +1,164 @@
+"""Checks of arrays, labels and times: every message says what, where and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from ..arguments import as_array, as_number
+from ..exceptions import DataError
+from ..systems.linear import Array
+
+__all__ = ["HOLDS", "as_signals", "as_time_grid", "check_finite", "default_labels"]
+
+HOLDS = ("zoh", "foh", "bandlimited")
+
+# A time axis may leave its regular grid by this share of a sample: the rounding of a text file passes,
+# a lost, doubled or shifted sample does not.
+GRID_TOLERANCE = 0.02
+
+
+def as_signals(values: Any, what: str) -> Array:
+    """Independent (signal, time) float array of what a user gave, or an error that says why not.
+
+    Parameters
+    ----------
+    values : array_like
+        One signal (N,), or several (n, N): signal first, time last.
+    what : str
+        "inputs" or "outputs", for the messages.
+
+    Returns
+    -------
+    ndarray of shape (n, N)
+        A copy in float64.
+
+    Raises
+    ------
+    control.ControlArgument
+        If the values are complex, text, dates or objects.
+    control.ControlDimension
+        If the array is transposed, ragged or has more than two dimensions.
+    DataError
+        If there is no sample or no signal, or if values are masked.
+    """
+    if hasattr(values, "columns") and hasattr(values, "iloc"):
+        raise ct.ControlArgument(
+            f"{what} is a table of columns ({type(values).__name__}); "
+            "read it with Measurement.from_frame(frame, inputs=[...], outputs=[...])"
+        )
+    array = as_array(values, what, finite=False, flags=True)
+    if array.ndim == 0:
+        raise ct.ControlDimension(f"{what} is a single number; give a signal over time")
+    if array.ndim > 2:
+        raise ct.ControlDimension(
+            f"{what} has shape {array.shape}; give (signal, time), one record at a time, "
+            "or (time,) for one signal"
+        )
+    if array.size == 0:
+        raise DataError(f"{what} is empty (shape {array.shape}); give at least one signal with one sample")
+    if array.ndim == 2 and array.shape[0] > array.shape[1]:
+        n_samples, n_signals = array.shape
+        raise ct.ControlDimension(
+            f"{what} has shape {array.shape}: it looks transposed "
+            f"({n_signals} signal(s) of {n_samples} samples?). "
+            f"Signals come first and time last, as in python-control; pass {what}.T"
+        )
+    return np.atleast_2d(array)
+
+
+def default_labels(prefix: str, count: int) -> tuple[str, ...]:
+    """Labels that python-control itself would give: u[0], u[1], ..."""
+    return tuple(f"{prefix}[{index}]" for index in range(count))
+
+
+def check_finite(signals: Array, labels: Sequence[str], times: Array | None, what: str) -> None:
+    """Refuse NaN and Inf, naming signal and sample."""
+    bad = ~np.isfinite(signals)
+    if not bad.any():
+        return
+    row, sample = (int(i) for i in np.argwhere(bad)[np.argmin(np.argwhere(bad)[:, 1])])
+    value = signals[row, sample]
+    place = f"sample {sample}" + ("" if times is None else f" (t = {times[sample]:.6g} s)")
+    count = int(bad.any(axis=0).sum())
+    raise DataError(
+        f"{what} {labels[row]!r} is {'NaN' if np.isnan(value) else 'Inf'} at {place}; "
+        f"{count} of {signals.shape[1]} samples are not finite. Repair them, or use a stretch without them"
+    )
+
+
+def as_time_grid(dt: Any, timepts: Any, n_samples: int) -> tuple[float, Array]:
+    """Sampling time and regular time axis from `dt`, `timepts` or both.
+
+    Raises
+    ------
+    DataError
+        If neither is given, if they contradict each other, or if the times
+        are irregular; the message names place and size.
+    """
+    step = None if dt is None else as_number(dt, "dt", above=0.0, what="a time in seconds", error=DataError)
+    if timepts is None:
+        if step is None:
+            raise DataError("the record has no time: give dt (sampling time in s) or timepts (times in s)")
+        return step, step * np.arange(n_samples, dtype=np.float64)
+    times = _as_times(timepts, n_samples)
+    if n_samples == 1:
+        if step is None:
+            raise DataError("one sample has no sampling time: give dt in s")
+        return step, times
+    steps = np.diff(times)
+    if (steps <= 0).any():
+        k = int(np.argmax(steps <= 0))
+        raise DataError(
+            f"timepts does not increase from sample {k} ({times[k]:.9g} s) "
+            f"to sample {k + 1} ({times[k + 1]:.9g} s); sort the record and remove doubled samples"
+        )
+    # 12 digits keep 0.01 from becoming 0.010000000000000002
+    mean = float(f"{(times[-1] - times[0]) / (n_samples - 1):.12g}")
+    _check_regular(times, steps, mean)
+    if step is not None and abs(step - mean) * (n_samples - 1) > GRID_TOLERANCE * mean:
+        raise DataError(
+            f"dt = {step:.9g} s contradicts timepts, which advance by {mean:.9g} s; "
+            "give one of the two (timepts in seconds)"
+        )
+    step = mean if step is None else step
+    grid: Array = float(times[0]) + step * np.arange(n_samples, dtype=np.float64)
+    return step, grid
+
+
+def _check_regular(times: Array, steps: Array, mean: float) -> None:
+    """Refuse times off the regular grid, naming the step that differs most."""
+    off_grid = np.abs(times - times[0] - mean * np.arange(times.size))
+    if off_grid.max() <= GRID_TOLERANCE * mean:
+        return
+    usual = float(np.sort(steps)[(steps.size - 1) // 2])  # a lower median: one of the steps, for two as well
+    k = int(np.argmax(np.abs(steps - usual)))
+    if abs(steps[k] - usual) > GRID_TOLERANCE * usual:
+        where = (
+            f"from sample {k} to {k + 1} (t = {times[k]:.9g} s) it advances by {steps[k]:.6g} s "
+            f"instead of {usual:.6g} s"
+        )
+    else:
+        k = int(np.argmax(off_grid))
+        where = (
+            f"sample {k} (t = {times[k]:.9g} s) is {off_grid[k]:.3g} s off the regular grid of {mean:.6g} s"
+        )
+    raise DataError(
+        f"time is irregular: {where}. Resample the record on a regular grid "
+        "(numpy.interp, scipy.signal.resample), or use a stretch without the gap"
+    )
+
+
+def _as_times(timepts: Any, n_samples: int) -> Array:
+    times = as_array(timepts, "timepts (in seconds)", finite=False)
+    if times.ndim == 2 and 1 in times.shape:
+        times = times.ravel()
+    if times.shape != (n_samples,):
+        raise ct.ControlDimension(f"timepts has shape {times.shape} for signals of {n_samples} samples")
+    if not np.isfinite(times).all():
+        k = int(np.argmin(np.isfinite(times)))
+        raise DataError(f"timepts is not finite at sample {k}; give the time of every sample, or dt")
+    return times

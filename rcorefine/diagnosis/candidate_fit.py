@@ -1,0 +1,164 @@
+"""A candidate at its best point so far: how likely it is there, and what it is as a model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..effects.effect import Effect
+from ..inference.fitted import Fitted, evaluated
+from ..inference.gauss_newton import Descent, descend
+from ..inference.outcome import _fit, _rows
+from ..inference.problem import Problem
+from ..inference.refinement import Refinement
+from ..inference.sensitivities import Candidate
+from ..inference.whitening import Whitener
+from ..systems.linear import Array
+from .starts import gain_for
+
+__all__ = [
+    "LACK",
+    "Rival",
+    "continued",
+    "fitted_model",
+    "log_likelihood",
+    "price",
+    "prior_cost",
+    "whitener_of",
+]
+
+LACK = 0.1  # log-likelihood that the next full step would gain, at most, at a minimum
+
+
+@dataclass(eq=False)
+class Rival:
+    """A candidate in the race, at its best point so far."""
+
+    candidate: Candidate
+    descent: Descent
+    log_likelihood: float = -np.inf
+    free_run: Descent | None = None  # its minimum of the plain error, before any whitening
+    settled: bool = False  # at a minimum, or lacking too little to come near the best
+    lack: float = np.inf  # log-likelihood that its next full step would gain
+
+    @property
+    def effect(self) -> Effect:
+        """Its effect."""
+        return self.candidate.effect
+
+    @property
+    def converged(self) -> bool:
+        """Whether its gradient is small against its standard deviation."""
+        return self.lack <= LACK
+
+    @property
+    def n_coefficients(self) -> int:
+        """Coefficients that it adds."""
+        return self.candidate.problem.n_theta - self.candidate.fitted.problem.n_theta
+
+
+def continued(
+    fitted: Fitted,
+    rival: Rival,
+    ratio: float,
+    whitener: Whitener | None,
+    evaluations: int,
+    tolerance: float = 1e-4,
+) -> Descent:
+    """Its descent, some laps further."""
+    return descend(
+        rival.candidate.problem,
+        rival.descent.point,
+        gain=gain_for(fitted, rival.candidate, ratio),
+        whitener=whitener,
+        evaluations=evaluations,
+        tolerance=tolerance,
+    )
+
+
+def _blocks(rival: Rival) -> list[tuple[Array, Array]]:
+    return rival.descent.blocks(rival.candidate.problem)
+
+
+def whitener_of(rival: Rival) -> Whitener:
+    """Filter of its own residual."""
+    return Whitener.fit([r for r, _ in _blocks(rival)])
+
+
+def prior_cost(problem: Problem, point: Array) -> float:
+    """Squared distance of the coefficients from what was declared, in standard deviations."""
+    theta = problem.unpack(point)[0]
+    mean, sd = problem.prior_mean, problem.prior_sd
+    held = np.isfinite(sd)
+    return float(np.sum(((theta[held] - mean[held]) / sd[held]) ** 2))
+
+
+def log_likelihood(rival: Rival, whitener: Whitener) -> float:
+    """Each coefficient beyond the first costs half the log of the number of samples."""
+    white = whitener.apply([r for r, _ in _blocks(rival)])
+    prior = prior_cost(rival.candidate.problem, rival.descent.point)
+    return -0.5 * (float(white @ white) + prior) - price(rival, white.size)
+
+
+def price(rival: Rival, samples: int) -> float:
+    """What its coefficients beyond the first cost in log-likelihood."""
+    return 0.5 * max(rival.n_coefficients - 1, 0) * float(np.log(samples))
+
+
+def _words(rival: Rival) -> list[str]:
+    """How far its fit got, and what stands at a bound."""
+    bound = rival.candidate.problem.at_bound(rival.descent.point, rival.descent.slopes)
+    far = "Not polished: far behind the best candidate." if rival.settled else "Not converged."
+    state = "Converged." if rival.converged else far
+    return [state, f"At its bound: {', '.join(bound)}."] if bound else [state]
+
+
+def fitted_model(fitted: Fitted, rival: Rival, whitener: Whitener, ratio: float) -> Fitted:
+    """The rival as a refinement; its covariance is that of generalized least squares."""
+    problem, point = rival.candidate.problem, rival.descent.point
+    gain = gain_for(fitted, rival.candidate, ratio)
+    blocks = _blocks(rival)
+    white = whitener.apply([r for r, _ in blocks])
+    J = whitener.apply([j for _, j in blocks])
+    held = np.isfinite(problem.prior_sd) & (problem.prior_sd > 0)
+    prior = np.zeros(problem.size)
+    prior[: problem.n_theta][held] = problem.prior_sd[held] ** -2.0
+    size = np.linalg.norm(J, axis=0)
+    unfelt = np.flatnonzero(size <= 1e-100 * size.max())
+    size[unfelt] = 1.0
+    information = (J / size).T @ (J / size) + np.diag(prior / size**2)
+    freedom = max(white.size - problem.size, 1)
+    scale = float(white @ white) / freedom
+    covariance = scale * np.linalg.pinv(information, rcond=1e-12, hermitian=True) / np.outer(size, size)
+    covariance[unfelt, unfelt] = np.inf
+    p = problem.n_theta
+    spread = np.sqrt(np.maximum(np.diag(covariance)[:p], 0.0))
+    old = fitted.refinement
+    theta, starts = problem.unpack(point)
+    free = [r for r, _ in (blocks if ratio == 0 else evaluated(problem, point))]
+    error = np.concatenate([r / problem.weights[:, None] for r in free], axis=1)
+    measured = np.concatenate([r.outputs for r in problem.records], axis=1)
+    roles = [*old.roles, "effect"]
+    refinement: Refinement = replace(
+        old,
+        effects=problem.structure.effects,
+        roles=tuple(roles),
+        constants=dict(problem.structure.constants),
+        theta=theta.copy(),
+        parameters=_rows(problem.structure, roles, theta, spread),
+        covariance=covariance[:p, :p],
+        fit=_fit(measured, error),
+        rmse=np.sqrt(np.mean(error**2, axis=1)),
+        initial_states=starts.copy(),
+        substeps=problem.engines[0].substeps,
+        residual_orders=whitener.orders,
+        success=rival.converged,
+        message=" ".join(_words(rival)),
+        warnings=(),
+    )
+    extended = Fitted(refinement, problem, point, fitted.tolerance, fitted.force_at)
+    extended._blocks[ratio] = blocks
+    if gain is not None:
+        extended._gains[ratio] = gain
+    return extended

@@ -1,0 +1,301 @@
+"""The race: shortlist by score, laps, likelihood under one common whitening."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..effects.effect import Effect
+from ..effects.kernel import JUMPING
+from ..inference.fitted import Fitted
+from ..inference.gauss_newton import descend, lacking
+from ..inference.refinement import Refinement
+from ..inference.search import step_matters
+from ..inference.sensitivities import Candidate
+from ..inference.whitening import FTest, Whitener
+from ..progress import Progress
+from .candidate_fit import (
+    LACK,
+    Rival,
+    continued,
+    fitted_model,
+    log_likelihood,
+    price,
+    prior_cost,
+    whitener_of,
+)
+from .residual_tests import Battery
+from .starts import at_home, gain_for, imitated, led, observed, plain_cost, regressed
+from .widths import settled_width
+
+__all__ = ["Race", "Rival", "run_race", "shortlist"]
+
+_SHORT = 5  # best of each score
+_SHAPES = 3  # starts of a law that has a shape
+_LAPS = (4, 6, 8)
+_ROUNDS = 3
+_EXCHANGES = 2
+_LACK_SHARE = 0.05  # what a rival lacks over what it is behind: no such step brings it near
+_AS_GOOD = 1.0  # twice the log-likelihood that makes no difference
+_STRONG = 75.0  # fit in percent of the model without the effect, below which it may move the resonances
+_POLISHED = (60.0, 0.02)  # twice the log-likelihood behind the best, plus that per sample
+_NEAR = 60.0  # twice the log-likelihood behind the leader within which rivals get its substeps
+_STEP_SHARE = 0.25  # of a standard deviation that halving the substep may shift a coefficient
+_MOST_HALVINGS = 4
+_TURNING = JUMPING | {"hysteresis"}
+
+
+@dataclass(eq=False)
+class Race:
+    """Rivals in order of likelihood under one filter.
+
+    Attributes
+    ----------
+    rivals : list of Rival
+        The most likely first.
+    ratio : float
+        Unmeasured force that was allowed for.
+    whitener : Whitener
+        Filter of the best.
+    base_log_likelihood : float
+        Of the model without any of them, in the same metric.
+    """
+
+    fitted: Fitted
+    rivals: list[Rival]
+    ratio: float
+    whitener: Whitener
+    base_log_likelihood: float
+    _models: dict[int, Fitted] = field(default_factory=dict)
+
+    def model(self, index: int = 0) -> Fitted:
+        """The fitted model of one rival."""
+        if index not in self._models:
+            self._models[index] = fitted_model(self.fitted, self.rivals[index], self.whitener, self.ratio)
+        return self._models[index]
+
+    def in_free_run(self, most: int) -> list[tuple[Effect, Refinement]]:
+        """The rivals whose plain error is smallest, at the minimum of that error."""
+        runs = [(r, r.free_run) for r in self.rivals if r.free_run is not None]
+        found = []
+        for rival, run in sorted(runs, key=lambda pair: pair[1].cost)[:most]:
+            plain = replace(rival, descent=run)
+            found.append((rival.effect, fitted_model(self.fitted, plain, self.whitener, 0.0).refinement))
+        return found
+
+
+def shortlist(candidates: Sequence[Candidate], batteries: Sequence[Battery]) -> tuple[list[int], list[FTest]]:
+    """Indices of the candidates worth a refit, and the free-run score of every one.
+
+    The best of each score (free run, observers of two gains), and all laws at the
+    places that win one: the linearized score is right for weak effects, the observer's
+    for strong ones.
+    """
+    scores = []
+    chosen: list[int] = []
+    for battery in batteries:
+        tests = battery.each(candidates)
+        scores.append(tests)
+        order = sorted(range(len(tests)), key=lambda i: _rank(tests[i]))
+        chosen += order[:_SHORT]
+        place = candidates[order[0]].effect.place
+        chosen += [i for i, c in enumerate(candidates) if c.effect.place == place]
+    return list(dict.fromkeys(chosen)), scores[0]
+
+
+def _rank(test: FTest) -> tuple[float, float]:
+    return test.p_value, -test.statistic
+
+
+def run_race(
+    fitted: Fitted,
+    candidates: Sequence[Candidate],
+    ratio: float = 0.0,
+    *,
+    entered: Sequence[Rival] = (),
+    thorough: bool = False,
+    progress: Progress | None = None,
+) -> Race | None:
+    """Refit candidates, all with the parameters of the fitted model.
+
+    Each starts from the model as it is and from where an observer-led fit takes it; those
+    that fall far behind after a lap are not polished. The others are polished in the
+    metric of the best one's residual, in which their likelihoods are compared.
+
+    Parameters
+    ----------
+    fitted : Fitted
+        Model without them.
+    candidates : sequence of Candidate
+        New in the race.
+    ratio : float
+        Unmeasured force to allow for.
+    entered : sequence of Rival
+        From an earlier race, continued from where they stand.
+    thorough : bool
+        More laps and more starts: for when nothing fits.
+    progress : Progress, optional
+        What does the steps and counts them.
+
+    Returns
+    -------
+    Race or None
+        None where nothing could be refitted.
+    """
+    progress = progress or Progress()
+    strong = float(np.min(fitted.refinement.fit)) < _STRONG
+    tasks = [(fitted, c, ratio, thorough, strong) for c in candidates]
+    new = [r for r in progress.map(_laps, tasks, "first laps") if r is not None]
+    old = [
+        Rival(r.candidate, continued(fitted, r, ratio, None, 4)) for r in progress.over(entered, "more laps")
+    ]
+    better: dict[Effect, Rival] = {}  # the same effect from an earlier race and from new starts
+    for rival in (*old, *new):
+        best_yet = better.get(rival.effect)
+        if np.isfinite(rival.descent.cost) and (
+            best_yet is None or rival.descent.cost < best_yet.descent.cost
+        ):
+            better[rival.effect] = rival
+    rivals = list(better.values())
+    if not rivals:
+        return None
+    n = fitted.problem.n_points
+    _run_laps(fitted, rivals, ratio, progress)
+    for _ in range(_EXCHANGES):
+        if not _exchange(fitted, rivals, ratio):
+            break
+        _run_laps(fitted, rivals, ratio, progress)
+    for rival in rivals:
+        rival.free_run = rival.descent
+    whitener = whitener_of(min(rivals, key=lambda r: r.descent.cost))
+    best = min(r.descent.cost for r in rivals)
+    near = best * np.exp(_POLISHED[0] / n + _POLISHED[1])
+    polished = [r for r in rivals if r.descent.cost <= near]
+    for evaluations in (10, 6):
+        for rival in progress.over(polished, "polishing"):
+            rival.descent = continued(fitted, rival, ratio, whitener, evaluations, 1e-7)
+        leader = min(polished, key=lambda r: r.descent.cost)
+        previous, whitener = whitener, whitener_of(leader)
+        if previous.orders == whitener.orders and np.allclose(previous.scales, whitener.scales, rtol=2e-3):
+            break
+    with progress.step("widths"):
+        whitener = _settle_widths(fitted, rivals, polished, ratio, whitener)
+    with progress.step("substeps"):
+        whitener = _settle_substeps(fitted, polished, ratio, whitener)
+    _settle(fitted, rivals, ratio, whitener, progress)
+    white = whitener.apply(fitted.residuals(ratio))
+    base = -0.5 * (float(white @ white) + prior_cost(fitted.problem, fitted.point))
+    # each holds the model without it: one that is less likely is no estimate
+    rivals = [r for r in rivals if r.log_likelihood + price(r, white.size) >= base - LACK]
+    rivals.sort(key=lambda r: -r.log_likelihood)
+    return Race(fitted, rivals, ratio, whitener, base) if rivals else None
+
+
+def _settle(
+    fitted: Fitted, rivals: Sequence[Rival], ratio: float, whitener: Whitener, progress: Progress
+) -> None:
+    """Likelihoods, each with its certificate: polished until what it lacks cannot change the order."""
+    open_, rounds = list(rivals), 0
+    while open_:
+        for rival in open_:
+            rival.log_likelihood = log_likelihood(rival, whitener)
+            rival.lack = lacking(rival.candidate.problem, rival.descent, whitener)
+        top = max(r.log_likelihood for r in rivals)
+        for rival in rivals:
+            rival.settled = rival.lack <= max(LACK, _LACK_SHARE * (top - rival.log_likelihood))
+        open_, rounds = [r for r in rivals if not r.settled], rounds + 1
+        if rounds > _ROUNDS:
+            break
+        for rival in progress.over(open_, "polishing"):
+            rival.descent = continued(fitted, rival, ratio, whitener, 10, 1e-9)
+
+
+def _run_laps(fitted: Fitted, rivals: Sequence[Rival], ratio: float, progress: Progress) -> None:
+    """Laps until each stands at a minimum, or where what it lacks cannot bring it near the best."""
+    n = fitted.problem.n_points
+    for laps in _LAPS:
+        best = min(r.descent.cost for r in rivals)
+        for rival in progress.over(rivals, "more laps"):
+            behind = 0.5 * n * np.log(max(rival.descent.cost, 1e-300) / max(best, 1e-300))
+            share = rival.descent.lack / max(rival.descent.cost, 1e-300)
+            lack = -0.5 * n * np.log1p(-min(share, 1 - 1e-12))
+            if lack > max(LACK, _LACK_SHARE * behind):
+                rival.descent = continued(fitted, rival, ratio, None, laps)
+
+
+def _exchange(fitted: Fitted, rivals: Sequence[Rival], ratio: float) -> bool:
+    """Start the laws at the leader's place again from the leader's force; whether any gained."""
+    n = fitted.problem.n_points
+    leader = min(rivals, key=lambda r: r.descent.cost)
+    gained = False
+    for rival in rivals:
+        behind = n * np.log(max(rival.descent.cost, 1e-300) / max(leader.descent.cost, 1e-300))
+        if rival is leader or behind <= _AS_GOOD:
+            continue
+        gain = gain_for(fitted, rival.candidate, ratio)
+        for point in imitated(leader.candidate, leader.descent.point, rival.candidate):
+            again = descend(rival.candidate.problem, point, gain=gain, evaluations=4)
+            if n * np.log(max(again.cost, 1e-300) / max(rival.descent.cost, 1e-300)) < -_AS_GOOD:
+                rival.descent, gained = again, True
+    return gained
+
+
+def _settle_widths(
+    fitted: Fitted, rivals: Sequence[Rival], polished: Sequence[Rival], ratio: float, whitener: Whitener
+) -> Whitener:
+    """Where friction leads, the width over which each law of friction there turns over."""
+    leader = min(polished, key=lambda r: r.descent.cost)
+    if leader.effect.kind not in _TURNING:
+        return whitener
+    for rival in rivals:
+        if rival.effect.place == leader.effect.place:
+            gain = gain_for(fitted, rival.candidate, ratio)
+            rival.candidate, rival.descent = settled_width(rival.candidate, rival.descent, gain, whitener)
+    return whitener_of(min(polished, key=lambda r: r.descent.cost))
+
+
+def _settle_substeps(fitted: Fitted, rivals: Sequence[Rival], ratio: float, whitener: Whitener) -> Whitener:
+    """Finer substeps for the leader and those near it, until they no longer matter."""
+    for _ in range(_MOST_HALVINGS):
+        leader = min(rivals, key=lambda r: r.descent.cost)
+        problem = leader.candidate.problem
+        if problem.structure.is_linear:
+            break
+        steps = 2 * problem.engines[0].substeps
+        if step_matters(problem, leader.candidate.at(steps), leader.descent.point) < _STEP_SHARE:
+            break
+        for rival in rivals:
+            near = 2 * (rival.descent.cost - leader.descent.cost) <= _NEAR
+            if near and not rival.candidate.problem.structure.is_linear:
+                rival.candidate = rival.candidate.finer(steps)
+                rival.descent = continued(fitted, rival, ratio, whitener, 6, 1e-7)
+        whitener = whitener_of(min(rivals, key=lambda r: r.descent.cost))
+    return whitener
+
+
+def _laps(task: tuple[Fitted, Candidate, float, bool, bool]) -> Rival | None:
+    """First laps of one candidate: from absent, and from where an observer takes it."""
+    fitted, candidate, ratio, thorough, strong = task
+    problem = candidate.problem
+    gain = gain_for(fitted, candidate, ratio)
+    starts = candidate.starts[: 6 if thorough else _SHAPES]
+    if thorough:
+        points = [*starts, *(observed(fitted, candidate, start, ratio) for start in starts)]
+        runs = [descend(problem, point, gain=gain, evaluations=12) for point in points]
+    else:
+        points = list(starts)
+        if len(starts) == 1:
+            points += regressed(fitted, candidate)
+        else:
+            points += [observed(fitted, candidate, start, ratio) for start in starts[:2]]
+        runs = []
+        for group in (points, at_home(problem, points)):
+            costs = [plain_cost(problem, point, gain) for point in group]
+            order = np.argsort(costs)[: 1 if len(starts) == 1 else 2]
+            runs += [descend(problem, group[i], gain=gain, evaluations=4) for i in order]
+    if strong or thorough:
+        runs += [led(fitted, candidate, start, ratio) for start in starts[: 3 if thorough else 1]]
+    best = min(runs, key=lambda run: run.cost)
+    return Rival(candidate, best) if np.isfinite(best.cost) else None

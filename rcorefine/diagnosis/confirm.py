@@ -1,0 +1,236 @@
+"""Whether further records, best at another amplitude, agree with what one record taught."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import control as ct
+import numpy as np
+from scipy import stats
+
+from ..arguments import as_number, as_share
+from ..data.channels import match_channels, record_for
+from ..data.measurement import Measurement
+from ..effects.effect import Effect, as_effects
+from ..engine.observer import observer_gain
+from ..engine.simulation import check_channels
+from ..inference.assembly import check_settings, priors
+from ..inference.fitted import Fitted, evaluated
+from ..inference.gauss_newton import descend
+from ..inference.outcome import output_weights
+from ..inference.problem import Problem
+from ..inference.refinement import Refinement
+from ..inference.search import starting_states, sufficient_steps
+from ..inference.sensitivities import candidate_columns
+from ..inference.starts import Motion
+from ..inference.whitening import FTest, Whitener
+from ..inference.windows import as_records, windows
+from ..models.library import effect_library
+from ..systems.linear import Array
+from .confirmation import Confirmation, RecordEstimate
+from .residual_tests import Battery, run_battery
+
+__all__ = ["confirm"]
+
+_FINER = 5  # refinements of the substep at most
+_ROUNDS = 3  # descents, each under the whitening of the one before
+
+
+def confirm(
+    model: Refinement,
+    data: Sequence[Measurement],
+    *,
+    candidates: Sequence[Effect] | None = None,
+    tolerance: float = 0.0,
+    noise: float | Sequence[float] | None = None,
+    force_ratio: float = 0.0,
+    significance: float = 0.005,
+) -> Confirmation:
+    """Test a refined model on further records, best taken at another amplitude.
+
+    The model is fitted to each record alone. A law that only mimics the true one on one
+    record needs other coefficients on another, or leaves a residual there.
+
+    Parameters
+    ----------
+    model : Refinement
+        Model with the effects in question: of `refine`, or `RankedEffect.refinement`.
+    data : sequence of Measurement
+        The record that taught them first, then the others; two at least.
+    candidates : sequence of Effect, optional
+        What else the residual is tested for, default `effect_library(model)`.
+    tolerance : float
+        Relative prior sd of the linear parameters, as in `refine`.
+    noise : float or sequence of float, optional
+        Known sensor noise (standard deviation per output).
+    force_ratio : float
+        Unmeasured force over the measured one in the first record that is allowed for, as
+        `Diagnosis.force_ratio` says it; taken to be as large in the other records.
+    significance : float
+        Level below which the effects are refuted.
+
+    Returns
+    -------
+    Confirmation
+        Verdict, and the coefficients from every record.
+
+    Raises
+    ------
+    control.ControlArgument
+        If the model has no effect that was asked for, or there is only one record.
+
+    Notes
+    -----
+    Wald test ``(t1 - t2)' (C1 + C2)^-1 (t1 - t2)`` of the effects' coefficients with the
+    covariances of generalized least squares, and the battery of `diagnose` on each
+    further residual. Offsets and linear parameters that float may differ between records.
+
+    Examples
+    --------
+    >>> import numpy as np, rcorefine as rco
+    >>> model = rco.mass_spring_damper([1.0], [0.4], [100.0], sensors="displacement")
+    >>> true = rco.mass_spring_damper([1.0], [0.4], [80.0], sensors="displacement")
+    >>> rng = np.random.default_rng(0)
+    >>> records = []
+    >>> for size in (10.0, 20.0):
+    ...     force = size * rng.standard_normal(1500)
+    ...     y = rco.simulate(true, rco.Measurement(force, np.zeros(1500), dt=0.02), "zero").outputs[0]
+    ...     records.append(rco.Measurement(force, y + 0.02 * rng.standard_normal(1500), dt=0.02))
+    >>> softer = rco.refine(model, records[0], [rco.Effect("stiffness", "link1")])
+    >>> rco.confirm(softer, records).verdict
+    'confirmed'
+    """
+    if not isinstance(model, Refinement):
+        raise ct.ControlArgument(f"model must be a Refinement, not {type(model).__name__}; call refine first")
+    force_ratio = as_number(force_ratio, "force_ratio", least=0.0)
+    significance = as_share(significance, "significance")
+    check_settings(model.physical_model, tolerance=tolerance, noise=noise)
+    records = as_records(data)
+    if len(records) < 2:
+        raise ct.ControlArgument("data holds one record; give the one that taught the effects and another")
+    linear = model.physical_model.linear
+    ordered = [record_for(r, match_channels(linear, r)) for r in records]
+    for record in ordered:
+        check_channels(linear, record)
+    own = [i for i, row in enumerate(model.parameters) if row.role == "effect"]
+    if not own:
+        raise ct.ControlArgument("the model holds no effect that was asked for, so nothing can be confirmed")
+    if candidates is None:
+        library = effect_library(model.physical_model)
+    else:
+        library = as_effects(candidates, "candidates")
+    held = {(effect.kind, effect.place) for effect in model.effects}
+    rest = [effect for effect in library if (effect.kind, effect.place) not in held]
+    levels = [float(np.sqrt(np.mean(record.inputs**2))) or 1.0 for record in ordered]
+    ratios = [force_ratio * levels[0] / level for level in levels]
+    alone = [
+        _alone(model, record, tolerance, noise, ratio) for record, ratio in zip(ordered, ratios, strict=True)
+    ]
+    block = np.ix_(own, own)
+    estimates = []
+    for i, (fitted, covariance) in enumerate(alone):
+        tests = _battery(fitted, rest, ratios[i])
+        valid = [t.p_value for t in tests if t.dof]
+        agreement = 1.0
+        if i:
+            difference = fitted.theta[own] - alone[0][0].theta[own]
+            agreement = _wald(difference, alone[0][1][block] + covariance[block])
+        estimates.append(
+            RecordEstimate(
+                name=records[i].name if len({r.name for r in records}) > 1 else f"record {i + 1}",
+                level=levels[i] / levels[0],
+                coefficients=fitted.theta[own],
+                std=np.sqrt(np.maximum(np.diag(covariance)[own], 0.0)),
+                agreement=agreement,
+                tests=tuple(tests),
+                residual=min(1.0, min(valid, default=1.0) * len(valid)),
+            )
+        )
+    further = estimates[1:]
+    p_value = min(1.0, len(further) * min(min(e.agreement, e.residual) for e in further))
+    names = tuple(model.parameters[i].name for i in own)
+    labels = [f"{row.kind} at {row.place}" for row in (model.parameters[i] for i in own)]
+    verdict = "confirmed" if p_value >= significance else "refuted"
+    return Confirmation(
+        verdict,
+        p_value,
+        names,
+        tuple(model.parameters[i].unit for i in own),
+        tuple(estimates),
+        significance,
+        _message(verdict, list(dict.fromkeys(labels)), estimates, p_value, significance),
+    )
+
+
+def _message(
+    verdict: str, labels: list[str], estimates: Sequence[RecordEstimate], p_value: float, level: float
+) -> str:
+    first, *further = estimates
+    what = " with ".join(labels)
+    if verdict == "confirmed":
+        other = any(abs(np.log(e.level)) > 0.25 for e in further)
+        caution = "" if other else " The amplitudes are alike, though, so a law that mimics it could pass."
+        return f"The same {what} explains every record (p = {p_value:.2g}).{caution}"
+    worst = min(further, key=lambda e: min(e.agreement, e.residual))
+    why = "other coefficients" if worst.agreement <= worst.residual else "something more"
+    verdict = f"{what} is refuted: {worst.name} needs {why} (p = {p_value:.2g})."
+    if first.residual < level:
+        return f"{verdict} It does not explain the first record either (p = {first.residual:.2g})."
+    return f"{verdict} It only mimics what is missing."
+
+
+def _alone(
+    model: Refinement, record: Measurement, tolerance: float, noise: Any, ratio: float
+) -> tuple[Fitted, Array]:
+    """The model at its minimum on one record, and the covariance of its coefficients."""
+    structure, theta, steps = model.simulation_structure()
+    segments, _ = windows(model.physical_model, [record], None)
+    mean, sd = priors(structure, model.roles, tolerance)
+
+    weights = output_weights(segments, noise) if noise is not None else 1.0 / model.rmse
+
+    def problem(pieces: Sequence[Measurement], steps: int, _unknown_start: bool = True) -> Problem:
+        return Problem(structure, pieces, weights, prior_mean=mean, prior_sd=sd, substeps=steps)
+
+    made = problem(segments, steps)
+    point = made.pack(theta, starting_states(made, theta))
+    point = descend(made, point, evaluations=15, tolerance=1e-6).point
+    for _ in range(_FINER):  # a larger amplitude asks for finer substeps
+        if noise is None:
+            weights = output_weights(segments, None, made, point)
+        finer = sufficient_steps(problem, segments, problem(segments, made.substeps), point)
+        done = finer == made.substeps
+        made = problem(segments, finer)
+        if done:
+            break
+        point = descend(made, point, evaluations=15, tolerance=1e-6).point
+    gain = observer_gain(structure, theta, segments[0], ratio) if ratio > 0 else None
+    for _ in range(_ROUNDS):
+        whitener = Whitener.fit([r for r, _ in evaluated(made, point, gain)])
+        point = descend(made, point, gain=gain, whitener=whitener, evaluations=10, tolerance=1e-8).point
+    blocks = evaluated(made, point, gain)
+    whitener = Whitener.fit([r for r, _ in blocks])
+    J = whitener.apply([j for _, j in blocks])
+    prior = np.zeros(made.size)
+    prior[: sd.size][np.isfinite(sd)] = sd[np.isfinite(sd)] ** -2.0
+    size = np.linalg.norm(J, axis=0)
+    size[size == 0] = 1.0
+    information = (J / size).T @ (J / size) + np.diag(prior / size**2)
+    covariance = np.linalg.pinv(information, rcond=1e-12, hermitian=True) / np.outer(size, size)
+    fitted = Fitted(replace(model, substeps=made.substeps), made, point, tolerance)
+    if gain is not None:
+        fitted._gains[ratio] = gain
+    return fitted, covariance[: theta.size, : theta.size]
+
+
+def _battery(fitted: Fitted, rest: Sequence[Effect], ratio: float) -> list[FTest]:
+    motions = [Motion(fitted.structure, fitted.theta, record) for record in fitted.problem.records]
+    scored = candidate_columns(fitted, rest, motions[0], (ratio,))
+    return run_battery(Battery(fitted, ratio), scored, motions)
+
+
+def _wald(difference: Array, covariance: Array) -> float:
+    statistic = float(difference @ np.linalg.pinv(covariance, hermitian=True) @ difference)
+    return float(stats.chi2.sf(statistic, difference.size))

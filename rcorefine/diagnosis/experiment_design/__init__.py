@@ -1,0 +1,1 @@
+"""What to measure next, to tell apart what the present record cannot."""

@@ -1,0 +1,176 @@
+"""What to measure next: every experiment that was judged, and the one to make."""
+
+from __future__ import annotations
+
+import textwrap
+from dataclasses import dataclass
+from typing import Any
+
+import control as ct
+
+from ...systems.linear import Array
+
+__all__ = ["ExperimentAdvice", "ExperimentOption"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExperimentOption:
+    """One experiment that could be made.
+
+    Attributes
+    ----------
+    kind : str
+        "repeat", "amplitude", "band", "longer" or "sensor".
+    name : str
+        What to do, in words.
+    cost : float
+        In lengths of the present record.
+    probability : float
+        That the true effect then stands alone.
+    wrong : float
+        That a wrong one then leads by as much.
+    distance : float
+        Squared distance, over the noise, between the outputs of the closest two rivals
+        after one was refitted to the other.
+    reach : float
+        Largest motion at any port, or input, over the largest in the present record.
+    reach_where : str
+        The port or input where that is.
+    inputs : ndarray, shape (n_w, N)
+        Inputs to apply, sampled and held like those of the present record. The
+        probability is that of these: another random input of the same kind can move a
+        lightly damped model more, or less.
+    failed : str
+        Why it cannot be made, empty where it can.
+    """
+
+    kind: str
+    name: str
+    cost: float
+    probability: float
+    wrong: float
+    distance: float
+    reach: float
+    reach_where: str
+    inputs: Array
+    failed: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExperimentAdvice:
+    """What to measure next.
+
+    Attributes
+    ----------
+    chosen : ExperimentOption or None
+        The cheapest that reaches the probability, else the most probable; None where
+        there is nothing to separate.
+    options : tuple of ExperimentOption
+        All of them, the cheapest first.
+    rivals : tuple of str
+        What is to be told apart.
+    probability : float
+        Probability that was asked for.
+    message : str
+        The advice in one sentence.
+    notes : tuple of str
+        Warnings: what the present record cannot vouch for.
+    """
+
+    chosen: ExperimentOption | None
+    options: tuple[ExperimentOption, ...]
+    rivals: tuple[str, ...]
+    probability: float
+    message: str
+    notes: tuple[str, ...] = ()
+
+    def sentences(self) -> list[str]:
+        """The advice, and what the figures mean.
+
+        Returns
+        -------
+        list of str
+        """
+        lines = [self.message]
+        if self.options:
+            lines.append(
+                "probability: that the true one then stands alone (twice the log-likelihood 9.2 ahead of "
+                "every rival); distance: squared, over the noise, between the closest two; cost: in lengths "
+                "of this record; reach: largest motion over the largest in this record."
+            )
+        return [*lines, *self.notes]
+
+    def _rows(self) -> list[list[str]]:
+        return [
+            [
+                ("> " if option is self.chosen else "  ") + option.name,
+                f"{option.cost:.3g}",
+                "-" if option.failed else f"{option.probability:.2f}",
+                "-" if option.failed else f"{option.distance:.3g}",
+                "-" if option.failed else f"{option.reach:.2g}",
+            ]
+            for option in self.options
+        ]
+
+    def __str__(self) -> str:
+        from ...views.tables import text_table
+
+        parts = ["Experiment: " + (self.chosen.name if self.chosen else "nothing to separate")]
+        parts += textwrap.wrap(self.message, 80)
+        if self.options:
+            parts.append(text_table(_HEADER, self._rows()))
+        for sentence in self.sentences()[1:]:
+            parts += textwrap.wrap(sentence, 80)
+        return "\n".join(parts)
+
+    def _repr_html_(self) -> str:
+        from ...views.tables import html_table
+
+        title = "Experiment: " + (self.chosen.name if self.chosen else "nothing to separate")
+        return html_table(_HEADER, self._rows(), title=title, notes=self.sentences())
+
+    def plot(
+        self,
+        *,
+        ax: Any = None,
+        label: str | None = None,
+        title: str | None = None,
+        legend_loc: str | bool | None = None,
+        rcParams: dict[str, Any] | None = None,
+        show_legend: bool | None = None,
+    ) -> ct.ControlPlot:
+        """Probability of every option over its cost, the chosen one marked.
+
+        Parameters
+        ----------
+        ax : Axes, optional
+            Where to draw.
+        label : str, optional
+            Label of the options.
+        title : str, optional
+            Title.
+        legend_loc : str or bool, optional
+            Place of the legend, False for none.
+        rcParams : dict, optional
+            Matplotlib settings for this plot.
+        show_legend : bool, optional
+            Whether to show a legend.
+
+        Returns
+        -------
+        ControlPlot
+        """
+        from ...views.experiment import experiment_plot
+
+        return experiment_plot(
+            self,
+            ax=ax,
+            label=label,
+            title=title,
+            legend_loc=legend_loc,
+            rcParams=rcParams,
+            show_legend=show_legend,
+        )
+
+
+_HEADER = ["experiment", "cost", "probability", "distance", "reach"]

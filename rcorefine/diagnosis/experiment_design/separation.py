@@ -1,0 +1,337 @@
+"""How far a record that is not yet taken would separate effects that explain the present one alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from ...data.measurement import Measurement
+from ...effects.effect import Effect
+from ...engine.engine import Engine
+from ...engine.observer import observer_gain
+from ...engine.structure import Structure
+from ...exceptions import DivergenceError
+from ...inference.fitted import evaluated
+from ...inference.problem import Problem
+from ...inference.refinement import Refinement
+from ...inference.whitening import Whitener
+from ...inference.windows import windows
+from ...systems.linear import Array
+from .sensors import with_sensor
+
+__all__ = ["Contender", "Plan", "Separation", "separation"]
+
+_DECIDED = 9.2  # twice the log-likelihood at which `diagnose` calls rivals separate
+_REFITS = 6  # Gauss-Newton steps of a rival towards what it is to imitate
+_PLAIN = 100.0  # squared distance at which rivals are separate beyond doubt
+_DRAWS = 4000
+_KNOWN = 1e-10  # eigenvalue, relative, below which a direction of the coefficients is exactly known
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contender:
+    """An explanation of the present record.
+
+    Attributes
+    ----------
+    effect : Effect or None
+        Its effect; None for "nothing is missing".
+    refinement : Refinement
+        Model with it, fitted.
+    weight : float
+        Its probability among the contenders; 0 for one that is a rival only.
+    twice_log : float
+        Twice its log-likelihood on the present record, up to a constant.
+    """
+
+    effect: Effect | None
+    refinement: Refinement
+    weight: float
+    twice_log: float
+
+    @property
+    def surplus(self) -> int:
+        """Coefficients beyond the first, which `diagnose` makes pay for themselves."""
+        if self.effect is None:
+            return 0
+        return len([n for n in self.effect.coefficients if n not in self.effect.fixed]) - 1
+
+    @property
+    def label(self) -> str:
+        """Name in tables."""
+        return "nothing missing" if self.effect is None else self.effect.label
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """A record to be taken.
+
+    Attributes
+    ----------
+    record : Measurement
+        Its inputs; the outputs do not matter.
+    levels : ndarray, shape (n_y,)
+        Noise of each sensor, standard deviation.
+    whitener : Whitener
+        Colour of the noise, in units of `levels`.
+    sensor : tuple of (str, ndarray), or None
+        Label and row of a sensor that the model does not have yet.
+    joined : bool
+        Whether the present record is judged together with it.
+    before : int
+        Values in the present record.
+    """
+
+    record: Measurement
+    levels: Array
+    whitener: Whitener
+    sensor: tuple[str, Array] | None = None
+    joined: bool = True
+    before: int = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Separation:
+    """What a plan would achieve.
+
+    Attributes
+    ----------
+    probability : float
+        That the true contender then stands alone, over all contenders by their weight.
+    wrong : float
+        That a wrong one then leads by as much.
+    distances : ndarray, shape (k, k)
+        Entry (i, j): squared distance over the noise that is left between the outputs of
+        contender i and those of j refitted to them.
+    failed : str
+        Why the plan cannot be judged, empty where it can.
+    """
+
+    probability: float
+    wrong: float
+    distances: Array
+    failed: str = ""
+
+
+@dataclass(eq=False)
+class _Side:
+    """One contender on one plan: structure, coefficients, what is known of them, starts."""
+
+    structure: Structure
+    theta: Array
+    root: Array  # (r, p): root' root is the information on theta from the present record
+    start: Array
+    substeps: int
+    ratio: float
+
+
+def separation(contenders: Sequence[Contender], plan: Plan, ratio: float = 0.0) -> Separation:
+    """Simulate every contender on a plan, refit every other one to it, and compare.
+
+    Parameters
+    ----------
+    contenders : sequence of Contender
+        Explanations, two at least.
+    plan : Plan
+        Record to be taken.
+    ratio : float
+        Unmeasured force over the measured one that the observer allows for, 0 for none.
+
+    Returns
+    -------
+    Separation
+
+    Notes
+    -----
+    To first order, twice the log-likelihood of truth i over rival j is normal with mean
+    L + D and standard deviation 2 sqrt(D): D is the squared distance after the refit, in
+    which what the present record says of the coefficients of j counts as a prior, and L
+    is what the present record says already. So P = Phi((L + D - 9.2) / (2 sqrt(D))).
+    Beyond that, the spread of the coefficients of i and the different freedom of the
+    rivals enter through draws of the linearized statistic, all rivals at once.
+    """
+    sides = [_side(c.refinement, plan, ratio) for c in contenders]
+    steps = max(side.substeps for side in sides)
+    k = len(sides)
+    distances = np.zeros((k, k))
+    right = wrong = 0.0
+    samples = plan.record.n_samples * sides[0].structure.n_outputs
+    price = np.log(samples) if not plan.joined else np.log1p(samples / max(plan.before, 1))
+    for i, truth in enumerate(sides):
+        if contenders[i].weight == 0:
+            continue
+        try:
+            record = _simulated(truth, plan, steps)
+        except DivergenceError:
+            label = contenders[i].label
+            return Separation(0.0, 0.0, distances, f"the model with {label} runs away there")
+        own = _Fit(truth, record, plan, steps)
+        others = [j for j in range(k) if j != i]
+        fits = [_Fit(sides[j], record, plan, steps).imitate() for j in others]
+        distances[i, others] = [fit.distance for fit in fits]
+        lead = np.zeros(k - 1)
+        if plan.joined:
+            lead = np.array([contenders[i].twice_log - contenders[j].twice_log for j in others])
+        lead = lead + price * np.array([contenders[j].surplus - contenders[i].surplus for j in others])
+        margins = _margins(own, fits) + lead
+        right += contenders[i].weight * float(np.mean((margins > _DECIDED).all(axis=1)))
+        wrong += contenders[i].weight * float(np.mean((margins < -_DECIDED).any(axis=1)))
+    return Separation(right, wrong, distances)
+
+
+def _side(refinement: Refinement, plan: Plan, ratio: float) -> _Side:
+    structure, theta, steps = refinement.simulation_structure()
+    if plan.sensor is not None:
+        model = with_sensor(structure.model, *plan.sensor)
+        structure = Structure(model, structure.effects, constants=structure.constants)
+    root = _information_root(refinement.covariance) if plan.joined else np.zeros((0, theta.size))
+    return _Side(structure, theta, root, refinement.initial_states[0], steps, ratio)
+
+
+def _information_root(covariance: Array) -> Array:
+    """R with R'R the inverse of a covariance; nothing where the record saw nothing."""
+    seen = np.isfinite(np.diag(covariance)) & (np.diag(covariance) > 0)
+    sd = np.sqrt(np.diag(covariance)[seen])
+    values, vectors = np.linalg.eigh(covariance[np.ix_(seen, seen)] / np.outer(sd, sd))
+    keep = values > _KNOWN * values.max(initial=0.0)
+    root = np.zeros((int(keep.sum()), covariance.shape[0]))
+    root[:, seen] = (vectors[:, keep] / np.sqrt(values[keep])).T / sd
+    return root
+
+
+def _simulated(side: _Side, plan: Plan, steps: int) -> Measurement:
+    """The record that this contender would produce, without noise."""
+    shell, ny = plan.record, side.structure.n_outputs
+    blank = _record(shell, np.zeros((ny, shell.n_samples)), side.structure)
+    outputs = (
+        Engine(side.structure, blank, substeps=steps).run(side.theta, side.start, sensitivity=False).outputs
+    )
+    return _record(shell, outputs, side.structure)
+
+
+def _record(shell: Measurement, outputs: Array, structure: Structure) -> Measurement:
+    return Measurement(
+        shell.inputs,
+        outputs,
+        dt=shell.dt,
+        hold=shell.hold,
+        input_labels=structure.linear_model.input_labels,
+        output_labels=structure.linear_model.output_labels,
+    )
+
+
+class _Fit:
+    """A contender fitted to a noise-free record, the old record's knowledge as its prior."""
+
+    def __init__(self, side: _Side, record: Measurement, plan: Plan, steps: int) -> None:
+        self.side, self.whitener = side, plan.whitener
+        pieces, _ = windows(side.structure.model, [record], None)
+        free = np.full(side.theta.size, np.inf)
+        self.problem = Problem(
+            side.structure,
+            pieces,
+            1.0 / plan.levels,
+            prior_mean=np.zeros(free.size),
+            prior_sd=free,
+            substeps=steps,
+        )
+        self.gain = None
+        if side.ratio > 0:
+            self.gain = observer_gain(side.structure, side.theta, record, side.ratio)
+        self.point = self.problem.pack(side.theta, self._starts(pieces, record, steps))
+        self.residual, self.slopes = self._rows(self.point)
+
+    def _starts(self, pieces: Sequence[Measurement], record: Measurement, steps: int) -> Array:
+        """Initial state of each window, along the contender's own run."""
+        if len(pieces) == 1:
+            return self.side.start[None]
+        run = Engine(self.side.structure, record, substeps=steps).run(
+            self.side.theta, self.side.start, sensitivity=False, histories=True, check=False
+        )
+        first = np.cumsum([0, *(piece.n_samples for piece in pieces[:-1])])
+        return np.nan_to_num(run.states[:, first].T)
+
+    def _rows(self, point: Array) -> tuple[Array, Array]:
+        """Whitened residual and slopes, the prior's rows below them."""
+        blocks = evaluated(self.problem, point, self.gain)
+        side = self.side
+        r = self.whitener.apply([block for block, _ in blocks])
+        J = self.whitener.apply([jacobian for _, jacobian in blocks])
+        below = np.pad(side.root, ((0, 0), (0, self.problem.size - side.theta.size)))
+        self.n_data = r.size
+        return np.concatenate([r, side.root @ (point[: side.theta.size] - side.theta)]), np.vstack([J, below])
+
+    @property
+    def distance(self) -> float:
+        """Sum of squares."""
+        return float(self.residual @ self.residual)
+
+    def imitate(self) -> _Fit:
+        """Damped Gauss-Newton towards the record, as exactly as the decision needs."""
+        damping = 0.0
+        for _ in range(_REFITS):
+            step = _step(self.slopes, self.residual, damping)
+            promised = self.distance - float(np.sum((self.residual + self.slopes @ step) ** 2))
+            left = self.distance - promised
+            if promised < 0.02 + (0.1 if left > _PLAIN else 0.003) * left:
+                break
+            trial = self.problem.inside(self.point + step)
+            residual, slopes = self._rows(trial)
+            new = float(residual @ residual)
+            if np.isfinite(new) and new < self.distance:
+                self.point, self.residual, self.slopes = trial, residual, slopes
+                damping *= 0.1
+            elif damping > 1.0:
+                break
+            else:
+                damping = max(30 * damping, 1e-2)
+        return self
+
+    def basis(self) -> Array:
+        """Orthonormal basis of what this contender can absorb, data rows only."""
+        size = np.linalg.norm(self.slopes, axis=0)
+        unit = self.slopes[:, size > 0] / size[size > 0]
+        values, vectors = np.linalg.eigh(unit.T @ unit)
+        keep = values > 1e-12 * values.max(initial=0.0)
+        return np.asarray((unit @ (vectors[:, keep] / np.sqrt(values[keep])))[: self.n_data])
+
+
+def _step(J: Array, r: Array, damping: float) -> Array:
+    size = np.linalg.norm(J, axis=0)
+    size[size == 0] = np.inf
+    unit = J / size
+    values, vectors = np.linalg.eigh(unit.T @ unit)
+    seen = values > 1e-12 * values.max(initial=0.0)
+    along = vectors[:, seen].T @ (unit.T @ r)
+    return np.asarray(-(vectors[:, seen] @ (along / (values[seen] + damping))) / size)
+
+
+def _margins(own: _Fit, fits: Sequence[_Fit]) -> Array:
+    """Draws of twice the log-likelihood of the truth over each rival, shape (draws, rivals).
+
+    The data are u = noise + what the spread of the true coefficients does. Each fit
+    leaves of its residual a what it cannot absorb: |a|^2 + 2 a'u + |u|^2 - |Q'u|^2.
+    """
+    n, side = own.n_data, own.side
+    spread = np.zeros((n, 0))
+    if side.root.shape[0]:
+        values, vectors = np.linalg.eigh(side.root.T @ side.root)
+        keep = values > 1e-14 * values.max(initial=0.0)
+        spread = own.slopes[:n, : side.theta.size] @ (vectors[:, keep] / np.sqrt(values[keep]))
+    Q = own.basis()
+    parts = [Q, *(fit.basis() for fit in fits), np.column_stack([fit.residual[:n] for fit in fits])]
+    widths = np.cumsum([0, *(part.shape[1] for part in parts)])
+    B = np.concatenate(parts, axis=1)
+    values, vectors = np.linalg.eigh(B.T @ B)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    rng = np.random.default_rng(0)  # the same draws for every plan: options differ by what they are
+    along = rng.standard_normal((_DRAWS, B.shape[1])) @ root.T
+    along += rng.standard_normal((_DRAWS, spread.shape[1])) @ (B.T @ spread).T
+    absorbed = [np.sum(along[:, a:b] ** 2, axis=1) for a, b in pairwise(widths[:-1])]
+    crossed = along[:, widths[-2] :]
+    return np.column_stack(
+        [fit.distance + 2 * crossed[:, j] + absorbed[0] - absorbed[j + 1] for j, fit in enumerate(fits)]
+    )

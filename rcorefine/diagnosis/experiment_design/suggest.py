@@ -1,0 +1,321 @@
+"""The cheapest experiment that would tell apart what the present record cannot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import control as ct
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...arguments import as_flag, as_list, as_mapping, as_number, as_share, as_texts, as_vector, shown
+from ...data.measurement import Measurement
+from ...engine.engine import Engine
+from ...exceptions import DivergenceError
+from ...inference.fitted import Fitted, fitted_from
+from ...inference.refinement import Refinement
+from ...inference.sensitivities import candidate_columns
+from ...inference.starts import Motion
+from ...inference.whitening import Whitener
+from ...inference.windows import windows
+from ...systems.linear import Array
+from ..candidate_fits import run_race
+from ..residual_tests import Battery
+from .planning import Proposal, default_bands, proposals
+from .result import ExperimentAdvice, ExperimentOption
+from .sensors import sensor_rows
+from .separation import Contender, Plan, Separation, separation
+
+if TYPE_CHECKING:
+    from ..result import Diagnosis
+
+__all__ = ["suggest"]
+
+_COSTS = {"repeat": 1.0, "amplitude": 1.5, "band": 2.0, "longer": 1.0, "sensor": 6.0}
+_MOST = 8  # contenders that are simulated
+_NEAR = 0.2  # p-value, corrected for the candidates, below which an adequate model has something near
+_FEW = 3  # such candidates at most
+_BEYOND = 1.25  # motion over the largest seen that calls for a warning
+_NESTED = 1.0  # squared distance below which no record of the kind tells a pair apart
+
+
+def suggest(
+    found: Diagnosis,
+    *,
+    probability: float = 0.9,
+    repeat: bool = True,
+    amplitudes: Sequence[float] = (0.3, 2.0, 3.0),
+    lengths: Sequence[float] = (2.0, 4.0),
+    bands: Sequence[tuple[float, float]] | None = None,
+    sensors: Sequence[str] | None = None,
+    costs: Mapping[str, float] | None = None,
+    largest_input: ArrayLike | None = None,
+) -> ExperimentAdvice:
+    """The work behind `Diagnosis.suggest_experiment`, which has the documentation."""
+    prices = _checked(amplitudes, lengths, bands, costs)
+    as_flag(repeat, "repeat")
+    probability = as_share(probability, "probability")
+    if sensors is not None:
+        sensors = as_texts(sensors, "sensors")
+        sensor_rows(found.base.physical_model, sensors)
+    records = found.ordered_records()
+    if largest_input is not None:
+        largest_input = as_vector(largest_input, "largest_input", above=0.0, error=ct.ControlArgument)
+        if largest_input.size not in (1, records[0].n_inputs):
+            raise ct.ControlArgument(
+                f"largest_input must be positive, one number or one for each of the {records[0].n_inputs} "
+                f"inputs, not {largest_input.size} numbers"
+            )
+    contenders, fitted, why = _contenders(found, records)
+    if len(contenders) < 2:
+        return ExperimentAdvice(None, (), tuple(c.label for c in contenders), probability, why)
+    model = found.base.physical_model
+    asked = default_bands(model, records[0]) if bands is None else [(float(a), float(b)) for a, b in bands]
+    listed = proposals(
+        model,
+        records[0],
+        repeat=repeat,
+        amplitudes=amplitudes,
+        lengths=lengths,
+        bands=asked,
+        sensors=sensors,
+        costs=prices,
+    )
+    judge = _Judge(contenders, fitted, records, found.force_ratio, largest_input)
+    options = [judge.option(proposal) for proposal in listed]
+    return _advice(options, contenders, judge, probability, why)
+
+
+def _checked(
+    amplitudes: Any, lengths: Any, bands: Any, costs: Mapping[str, float] | None
+) -> dict[str, float]:
+    for name, values in (("amplitudes", amplitudes), ("lengths", lengths)):
+        if len(as_list(values, name, "positive factors")):
+            as_vector(values, name, above=0.0, error=ct.ControlArgument)
+    for pair in () if bands is None else as_list(bands, "bands", "pairs (low, high) in rad/s"):
+        low, high = as_vector(pair, "a band (low, high) in rad/s", 2, least=0.0, error=ct.ControlArgument)
+        if not low < high:
+            raise ct.ControlArgument(f"bands must be pairs in rad/s, the lower first, not {shown(pair)}")
+    prices = dict(_COSTS)
+    for name, value in as_mapping(costs, "costs", "numbers").items():
+        if name not in prices:
+            raise ct.ControlArgument(f"costs names {name!r}; there are {', '.join(prices)}")
+        prices[name] = as_number(value, f"costs[{name!r}]", least=0.0)
+    return prices
+
+
+def _contenders(found: Diagnosis, records: Sequence[Measurement]) -> tuple[list[Contender], Fitted, str]:
+    """Explanations that the record leaves standing, and the fitted model of the best."""
+    settings = found.settings
+    options = {"tolerance": settings["tolerance"], "noise": settings["noise"]}
+    segments, _ = windows(found.base.physical_model, list(records), settings["horizon"])
+    if found.verdict == "adequate":
+        return _near(found, fitted_from(found.base, segments, **options))
+    if found.best is None and found.verdict == "ambiguous":
+        why = "The record shows no motion from which rivals could be simulated: excite it, then diagnose."
+        return [], fitted_from(found.base, segments, **options), why
+    if found.best is None or found.verdict == "unexplained":
+        why = (
+            "Nothing to separate: none of the candidates explains the record. A second record at another "
+            "amplitude tells a law outside the library from a fault of the record (give both to diagnose); "
+            "other candidates may explain it."
+        )
+        return [], fitted_from(found.base, segments, **options), why
+    fitted = fitted_from(found.best.refinement, segments, **options)
+    rows = [r for r in found.ranking if r.effect in found.ambiguous][:_MOST]
+    total = sum(row.probability for row in rows)
+    contenders = [
+        Contender(row.effect, row.refinement, row.probability / total, 2 * row.log_likelihood_gain)
+        for row in rows
+    ]
+    if len(contenders) == 1:
+        levels = [float(np.sqrt(np.mean(record.inputs**2))) for record in records]
+        why = f"Nothing to separate: {contenders[0].label} stands alone."
+        if max(levels) < 1.3 * min(levels):
+            why += (
+                " A second record at another amplitude, given to diagnose together with this one, would "
+                "confirm the law."
+            )
+        return contenders, fitted, why
+    left = len(found.ambiguous) - len(rows)
+    return contenders, fitted, f"{left} less probable rivals were left out. " if left > 0 else ""
+
+
+def _near(found: Diagnosis, fitted: Fitted) -> tuple[list[Contender], Fitted, str]:
+    """What nearly stands out of an adequate model, with "nothing missing" as its rival."""
+    nothing = "Nothing to separate: no test fires, and no candidate comes near."
+    effects = [d.effect for d in found.detectable]
+    alone = [Contender(None, found.base, 0.0, 0.0)]
+    if not effects:
+        return alone, fitted, nothing
+    motion = Motion(fitted.structure, fitted.theta, fitted.problem.records[0])
+    scored = candidate_columns(fitted, effects, motion, (found.force_ratio,))
+    tests = Battery(fitted, found.force_ratio).each(scored)
+    order = np.argsort([t.p_value for t in tests], kind="stable")
+    near = [i for i in order if tests[i].p_value * len(tests) < _NEAR]
+    race = run_race(fitted, [scored[i] for i in near[:_FEW]], found.force_ratio) if near else None
+    if race is None:
+        return alone, fitted, nothing
+    logs = np.array([rival.log_likelihood for rival in race.rivals])
+    weights = np.exp(logs - logs[0])
+    weights /= weights.sum()
+    base = 2 * race.base_log_likelihood
+    contenders = [
+        Contender(rival.effect, race.model(i).refinement, float(weights[i]), 2 * float(logs[i]) - base)
+        for i, rival in enumerate(race.rivals)
+    ]
+    return [*contenders, *alone], fitted, ""
+
+
+class _Judge:
+    """Simulates and judges proposals for one diagnosis."""
+
+    def __init__(
+        self,
+        contenders: Sequence[Contender],
+        fitted: Fitted,
+        records: Sequence[Measurement],
+        ratio: float,
+        largest_input: Array | None,
+    ) -> None:
+        self.contenders, self.fitted, self.records, self.ratio = contenders, fitted, records, ratio
+        self.limit = largest_input
+        self.levels = 1.0 / fitted.problem.weights
+        self.whitener = Whitener.fit(fitted.residuals(ratio))
+        self.before = sum(record.outputs.size for record in records)
+        self.best: Refinement = contenders[0].refinement
+        self.seen = self._largest(records)
+
+    def option(self, proposal: Proposal) -> ExperimentOption:
+        """A proposal with its probability and its reach."""
+        record = proposal.record
+        try:
+            reach, where = self._reach(record)
+        except DivergenceError:
+            reach, where = np.inf, ""
+        result = Separation(0.0, 0.0, np.zeros((1, 1)), "the model runs away there")
+        if np.isfinite(reach):
+            result = self._judged(proposal)
+        over = self.limit is not None and bool((np.abs(record.inputs).max(axis=1) > self.limit).any())
+        failed = "beyond largest_input" if over else result.failed
+        truths = [i for i, c in enumerate(self.contenders) if c.weight > 0]
+        pairs = [result.distances[i, j] for i in truths for j in range(len(self.contenders)) if i != j]
+        return ExperimentOption(
+            kind=proposal.kind,
+            name=proposal.name,
+            cost=proposal.cost,
+            probability=0.0 if failed else result.probability,
+            wrong=0.0 if failed else result.wrong,
+            distance=0.0 if failed else float(min(pairs)),
+            reach=float(reach),
+            reach_where=where,
+            inputs=record.inputs,
+            failed=failed,
+        )
+
+    def _judged(self, proposal: Proposal) -> Separation:
+        levels, whitener = self.levels, self.whitener
+        if proposal.sensor is not None:
+            levels = np.append(levels, self._sensor_noise(proposal))
+            # a sensor of the same sort: noise of the colour of the first one
+            whitener = Whitener(
+                (*whitener.filters, whitener.filters[0]), np.append(whitener.scales, whitener.scales[0])
+            )
+        joined = proposal.sensor is None
+        plan = Plan(proposal.record, levels, whitener, proposal.sensor, joined, self.before)
+        return separation(self.contenders, plan, self.ratio)
+
+    def _sensor_noise(self, proposal: Proposal) -> float:
+        """Relative to its signal as the present sensors are to theirs."""
+        assert proposal.sensor is not None
+        spread = np.concatenate([r.outputs for r in self.records], axis=1).std(axis=1)
+        relative = float(np.median(self.levels / np.where(spread > 0, spread, 1.0)))
+        row = proposal.sensor[1]
+        signal = row @ self._states(self.records[0])[: row.size]
+        return relative * (float(np.std(signal)) or 1.0)
+
+    def _states(self, record: Measurement) -> Array:
+        structure, theta, steps = self.best.simulation_structure()
+        engine = Engine(structure, record, substeps=steps)
+        return engine.run(theta, self.best.initial_states[0], sensitivity=False, histories=True).states
+
+    def _largest(self, records: Sequence[Measurement]) -> dict[str, float]:
+        """Largest motion at every port and of every input."""
+        found: dict[str, float] = {}
+        for record in records:
+            x = self._states(record)
+            for port in self.best.physical_model.ports:
+                row, through = port.position, port.position_input
+                if not port.has_position:
+                    row, through = port.velocity, port.velocity_input
+                motion = row @ x[: row.size] + through @ record.inputs
+                found[port.name] = max(found.get(port.name, 0.0), float(np.abs(motion).max()))
+            for label, signal in zip(record.input_labels, record.inputs, strict=True):
+                key = f"input {label}"
+                found[key] = max(found.get(key, 0.0), float(np.abs(signal).max()))
+        return found
+
+    def _reach(self, record: Measurement) -> tuple[float, str]:
+        asked = self._largest([record])
+        shares = {key: asked[key] / value for key, value in self.seen.items() if value > 0}
+        where = max(shares, key=lambda key: shares[key], default="")
+        return shares.get(where, 1.0), where
+
+
+def _advice(
+    options: Sequence[ExperimentOption],
+    contenders: Sequence[Contender],
+    judge: _Judge,
+    probability: float,
+    why: str,
+) -> ExperimentAdvice:
+    possible = [option for option in options if not option.failed]
+    enough = [option for option in possible if option.probability >= probability]
+    names = tuple(c.label for c in contenders)
+    notes = [why.strip()] if why else []
+    notes += [f"Not possible: {o.name} ({o.failed})." for o in options if o.failed]
+    if not possible:
+        message = (
+            "None of these experiments is possible; allow others (amplitudes=, lengths=, bands=, sensors=)."
+        )
+        return ExperimentAdvice(None, tuple(options), names, probability, message, tuple(notes))
+    # cheapest first; of equals the most probable
+    chosen = min(enough, key=lambda o: (o.cost, -o.probability)) if enough else None
+    best = max(possible, key=lambda o: o.probability)
+    who = _who(contenders)
+    if chosen is not None:
+        message = f"{_sentence(chosen.name)}: {who} with probability {chosen.probability:.2f}."
+    else:
+        chosen = best
+        message = (
+            f"No option reaches {probability:g}. Best: {chosen.name}: {who} with probability "
+            f"{chosen.probability:.2f}."
+        )
+    if chosen.reach > _BEYOND:
+        notes.append(
+            f"That takes {chosen.reach_where} to {chosen.reach:.2g} times the largest value in this record, "
+            "which cannot vouch for what comes there: stops, saturation, the range of the sensors, laws that "
+            "only show at such amplitudes."
+        )
+    if best.distance < _NESTED and best.probability < probability:
+        notes.append(
+            "Two of the rivals hardly differ under any of these experiments: one may contain the other as a "
+            "special case, or the difference is too small for this noise."
+        )
+    if chosen.kind == "sensor":
+        notes.append("The new record alone is counted there: the model then has one output more.")
+    return ExperimentAdvice(chosen, tuple(options), names, probability, message, tuple(notes))
+
+
+def _sentence(name: str) -> str:
+    return name[0].upper() + name[1:]
+
+
+def _who(contenders: Sequence[Contender]) -> str:
+    if any(c.effect is None for c in contenders):
+        return f"{contenders[0].label} would then stand out, if it is there,"
+    names = [c.label for c in contenders]
+    if len(names) == 2:
+        return f"{names[0]} and {names[1]} then separate"
+    return f"the {len(names)} rivals then separate"

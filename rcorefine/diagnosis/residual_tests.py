@@ -1,0 +1,174 @@
+"""The tests that a residual must pass, each for its own sort of fault."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..data.measurement import Measurement
+from ..effects.effect import Effect
+from ..inference.fitted import Fitted
+from ..inference.sensitivities import (
+    Candidate,
+    force_responses,
+    generic_forces,
+    parameter_columns,
+    slow_forces,
+)
+from ..inference.starts import Motion
+from ..inference.whitening import FTest, Whitener, f_test, project, projected_test, rank_basis
+from ..systems.linear import Array
+
+__all__ = ["Battery", "run_battery"]
+
+_LAGS = 41
+_POWER_LAGS = {2: 21, 3: 6}
+
+
+class Battery:
+    """Whitened residual of a fitted model, with what was fitted already taken out.
+
+    Parameters
+    ----------
+    fitted : Fitted
+        Model at its minimum.
+    ratio : float
+        Observer ratio: 0 for the free run (sensor noise only), more where an
+        unmeasured force acts.
+    whitener : Whitener, optional
+        Common filter; by default fitted to this residual.
+    """
+
+    def __init__(self, fitted: Fitted, ratio: float = 0.0, whitener: Whitener | None = None) -> None:
+        self.fitted, self.ratio = fitted, ratio
+        blocks = fitted.blocks(ratio)
+        self.whitener = whitener or Whitener.fit([r for r, _ in blocks])
+        self.residual = self.whitener.apply([r for r, _ in blocks])
+        self._judged = fitted.problem.judged(fitted.theta)
+        self.basis = rank_basis(self.whitener.apply([j * fitted.problem.sizes for _, j in blocks]))
+        self.left = project(self.residual, self.basis)
+
+    def test(self, name: str, blocks: Sequence[Array]) -> FTest:
+        """F-test of columns given as blocks (n_y, N, k) per record."""
+        return f_test(name, self.left, self.whiten(blocks), self.basis)
+
+    def whiten(self, blocks: Sequence[Array]) -> Array:
+        """Columns (n_y, N, k) per record, whitened as the residual is; nothing where it is not judged."""
+        judged = [weight[:, :, None] * block for weight, block in zip(self._judged, blocks, strict=True)]
+        return self.whitener.apply(judged)
+
+    def each(self, candidates: Sequence[Candidate]) -> list[FTest]:
+        """F-test of each candidate on its own."""
+        columns = [c.columns[self.ratio] for c in candidates]
+        joined = [np.concatenate(parts, axis=2) for parts in zip(*columns, strict=True)]
+        white = self.whiten(joined)
+        size = np.linalg.norm(white, axis=0)
+        left = project(white, self.basis)
+        tests, first = [], 0
+        for candidate, parts in zip(candidates, columns, strict=True):
+            mine = slice(first, first + parts[0].shape[2])
+            tests.append(
+                projected_test(candidate.effect.label, self.left, left[:, mine], size[mine], self.basis)
+            )
+            first = mine.stop
+        return tests
+
+    @property
+    def log_likelihood(self) -> float:
+        """Gaussian log-likelihood of the innovations, up to a constant."""
+        counts = [sum(r.shape[1] for r in self.fitted.residuals(self.ratio))] * self.whitener.scales.size
+        return -float(np.dot(counts, np.log(self.whitener.scales)))
+
+
+def run_battery(battery: Battery, candidates: Sequence[Candidate], motions: Sequence[Motion]) -> list[FTest]:
+    """The tests of the gate, each with a p-value of its own.
+
+    Parameters
+    ----------
+    battery : Battery
+        Residual under test.
+    candidates : sequence of Candidate
+        Library, with columns at the ratio of the battery.
+    motions : sequence of Motion
+        Estimated motion on each record.
+
+    Returns
+    -------
+    list of FTest
+        ``library`` (Bonferroni over the candidates), ``other laws``, ``changes with
+        time``, ``parameters``, ``input``, ``powers of the input``.
+    """
+    fitted, ratio = battery.fitted, battery.ratio
+    records = fitted.problem.records
+    tests = [_library(battery, candidates)]
+    gain = fitted.gain(ratio)
+    for name, make in (("other laws", generic_forces), ("changes with time", slow_forces)):
+        blocks = []
+        for i in range(len(records)):
+            blocks.append(force_responses(fitted, i, make(fitted, ratio, i), gain))
+        tests.append(battery.test(name, blocks))
+    tests.append(_parameters(battery, motions[0]))
+    at_once = _at_once(fitted)
+    for name, powers in (("input", {1: _LAGS}), ("powers of the input", _POWER_LAGS)):
+        tests.append(battery.test(name, [_lagged(r, at_once, powers) for r in records]))
+    return tests
+
+
+def _library(battery: Battery, candidates: Sequence[Candidate]) -> FTest:
+    tests = battery.each([c for c in candidates if battery.ratio in c.columns]) if candidates else []
+    tests = [t for t in tests if t.dof]
+    if not tests:
+        return FTest("library", 0.0, 0, 1.0, 0.0)
+    best = min(tests, key=lambda t: t.p_value)
+    return FTest(
+        f"library (most: {best.name})",
+        best.statistic,
+        best.dof,
+        min(1.0, best.p_value * len(tests)),
+        best.gain,
+    )
+
+
+def _parameters(battery: Battery, motion: Motion) -> FTest:
+    """Test whether the parameters of the model itself fit."""
+    fitted = battery.fitted
+    held = {(e.kind, e.place) for e in fitted.structure.effects}
+    effects = [
+        Effect(q.kind, q.place) for q in fitted.structure.model.parameters if (q.kind, q.place) not in held
+    ]
+    if not effects:
+        return FTest("parameters", 0.0, 0, 1.0, 0.0)
+    return battery.test("parameters", parameter_columns(fitted, effects, motion, battery.ratio))
+
+
+def _at_once(fitted: Fitted) -> NDArray[np.bool_]:
+    """Whether an output can show an input in the very sample in which it is applied: (n_y, n_w).
+
+    A held input needs a direct path for that. Where there is none, the input of the same sample
+    says nothing about the model, and under feedback it is made of the noise of that sample.
+    """
+    records = [engine.data for engine in fitted.problem.engines]  # with the hold of the model
+    direct = fitted.structure.matrices(fitted.theta).D[:, : records[0].n_inputs].real
+    moved = np.concatenate([r.inputs for r in records], axis=1).std(axis=1)
+    shown = np.concatenate([r.outputs for r in records], axis=1).std(axis=1)
+    seen = np.abs(direct) * moved > 1e-9 * shown[:, None]
+    return np.asarray(seen | any(record.hold != "zoh" for record in records))
+
+
+def _lagged(record: Measurement, at_once: NDArray[np.bool_], powers: dict[int, int]) -> Array:
+    """Lagged powers of the inputs, for each output on its own: (n_y, N, k)."""
+    rows: list[tuple[int, Array]] = []
+    for j, row in enumerate(record.inputs):
+        unit = (row - row.mean()) / (float(np.std(row)) or 1.0)
+        for power, lags in powers.items():
+            signal = unit**power
+            signal = signal - signal.mean()
+            for lag in range(lags):
+                moved = np.concatenate([np.zeros(lag), signal])[: signal.size]  # a window may be shorter
+                rows += [(i, moved) for i in range(record.n_outputs) if lag or at_once[i, j]]
+    full = np.zeros((record.n_outputs, record.n_samples, len(rows)))
+    for k, (i, moved) in enumerate(rows):
+        full[i, :, k] = moved
+    return full

@@ -1,0 +1,243 @@
+"""Where rivals start: absent, after one linear step, led by observers, from the force of another law."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from ..effects.along_motion import unit_forces
+from ..engine.observer import observer_gain
+from ..inference.fitted import Fitted
+from ..inference.gauss_newton import Descent, descend
+from ..inference.problem import Problem
+from ..inference.search import starting_states
+from ..inference.sensitivities import Candidate
+from ..systems.linear import Array
+
+__all__ = ["at_home", "gain_for", "imitated", "led", "observed", "plain_cost", "regressed"]
+
+_OBSERVERS = (1.0, 0.1)
+_FALLING = (1.0, 0.1, 0.01)
+_BENT = 0.5  # standard deviations of the declared tolerance that count as bent
+_LIMITS = {
+    "gap": (0.0,),
+    "displacement": (1e-3, 3.0),
+}  # of the rms displacement: where a law turns into another
+
+
+def gain_for(fitted: Fitted, candidate: Candidate, ratio: float) -> Array | None:
+    """One gain for all rivals, so that all are compared in the same metric; None for the free run."""
+    gain = fitted.gain(ratio)
+    if gain is None:
+        return None
+    return np.pad(gain, ((0, candidate.problem.n_states - gain.shape[0]), (0, 0)))
+
+
+def plain_cost(problem: Problem, point: Array, gain: Array | None) -> float:
+    """Half the sum of squares, without derivatives; inf where the simulation blows up."""
+    theta, starts = problem.unpack(problem.inside(point))
+    total = 0.0
+    for engine, start in zip(problem.engines, starts, strict=True):
+        run = engine.run(theta, start, sensitivity=False, gain=gain, check=False)
+        error = problem.weights[:, None] * (run.outputs - engine.data.outputs)
+        if run.blew_up >= 0 or not np.isfinite(error).all():
+            return np.inf
+        total += 0.5 * float(np.sum(error**2))
+    return total
+
+
+def at_home(problem: Problem, points: Sequence[Array]) -> list[Array]:
+    """The same points with the linear parameters as declared: the fit without the effect bent them."""
+    held = np.isfinite(problem.prior_sd)
+    found = []
+    for point in points:
+        theta, starts = problem.unpack(point)
+        home = np.where(held, problem.prior_mean, theta)
+        if np.any(np.abs(home - theta) > _BENT * problem.prior_sd, where=held):
+            found.append(problem.pack(home, starts))
+    return found
+
+
+def regressed(fitted: Fitted, candidate: Candidate) -> list[Array]:
+    """One linear step per observer: right where the law is linear in its coefficients."""
+    problem, start = candidate.problem, candidate.starts[0]
+    p, q = fitted.problem.n_theta, problem.n_theta
+    points = []
+    for observer in _OBSERVERS:
+        columns = candidate.columns.get(observer)
+        if columns is None or columns[0].shape[2] != q - p:
+            continue
+        blocks = fitted.blocks(observer)
+        r = np.concatenate([block.ravel() for block, _ in blocks])
+        J = np.concatenate(
+            [
+                np.concatenate([jacobian[:, :, :p], column], axis=2).reshape(block.size, q)
+                for (block, jacobian), column in zip(blocks, columns, strict=True)
+            ]
+        )
+        held = np.isfinite(problem.prior_sd)
+        rows = np.diag(1.0 / problem.prior_sd[held])
+        J = np.vstack([J, rows @ np.eye(q)[held]]) if held.any() else J
+        theta = problem.unpack(start)[0]
+        pull = (theta[held] - problem.prior_mean[held]) / problem.prior_sd[held]
+        size = np.linalg.norm(J, axis=0)
+        size[size == 0] = 1.0
+        unit = J / size
+        step = np.linalg.lstsq(unit.T @ unit, -unit.T @ np.append(r, pull), rcond=1e-10)[0] / size
+        point = start.copy()
+        point[:q] += step
+        points.append(problem.inside(point))
+    if problem.structure.is_linear and problem.free_start:
+        points.append(_from_rest(problem, _home(fitted, problem.unpack(start)[0]), p))
+    return points
+
+
+def _home(fitted: Fitted, theta: Array) -> Array:
+    """The coefficients with linear parameters and offsets as declared, before any fit bent them."""
+    roles, parameters = fitted.refinement.roles, fitted.structure.parameters
+    theta = theta.copy()
+    theta[[i for i, q in enumerate(parameters) if roles[q.effect] in ("linear", "offset")]] = 0.0
+    return theta
+
+
+def _from_rest(problem: Problem, theta: Array, p: int) -> Array:
+    """The effect after one linear step from rest, the initial states such as suit it.
+
+    States and offsets that were fitted without the effect hold it back: a gain multiplies them.
+    """
+    rest = problem.pack(theta, np.zeros((len(problem.records), problem.n_states)))
+    evaluation = problem.evaluate(rest)
+    J = evaluation.jacobian
+    size = np.linalg.norm(J, axis=0)
+    size[size == 0] = 1.0
+    unit = J / size
+    step = np.linalg.lstsq(unit.T @ unit, -unit.T @ evaluation.residual, rcond=1e-10)[0] / size
+    theta = np.append(theta[:p], problem.inside(rest + step)[p : problem.n_theta])
+    return problem.pack(theta, starting_states(problem, theta))
+
+
+def observed(fitted: Fitted, candidate: Candidate, start: Array, ratio: float) -> Array:
+    """Where observer-led fits of falling gain take the coefficients."""
+    problem, point = candidate.problem, start
+    for observer in _OBSERVERS:
+        if observer > ratio:
+            gain = gain_for(fitted, candidate, observer)
+            point = descend(problem, point, gain=gain, evaluations=4, tolerance=1e-2).point
+    return problem.pack(problem.unpack(point)[0], problem.unpack(start)[1])
+
+
+def led(fitted: Fitted, candidate: Candidate, start: Array, ratio: float) -> Descent:
+    """A second start: nuisances as declared, then led by observers of falling gain into the free run.
+
+    A strong effect moves the resonances, and what the fit without it bent holds every
+    rival in its valley. The observer's gain is that of the model as it then is.
+    """
+    problem = candidate.problem
+    theta, starts = problem.unpack(start)
+    point = problem.inside(problem.pack(_home(fitted, theta), starts))
+    gain = gain_for(fitted, candidate, ratio)
+    tries = []
+    for observer in _FALLING:
+        if observer <= ratio:
+            break
+        theta = problem.unpack(point)[0]
+        try:
+            strong = observer_gain(problem.structure, theta, problem.records[0], observer, at=fitted.force_at)
+        except (np.linalg.LinAlgError, ValueError):
+            continue  # a model that this observer does not exist for; the next is weaker
+        run = descend(problem, point, gain=strong, evaluations=6, tolerance=1e-3)
+        if np.isfinite(run.cost):
+            point = run.point
+            tries += [point, problem.pack(problem.unpack(point)[0], starts)]
+    costs = [plain_cost(problem, p, gain) for p in tries] or [np.inf]
+    best = tries[int(np.argmin(costs))] if np.isfinite(min(costs)) else start
+    return descend(problem, best, gain=gain, evaluations=8)
+
+
+def imitated(giver: Candidate, point: Array, taker: Candidate) -> list[Array]:
+    """Starts of a law from the optimum of another one at the same place.
+
+    All but its own coefficients are those of the giver, its own imitate the giver's
+    force along the giver's motion: a law that holds the other as a special case, or is
+    one of it, then starts as good as that one.
+
+    Parameters
+    ----------
+    giver : Candidate
+        With an optimum.
+    point : ndarray
+        That optimum.
+    taker : Candidate
+        At the same port.
+
+    Returns
+    -------
+    list of ndarray
+        The best imitation, empty where either is no force at a port or nothing moves.
+    """
+    problem, kind = giver.problem, taker.effect.kind
+    names = {port.name for port in problem.structure.model.ports}
+    if taker.effect.place != giver.effect.place or taker.effect.place not in names:
+        return []
+    if set(taker.effect.fixed) & set(taker.effect.coefficients):
+        return []
+    theta, starts = problem.unpack(point)
+    port = problem.structure.model.port(taker.effect.place)
+    ds, vs, forces = [], [], []
+    for engine, start in zip(problem.engines, starts, strict=True):
+        run = engine.run(theta, start, sensitivity=False, histories=True, check=False)
+        x, w = run.states[: port.act.size], engine.data.inputs
+        ds.append(port.position @ x + port.position_input @ w)
+        vs.append(port.velocity @ x + port.velocity_input @ w)
+        if giver.effect.kind in ("stiffness", "damping"):
+            forces.append(theta[-1] * (ds if giver.effect.kind == "stiffness" else vs)[-1])
+        elif (
+            problem.structure.port_effects
+            and problem.structure.port_effects[-1] == len(problem.structure.effects) - 1
+        ):
+            forces.append(run.forces[-1])
+        else:
+            return []
+    d, v, force = (np.concatenate(parts) for parts in (ds, vs, forces))
+    if not (np.isfinite(d).all() and np.isfinite(v).all() and np.isfinite(force).all() and force.any()):
+        return []
+    other = taker.problem
+    p, n = giver.fitted.problem.n_theta, giver.fitted.structure.n_states
+    full = np.zeros((starts.shape[0], other.n_states))
+    full[:, :n] = starts[:, :n]
+    best: tuple[float, Array] | None = None
+    for shape in _shapes(taker, float(np.sqrt(np.mean(d**2)))):
+        columns = (
+            [d]
+            if kind == "stiffness"
+            else [v]
+            if kind == "damping"
+            else unit_forces(taker.effect, d, v, [shape])
+        )
+        if columns is None:
+            return []
+        free = [name for name in taker.effect.free if name not in shape]
+        F = np.array(columns).T
+        if F.shape[1] != len(free):
+            return []
+        values = np.linalg.lstsq(F, force, rcond=1e-10)[0]
+        values = {**dict(zip(free, values, strict=True)), **shape}
+        own = np.concatenate([theta[:p], [values[name] for name in taker.effect.free]])
+        rest = float(np.sum((force - F @ np.array([values[name] for name in free])) ** 2))
+        if best is None or rest < best[0]:
+            best = rest, other.inside(other.pack(own, full))
+    return [] if best is None else [best[1]]
+
+
+def _shapes(taker: Candidate, rms: float) -> Iterator[dict[str, float]]:
+    """What shapes the law: each start's values, and those at which it turns into another law."""
+    problem = taker.problem
+    p = taker.fitted.problem.n_theta
+    own = [q.name for q in problem.structure.parameters[p:]]
+    shaping = [name for name in own if name in ("gap", "displacement", "velocity", "threshold")]
+    for start in taker.starts:
+        yield {name: float(start[p + own.index(name)]) for name in shaping}
+    for name in shaping:
+        for share in _LIMITS.get(name, ()):
+            yield {name: share * rms}

@@ -1,0 +1,1 @@
+"""Effects added and dropped one at a time, until nothing is missing."""

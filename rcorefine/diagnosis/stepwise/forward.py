@@ -1,0 +1,145 @@
+"""Steps up: which effect, or pair of effects, earns a place in the model."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...effects.effect import Effect
+from ...inference.refinement import Refinement
+from ..candidate_fits import Race
+from ..result import Diagnosis
+from .selection import GAIN, WORSE, Choice, Ladder, coefficients_of, determined, same
+
+__all__ = ["climb"]
+
+_TRIED = 12  # effects of smallest error that are judged on the second part
+_REFITTED = 3  # of them, fitted to the end
+_ALIKE = 0.2  # log of the error within which the linear parameters decide
+_PAIRS_FROM = 3  # first effects of which pairs are tried where none helps alone
+
+
+def climb(ladder: Ladder, library: list[Effect], most: int) -> str:
+    """Add effects until every test passes, none earns its place, or there are enough.
+
+    Parameters
+    ----------
+    ladder : Ladder
+        The climb; is changed.
+    library : list of Effect
+        Candidates.
+    most : int
+        Effects at most.
+
+    Returns
+    -------
+    str
+        Verdict on the last model.
+    """
+    while rest := ladder.rest(library):
+        ladder.progress.round(ahead=max(most - len(ladder.effects), 0))
+        found, race = ladder.investigate(ladder.current, rest)
+        ladder.learn_verdict(found.verdict)
+        # one more where that passes every test: an early one may then turn out to be needless
+        room = most - len(ladder.effects) + (found.verdict != "unexplained" and most > 1)
+        if found.verdict == "adequate" or race is None or room < 1:
+            return found.verdict
+        choice = _one(ladder, found, race, len(rest))
+        if choice is None and room > 1:
+            choice = _pair(ladder, race, rest)
+        if choice is None:
+            return found.verdict
+        ladder.add(choice, found.verdict)
+    return "unexplained"
+
+
+def _one(ladder: Ladder, found: Diagnosis, race: Race, choices: int) -> Choice | None:
+    """The effect to add, if one earns it.
+
+    The most probable of those with which the tests pass; else the one whose plain error on the
+    second part falls most per coefficient; else, on trust, the most probable if its likelihood
+    stands out. What has rivals, or likelihood only, may not raise the error on the second part.
+    """
+    if found.verdict in ("effect", "ambiguous"):
+        tied = [row for row in found.ranking if row.effect in found.ambiguous]
+        for row in tied[:_REFITTED]:
+            settled = _settled(ladder, (row.effect,), row.refinement)
+            if settled is None:
+                continue
+            saved, alone = ladder.share((row.effect,), settled), found.verdict == "effect"
+            if saved > (-np.inf if alone else -WORSE):
+                return Choice((row.effect,), settled, not alone and saved < GAIN, found.ambiguous)
+    for effect, refinement, ties in _by_error(ladder, race):
+        if ladder.share((effect,), refinement) < GAIN:
+            continue
+        settled = _settled(ladder, (effect,), refinement)
+        if settled is not None and ladder.share((effect,), settled) >= GAIN:
+            ladder.by_error = True
+            return Choice((effect,), settled, ties=ties)
+    top = found.ranking[0]
+    if 2 * ladder.gain(top.refinement, ladder.current) > ladder.price(choices) * len(top.coefficients):
+        settled = _settled(ladder, (top.effect,), top.refinement)
+        if settled is not None and ladder.share((top.effect,), settled) > -WORSE:
+            return Choice((top.effect,), settled, True, found.ambiguous)
+    return None
+
+
+def _pair(ladder: Ladder, race: Race, rest: list[Effect]) -> Choice | None:
+    """Two effects that help only together: every second one behind each of the best first ones."""
+    found: list[tuple[float, tuple[Effect, Effect], Refinement]] = []
+    for one, first in race.in_free_run(_PAIRS_FROM):
+        others = [effect for effect in rest if not same(effect, one)]
+        _, second = ladder.investigate(first, others) if others else (None, None)
+        for two, both in second.in_free_run(_TRIED) if second is not None else []:
+            found.append((ladder.share((one, two), both), (one, two), both))
+    for saved, pair, both in sorted(found, key=lambda row: -row[0])[:_REFITTED]:
+        settled = _settled(ladder, pair, both) if saved >= GAIN else None
+        if settled is not None and ladder.share(pair, settled) >= GAIN:
+            ladder.by_error = True
+            return Choice(pair, settled)
+    return None
+
+
+def _settled(ladder: Ladder, effects: tuple[Effect, ...], refinement: Refinement) -> Refinement | None:
+    """The model fitted to the end; None where that was tried before, or a coefficient stays unknown."""
+    held = [*ladder.effects, *effects]
+    if not ladder.is_new(held):
+        return None
+    settled = ladder.refit(refinement)
+    return settled if determined(held, settled) else None
+
+
+def _by_error(ladder: Ladder, race: Race) -> list[tuple[Effect, Refinement, tuple[Effect, ...]]]:
+    """The rivals that lower the error on both first parts most per coefficient, each with its ties.
+
+    Where the errors hardly differ, the one behind which the linear parameters stay at the
+    model's own numbers goes first: the others bend them to imitate it.
+    """
+    parts = ladder.parts
+    rows = []
+    for effect, refinement in race.in_free_run(_TRIED):
+        size = max(len(coefficients_of(effect, refinement)), 1)
+        saved = -ladder.rise(refinement, parts.fit, parts.choose) / size
+        if saved > GAIN and ladder.is_new([*ladder.effects, effect]):
+            rows.append((saved, effect, refinement))
+    rows = sorted(rows, key=lambda row: -row[0])[: 2 * _REFITTED]
+    if not rows:
+        return []
+    alike = [row for row in rows if row[0] > rows[0][0] - _ALIKE]
+    home = min(alike, key=lambda row: _far_from_home(row[2]))
+    if _far_from_home(home[2]) < 0.5 * _far_from_home(rows[0][2]):
+        rows.remove(home)
+        rows.insert(0, home)
+    return [
+        (effect, refinement, tuple(other[1] for other in alike if other[1] is not effect))
+        for _, effect, refinement in rows[:_REFITTED]
+    ]
+
+
+def _far_from_home(refinement: Refinement) -> float:
+    """Relative distance of the linear parameters from the model's own numbers."""
+    moved = [
+        abs(row.value - row.initial) / abs(row.initial)
+        for row in refinement.parameters
+        if row.role == "linear" and row.initial
+    ]
+    return float(np.sqrt(np.mean(np.square(moved)))) if moved else 0.0

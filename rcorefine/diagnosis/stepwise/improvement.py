@@ -1,0 +1,252 @@
+"""What `improve` did, step by step, in figures, words and one picture."""
+
+from __future__ import annotations
+
+import textwrap
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from ...data.measurement import Measurement
+from ...effects.effect import Effect
+from ...inference.refinement import Refinement
+from ...systems.linear import Array
+
+__all__ = ["Improvement", "Step"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """One step of the ladder.
+
+    Attributes
+    ----------
+    effect : Effect or None
+        What was added (None for the start).
+    action : str
+        "start", "add", "pair" (added together with the row before), "swap", "drop".
+    train_rmse, choice_rmse, validation_rmse : ndarray, shape (n_y,)
+        Root mean square error of the free run on the part that was fitted, on the part
+        on which the step was chosen, and on the part that took part in nothing.
+    coefficients, std : dict
+        Of the effect, after all effects of this step were fitted together.
+    verdict : str
+        Verdict of the diagnosis that led to this step; for the last one see
+        `Improvement.verdict`.
+    rivals : tuple of Effect
+        Effects that explained the same alike.
+    refinement : Refinement
+        Model after this step.
+    """
+
+    effect: Effect | None
+    action: str
+    train_rmse: Array
+    choice_rmse: Array
+    validation_rmse: Array
+    coefficients: dict[str, float]
+    std: dict[str, float]
+    verdict: str
+    rivals: tuple[Effect, ...]
+    refinement: Refinement
+
+    @property
+    def name(self) -> str:
+        """What was done, in words."""
+        return "initial model" if self.effect is None else f"{self.action} {self.effect.label}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Improvement:
+    """The ladder from the initial model to the improved one.
+
+    Attributes
+    ----------
+    steps : tuple of Step
+        The start, then one row per effect that earned its place.
+    verdict : str
+        Verdict on the last model: "adequate", or why the ladder ends.
+    message : str
+        Why it ended, in words.
+    output_labels, output_units : tuple of str
+        Names and units of the outputs, units "" where unknown.
+    notes : tuple of str
+        What was noticed about the record: its hold, clipping, signs.
+    """
+
+    steps: tuple[Step, ...]
+    verdict: str
+    message: str
+    output_labels: tuple[str, ...]
+    output_units: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def refinement(self) -> Refinement:
+        """The model after the last step; its `hold` is the one that was found to suit the inputs."""
+        return self.steps[-1].refinement
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Effects in the last model that were asked for."""
+        last = self.refinement
+        return tuple(e for e, role in zip(last.effects, last.roles, strict=True) if role == "effect")
+
+    def sentences(self) -> list[str]:
+        """What happened, one sentence each.
+
+        Returns
+        -------
+        list of str
+        """
+        first, last = self.steps[0], self.steps[-1]
+        lines = []
+        for i, label in enumerate(self.output_labels):
+            before, after = first.validation_rmse[i], last.validation_rmse[i]
+            unit = f" {self.output_units[i]}" if self.output_units[i] else ""
+            lines.append(
+                f"Error of {label} on the part that took part in nothing: {before:.4g} -> {after:.4g}{unit}"
+                f" ({100 * (after / before - 1):+.0f} %)."
+                if before > 0
+                else f"{label} had no error."
+            )
+        lines.append(self.message)
+        home = self._homecoming()
+        return lines + ([home] if home else []) + list(self.notes)
+
+    def _homecoming(self) -> str:
+        """Linear parameters of the first and of the last fit, beside the model's."""
+        parts = []
+        now = {(r.name, r.place): r for r in self.refinement.parameters if r.role == "linear"}
+        for row in self.steps[0].refinement.parameters:
+            last = now.get((row.name, row.place))
+            if row.role == "linear" and last is not None and len(self.steps) > 1:
+                parts.append(f"{row.name} {row.initial:.4g} | {row.value:.4g} -> {last.value:.4g}")
+        return (
+            "Linear parameters, model | alone -> with the effects: " + "; ".join(parts) + "." if parts else ""
+        )
+
+    def _rows(self) -> list[list[str]]:
+        rows = []
+        for i, step in enumerate(self.steps):
+            value = ""
+            if step.coefficients:
+                key = next(iter(step.coefficients))
+                value = f"{step.coefficients[key]:.3g} +/- {step.std[key]:.1g}"
+            rows.append(
+                [
+                    f"{i} {step.name}"[:40],
+                    value,
+                    *(_size(v) for v in (step.train_rmse, step.choice_rmse, step.validation_rmse)),
+                ]
+            )
+        return rows
+
+    def __str__(self) -> str:
+        from ...views.tables import text_table
+
+        parts = [f"Improvement in {len(self.steps) - 1} step(s): {self.verdict.upper()}"]
+        parts.append(text_table(_HEADER, self._rows()))
+        for sentence in self.sentences():
+            parts += textwrap.wrap(sentence, 80)
+        return "\n".join(parts)
+
+    def _repr_html_(self) -> str:
+        from ...views.tables import html_table
+
+        return html_table(_HEADER, self._rows(), title=f"Improvement: {self.verdict}", notes=self.sentences())
+
+    def plot(
+        self,
+        *,
+        ax: Any = None,
+        label: str | None = None,
+        title: str | None = None,
+        legend_loc: str | bool | None = "upper right",
+        rcParams: dict[str, Any] | None = None,
+        show_legend: bool | None = None,
+    ) -> ct.ControlPlot:
+        """The staircase of held-out error, the effect's name on each step.
+
+        Parameters
+        ----------
+        ax : Axes, optional
+            Where to draw.
+        label : str, optional
+            Label of the held-out line.
+        title : str, optional
+            Title.
+        legend_loc : str, optional
+            Place of the legend.
+        rcParams : dict, optional
+            Matplotlib settings for this plot.
+        show_legend : bool, optional
+            Whether to show a legend; default True.
+
+        Returns
+        -------
+        ControlPlot
+        """
+        from ...views.improvement import staircase_plot
+
+        return staircase_plot(
+            self,
+            ax=ax,
+            label=label,
+            title=title,
+            legend_loc=legend_loc,
+            rcParams=rcParams,
+            show_legend=show_legend,
+        )
+
+    def report(
+        self,
+        path: str | PathLike[str],
+        *,
+        data: Measurement | None = None,
+        title: str | None = None,
+        code: str | None = None,
+        overwrite: bool = False,
+    ) -> Path:
+        """Write what was found as one HTML file: answer, pictures, tables, code, versions.
+
+        Parameters
+        ----------
+        path : str or path
+            File to write; an older report there is replaced.
+        data : Measurement, optional
+            Record to show the models beside; the result keeps none.
+        title : str, optional
+            Heading.
+        code : str, optional
+            Code or command that made the result, printed above the generated code.
+        overwrite : bool
+            Replace a file there that is no report, too.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the folder does not exist.
+        FileExistsError
+            If another file is there.
+        """
+        from ...views.pages.models import report_improvement
+
+        return report_improvement(self, path, data=data, title=title, code=code, overwrite=overwrite)
+
+
+_HEADER = ["step", "coefficient", "fitted", "chosen on", "held out"]
+
+
+def _size(values: Array) -> str:
+    """Root mean square error, one output or the mean over several."""
+    return f"{float(np.sqrt(np.mean(np.asarray(values) ** 2))):.4g}"

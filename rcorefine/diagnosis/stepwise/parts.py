@@ -1,0 +1,113 @@
+"""The records of a ladder in three parts: to fit on, to choose on, and one that judges."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...data.measurement import Measurement
+from ...exceptions import DataError
+
+__all__ = ["Parts", "split_in_parts"]
+
+_FIT, _CHOOSE = 0.6, 0.2  # shares of the record; the rest judges
+_LEAST = 100  # samples of a record that can be split
+_EXCERPT, _PIECES = 8000, 4  # samples of a long record on which the ladder climbs
+_SHORTEST, _MOST_RECORDS = 1000, 16  # samples of such a piece, records that it is made of
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What a ladder climbs on.
+
+    Attributes
+    ----------
+    fit : list of Measurement
+        To fit on; an excerpt where the records are long.
+    choose : list of Measurement
+        To choose on.
+    judge : list of Measurement
+        What takes part in nothing.
+    learn : list of Measurement
+        All that does not judge.
+    remarks : tuple of str
+        What was left out, and why.
+    """
+
+    fit: list[Measurement]
+    choose: list[Measurement]
+    judge: list[Measurement]
+    learn: list[Measurement]
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def whole(self) -> bool:
+        """Whether the first part is all of it, and no excerpt."""
+        return not self.remarks
+
+    def pooled(self) -> Parts:
+        """Fit on all that does not judge."""
+        return replace(self, fit=self.learn)
+
+
+def split_in_parts(records: Sequence[Measurement], validation: Measurement | None) -> Parts:
+    """Fit, choose, judge: in the order of time, each record for itself.
+
+    Parameters
+    ----------
+    records : sequence of Measurement
+        Records of the same system.
+    validation : Measurement or None
+        Record that judges; the last fifth of each for None.
+
+    Returns
+    -------
+    Parts
+
+    Raises
+    ------
+    DataError
+        If a record is too short.
+    """
+    fit, choose, judge, learn = [], [], [], []
+    for record in records:
+        if record.n_samples < _LEAST:
+            raise DataError(f"a record of {record.n_samples} samples is too short to be split in three")
+        if validation is None:
+            both, last = record.split(_FIT + _CHOOSE)
+            judge.append(last)
+        else:
+            both = record
+        first, second = both.split(_FIT / (_FIT + _CHOOSE))
+        fit.append(first)
+        choose.append(second)
+        learn.append(both)
+    climbed, whole = excerpt(fit), sum(record.n_samples for record in fit)
+    remarks: tuple[str, ...] = ()
+    if climbed is not fit:
+        remarks = (
+            f"The record is long: effects were sought on {len(climbed)} pieces spread over it "
+            f"({sum(record.n_samples for record in climbed)} of {whole} samples); the last model was fitted "
+            "once more on all that does not judge.",
+        )
+    return Parts(climbed, choose, [validation] if validation is not None else judge, learn, remarks)
+
+
+def excerpt(records: list[Measurement]) -> list[Measurement]:
+    """Pieces spread over records that are too long to climb on; the records themselves where they are not."""
+    if sum(record.n_samples for record in records) <= _EXCERPT:
+        return records
+    spread = np.unique(np.linspace(0, len(records) - 1, min(len(records), _MOST_RECORDS)).astype(int))
+    each = _EXCERPT // spread.size
+    pieces = []
+    for record in (records[int(i)] for i in spread):
+        count = min(_PIECES, max(1, each // _SHORTEST))
+        length = each // count
+        if record.n_samples <= each:
+            pieces.append(record)
+            continue
+        for start in np.linspace(0, record.n_samples - length, count).astype(int):
+            pieces.append(record._part(slice(int(start), int(start) + length)))
+    return pieces

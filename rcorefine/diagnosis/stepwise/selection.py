@@ -1,0 +1,314 @@
+"""The state of a climb: the present model, what it holds, and the steps that led to it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ...comparison.compare import compare
+from ...data.channels import match_channels, record_for
+from ...data.measurement import Measurement
+from ...effects.effect import Effect
+from ...exceptions import DataError, DivergenceError
+from ...inference.fitted import fitted_from
+from ...inference.refinement import Refinement
+from ...inference.whitening import Whitener
+from ...inference.windows import windows
+from ...progress import Progress
+from ...refinement.refine import refine, refit
+from ...systems.linear import Array
+from ..candidate_fits import Race
+from ..diagnose import investigate
+from ..excitation import no_motion, record_remarks
+from ..holds import best_hold
+from ..result import Diagnosis
+from .improvement import Step
+from .parts import Parts
+
+__all__ = ["GAIN", "WORSE", "Choice", "Ladder", "coefficients_of", "determined", "same"]
+
+GAIN = 0.05  # log of the error on the choosing part that each coefficient must earn
+WORSE = 0.02  # the same that a step for the sake of likelihood may cost there
+
+Key = frozenset[tuple[str, str]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Choice:
+    """What a step adds.
+
+    Attributes
+    ----------
+    effects : tuple of Effect
+        One, or a pair.
+    refinement : Refinement
+        Model with them, fitted to the end.
+    on_trust : bool
+        Whether they have yet to earn their place on the choosing part.
+    ties : tuple of Effect
+        What explains the same alike.
+    """
+
+    effects: tuple[Effect, ...]
+    refinement: Refinement
+    on_trust: bool = False
+    ties: tuple[Effect, ...] = ()
+
+
+class Ladder:
+    """The present model and the steps that led to it.
+
+    Parameters
+    ----------
+    model : StateSpace, PhysicalModel or Refinement
+        Initial model.
+    parts : Parts
+        Records.
+    free : str or sequence
+        As in `refine`.
+    settings : dict
+        tolerance, offset, noise and horizon as in `refine`.
+    significance : float
+        Level of the gate.
+    progress : Progress
+        What does the steps and counts them.
+
+    Raises
+    ------
+    DataError
+        If nothing moves in the records.
+    """
+
+    def __init__(
+        self,
+        model: Any,
+        parts: Parts,
+        *,
+        free: Any,
+        settings: dict[str, Any],
+        significance: float,
+        progress: Progress,
+    ) -> None:
+        self.parts, self.free, self.settings = parts, free, settings
+        self.significance, self.progress = significance, progress
+        with progress.step("model as it is"):
+            start = refine(model, parts.fit, free=free, **settings)
+        still = no_motion(parts.fit)
+        if still:
+            raise DataError(still)
+        self.effects: list[Effect] = []
+        self.on_trust: list[Effect] = []
+        self.by_error = False  # whether a step was taken for its error and not for its likelihood
+        self._holds: dict[str | None, str] = {}
+        self._visited: set[Key] = {frozenset()}
+        self._verdicts: dict[Key, str] = {}
+        self.current = self._held(start)
+        self.steps = [self._step(None, "start", "", ())]
+
+    # ------------------------------------------------------------------ looking
+    def rest(self, library: Iterable[Effect]) -> list[Effect]:
+        """Candidates that the present model does not hold."""
+        return [e for e in library if not any(same(e, held) for held in self.current.effects)]
+
+    def is_new(self, effects: Iterable[Effect]) -> bool:
+        """Whether a set of effects was never the present one: no set is walked to twice."""
+        return _key(effects) not in self._visited
+
+    def investigate(self, model: Refinement, library: list[Effect]) -> tuple[Diagnosis, Race | None]:
+        """Diagnosis of a model on the first part."""
+        return investigate(
+            model,
+            self.parts.fit,
+            asked=library,
+            validation=None,
+            settings={"free": self.free, **self.settings},
+            significance=self.significance,
+            progress=self.progress,
+            thorough=False,
+        )
+
+    def verdict(self, library: Iterable[Effect]) -> str:
+        """Verdict on the present set of effects, asked for only where it is not known."""
+        rest = self.rest(library)
+        if _key(self.effects) not in self._verdicts:
+            if not rest:
+                return "unexplained"
+            self.learn_verdict(self.investigate(self.refit(self.current), rest)[0].verdict)
+        return self._verdicts[_key(self.effects)]
+
+    def learn_verdict(self, verdict: str) -> None:
+        """Keep what was found about the present set of effects."""
+        self._verdicts[_key(self.effects)] = verdict
+
+    def log_error(self, refinement: Refinement, *parts: list[Measurement]) -> float:
+        """Mean over the outputs of the log error of the free run."""
+        records = [record for part in parts for record in part]
+        return float(np.mean(np.log(_rmse(refinement, records, self.settings["horizon"]) + 1e-300)))
+
+    def rise(self, refinement: Refinement, *parts: list[Measurement]) -> float:
+        """By how much a model's log error is above that of the present one."""
+        return self.log_error(refinement, *parts) - self.log_error(self.current, *parts)
+
+    def share(self, effects: Iterable[Effect], refinement: Refinement) -> float:
+        """Log of the error on the choosing part that each coefficient of the effects saves."""
+        size = sum(len(coefficients_of(effect, refinement)) for effect in effects)
+        return -self.rise(refinement, self.parts.choose) / max(size, 1)
+
+    def gain(self, one: Refinement, two: Refinement) -> float:
+        """Log-likelihood of one model over another, under the whitening of the closer one.
+
+        Each under its own whitening would not do: a filter of sixteen coefficients hides a
+        missing effect.
+        """
+        both = []
+        for refinement in (one, two):
+            segments, _ = windows(refinement.physical_model, self.parts.fit, self.settings["horizon"])
+            tolerance = self.settings["tolerance"]
+            both.append(fitted_from(refinement, segments, tolerance=tolerance, noise=1.0).residuals())
+        closer = min(both, key=lambda blocks: sum(float(np.sum(r**2)) for r in blocks))
+        whitener = Whitener.fit(closer)
+        first, second = (whitener.apply(blocks) for blocks in both)
+        return 0.5 * float(second @ second - first @ first)
+
+    def price(self, choices: int) -> float:
+        """Twice the log-likelihood that one coefficient must earn: BIC plus the choice among many."""
+        samples = sum(record.n_samples for record in self.parts.fit)
+        return float(np.log(samples) + 2 * np.log(max(choices, 1)))
+
+    # ------------------------------------------------------------------ fitting
+    def refit(self, refinement: Refinement) -> Refinement:
+        """A model fitted to the end on the first part."""
+        return refit(refinement, self.parts.fit, **self.settings)
+
+    def without(self, effect: Effect) -> Refinement:
+        """The present model without one of its effects."""
+        return refit(self.current, self.parts.fit, without=effect, elsewhere=False, **self.settings)
+
+    def pool(self) -> None:
+        """From here on fit on all that does not judge; what passed on less of it is open again."""
+        self.parts = self.parts.pooled()
+        self.current = self.refit(self.current)
+        self._verdicts.clear()
+
+    # ------------------------------------------------------------------ moving
+    def add(self, choice: Choice, verdict: str) -> None:
+        """Take a step up."""
+        # a wrong hold looks like a missing effect, and a missing effect like a wrong hold: twice is enough
+        first = not self.effects
+        self.effects += choice.effects
+        self.on_trust += choice.effects if choice.on_trust else ()
+        self._now(self._held(choice.refinement) if first else choice.refinement)
+        action = "add" if len(choice.effects) == 1 else "pair"
+        rivals = tuple(e for e in choice.ties if not any(same(e, own) for own in choice.effects))
+        self.steps += [self._step(effect, action, verdict, rivals) for effect in choice.effects]
+
+    def swap(self, old: Effect, new: Effect, refinement: Refinement, verdict: str) -> None:
+        """Put one effect in the place of another; it has yet to earn it."""
+        self.effects[self.effects.index(old)] = new
+        self.on_trust = [*(e for e in self.on_trust if e is not old), new]
+        self._now(refinement)
+        self.steps.append(self._step(new, "swap", verdict, (old,)))
+
+    def drop(self, effect: Effect, refinement: Refinement) -> None:
+        """Leave an effect out."""
+        self.effects = [e for e in self.effects if e is not effect]
+        self.on_trust = [e for e in self.on_trust if e is not effect]
+        self._now(refinement)
+        self.steps.append(self._step(effect, "drop", "", ()))
+
+    def take_back(self) -> None:
+        """Undo the last step as if it had not been tried."""
+        self.steps.pop()
+        self.current = self.steps[-1].refinement
+        taken = {(s.effect.kind, s.effect.place): s.effect for s in self.steps if s.effect is not None}
+        self.effects = [e for e in taken.values() if any(same(e, held) for held in self.current.effects)]
+        self.on_trust = [e for e in self.on_trust if e in self.effects]
+
+    def _now(self, refinement: Refinement) -> None:
+        self.current = refinement
+        self._visited.add(_key(self.effects))
+
+    def _held(self, refinement: Refinement) -> Refinement:
+        """The model under the hold that suits it, and keeps from then on."""
+        with self.progress.step("holds"):
+            hold, sentence = best_hold(refinement, self.parts.fit, self.settings)
+        if not sentence:
+            return refinement
+        self._holds[hold] = sentence
+        return self.refit(refinement.with_hold(hold))
+
+    # ------------------------------------------------------------------ ending
+    def settle(self, last: bool = False) -> None:
+        """Fit each model once more, on all that was not kept to judge; of a long record only the last."""
+        first = len(self.steps) - 1 if last or not self.parts.whole else 0
+        for i in self.progress.over(range(first, len(self.steps)), "last fits"):
+            step = self.steps[i]
+            refinement = refit(step.refinement, self.parts.learn, elsewhere=False, **self.settings)
+            if np.isfinite(self.log_error(refinement, self.parts.choose)):
+                self.steps[i] = self._measured(step, refinement)
+        self.current = self.steps[-1].refinement
+
+    def is_worse_than_start(self) -> bool:
+        """Whether the last model is farther off than the start on the part that took part in nothing."""
+        first, last = (float(np.mean(np.log(s.validation_rmse))) for s in (self.steps[0], self.steps[-1]))
+        return last > first
+
+    def notes(self) -> list[str]:
+        """What was noticed about the record, and the hold of the last model."""
+        hold = self._holds.get(self.current.hold)
+        return [*self.parts.remarks, *record_remarks(self.parts.fit), *([hold] if hold else [])]
+
+    def _step(self, effect: Effect | None, action: str, verdict: str, rivals: tuple[Effect, ...]) -> Step:
+        nothing = np.zeros(0)
+        empty = Step(effect, action, nothing, nothing, nothing, {}, {}, verdict, rivals, self.current)
+        return self._measured(empty, self.current)
+
+    def _measured(self, step: Step, refinement: Refinement) -> Step:
+        """The step with a model, and the figures of that model."""
+        horizon, effect = self.settings["horizon"], step.effect
+        return replace(
+            step,
+            train_rmse=refinement.rmse.copy(),
+            choice_rmse=_rmse(refinement, self.parts.choose, horizon),
+            validation_rmse=_rmse(refinement, self.parts.judge, horizon),
+            coefficients={} if effect is None else coefficients_of(effect, refinement),
+            std={} if effect is None else coefficients_of(effect, refinement, "std"),
+            refinement=refinement,
+        )
+
+
+def same(one: Effect, two: Effect) -> bool:
+    """Whether two effects are of one kind at one place."""
+    return one.kind == two.kind and one.place == two.place
+
+
+def coefficients_of(effect: Effect, refinement: Refinement, what: str = "coefficient") -> dict[str, float]:
+    """Coefficients of an effect in a model, or their standard deviations; none where it was dropped."""
+    own = [row for row in refinement.parameters if row.kind == effect.kind and row.place == effect.place]
+    names = [n for n in effect.coefficients if n not in effect.fixed]
+    return {n: float(getattr(row, what)) for n, row in zip(names, own, strict=True)} if own else {}
+
+
+def determined(effects: Iterable[Effect], refinement: Refinement) -> bool:
+    """Whether the record determines every coefficient of these effects."""
+    return all(np.isfinite(std) for e in effects for std in coefficients_of(e, refinement, "std").values())
+
+
+def _key(effects: Iterable[Effect]) -> Key:
+    return frozenset((effect.kind, effect.place) for effect in effects)
+
+
+def _rmse(refinement: Refinement, records: Sequence[Measurement], horizon: float | None) -> Array:
+    """Root mean square of the free run's residual, (n_y,), in the windows that `compare` chooses."""
+    linear = refinement.physical_model.linear
+    found = []
+    for record in records:
+        ordered = record_for(record, match_channels(linear, record))
+        try:
+            found.append(np.atleast_2d(compare(refinement, ordered, horizon=horizon).residual))
+        except DivergenceError:
+            return np.full(linear.n_outputs, np.inf)
+    return np.asarray(np.sqrt(np.mean(np.concatenate(found, axis=1) ** 2, axis=1)))

@@ -1,0 +1,1 @@
+"""Effects: laws at places, their coefficients, their forces."""

@@ -1,0 +1,397 @@
+"""An effect: a law at a place, with one or a few coefficients."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import control as ct
+
+from ..arguments import as_choice, as_list, as_mapping, as_number, as_text, shown
+from ..exceptions import ModelError
+from .law import KINDS, Kind
+
+__all__ = ["Effect", "as_effects", "describe_effects"]
+
+
+class Effect:
+    """A physical effect that the initial model lacks.
+
+    Parameters
+    ----------
+    kind : str
+        Law, a key of `KINDS` (``"coulomb_friction"``, ``"stiffness"``, ...).
+    place : str
+        Where it acts: a port (``"link2"``, ``"x1-x2"``), an input or an output
+        label, or for `coefficient` an entry ``"A[i,j]"`` counted from 0.
+    start : mapping of str to float, optional
+        Values of coefficients to start an estimate from. For `custom`,
+        the names here are the coefficients of the law.
+    fixed : mapping of str to float, optional
+        Coefficients that are held at a value, and constants of the kind (such as
+        the ``"width"`` over which the sign of a velocity is smoothed).
+    prior : mapping of str to float, optional
+        Prior standard deviation of coefficients, about their start value.
+    law : callable, optional
+        For `custom` only: ``law(d, v)`` returns the force per unit ``scale``, or
+        ``law(d, v, **coefficients)`` the force, where `start` names coefficients.
+        d and v are arrays, or v alone has meaning at a first-order port. Use a
+        function of a module: a lambda cannot be pickled.
+    name : str, optional
+        Name to show instead of ``"kind at place"``.
+
+    Attributes
+    ----------
+    label : str
+        ``"coulomb_friction at link2"``, or the given name.
+    coefficients : tuple of str
+        All coefficients, those held fixed included.
+    free : tuple of str
+        Coefficients to estimate.
+    explanation : str
+        A sentence for people.
+
+    Raises
+    ------
+    control.ControlArgument
+        If the kind is unknown, or a name is not one of the kind's.
+    ModelError
+        If a value is not finite, outside its bounds, or contradictory.
+
+    Notes
+    -----
+    A positive coefficient at a port means more resistance, so damage is negative.
+    Two effects are equal if kind, place, fixed values, law and name are.
+
+    Examples
+    --------
+    >>> friction = Effect("coulomb_friction", "link2")
+    >>> friction.label, friction.coefficients
+    ('coulomb_friction at link2', ('force',))
+    >>> print(friction.explanation)
+    Dry friction acts at link2: a force of constant size that opposes the motion.
+    """
+
+    __slots__ = ("_fixed", "_law", "_name", "_port_kind", "_prior", "_start", "kind", "place")
+    kind: str
+    place: str
+    _port_kind: str
+    _law: Callable[..., Any] | None
+    _name: str | None
+    _start: dict[str, float]
+    _fixed: dict[str, float]
+    _prior: dict[str, float]
+
+    def __init__(
+        self,
+        kind: str,
+        place: str,
+        *,
+        start: Mapping[str, float] | None = None,
+        fixed: Mapping[str, float] | None = None,
+        prior: Mapping[str, float] | None = None,
+        law: Callable[..., Any] | None = None,
+        name: str | None = None,
+    ) -> None:
+        if not isinstance(kind, str) or kind not in KINDS:
+            raise ct.ControlArgument(f"unknown kind of effect {kind!r}; the kinds are {', '.join(KINDS)}")
+        if not isinstance(place, str) or not place.strip():
+            raise ct.ControlArgument(
+                f"place of {kind} must be the name of a port or of a channel, not {place!r}; "
+                "ports(model) lists the ports"
+            )
+        if name is not None:
+            as_text(name, f"name of {kind} at {place}")
+        if kind == "custom":
+            if not callable(law):
+                raise ct.ControlArgument(
+                    f"custom effect at {place} needs law=, a function law(d, v) that returns the force"
+                )
+        elif law is not None:
+            raise ct.ControlArgument(f"law= is for kind 'custom' only, not for {kind!r}")
+        store = object.__setattr__
+        store(self, "kind", kind)
+        store(self, "place", place)
+        store(self, "_port_kind", "mechanical")
+        store(self, "_law", law)
+        store(self, "_name", name)
+        for key, values in (("start", start), ("fixed", fixed), ("prior", prior)):
+            store(self, f"_{key}", as_mapping(values, f"{key} of {kind} at {place}", "numbers"))
+        self._check_values()
+
+    def _check_values(self) -> None:
+        coefficients = self.coefficients
+        constants = tuple(self.spec.constants)
+        allowed = {"start": coefficients, "fixed": coefficients + constants, "prior": coefficients}
+        for argument, names in allowed.items():
+            values: dict[str, float] = getattr(self, "_" + argument)
+            for key, value in values.items():
+                where = f"{argument}[{key!r}] of {self.kind} at {self.place}"
+                if key not in names:
+                    raise ct.ControlArgument(f"{where}: no such coefficient, only {', '.join(names)}")
+                number = as_number(value, where, error=ModelError)
+                if argument == "prior" and number <= 0:
+                    raise ModelError(f"{where} is a standard deviation and must be positive, not {number}")
+                if argument == "fixed" and key in constants and number <= 0:
+                    raise ModelError(f"{where} must be positive, not {number}")
+                if argument != "prior" and key in coefficients:
+                    lower, upper = self.bounds(key)
+                    if not lower <= number <= upper:
+                        raise ModelError(f"{where} = {number:g} is outside [{lower:g}, {upper:g}]")
+                values[key] = number
+        known = {**self._start, **self._fixed}
+        for larger, smaller in self.spec.order:
+            if larger in known and smaller in known and known[larger] < known[smaller]:
+                raise ModelError(
+                    f"{larger} = {known[larger]:g} of {self.kind} at {self.place} is below {smaller} = "
+                    f"{known[smaller]:g}; it is at least as large"
+                )
+        twice = sorted(set(self._fixed) & (set(self._start) | set(self._prior)))
+        if twice and self.kind != "custom":
+            raise ModelError(
+                f"{', '.join(twice)} of {self.label} is both fixed and given a start or prior; give one"
+            )
+
+    @property
+    def spec(self) -> Kind:
+        """Entry of the catalogue `KINDS`."""
+        return KINDS[self.kind]
+
+    @property
+    def start(self) -> dict[str, float]:
+        """Start values that were given."""
+        return dict(self._start)
+
+    @property
+    def fixed(self) -> dict[str, float]:
+        """Values that are held."""
+        return dict(self._fixed)
+
+    @property
+    def prior(self) -> dict[str, float]:
+        """Prior standard deviations that were given."""
+        return dict(self._prior)
+
+    @property
+    def law(self) -> Callable[..., Any] | None:
+        """Law of a custom effect."""
+        return self._law
+
+    @property
+    def name(self) -> str | None:
+        """Name that was given, if any."""
+        return self._name
+
+    @property
+    def label(self) -> str:
+        """Name to show: ``"kind at place"`` unless one was given."""
+        return self._name or f"{self.kind} at {self.place}"
+
+    @property
+    def coefficients(self) -> tuple[str, ...]:
+        """Names of all coefficients."""
+        if self.kind == "custom" and self._start and set(self._start) != {"scale"}:
+            return tuple(self._start)
+        return self.spec.coefficient_names
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the coefficients that are not fixed."""
+        return tuple(name for name in self.coefficients if name not in self._fixed)
+
+    @property
+    def constants(self) -> dict[str, float | None]:
+        """Constants of the kind, with the values given in `fixed`."""
+        return {key: self._fixed.get(key, value) for key, value in self.spec.constants.items()}
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether the refined model stays linear."""
+        return self.spec.linear
+
+    @property
+    def explanation(self) -> str:
+        """What it means, in a sentence."""
+        text = self.spec.explanation
+        if self._port_kind == "first_order":
+            text = self.spec.explanation_first_order or text
+        return text.format(place=self.place)
+
+    def at_port(self, port_kind: str) -> Effect:
+        """Copy that is worded for a kind of port, otherwise equal.
+
+        Parameters
+        ----------
+        port_kind : {"mechanical", "first_order"}
+            Kind of the port that `place` names: a loss at a tank reads differently
+            from friction at a joint.
+
+        Returns
+        -------
+        Effect
+            Equal effect whose `explanation` fits the place.
+        """
+        as_choice(port_kind, "port_kind", ("mechanical", "first_order"))
+        copy = self.replace()
+        object.__setattr__(copy, "_port_kind", port_kind)
+        return copy
+
+    def bounds(self, coefficient: str) -> tuple[float, float]:
+        """Lower and upper bound that physics sets.
+
+        Parameters
+        ----------
+        coefficient : str
+            Name of a coefficient.
+
+        Returns
+        -------
+        tuple of float
+            Bounds, infinite where there is none.
+        """
+        as_text(coefficient, "coefficient")
+        if coefficient not in self.spec.coefficient_names:
+            return -math.inf, math.inf  # a custom law's own
+        entry = self.spec.coefficient(coefficient)
+        return entry.lower, entry.upper
+
+    def start_of(self, coefficient: str) -> float | None:
+        """Value to start from, None where it must be found from the data.
+
+        Parameters
+        ----------
+        coefficient : str
+            Name of a coefficient.
+
+        Returns
+        -------
+        float or None
+            Given or default start value.
+        """
+        as_choice(coefficient, f"coefficient of {self.label}", self.coefficients)
+        if coefficient in self._fixed:
+            return self._fixed[coefficient]
+        if coefficient in self._start:
+            return self._start[coefficient]
+        return self.spec.coefficient(coefficient).default_start
+
+    def replace(self, **changes: Any) -> Effect:
+        """Copy with other arguments.
+
+        Parameters
+        ----------
+        **changes
+            Arguments of `Effect` (`start=`, `fixed=`, `place=`, ...).
+
+        Returns
+        -------
+        Effect
+            New effect.
+        """
+        arguments = {
+            "kind": self.kind,
+            "place": self.place,
+            "start": self.start,
+            "fixed": self.fixed,
+            "prior": self.prior,
+            "law": self.law,
+            "name": self.name,
+        }
+        copy = Effect(**{**arguments, **changes})
+        object.__setattr__(copy, "_port_kind", self._port_kind)
+        return copy
+
+    def _key(self) -> tuple[Any, ...]:
+        return (self.kind, self.place, tuple(sorted(self._fixed.items())), self._law, self._name)
+
+    def __eq__(self, other: object) -> bool:
+        return self._key() == other._key() if isinstance(other, Effect) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"an Effect cannot be changed; use .replace({name}=...) for a copy")
+
+    def __delattr__(self, name: str) -> None:
+        raise AttributeError("an Effect cannot be changed")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        state = (self.kind, self.place, self._start, self._fixed, self._prior, self._law, self._name)
+        return (_restore, (*state, self._port_kind))
+
+    def __repr__(self) -> str:
+        given = [repr(self.kind), repr(self.place)]
+        given += [
+            f"{key}={getattr(self, key)!r}" for key in ("start", "fixed", "prior") if getattr(self, key)
+        ]
+        if self._law is not None:
+            given.append(f"law={getattr(self._law, '__name__', repr(self._law))}")
+        if self._name is not None:
+            given.append(f"name={self._name!r}")
+        return f"Effect({', '.join(given)})"
+
+    def __str__(self) -> str:
+        return self.label
+
+
+def _restore(
+    kind: str,
+    place: str,
+    start: dict[str, float],
+    fixed: dict[str, float],
+    prior: dict[str, float],
+    law: Callable[..., Any] | None,
+    name: str | None,
+    port_kind: str,
+) -> Effect:
+    effect = Effect(kind, place, start=start, fixed=fixed, prior=prior, law=law, name=name)
+    return effect.at_port(port_kind)
+
+
+def as_effects(values: Any, name: str) -> list[Effect]:
+    """Effects from one or a list of them.
+
+    Raises
+    ------
+    control.ControlArgument
+        If an entry is something else.
+    """
+    effects = [values] if isinstance(values, Effect) else as_list(values, name, "Effect objects")
+    for effect in effects:
+        if not isinstance(effect, Effect):
+            raise ct.ControlArgument(f"{name} must hold Effect objects, not {shown(effect)}")
+    return effects
+
+
+def describe_effects(effects: Sequence[Effect]) -> str:
+    """Effects as a table of at most 80 columns.
+
+    Parameters
+    ----------
+    effects : sequence of Effect
+        For example what `effect_library` returns.
+
+    Returns
+    -------
+    str
+        One effect per line with its law, grouped by place.
+
+    Examples
+    --------
+    >>> print(describe_effects([Effect("damping", "link1"), Effect("input_gain", "force")]))
+    link1
+      damping               f = t v
+    force
+      input_gain            w -> (1 + t) w
+    """
+    effects = as_effects(effects, "effects")
+    lines: list[str] = []
+    for place in dict.fromkeys(effect.place for effect in effects):
+        lines.append(place[:80])
+        for effect in effects:
+            if effect.place == place:
+                name = effect.name or effect.kind
+                lines.append(f"  {name[:26]:<21} {effect.spec.formula}"[:80].rstrip())
+    return "\n".join(lines)

@@ -1,0 +1,1 @@
+"""A model in feedback with effects, run over a record: simulation, observer, harmonic balance."""

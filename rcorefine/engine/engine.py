@@ -1,0 +1,292 @@
+"""Simulation of the structure over a record, with exact sensitivities.
+
+One engine serves compare, refine and diagnose: free run, observer (innovation
+form), or windows (filter for a while, then run free), by one schedule.
+"""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from ..data.measurement import Measurement
+from ..effects.kernel import evaluate_law
+from ..exceptions import DivergenceError
+from ..systems.linear import Array
+from . import kernels
+from .inputs import BAND_LIMITED_FACTOR, InputSignal
+from .structure import Structure
+
+__all__ = ["Engine", "Trajectory"]
+
+_PIECES = 16  # of a substep in which a friction force jumps
+_WHOLE = 0.05  # of a sample by which an estimated delay may exceed a whole number and count as one
+_NODES_FOR_DELAY = 8  # output nodes per sample where an output delay must be interpolated
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """What the engine returns.
+
+    Attributes
+    ----------
+    outputs : ndarray, shape (n_y, N)
+        Model outputs at the samples.
+    sensitivity : ndarray, shape (n_y, N, p)
+        Derivatives by the free coefficients and, where asked for, by the n initial states.
+    states : ndarray, shape (n, N)
+        States at the samples (after the correction where an observer acts).
+    forces : ndarray, shape (m, N)
+        Resisting forces of the effects that keep a port.
+    blew_up : int
+        First sample at which the state left all bounds, -1 if none.
+    """
+
+    outputs: Array
+    sensitivity: Array
+    states: Array
+    forces: Array
+    blew_up: int
+
+
+class Engine:
+    """A structure on one record.
+
+    Parameters
+    ----------
+    structure : Structure
+        Model and effects.
+    data : Measurement
+        Record; its channels stand in the order of the model's. A model with a `hold` of its
+        own takes the inputs by that one.
+    substeps : int, optional
+        Substeps per sampling interval; 1 is exact for linear effects. Rounded up
+        to a multiple of 4 for a band-limited input.
+    initial : ndarray, shape (n,), optional
+        Initial state, where it is known and not to be estimated. Zero means rest: nothing
+        acted before the record.
+    """
+
+    def __init__(
+        self, structure: Structure, data: Measurement, *, substeps: int = 1, initial: Array | None = None
+    ) -> None:
+        data = structure.model.held(data)
+        self.structure, self.data = structure, data
+        self._known_start = initial is not None
+        if structure.output_delays:
+            substeps = max(substeps, _NODES_FOR_DELAY)
+        if data.hold == "bandlimited":
+            substeps = BAND_LIMITED_FACTOR * -(-substeps // BAND_LIMITED_FACTOR)
+        self.substeps = substeps
+        at_rest = initial is not None and not initial.any()
+        self._signal = InputSignal(data.inputs, data.dt, data.hold, substeps, at_rest)
+        self._measured = np.ascontiguousarray(data.outputs.T)
+        self._march = _kernel(structure)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # a pickled kernel would be compiled anew in every process; the process has one of its own
+        return {name: value for name, value in self.__dict__.items() if name != "_march"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._march = _kernel(self.structure)
+
+    def run(
+        self,
+        theta: Array,
+        x0: Array | None = None,
+        *,
+        sensitivity: bool = True,
+        initial_state: bool = False,
+        gain: Array | None = None,
+        use: NDArray[np.bool_] | None = None,
+        histories: bool = False,
+        check: bool = True,
+    ) -> Trajectory:
+        """Simulate the record.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (p,)
+            Free coefficients in the order of `Structure.parameters`.
+        x0 : ndarray, shape (n,), optional
+            Initial state, default zero.
+        sensitivity : bool
+            Whether to carry derivatives by theta.
+        initial_state : bool
+            Whether to carry derivatives by the initial state too.
+        gain : ndarray, shape (n, n_y), optional
+            Observer gain; a free run without it.
+        use : ndarray of bool, shape (N, n_y), optional
+            Where the observer corrects; everywhere by default.
+        histories : bool
+            Whether to return states and forces.
+        check : bool
+            Raise where the simulation leaves all bounds; otherwise say when in `blew_up`.
+
+        Returns
+        -------
+        Trajectory
+            Outputs, derivatives, states and forces.
+
+        Raises
+        ------
+        DivergenceError
+            If a state leaves all bounds.
+        """
+        s, data = self.structure, self.data
+        n, ny, m, N = s.n_states, s.n_outputs, s.n_ports, data.n_samples
+        p = (s.n_parameters if sensitivity else 0) + (n if initial_state else 0)
+        derivatives = sensitivity and s.n_parameters > 0
+        step = data.dt / self.substeps
+        disc = s.discretize(theta, step, derivatives=derivatives)
+        pieces = _PIECES if s.jumps else 1
+        fine = s.discretize(theta, step / pieces, derivatives=derivatives) if pieces > 1 else disc
+        Ms, dMs = np.stack([disc.M, fine.M]), np.stack([disc.dM, fine.dM])
+        drive = self._signal.drive(s, theta)
+        codes, values, columns, widths = s.laws(theta)
+        driven, dW, dWout = drive.driven, drive.dW, drive.dWout
+        if not sensitivity:
+            columns = np.full_like(columns, -1)
+            driven, dW, dWout = driven[:0], dW[:0], dWout[:0]
+        outcodes = np.zeros(ny, dtype=np.int64)
+        outvalues = np.zeros(ny)
+        outcolumns = np.full(ny, -1, dtype=np.int64)
+        for index, channel, code in s.output_statics:
+            name = "limit" if code == 1 else "fraction"
+            outcodes[channel] = code
+            outvalues[channel] = s.value(theta, index, name)
+            outcolumns[channel] = s.position(index, name) if sensitivity else -1
+        x = np.zeros(n) if x0 is None else np.array(x0, dtype=float)
+        S = np.zeros((p, n))
+        if initial_state:
+            S[p - n :] = np.eye(n)
+        if gain is None:
+            flags, K = np.zeros((N, ny), dtype=np.uint8), np.zeros((n, ny))
+        else:
+            flags = np.ones((N, ny), dtype=np.uint8) if use is None else use.astype(np.uint8)
+            K = np.ascontiguousarray(gain, dtype=float)
+        delays = [(i, c) for i, c in s.output_delays]
+        keep = histories or bool(delays)
+        Yout = np.full((N, ny), np.nan)
+        SY = np.zeros((N, ny, p))
+        X = np.full((N if keep else 0, n), np.nan)
+        F = np.full((N if keep else 0, m), np.nan)
+        if not np.isfinite(disc.M).all():
+            if check:
+                raise DivergenceError(
+                    "the model with these effects grows beyond all numbers within one sample; start from "
+                    "other coefficients or bound them"
+                )
+            return Trajectory(Yout.T, np.moveaxis(SY, 1, 0), X.T, F.T, 0)
+        limit = 1e12 * (1.0 + float(np.abs(x).max(initial=0.0)) + self._state_bound())
+        blew_up = self._march(
+            Ms, dMs, pieces, disc.linear, disc.O, disc.dO, disc.P, disc.dP, codes, values, columns, widths,
+            drive.W, drive.nodes, drive.Wout, dW, dWout, driven, self._measured, flags, K, outcodes,
+            outvalues, outcolumns, x, np.zeros(m), S, self.substeps, Yout, SY, X, F, limit,
+        )  # fmt: skip
+        if blew_up >= 0 and check:
+            raise DivergenceError(
+                f"the simulation left all bounds at sample {blew_up} (t = {blew_up * data.dt:.6g} s): the "
+                "model with these effects is unstable; start from other coefficients or bound them"
+            )
+        for index, channel in delays:
+            if np.isfinite(Yout[:, channel]).all():  # where it blew up there is nothing to shift
+                self._delay_output(theta, index, channel, Yout, SY, sensitivity)
+        return Trajectory(
+            np.ascontiguousarray(Yout.T),
+            np.ascontiguousarray(np.moveaxis(SY, 1, 0)),
+            np.ascontiguousarray(X.T),
+            np.ascontiguousarray(F.T),
+            int(blew_up),
+        )
+
+    def unjudged(self, theta: Array) -> NDArray[np.int64]:
+        """First samples of each output that say nothing about the model, shape (n_y,).
+
+        Over one delay they hang on inputs, or on motion, from before the record, which nobody
+        knows. With an initial state that is free nothing else is lost there.
+        """
+        s = self.structure
+        lost = np.zeros(s.n_outputs, dtype=np.int64)
+        if self._known_start:
+            return lost
+        for index, effect in enumerate(s.effects):
+            if effect.kind not in ("input_delay", "output_delay"):
+                continue
+            delay = float(s.value(theta, index, "delay")) / self.data.dt
+            here = int(np.ceil(np.clip(delay - _WHOLE, 0.0, self.data.n_samples // 2)))
+            if effect.kind == "input_delay":
+                lost = np.maximum(lost, here)
+            else:
+                channel = s.linear_model.output_labels.index(effect.place)
+                lost[channel] = max(lost[channel], here)
+        return lost
+
+    def _state_bound(self) -> float:
+        """A scale above which no state of this record can be meant."""
+        measured = float(np.abs(self._measured).max(initial=0.0))
+        return measured + float(np.abs(self.data.inputs).max(initial=0.0))
+
+    def _delay_output(
+        self, theta: Array, index: int, channel: int, Y: Array, SY: Array, sensitivity: bool
+    ) -> None:
+        """Shift one output by its delay, along a spline through the samples."""
+        delay = float(self.structure.value(theta, index, "delay"))
+        column = self.structure.position(index, "delay")
+        grid = np.arange(Y.shape[0]) * self.data.dt
+        shifted = np.maximum(grid - delay, 0.0)
+        spline = CubicSpline(grid, Y[:, channel])
+        if SY.shape[2]:
+            slopes = SY[:, channel]
+            seen = np.isfinite(slopes).all(axis=0)  # derivatives may overflow where the motion does not
+            slopes[:, seen] = CubicSpline(grid, slopes[:, seen])(shifted)
+            if sensitivity and column >= 0:
+                SY[:, channel, column] = np.where(grid > delay, -spline(shifted, 1), 0.0)
+        Y[:, channel] = spline(shifted)
+
+
+def _kernel(structure: Structure) -> Callable[..., int]:
+    """The loop over samples, bound to the user's own laws where there are any."""
+    customs = structure.custom_laws
+    if not customs:
+        return kernels.march
+    evaluate: Any = evaluate_law
+    laws = [(law, len(names)) for law, names in customs]
+
+    def evaluate_any(code, d, v, d_start, z_start, p0, p1, p2, p3, width):  # type: ignore[no-untyped-def]
+        if code >= 0:
+            return evaluate(code, d, v, d_start, z_start, p0, p1, p2, p3, width)
+        law, taken = laws[-code - 1]
+        return _custom(law, taken, d, v, (p0, p1, p2, p3))
+
+    python = getattr(kernels.march, "py_func", kernels.march)
+    return types.FunctionType(python.__code__, {**python.__globals__, "evaluate_law": evaluate_any})
+
+
+def _custom(
+    law: Callable[..., Any], taken: int, d: float, v: float, p: tuple[float, ...]
+) -> tuple[float, ...]:
+    """A user's law with central differences, in the form of `evaluate_law`."""
+    steps = [1e-6 * max(abs(value), 1e-3) for value in (d, v, *p[:taken])]
+
+    def force(point: list[float]) -> float:
+        value = float(law(point[0], point[1], *point[2:])) if taken else float(law(point[0], point[1]))
+        return value if taken else p[0] * value
+
+    centre = [d, v, *p[:taken]]
+    slopes = []
+    for i, step in enumerate(steps):
+        up, down = centre.copy(), centre.copy()
+        up[i] += step
+        down[i] -= step
+        slopes.append((force(up) - force(down)) / (2 * step))
+    g = slopes[2:] if taken else [float(law(d, v))]
+    g = g + [0.0] * (4 - len(g))
+    return (force(centre), slopes[0], slopes[1], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, *g, 0.0, 0.0, 0.0, 0.0)

@@ -1,0 +1,108 @@
+"""Where the free run of a model begins anew: asked for, or because the model integrates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from ..arguments import as_number
+from ..data.measurement import Measurement
+from ..exceptions import DataError
+from ..systems.linear import LinearModel
+
+__all__ = ["checked_horizon", "free_runs", "integrates"]
+
+_WINDOWS = 10  # of a record whose model integrates
+
+
+def checked_horizon(horizon: Any, known_start: bool = False) -> float | None:
+    """The horizon as a number of seconds, None for the default.
+
+    Raises
+    ------
+    control.ControlArgument
+        If it is no positive time, or stands beside a given initial state.
+    """
+    if horizon is None:
+        return None
+    seconds = as_number(horizon, "horizon", above=0.0, what="a time in seconds")
+    if known_start:
+        raise ct.ControlArgument("a given x0 holds for one start only; leave horizon or x0 out")
+    return seconds
+
+
+def integrates(linear: LinearModel, record: Measurement) -> bool:
+    """Whether a constant input drives an output away for as long as the record lasts."""
+    if linear.n_states == 0:
+        return False
+    poles, right = np.linalg.eig(linear.A)
+    turned = np.abs(poles) * record.dt if linear.is_continuous else np.abs(poles - 1.0)
+    slow = turned * record.n_samples < 1e-3
+    if not slow.any():
+        return False
+    step = np.linalg.norm(linear.C, axis=0) @ np.abs(right[:, slow])
+    return bool(np.any(step > 1e-9 * np.linalg.norm(linear.C)))
+
+
+def free_runs(
+    models: Sequence[LinearModel],
+    records: Sequence[Measurement],
+    horizon: float | None = None,
+    known_start: bool = False,
+) -> tuple[list[list[slice]], str]:
+    """Windows of each record, every one with an initial state of its own.
+
+    Parameters
+    ----------
+    models : sequence of LinearModel
+        Models that run in the same windows.
+    records : sequence of Measurement
+        Records.
+    horizon : float, optional
+        Length in s. Each record is cut in the whole number of equal windows that comes
+        nearest. Default: the whole record; one tenth of the longest where a model integrates,
+        for a free run then drifts without bound.
+    known_start : bool
+        Whether the initial state is given: there is one start then.
+
+    Returns
+    -------
+    windows : list of list of slice
+        Per record.
+    note : str
+        Why there are windows that nobody asked for, empty otherwise.
+
+    Raises
+    ------
+    control.ControlArgument
+        If `horizon` is no positive time, or stands beside a given start.
+    DataError
+        If a window is too short to estimate a state in.
+    """
+    seconds, note, least = checked_horizon(horizon, known_start), "", 1
+    n_states = max(model.n_states for model in models)
+    if seconds is None:
+        if known_start or not any(integrates(m, r) for m in models for r in records):
+            return [[slice(0, record.n_samples)] for record in records], note
+        seconds = max(record.n_samples * record.dt for record in records) / _WINDOWS
+        least = 4 * n_states + 4
+        note = (
+            f"The model integrates, so free runs are cut into windows of {seconds:.3g} s "
+            "with an initial state each (horizon=)."
+        )
+    found = []
+    for record in records:
+        n, n_outputs = record.n_samples, record.outputs.shape[0]
+        count = min(max(1, round(n * record.dt / seconds)), max(1, n // least))
+        if count > 1 and n // count * n_outputs <= n_states:
+            raise DataError(
+                f"a window of horizon = {seconds:g} s holds {n // count} samples of {n_outputs} output(s), "
+                f"too few to estimate {n_states} initial states from and to judge by; give a longer one"
+            )
+        edges = np.linspace(0, n, count + 1).round().astype(int)
+        found.append([slice(int(a), int(b)) for a, b in pairwise(edges)])
+    return found, note

@@ -1,0 +1,455 @@
+"""The one loop over samples: a linear part in feedback with port laws.
+
+Pure array functions, no objects and no checks. numba compiles them where it is
+installed; without it the same source runs as plain Python. Only the four small
+products below have two bodies, because scalar loops are the fast form in
+compiled code and the slow one in Python.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..effects.kernel import evaluate_law
+from ..jit import NUMBA, compiled
+
+__all__ = ["march"]
+
+if NUMBA:
+
+    @compiled
+    def _apply(out, M, z):
+        for i in range(M.shape[0]):
+            total = 0.0
+            for j in range(M.shape[1]):
+                total += M[i, j] * z[j]
+            out[i] = total
+
+    @compiled
+    def _add(out, M, z):
+        for i in range(M.shape[0]):
+            total = 0.0
+            for j in range(M.shape[1]):
+                total += M[i, j] * z[j]
+            out[i] += total
+
+    @compiled
+    def _add_rows(out, S, M):
+        for p in range(S.shape[0]):
+            for i in range(M.shape[0]):
+                total = 0.0
+                for j in range(M.shape[1]):
+                    total += M[i, j] * S[p, j]
+                out[p, i] += total
+
+    @compiled
+    def _add_forcing(out, index, dM, z):
+        for q in range(dM.shape[0]):
+            p = index[q]
+            for i in range(dM.shape[1]):
+                total = 0.0
+                for j in range(dM.shape[2]):
+                    total += dM[q, i, j] * z[j]
+                out[p, i] += total
+
+else:
+
+    def _apply(out, M, z):
+        out[:] = M @ z
+
+    def _add(out, M, z):
+        out += M @ z
+
+    def _add_rows(out, S, M):
+        out += S @ M.T
+
+    def _add_forcing(out, index, dM, z):
+        if dM.shape[0]:  # none where no parameter reaches this matrix
+            out[index] += dM @ z
+
+
+@compiled
+def _solve_in_place(J, R):
+    """Gaussian elimination with pivoting; rows of R (k, m) are the right-hand sides."""
+    m = J.shape[0]
+    for c in range(m):
+        pivot = c
+        for r in range(c + 1, m):
+            if abs(J[r, c]) > abs(J[pivot, c]):
+                pivot = r
+        if pivot != c:
+            for j in range(m):
+                J[c, j], J[pivot, j] = J[pivot, j], J[c, j]
+            for q in range(R.shape[0]):
+                R[q, c], R[q, pivot] = R[q, pivot], R[q, c]
+        if J[c, c] == 0.0:
+            J[c, c] = 1e-300
+        for r in range(c + 1, m):
+            factor = J[r, c] / J[c, c]
+            if factor != 0.0:
+                for j in range(c, m):
+                    J[r, j] -= factor * J[c, j]
+                for q in range(R.shape[0]):
+                    R[q, r] -= factor * R[q, c]
+    for c in range(m - 1, -1, -1):
+        for q in range(R.shape[0]):
+            total = R[q, c]
+            for j in range(c + 1, m):
+                total -= J[c, j] * R[q, j]
+            R[q, c] = total / J[c, c]
+
+
+@compiled
+def march(
+    Ms,  # (2, n, n + 2 nw + 2 m)    [Phi, Gamma0, Gamma1, Psi0, Psi1] of a substep, and of a piece of it
+    dMs,  # (2, q, n, n + 2 nw + 2 m) their derivatives, for the parameters listed in `linear`
+    pieces,  # int                   pieces of a substep in which a force jumps
+    linear,  # (q,)               rows of the sensitivity that dM and dO drive
+    O,  # (ny, n + nw + m)        [C, D, G]
+    dO,  # (q, ny, n + nw + m)
+    P,  # (2 m, n + nw)           d = P[:m] [x; w], v = P[m:] [x; w]
+    dP,  # (q or 0, 2 m, n + nw)
+    codes,  # (m,)                law of each port
+    values,  # (m, 4)             its coefficients
+    columns,  # (m, 4)            their rows in the sensitivity, -1 where fixed
+    widths,  # (m,)
+    W,  # (rows, nw)              input nodes of the substeps
+    nodes,  # bool                True: linear between W[i] and W[i+1]; False: W[i] held
+    Wout,  # (N, nw)              input at the samples
+    dW,  # (r, rows, nw)          derivative of W for the parameters in `driven`
+    dWout,  # (r, N, nw)
+    driven,  # (r,)
+    Y,  # (N, ny)                 measurement, used where `use` is set
+    use,  # (N, ny) uint8         correct the state with this output at this sample
+    K,  # (n, ny)                 observer gain
+    outcodes,  # (ny,)            0 linear, 1 saturation, 2 rectification
+    outvalues,  # (ny,)
+    outcolumns,  # (ny,)
+    x,  # (n,)                    initial state; holds the final one on return
+    z,  # (m,)                    inner states of the laws
+    S,  # (p, n)                  sensitivity of the state; p = 0 for none
+    substeps,
+    Yout,  # (N, ny)
+    SY,  # (N, ny, p)
+    X,  # (N, n) or (0, n)
+    F,  # (N, m) or (0, m)
+    limit,  # stop when a state exceeds this
+):
+    """March over the record; return the first sample that blew up, or -1."""
+    n = x.shape[0]
+    nw = Wout.shape[1]
+    m = codes.shape[0]
+    ny = Yout.shape[1]
+    p = S.shape[0]
+    samples = Wout.shape[0]
+    nz = Ms.shape[2]
+    senses_input = False
+    for i in range(2 * m):
+        for j in range(nw):
+            if P[i, n + j] != 0.0:
+                senses_input = True
+
+    Phis = np.ascontiguousarray(Ms[:, :, :n])
+    Gamma0s = np.ascontiguousarray(Ms[:, :, n : n + nw])
+    Gamma1s = np.ascontiguousarray(Ms[:, :, n + nw : n + 2 * nw])
+    Psi0s = np.ascontiguousarray(Ms[:, :, n + 2 * nw : n + 2 * nw + m])
+    Psi1s = np.ascontiguousarray(Ms[:, :, n + 2 * nw + m :])
+    Px = np.ascontiguousarray(P[:, :n])
+    Pw = np.ascontiguousarray(P[:, n:])
+    Qs = np.zeros((2, 2 * m, m))
+    for grade in range(2):
+        Qs[grade] = Px @ Psi1s[grade]
+    Cx = np.ascontiguousarray(O[:, :n])
+    Dw = np.ascontiguousarray(O[:, n : n + nw])
+    Gf = np.ascontiguousarray(O[:, n + nw :])
+
+    step = np.zeros(nz)
+    out = np.zeros(n + nw + m)
+    xw = np.zeros(n + nw)
+    y = np.zeros(ny)
+    sy = np.zeros((p, ny))
+    sense = np.zeros(2 * m)
+    free = np.zeros(2 * m)
+    f = np.zeros(m)
+    trial = np.zeros(m)
+    residual = np.zeros(m)
+    newton = np.zeros((1, m))
+    d_last = np.zeros(m)
+    v_last = np.zeros(m)
+    f_start = np.zeros(m)
+    Jn = np.zeros((m, m))
+    parts = np.zeros((m, 17))
+    sf = np.zeros((p, m))
+    sz = np.zeros((p, m))
+    sd_last = np.zeros((p, m))
+    ssense = np.zeros((p, 2 * m))
+    Snew = np.zeros((p, n))
+    dw_a = np.zeros((p, nw))
+    dw_b = np.zeros((p, nw))
+
+    stale = True
+    first = True
+    for k in range(samples):
+        # forces at the sample: new where the state was corrected or the port senses the input
+        for attempt in range(2):
+            if m > 0 and (stale or senses_input):
+                xw[:n] = x
+                xw[n:] = Wout[k]
+                _apply(sense, P, xw)
+                if p > 0:
+                    ssense[:, :] = 0.0
+                    _add_rows(ssense, S, Px)
+                    if senses_input and driven.shape[0] > 0:
+                        dw_a[:, :] = 0.0
+                        for r in range(driven.shape[0]):
+                            for j in range(nw):
+                                dw_a[driven[r], j] += dWout[r, k, j]
+                        _add_rows(ssense, dw_a, Pw)
+                    _add_forcing(ssense, linear, dP, xw)
+                for i in range(m):
+                    if first:
+                        d_last[i] = sense[i]
+                        for q in range(p):
+                            sd_last[q, i] = ssense[q, i]
+                    part = evaluate_law(
+                        codes[i],
+                        sense[i],
+                        sense[m + i],
+                        d_last[i],
+                        z[i],
+                        values[i, 0],
+                        values[i, 1],
+                        values[i, 2],
+                        values[i, 3],
+                        widths[i],
+                    )
+                    f[i] = part[0]
+                    for q in range(p):
+                        sd = ssense[q, i]
+                        sv = ssense[q, m + i]
+                        sf[q, i] = part[1] * sd + part[2] * sv + part[3] * sd_last[q, i] + part[4] * sz[q, i]
+                        sz[q, i] = part[6] * sd + part[7] * sd_last[q, i] + part[8] * sz[q, i]
+                        sd_last[q, i] = sd
+                    if p > 0:
+                        for c in range(4):
+                            if columns[i, c] >= 0:
+                                sf[columns[i, c], i] += part[9 + c]
+                                sz[columns[i, c], i] += part[13 + c]
+                    z[i] = part[5]
+                    d_last[i] = sense[i]
+                    v_last[i] = sense[m + i]
+                first = False
+                stale = False
+            if attempt == 1:
+                break
+
+            # output, its sensitivity, and the sensor's own static law
+            out[:n] = x
+            out[n : n + nw] = Wout[k]
+            out[n + nw :] = f
+            _apply(y, O, out)
+            if p > 0:
+                sy[:, :] = 0.0
+                _add_rows(sy, S, Cx)
+                if m > 0:
+                    _add_rows(sy, sf, Gf)
+                _add_forcing(sy, linear, dO, out)
+                for r in range(driven.shape[0]):
+                    for i in range(ny):
+                        total = 0.0
+                        for j in range(nw):
+                            total += Dw[i, j] * dWout[r, k, j]
+                        sy[driven[r], i] += total
+            corrected = False
+            for i in range(ny):
+                slope = 1.0
+                if outcodes[i] == 1:
+                    if abs(y[i]) > outvalues[i]:
+                        side = 1.0 if y[i] > 0.0 else -1.0
+                        y[i] = side * outvalues[i]
+                        slope = 0.0
+                        for q in range(p):
+                            sy[q, i] = 0.0
+                        if p > 0 and outcolumns[i] >= 0:
+                            sy[outcolumns[i], i] = side
+                elif outcodes[i] == 2:
+                    if y[i] < 0.0:
+                        slope = 1.0 - 2.0 * outvalues[i]
+                        for q in range(p):
+                            sy[q, i] *= slope
+                        if p > 0 and outcolumns[i] >= 0:
+                            sy[outcolumns[i], i] += -2.0 * y[i]
+                        y[i] *= slope
+                Yout[k, i] = y[i]
+                for q in range(p):
+                    SY[k, i, q] = sy[q, i]
+                if use[k, i] and slope != 0.0:
+                    corrected = True
+                    error = slope * (Y[k, i] - y[i])
+                    for j in range(n):
+                        x[j] += K[j, i] * error
+                        for q in range(p):
+                            S[q, j] -= K[j, i] * slope * sy[q, i]
+            if X.shape[0] > 0:
+                X[k] = x
+            if F.shape[0] > 0:
+                F[k] = f
+            if not corrected:
+                break
+            stale = True
+
+        if k == samples - 1:
+            break
+        for s in range(substeps):
+            row = k * substeps + s
+            after = row + 1 if nodes else row
+            grade, piece, count = 0, 0, 1
+            while piece < count:
+                M, Psi1, Q = Ms[grade], Psi1s[grade], Qs[grade]
+                early, late = piece / count, (piece + 1) / count
+                step[:n] = x
+                for j in range(nw):
+                    rise = W[after, j] - W[row, j]
+                    step[n + j] = W[row, j] + early * rise
+                    step[n + nw + j] = W[row, j] + late * rise
+                step[n + 2 * nw : n + 2 * nw + m] = f
+                step[n + 2 * nw + m :] = 0.0
+                _apply(x, M, step)
+                if m > 0:
+                    xw[:n] = x
+                    xw[n:] = step[n + nw : n + 2 * nw]
+                    _apply(free, P, xw)
+                    # forces at the end of the step: damped Newton, start from the last ones
+                    f_start[:] = f
+                    trial[:] = f
+                    best = np.inf
+                    scale = 1.0
+                    for iteration in range(60):
+                        size = 0.0
+                        level = 0.0
+                        for i in range(m):
+                            d = free[i]
+                            v = free[m + i]
+                            for j in range(m):
+                                d += Q[i, j] * trial[j]
+                                v += Q[m + i, j] * trial[j]
+                            part = evaluate_law(
+                                codes[i],
+                                d,
+                                v,
+                                d_last[i],
+                                z[i],
+                                values[i, 0],
+                                values[i, 1],
+                                values[i, 2],
+                                values[i, 3],
+                                widths[i],
+                            )
+                            for c in range(17):
+                                parts[i, c] = part[c]
+                            residual[i] = trial[i] - part[0]
+                            size += residual[i] * residual[i]
+                            level = max(level, abs(part[0]))
+                        if size >= best and scale > 1e-6 and iteration > 0:
+                            scale *= 0.5
+                            for i in range(m):
+                                trial[i] = f[i] - scale * newton[0, i]
+                            continue
+                        best = size
+                        if size <= 1e-20 * (level * level + 1e-300) or not np.isfinite(size):
+                            break
+                        for i in range(m):
+                            for j in range(m):
+                                Jn[i, j] = -(parts[i, 1] * Q[i, j] + parts[i, 2] * Q[m + i, j])
+                            Jn[i, i] += 1.0
+                            newton[0, i] = residual[i]
+                        _solve_in_place(Jn, newton)
+                        scale = 1.0
+                        for i in range(m):
+                            f[i] = trial[i]
+                            trial[i] = f[i] - newton[0, i]
+                    f[:] = trial
+                    step[n + 2 * nw + m :] = f
+                    if grade == 0 and pieces > 1:
+                        # a friction force jumps inside this substep: once more, in small pieces
+                        jumps = False
+                        for i in range(m):
+                            if codes[i] == 5 or codes[i] == 6 or codes[i] == 8:
+                                v = free[m + i]
+                                for j in range(m):
+                                    v += Q[m + i, j] * f[j]
+                                stuck = 3.0 * widths[i]
+                                moves, moved = abs(v) > stuck, abs(v_last[i]) > stuck
+                                if (moves or moved) and (moves != moved or v * v_last[i] < 0.0):
+                                    jumps = True
+                        if jumps:
+                            x[:] = step[:n]
+                            f[:] = f_start
+                            grade, count = 1, pieces
+                            continue
+                    _add(x, Psi1, f)
+                if p > 0:
+                    Snew[:, :] = 0.0
+                    _add_rows(Snew, S, Phis[grade])
+                    if m > 0:
+                        _add_rows(Snew, sf, Psi0s[grade])
+                    _add_forcing(Snew, linear, dMs[grade], step)
+                    if driven.shape[0] > 0:
+                        dw_a[:, :] = 0.0
+                        dw_b[:, :] = 0.0
+                        for r in range(driven.shape[0]):
+                            for j in range(nw):
+                                rise = dW[r, after, j] - dW[r, row, j]
+                                dw_a[driven[r], j] += dW[r, row, j] + early * rise
+                                dw_b[driven[r], j] += dW[r, row, j] + late * rise
+                        _add_rows(Snew, dw_a, Gamma0s[grade])
+                        _add_rows(Snew, dw_b, Gamma1s[grade])
+                    if m > 0:
+                        ssense[:, :] = 0.0
+                        _add_rows(ssense, Snew, Px)
+                        if senses_input and driven.shape[0] > 0:
+                            _add_rows(ssense, dw_b, Pw)
+                        if dP.shape[0] > 0:
+                            xw[:n] = x
+                            _add_forcing(ssense, linear, dP, xw)
+                        for i in range(m):
+                            for q in range(p):
+                                sf[q, i] = (
+                                    parts[i, 1] * ssense[q, i]
+                                    + parts[i, 2] * ssense[q, m + i]
+                                    + parts[i, 3] * sd_last[q, i]
+                                    + parts[i, 4] * sz[q, i]
+                                )
+                            for c in range(4):
+                                if columns[i, c] >= 0:
+                                    sf[columns[i, c], i] += parts[i, 9 + c]
+                            for j in range(m):
+                                Jn[i, j] = -(parts[i, 1] * Q[i, j] + parts[i, 2] * Q[m + i, j])
+                            Jn[i, i] += 1.0
+                        _solve_in_place(Jn, sf)
+                        _add_rows(Snew, sf, Psi1)
+                        for i in range(m):
+                            for q in range(p):
+                                sd = ssense[q, i]
+                                for j in range(m):
+                                    sd += Q[i, j] * sf[q, j]
+                                sz[q, i] = (
+                                    parts[i, 6] * sd + parts[i, 7] * sd_last[q, i] + parts[i, 8] * sz[q, i]
+                                )
+                                sd_last[q, i] = sd
+                            for c in range(4):
+                                if columns[i, c] >= 0:
+                                    sz[columns[i, c], i] += parts[i, 13 + c]
+                    S[:, :] = Snew
+                for i in range(m):
+                    z[i] = parts[i, 5]
+                    d_last[i] = free[i]
+                    v_last[i] = free[m + i]
+                    for j in range(m):
+                        d_last[i] += Q[i, j] * f[j]
+                        v_last[i] += Q[m + i, j] * f[j]
+                piece += 1
+        for j in range(n):
+            if not abs(x[j]) < limit:
+                return k + 1
+    return -1

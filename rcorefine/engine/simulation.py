@@ -1,0 +1,244 @@
+"""Simulate a model on a record, the initial state given, zero, or estimated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from ..arguments import as_state, shown
+from ..data.measurement import Measurement
+from ..exceptions import ModelError
+from ..systems.linear import Array, LinearModel
+from .engine import Engine
+from .structure import Structure
+
+__all__ = ["Simulation", "estimate_initial_state", "simulate", "structure_of", "unjudged_samples"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Simulation:
+    """A model on a record.
+
+    Attributes
+    ----------
+    outputs : ndarray, shape (n_y, N)
+        Free-run outputs in the units of the record.
+    states : ndarray, shape (n, N)
+        States at the samples.
+    forces : ndarray, shape (m, N)
+        Resisting forces of the nonlinear effects at their ports.
+    x0 : ndarray, shape (n,)
+        Initial state used.
+    """
+
+    outputs: Array
+    states: Array
+    forces: Array
+    x0: Array
+
+
+def structure_of(model: Any) -> tuple[Structure, Array, int]:
+    """Structure, coefficients and substeps of anything that counts as a model.
+
+    Parameters
+    ----------
+    model : StateSpace, PhysicalModel or Refinement
+        Model in continuous time.
+
+    Returns
+    -------
+    structure : Structure
+    theta : ndarray, shape (p,)
+    substeps : int
+    """
+    known = getattr(model, "simulation_structure", None)
+    if known is not None:
+        structure, theta, substeps = known()
+        return structure, theta, substeps
+    return Structure(model), np.zeros(0), 1
+
+
+def estimate_initial_state(engine: Engine, theta: Array, weights: Array | None = None) -> Array:
+    """Initial state that brings the free run closest to the record.
+
+    Parameters
+    ----------
+    engine : Engine
+        Structure on its record.
+    theta : ndarray, shape (p,)
+        Coefficients, held.
+    weights : ndarray, shape (n_y,), optional
+        Weight of each output, default one over its standard deviation.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Gauss-Newton estimate (exact in one step for a linear model); directions
+        that the record cannot see stay at zero.
+    """
+    y = engine.data.outputs
+    if weights is None:
+        weights = 1.0 / np.maximum(y.std(axis=1), 1e-300 + 1e-12 * np.abs(y).max(axis=1))
+        weights = np.where(np.isfinite(weights), weights, 1.0)
+    judged = np.arange(y.shape[1]) >= engine.unjudged(theta)[:, None]
+    weights = weights[:, None] * judged
+    calm = theta.copy()
+    if not engine.structure.is_linear:
+        calm[engine.structure.port_columns] = 0.0  # without its nonlinear forces: a safe first guess
+    start = _gauss_newton(engine, calm, np.zeros(engine.structure.n_states), weights, 2)
+    if engine.structure.is_linear:
+        return start
+    return _gauss_newton(engine, theta, start, weights, 12)
+
+
+def _gauss_newton(engine: Engine, theta: Array, x0: Array, weights: Array, iterations: int) -> Array:
+    """Damped Gauss-Newton on the initial state, each sample with a weight (n_y, N)."""
+
+    def errors(point: Array, slope: bool) -> tuple[float, Array, Array]:
+        run = engine.run(theta, point, sensitivity=False, initial_state=slope, check=False)
+        error = (weights * (engine.data.outputs - run.outputs)).ravel()
+        cost = float(error @ error) if run.blew_up < 0 and np.isfinite(error).all() else np.inf
+        return cost, error, (weights[:, :, None] * run.sensitivity).reshape(error.size, -1)
+
+    cost, error, jacobian = errors(x0, True)
+    damping = 0.0
+    for _ in range(iterations):
+        if not (np.isfinite(cost) and np.isfinite(jacobian).all()):
+            break
+        scale = np.linalg.norm(jacobian, axis=0)
+        scale[scale <= 1e-9 * scale.max(initial=0.0)] = np.inf  # not seen: stays where it is
+        unit = jacobian / scale
+        for _ in range(6):
+            rows = np.vstack([unit, np.sqrt(damping) * np.eye(x0.size)])
+            step = np.linalg.lstsq(rows, np.append(error, np.zeros(x0.size)), rcond=1e-10)[0] / scale
+            trial = errors(x0 + step, True)
+            if trial[0] < cost or not step.any():
+                break
+            damping = max(10 * damping, 1e-3)
+        else:
+            break
+        done = trial[0] > cost * (1 - 1e-8)
+        if trial[0] <= cost:
+            x0, (cost, error, jacobian) = x0 + step, trial
+            damping *= 0.1
+        if done:
+            break
+    return x0
+
+
+def simulate(model: Any, data: Measurement, x0: str | Array = "estimate") -> Simulation:
+    """Free run of a model over a record.
+
+    Parameters
+    ----------
+    model : StateSpace, PhysicalModel or Refinement
+        Continuous, or discrete with the sampling time of the record.
+    data : Measurement
+        Inputs, and the outputs from which the initial state is estimated.
+    x0 : {"estimate", "zero"} or ndarray of shape (n,)
+        Initial state.
+
+    Returns
+    -------
+    Simulation
+        Outputs, states, forces and the initial state.
+
+    Raises
+    ------
+    control.ControlDimension
+        If channels or `x0` do not fit.
+    ModelError
+        If the timebase of a discrete model is not that of the record.
+    DivergenceError
+        If the free run leaves all bounds.
+
+    Examples
+    --------
+    >>> import numpy as np, control as ct, rcorefine as rco
+    >>> lag = ct.ss([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    >>> data = rco.Measurement(np.ones(50), 1 - np.exp(-0.1 * np.arange(50)), dt=0.1)
+    >>> bool(np.allclose(simulate(lag, data, "zero").outputs, data.outputs))
+    True
+    """
+    if not isinstance(data, Measurement):
+        raise ct.ControlArgument(f"data must be a Measurement, not {shown(data)}")
+    inner = getattr(model, "system", model)
+    if isinstance(inner, ct.StateSpace) and inner.dt != 0:
+        return _simulate_discrete(LinearModel.from_statespace(inner), data, x0)
+    structure, theta, substeps = structure_of(model)
+    start = as_state(x0, structure.n_states)
+    engine = Engine(structure, data, substeps=substeps, initial=start)
+    check_channels(structure.linear_model, data)
+    if start is None:
+        start = estimate_initial_state(engine, theta)
+    run = engine.run(theta, start, sensitivity=False, histories=True)
+    return Simulation(run.outputs, run.states, run.forces, start)
+
+
+def unjudged_samples(model: Any, data: Measurement) -> int:
+    """First samples by which a model that holds a delay cannot be judged, its initial state being free."""
+    known = getattr(model, "simulation_structure", None)
+    if known is None:  # a delay is an effect: linear models hold none
+        return 0
+    structure, theta, _ = known()
+    return int(Engine(structure, data).unjudged(theta).max(initial=0))
+
+
+def check_channels(model: LinearModel, data: Measurement) -> None:
+    """Raise where the numbers of channels differ, and name what is missing."""
+    for what, have, need, present, wanted in (
+        ("inputs", data.inputs.shape[0], model.n_inputs, data.input_labels, model.input_labels),
+        ("outputs", data.outputs.shape[0], model.n_outputs, data.output_labels, model.output_labels),
+    ):
+        if have != need:
+            missing = [label for label in wanted if label not in present]
+            named = f" (missing: {', '.join(missing)})" if 0 < len(missing) < len(wanted) else ""
+            raise ct.ControlDimension(
+                f"record {data.name!r} has {have} {what} and the model {need}{named}; give the record's "
+                f"{what} that belong to {model.name!r}, or a model with the {what} that all records share"
+            )
+
+
+def _simulate_discrete(model: LinearModel, data: Measurement, x0: str | Array) -> Simulation:
+    """Free run of a discrete model; its hold is already inside."""
+    if model.dt not in (None, True) and not np.isclose(float(model.dt), data.dt, rtol=1e-9):
+        raise ModelError(
+            f"model {model.name!r} has dt = {model.dt:g} s and the record {data.dt:g} s; resample one of them"
+        )
+    check_channels(model, data)
+    start = as_state(x0, model.n_states)
+    states = _march_discrete(model, data.inputs, np.zeros(model.n_states))
+    forced = model.C @ states + model.D @ data.inputs
+    if start is None or start.any():
+        unit = _powers(model, data.n_samples)
+        if start is None:
+            weights = 1.0 / np.maximum(data.outputs.std(axis=1), 1e-300)
+            rows = (weights[:, None, None] * np.einsum("yi,kij->ykj", model.C, unit)).reshape(
+                -1, model.n_states
+            )
+            error = (weights[:, None] * (data.outputs - forced)).ravel()
+            start = np.linalg.lstsq(rows, error, rcond=1e-10)[0]
+        states = states + np.einsum("kij,j->ik", unit, start)
+    outputs = model.C @ states + model.D @ data.inputs
+    return Simulation(outputs, states, np.zeros((0, data.n_samples)), start)
+
+
+def _march_discrete(model: LinearModel, w: Array, x: Array) -> Array:
+    states = np.empty((model.n_states, w.shape[1]))
+    driven = model.B @ w
+    for k in range(w.shape[1]):
+        states[:, k] = x
+        x = model.A @ x + driven[:, k]
+    return states
+
+
+def _powers(model: LinearModel, n_samples: int) -> Array:
+    powers = np.empty((n_samples, model.n_states, model.n_states))
+    current = np.eye(model.n_states)
+    for k in range(n_samples):
+        powers[k] = current
+        current = model.A @ current
+    return powers

@@ -1,0 +1,1 @@
+"""From a record to coefficients: whitening, sensitivities, descent, covariance, tests."""

@@ -1,0 +1,168 @@
+"""What is estimated: the effects asked for, the linear parameters that float, the nuisance offsets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from ..arguments import as_flag, as_list, as_noise, as_number, shown
+from ..data.measurement import Measurement
+from ..effects.effect import Effect, as_effects
+from ..engine.free_runs import checked_horizon, integrates
+from ..engine.structure import Structure
+from ..exceptions import ModelError
+from ..models.conversion import as_physical
+from ..models.physical_model import PhysicalModel
+from ..systems.linear import Array
+from .refinement import Refinement
+
+__all__ = ["assemble", "check_settings", "offset_variants", "priors", "unfold"]
+
+_LOOSE = 30.0  # relative sd of a linear parameter that floats freely
+
+
+def unfold(model: Any) -> tuple[PhysicalModel, list[tuple[Effect, str]]]:
+    """Initial model and the effects that a Refinement already holds, at their values."""
+    if not isinstance(model, Refinement):
+        return as_physical(model), []
+    kept = []
+    structure, theta, _ = model.simulation_structure()
+    for index, (effect, role) in enumerate(zip(model.effects, model.roles, strict=True)):
+        start = dict(effect.start)
+        for name in effect.coefficients:
+            if structure.position(index, name) >= 0:
+                start[name] = float(theta[structure.position(index, name)])
+        kept.append((effect.replace(start=start), role))
+    return model.physical_model, kept
+
+
+def check_settings(
+    physical: PhysicalModel,
+    *,
+    free: Any = (),
+    tolerance: Any = 0.0,
+    offset: Any = True,
+    noise: Any = None,
+    horizon: Any = None,
+    known_start: bool = False,
+) -> None:
+    """What every fit of a model takes, said before the work begins.
+
+    Raises
+    ------
+    control.ControlArgument, control.ControlDimension
+        If a setting is of the wrong kind, size or out of range.
+    """
+    as_number(tolerance, "tolerance", least=0.0)
+    as_flag(offset, "offset")
+    as_noise(noise, physical.linear.n_outputs)
+    checked_horizon(horizon, known_start)
+    _linear_effects(physical, free, tolerance)
+
+
+def assemble(
+    physical: PhysicalModel,
+    kept: list[tuple[Effect, str]],
+    effects: Sequence[Effect],
+    free: str | Sequence[Any],
+    tolerance: float,
+    offsets: Sequence[Effect],
+) -> list[tuple[Effect, str]]:
+    """Effects with their roles: asked for, linear parameters, offsets."""
+    chosen = list(kept)
+    for effect in as_effects(effects, "effects"):
+        if any(same.kind == effect.kind and same.place == effect.place for same, _ in chosen):
+            raise ModelError(f"{effect.label} is named twice; give each effect once")
+        chosen.append((effect, "effect"))
+    for effect in _linear_effects(physical, free, tolerance):
+        if not any(_covers(same, effect) for same, _ in chosen):
+            chosen.append((effect, "linear"))
+    if not any(role == "offset" for _, role in chosen):
+        constant = ("input_offset", "output_offset", "constant_force", "asymmetric_friction")
+        if not any(same.kind in constant for same, _ in chosen):
+            chosen += [(effect, "offset") for effect in offsets]
+    return chosen
+
+
+def _covers(chosen: Effect, linear: Effect) -> bool:
+    """Whether an effect already holds everything that a linear parameter could change."""
+    if chosen.place != linear.place:
+        return False
+    return chosen.kind == linear.kind or (chosen.kind, linear.kind) == ("asymmetric_damping", "damping")
+
+
+def _floats(parameter: Any, physical: PhysicalModel) -> bool:
+    """Whether a parameter floats: a mass does not where an input gain does, they rescale each other."""
+    gains = any(q.kind == "input_gain" for q in physical.parameters)
+    return parameter.kind != "mass" or not gains
+
+
+def _linear_effects(physical: PhysicalModel, free: Any, tolerance: float) -> list[Effect]:
+    everything = [Effect(q.kind, q.place) for q in physical.parameters if _floats(q, physical)]
+    if isinstance(free, str):
+        if free != "linear":
+            raise ct.ControlArgument(f"free must be 'linear' or a list, not {shown(free)}")
+        return everything
+    entries = [free] if isinstance(free, Effect) else as_list(free, "free", "names or effects")
+    if not entries:
+        return everything if tolerance > 0 else []
+    found = []
+    by_name = {q.name: Effect(q.kind, q.place) for q in physical.parameters}
+    for entry in entries:
+        if isinstance(entry, Effect):
+            found.append(entry)
+        elif isinstance(entry, str) and entry in by_name:
+            found.append(by_name[entry])
+        else:
+            raise ct.ControlArgument(
+                f"free names {shown(entry)}; the model has the parameters {', '.join(by_name) or 'none'}"
+            )
+    return found
+
+
+def offset_variants(physical: PhysicalModel, record: Measurement, offset: bool) -> list[list[Effect]]:
+    """Where the constant offset may sit: rivals, the more likely first.
+
+    Behind a linear model actuator and sensor offsets cannot be told apart as long as the
+    inputs reach the outputs at rest; behind a nonlinear one they can, and both are tried.
+    Where the model integrates, a sensor offset is an initial state.
+    """
+    if not as_flag(offset, "offset"):
+        return [[]]
+    linear = physical.linear
+    at_inputs = [Effect("input_offset", label) for label in linear.input_labels]
+    at_outputs = [Effect("output_offset", label) for label in linear.output_labels]
+    if integrates(linear, record):
+        return [at_inputs]
+    reach = linear.D - linear.C @ np.linalg.pinv(linear.A) @ linear.B
+    level = np.abs(reach) @ np.sqrt(np.mean(record.inputs**2, axis=1))
+    seen = np.flatnonzero(level > 1e-3 * record.outputs.std(axis=1))
+    if seen.size < linear.n_inputs:
+        return [at_outputs]
+    taken = set(seen[: linear.n_inputs])
+    rest = [effect for i, effect in enumerate(at_outputs) if i not in taken]
+    return [at_inputs + rest, at_outputs]
+
+
+def priors(structure: Structure, roles: Sequence[str], tolerance: float) -> tuple[Array, Array]:
+    """Gaussian prior of every coefficient: mean and standard deviation (inf for none)."""
+    mean = np.zeros(structure.n_parameters)
+    sd = np.full(structure.n_parameters, np.inf)
+    nominal = {(q.kind, q.place): q.value for q in structure.model.parameters}
+    for i, parameter in enumerate(structure.parameters):
+        effect = structure.effects[parameter.effect]
+        if parameter.name in effect.prior:
+            sd[i] = effect.prior[parameter.name]
+            mean[i] = (effect.start or {}).get(parameter.name, 0.0)
+        elif roles[parameter.effect] == "linear" and tolerance > 0:
+            size = 1.0 if effect.kind == "input_gain" else abs(nominal.get((effect.kind, effect.place), 0.0))
+            if size > 0:
+                sd[i] = tolerance * size
+        elif roles[parameter.effect] == "linear":
+            # only to settle what the record cannot: scales that cancel stay near the model's
+            size = 1.0 if effect.kind == "input_gain" else abs(nominal.get((effect.kind, effect.place), 0.0))
+            sd[i] = _LOOSE * size if size > 0 else np.inf
+    return mean, sd

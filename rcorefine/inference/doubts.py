@@ -1,0 +1,210 @@
+"""What makes an estimate worthless although the search converged: said, and no success."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.linalg import eig
+
+from ..data.measurement import Measurement
+from ..engine.simulation import simulate
+from ..exceptions import IdentifiabilityWarning
+from ..systems.linear import Array, LinearModel
+from .refinement import Refinement
+
+__all__ = ["doubted", "explains_nothing", "stands_still"]
+
+_STILL = 1e-12  # of an output's size, below which it does not move
+_POOR, _GOOD = 50.0, 90.0  # fit in percent below which a swapped sign is tried; from which a fit is close
+_WITH = 0.2  # correlation with the initial model's run, from which on a sign is not in question
+_CLOSER = 0.5  # residual with a sign turned over that without, from which on the sign is wrong
+_VISIBLE = 0.01  # share of an output's power from modes above half the sampling frequency
+_WIDE = 0.01  # std over the model's value, below which no valley is bent
+_AWAY, _BENT = 2.0, 4.0  # standard deviations away, and how much the error may differ there from the promise
+
+
+def stands_still(outputs: Array) -> Array:
+    """Which rows of (n_y, N) do not move."""
+    return np.asarray(np.ptp(outputs, axis=1) <= _STILL * np.abs(outputs).max(axis=1))
+
+
+def explains_nothing(fit: Array, n_samples: int, unknowns: int) -> bool:
+    """Whether a constant explains the record as well as a free run with so many unknowns.
+
+    The log-likelihood that the free run gains, against what that many numbers gain from noise.
+    """
+    left = np.clip((1.0 - np.asarray(fit) / 100.0) ** 2, 1e-300, 1.0)
+    gain = -n_samples * float(np.sum(np.log(np.where(np.isfinite(left), left, 1.0))))
+    return gain < 5.0 * unknowns + 20.0
+
+
+def doubted(found: Refinement, fit: Any, again: Callable[[list[Measurement]], Any]) -> Refinement:
+    """The result, with a warning for each reason to doubt it.
+
+    Parameters
+    ----------
+    found : Refinement
+        Result of the fit.
+    fit : Fit
+        The fit at its minimum.
+    again : callable
+        Makes the same fit on other segments.
+
+    Returns
+    -------
+    Refinement
+        The reasons stand in `warnings`; where the estimate means nothing for them, `success` is
+        False and `message` begins with them.
+    """
+    outputs = np.concatenate([record.outputs for record in fit.segments], axis=1)
+    labels = found.physical_model.linear.output_labels
+    still = stands_still(outputs)
+    said, worthless = [], False
+    if still.all():
+        said.append(f"{', '.join(labels)} does not move in this record: it says nothing about any parameter")
+        worthless = True
+    elif found.parameters:
+        idle = explains_nothing(found.fit, outputs.shape[1], fit.problem.size)
+        said += _turned(found, fit, again, labels)
+        if idle and not said:
+            said.append(
+                f"the free run explains nothing of the record (fit {np.nanmax(found.fit):.2g} %): a constant "
+                "would do as well"
+            )
+        worthless |= idle or bool(said)
+        if (fast := _too_fast(found, fit, idle)) and not (worthless and not idle):
+            said.append(fast)
+            worthless |= bool(np.nanmin(found.fit) < _GOOD)
+        if not worthless and (bent := _undetermined(found, fit)):
+            said.append(bent)
+            worthless = True
+    if not said:
+        return found
+    for sentence in said:
+        warnings.warn(sentence, IdentifiabilityWarning, stacklevel=3)
+    if worthless:
+        message = f"Not to be trusted: {'; '.join(said)}. {found.message}"
+        found = replace(found, success=False, message=message)
+    return replace(found, warnings=(*found.warnings, *said))
+
+
+def _turned(
+    found: Refinement, fit: Any, again: Callable[[list[Measurement]], Any], labels: Sequence[str]
+) -> list[str]:
+    """A swapped sign: the same fit with an output turned over comes much closer."""
+    if np.nanmin(found.fit) >= _POOR:
+        return []
+    against = _against(found, fit.segments)
+    for which in [against] if against.sum() == 1 else [against, *np.eye(len(labels))[against]]:
+        if not which.any():
+            break
+        sign = (1.0 - 2.0 * which)[:, None]
+        other = again([_with_outputs(record, sign * record.outputs) for record in fit.segments])
+        # the residual power of all outputs, each in the log
+        if other.cost < fit.cost + 2.0 * np.log(_CLOSER):
+            names = ", ".join(label for label, one in zip(labels, which, strict=True) if one)
+            return [
+                f"with the sign of {names} turned over the same fit comes much closer: look at the wiring, "
+                "or at the sign convention of the model"
+            ]
+    return []
+
+
+def _against(found: Refinement, segments: Sequence[Measurement]) -> Array:
+    """Outputs that do not go with the free run of the initial model."""
+    runs = [simulate(found.physical_model, record).outputs for record in segments]
+    measured = [record.outputs for record in segments]
+    one, two = (np.concatenate(rows, axis=1) for rows in (runs, measured))
+    one, two = (rows - rows.mean(axis=1, keepdims=True) for rows in (one, two))
+    size = np.linalg.norm(one, axis=1) * np.linalg.norm(two, axis=1)
+    return np.asarray(np.sum(one * two, axis=1) < _WITH * size)
+
+
+def _with_outputs(record: Measurement, outputs: Array) -> Measurement:
+    return Measurement(
+        record.inputs,
+        outputs,
+        dt=record.dt,
+        hold=record.hold,
+        input_labels=record.input_labels,
+        output_labels=record.output_labels,
+        name=record.name,
+    )
+
+
+def _too_fast(found: Refinement, fit: Any, idle: bool) -> str:
+    """Modes above half the sampling frequency that the outputs show.
+
+    A fit that explains nothing may end anywhere: then only the initial model counts.
+    """
+    limit = np.pi / max(record.dt for record in fit.segments)
+    models = [found.physical_model.linear]
+    models += [] if idle else [LinearModel.from_statespace(found.system)]
+    fast = {
+        float(f"{pole.imag:.4g}") for m in models for pole in np.linalg.eigvals(m.A) if pole.imag >= limit
+    }
+    if not fast or max(_fast_share(model, fit, limit) for model in models) < _VISIBLE:
+        return ""
+    named = ", ".join(f"{omega:.4g}" for omega in sorted(fast)[:4])
+    return (
+        f"modes at {named} rad/s lie above half the sampling frequency ({limit:.4g} rad/s) and show in the "
+        "outputs: what the input does between the samples decides what they do; sample faster"
+    )
+
+
+def _fast_share(model: LinearModel, fit: Any, limit: float) -> float:
+    """Largest share of an output's power that comes from modes above a frequency."""
+    poles, left, right = eig(model.A, left=True, right=True)
+    fast = np.flatnonzero(np.abs(poles.imag) >= limit)
+    part = np.zeros_like(model.A)
+    for k in fast:
+        along = left[:, k].conj()
+        part = part + np.real(np.outer(right[:, k], along) / (along @ right[:, k]))
+    theta, starts = fit.problem.unpack(fit.result.x)
+    n, own, whole = model.n_states, [], []
+    for engine, start in zip(fit.problem.engines, starts, strict=True):
+        run = engine.run(theta, start, sensitivity=False, histories=True, check=False)
+        own.append(model.C @ part @ np.nan_to_num(run.states[:n]))
+        whole.append(run.outputs)
+    power = np.var(np.concatenate(whole, axis=1), axis=1)
+    return float(np.max(np.var(np.concatenate(own, axis=1), axis=1) / np.maximum(power, 1e-300)))
+
+
+def _undetermined(found: Refinement, fit: Any) -> str:
+    """Linear parameters along whose valley the error grows otherwise than their std promises.
+
+    Moving one parameter by s standard deviations, the others along with it, should raise
+    twice the log-likelihood by s squared. Where it does not, the valley is bent within the
+    error bars: neither the value nor its std means anything.
+    """
+    problem, point = fit.problem, fit.result.x
+    if not fit.structure.is_linear:
+        return ""
+    jacobian = problem.evaluate(point).jacobian
+    size = np.linalg.norm(jacobian, axis=0)
+    size[size == 0] = 1.0
+    bounds = problem.at_bound(point, jacobian)
+    normal = (jacobian / size).T @ (jacobian / size)
+    inverse = np.linalg.pinv(normal, rcond=1e-13, hermitian=True) / np.outer(size, size)
+    noise = 2.0 * problem.cost(point) / problem.n_points
+    least = problem.cost(point)
+    bent = []
+    for i, row in enumerate(found.parameters):
+        label = fit.structure.parameters[i].label
+        wide = 0 < _WIDE * abs(row.initial) < row.std < np.inf  # what the model has no value for has no scale
+        if row.role == "offset" or not wide or label in bounds or inverse[i, i] <= 0:
+            continue
+        step = _AWAY * np.sqrt(noise / inverse[i, i]) * inverse[:, i]
+        rise = [2.0 * (problem.cost(point + side * step) - least) / noise for side in (-1.0, 1.0)]
+        if max(rise) > _BENT * _AWAY**2 or min(rise) < _AWAY**2 / _BENT:
+            bent.append(label)
+    if not bent:
+        return ""
+    return (
+        f"the record leaves undetermined: {', '.join(bent)} (two standard deviations away the error differs "
+        "several times from what the error bars promise, so they do not hold)"
+    )

@@ -1,0 +1,204 @@
+"""A fitted model on its records, ready to be tested and added to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from ..data.channels import match_channels, record_for
+from ..data.measurement import Measurement
+from ..effects.effect import Effect
+from ..engine.observer import observer_gain
+from ..engine.structure import Structure
+from ..systems.linear import Array
+from .assembly import priors
+from .problem import Problem, residual_blocks
+from .refinement import Refinement
+from .starts import Motion, law_widths
+
+__all__ = ["Fitted", "evaluated", "fitted_from"]
+
+
+@dataclass(eq=False)
+class Fitted:
+    """A refinement at its minimum: residual, Jacobian, motion.
+
+    Attributes
+    ----------
+    refinement : Refinement
+        Model with effects at their estimates.
+    problem : Problem
+        Its estimation problem; weights are one over the noise level.
+    point : ndarray
+        Minimum.
+    tolerance : float
+        Declared relative sd of the linear parameters.
+    force_at : str
+        Where an unmeasured force would act: "everywhere" or "inputs".
+    """
+
+    refinement: Refinement
+    problem: Problem
+    point: Array
+    tolerance: float
+    force_at: str = "everywhere"
+    _blocks: dict[float, list[tuple[Array, Array]]] = field(default_factory=dict)
+    _gains: dict[float, Array] = field(default_factory=dict)
+    _states: dict[float, list[Array]] = field(default_factory=dict)
+
+    @property
+    def structure(self) -> Structure:
+        """Model in feedback with its effects."""
+        return self.problem.structure
+
+    @property
+    def theta(self) -> Array:
+        """Coefficients."""
+        return self.problem.unpack(self.point)[0]
+
+    def gain(self, ratio: float) -> Array | None:
+        """Observer gain for an unknown force of that ratio; None for the free run."""
+        if ratio == 0:
+            return None
+        if ratio not in self._gains:
+            self._gains[ratio] = observer_gain(
+                self.structure, self.theta, self.problem.records[0], ratio, at=self.force_at
+            )
+        return self._gains[ratio]
+
+    def forced(self, at: str) -> Fitted:
+        """The same model with unmeasured forces elsewhere."""
+        if at == self.force_at:
+            return self
+        free = {ratio: blocks for ratio, blocks in self._blocks.items() if ratio == 0}
+        return replace(self, force_at=at, _blocks=free, _gains={}, _states={})
+
+    def blocks(self, ratio: float = 0.0) -> list[tuple[Array, Array]]:
+        """Residual (n_y, N) and Jacobian (n_y, N, p) of each record, free run or observer-led."""
+        if ratio not in self._blocks:
+            self._blocks[ratio] = evaluated(self.problem, self.point, self.gain(ratio))
+        return self._blocks[ratio]
+
+    def residuals(self, ratio: float = 0.0) -> list[Array]:
+        """Residuals of the records, in units of the noise."""
+        return [r for r, _ in self.blocks(ratio)]
+
+    def states(self, ratio: float = 0.0) -> list[Array]:
+        """States (n, N) of each record, free run or observer-led.
+
+        Those before the correction by the sample's own measurement: what they say about
+        a sample must not contain the noise of that sample.
+        """
+        if ratio not in self._states:
+            theta, starts = self.problem.unpack(self.point)
+            gain = self.gain(ratio)
+            found = []
+            for i, (engine, start) in enumerate(zip(self.problem.engines, starts, strict=True)):
+                run = engine.run(theta, start, sensitivity=False, gain=gain, histories=True, check=False)
+                states = np.nan_to_num(run.states)
+                if gain is not None:
+                    states = states + gain @ (self.residuals(ratio)[i] / self.problem.weights[:, None])
+                found.append(states)
+            self._states[ratio] = found
+        return self._states[ratio]
+
+    def port(self, name: str, ratio: float, record: int) -> tuple[Array, Array]:
+        """Displacement and velocity (N,) at a port."""
+        port = self.structure.model.port(name)
+        x, w = self.states(ratio)[record][: port.act.size], self.problem.records[record].inputs
+        return port.position @ x + port.position_input @ w, port.velocity @ x + port.velocity_input @ w
+
+    def linearized(self) -> tuple[Array, Array]:
+        """A and C with each nonlinear force replaced by its best linear fit along the motion."""
+        structure = self.structure
+        matrices = structure.matrices(self.theta)
+        A, C = matrices.A.astype(float), matrices.C.astype(float)
+        if structure.n_ports == 0:
+            return A, C
+        theta, starts = self.problem.unpack(self.point)
+        run = self.problem.engines[0].run(theta, starts[0], sensitivity=False, histories=True, check=False)
+        m, n = structure.n_ports, structure.n_states
+        forces, x = np.nan_to_num(run.forces), np.nan_to_num(run.states)
+        w = self.problem.records[0].inputs
+        drive = np.vstack([x, w, np.ones((1, x.shape[1]))])
+        for i in range(m):
+            rows = matrices.P[[i, m + i]].astype(float)
+            motion = (rows @ drive[: rows.shape[1]]).T
+            motion = motion - motion.mean(axis=0)
+            size = np.sqrt(np.mean(motion**2, axis=0))
+            unit = motion / np.where(size > 0, size, 1.0)
+            slopes = np.linalg.lstsq(unit, forces[i] - forces[i].mean(), rcond=1e-8)[0]
+            slopes = np.where(size > 0, slopes / np.where(size > 0, size, 1.0), 0.0)
+            A = A + np.outer(matrices.E[:, i].astype(float), slopes @ rows[:, :n])
+            C = C + np.outer(matrices.G[:, i].astype(float), slopes @ rows[:, :n])
+        return A, C
+
+    def extended(self, effects: Sequence[Effect], motion: Motion) -> tuple[Problem, Array]:
+        """Problem with effects added, and its point at which they are absent (shapes at their start)."""
+        old = self.refinement
+        base = Structure(old.physical_model, [*old.effects, *effects])
+        widths = law_widths(base, motion)
+        widths.update(old.constants)
+        structure = Structure(old.physical_model, base.effects, constants=widths)
+        roles = [*old.roles, *("effect" for _ in effects)]
+        mean, sd = priors(structure, roles, self.tolerance)
+        steps = max(old.substeps, 1 if structure.is_linear else 2)
+        problem = Problem(
+            structure,
+            self.problem.records,
+            self.problem.weights,
+            prior_mean=mean,
+            prior_sd=sd,
+            substeps=steps,
+            initial=self.problem.initial
+            if self.problem.initial is None
+            else np.pad(self.problem.initial, (0, structure.n_states - self.problem.initial.size)),
+        )
+        theta, starts = self.problem.unpack(self.point)
+        full = np.concatenate([theta, structure.start()[theta.size :]])
+        added = structure.n_states - starts.shape[1]
+        return problem, problem.pack(full, np.pad(starts, ((0, 0), (0, added))))
+
+
+def evaluated(problem: Problem, point: Array, gain: Array | None = None) -> list[tuple[Array, Array]]:
+    """Residual and Jacobian blocks of a problem, led by an observer where a gain is given."""
+    problem.gain, problem._cache = gain, None
+    try:
+        return residual_blocks(problem, point)
+    finally:
+        problem.gain, problem._cache = None, None
+
+
+def fitted_from(
+    refinement: Refinement, data: Sequence[Measurement], *, tolerance: float, noise: Any = None
+) -> Fitted:
+    """The refinement on its records, at its minimum.
+
+    Parameters
+    ----------
+    refinement : Refinement
+        Result of `refine` on the same records.
+    data : sequence of Measurement
+        Segments, as many as the refinement has initial states.
+    tolerance : float
+        Declared relative sd of the linear parameters.
+    noise : float or sequence of float, optional
+        Declared noise, else the residual's own level.
+
+    Returns
+    -------
+    Fitted
+    """
+    structure, theta, steps = refinement.simulation_structure()
+    records = [record_for(r, match_channels(refinement.physical_model.linear, r)) for r in data]
+    mean, sd = priors(structure, refinement.roles, tolerance)
+    level = (
+        refinement.rmse if noise is None else np.broadcast_to(np.asarray(noise, float), refinement.rmse.shape)
+    )
+    spread = np.concatenate([r.outputs for r in records], axis=1).std(axis=1)
+    weights = 1.0 / np.maximum(level, 1e-12 * np.where(spread > 0, spread, 1.0))
+    problem = Problem(structure, records, weights, prior_mean=mean, prior_sd=sd, substeps=steps)
+    return Fitted(refinement, problem, problem.pack(theta, refinement.initial_states), tolerance)

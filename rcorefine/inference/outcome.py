@@ -1,0 +1,136 @@
+"""From the minimum to a `Refinement`: parameters, uncertainty, words."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..arguments import as_noise
+from ..data.measurement import Measurement
+from ..engine.engine import Engine
+from ..engine.simulation import estimate_initial_state
+from ..engine.structure import Structure
+from ..exceptions import IdentifiabilityWarning
+from ..models.physical_model import PhysicalModel
+from ..systems.linear import Array
+from .covariance import parameter_uncertainty, unseen_combinations
+from .doubts import stands_still
+from .problem import Problem, residual_blocks
+from .refinement import EstimatedParameter, Refinement
+
+__all__ = ["output_weights", "package"]
+
+
+def output_weights(
+    records: Sequence[Measurement], noise: Any, problem: Problem | None = None, point: Array | None = None
+) -> Array:
+    """One over the noise of each output: declared, or from the residual."""
+    ny = records[0].outputs.shape[0]
+    declared = as_noise(noise, ny)
+    if declared is not None:
+        return 1.0 / declared
+    spread = np.concatenate([record.outputs for record in records], axis=1).std(axis=1)
+    spread = np.where(spread > 0, spread, 1.0)
+    if problem is None or point is None:
+        return 1.0 / spread
+    residuals = np.concatenate([r for r, _ in residual_blocks(problem, point)], axis=1)
+    level = np.sqrt(np.mean((residuals / problem.weights[:, None]) ** 2, axis=1))
+    return 1.0 / np.maximum(level, 1e-12 * spread)
+
+
+def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
+    """The `Refinement` of a finished fit."""
+    structure, problem, result, roles = fit.structure, fit.problem, fit.result, fit.roles
+    point = result.x
+    theta, starts = problem.unpack(point)
+    blocks = residual_blocks(problem, point)
+    precision = np.zeros(problem.size)
+    held = np.isfinite(problem.prior_sd) & ~fit.loose
+    precision[: problem.n_theta][held] = 1.0 / problem.prior_sd[held] ** 2
+    unsure = parameter_uncertainty([r for r, _ in blocks], [j for _, j in blocks], precision)
+    p = structure.n_parameters
+    covariance = unsure.covariance[:p, :p]
+    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    names = [q.label for q in structure.parameters]
+    found = tuple(unseen_combinations(unsure, theta, names, spread))
+    for sentence in found:
+        warnings.warn(sentence, IdentifiabilityWarning, stacklevel=4)
+    measured = np.concatenate([r.outputs for r in problem.records], axis=1)
+    error = np.concatenate([r / problem.weights[:, None] for r, _ in blocks], axis=1)
+    message = str(result.message) if result.status <= 0 else "Converged."
+    if result.status == 0:
+        message = "Stopped at the largest number of evaluations; the minimum may not be reached."
+    at_bound = problem.at_bound(point, problem.evaluate(point).jacobian)
+    if at_bound:
+        message += f" At its bound: {', '.join(at_bound)}."
+    return Refinement(
+        physical_model=physical,
+        effects=structure.effects,
+        roles=tuple(roles),
+        constants=dict(structure.constants),
+        theta=np.array(theta),
+        parameters=_rows(structure, roles, theta, spread),
+        covariance=covariance,
+        fit=_fit(measured, error),
+        rmse=np.sqrt(np.mean(error**2, axis=1)),
+        initial_fit=_initial_fit(Structure(physical), problem.records),
+        initial_states=starts,
+        substeps=fit.steps,
+        residual_orders=unsure.orders,
+        success=bool(result.status > 0 and np.isfinite(result.cost)),
+        message=" ".join(part for part in (message, note) if part),
+        warnings=found,
+    )
+
+
+def _rows(
+    structure: Structure, roles: Sequence[str], theta: Array, spread: Array
+) -> tuple[EstimatedParameter, ...]:
+    nominal = {(q.kind, q.place): q for q in structure.model.parameters}
+    rows = []
+    for i, parameter in enumerate(structure.parameters):
+        effect = structure.effects[parameter.effect]
+        known = nominal.get((effect.kind, effect.place))
+        role = roles[parameter.effect]
+        base, name = (known.value, known.name) if known is not None else (0.0, parameter.name)
+        if (
+            effect.kind == "mass"
+            and known is None
+            and np.count_nonzero(structure.model.port(effect.place).velocity) == 1
+        ):
+            base, name = structure.inertia(effect.place), f"m[{effect.place}]"
+        rows.append(
+            EstimatedParameter(
+                name,
+                effect.kind,
+                effect.place,
+                base,
+                base + float(theta[i]),
+                float(theta[i]),
+                float(spread[i]),
+                structure.unit(parameter),
+                role,
+            )
+        )
+    return tuple(rows)
+
+
+def _fit(measured: Array, error: Array) -> Array:
+    about_mean = np.linalg.norm(measured - measured.mean(axis=1, keepdims=True), axis=1)
+    about_mean = np.where(stands_still(measured) | (about_mean == 0), np.nan, about_mean)
+    return np.asarray(100.0 * (1.0 - np.linalg.norm(error, axis=1) / about_mean))
+
+
+def _initial_fit(structure: Structure, records: Sequence[Measurement]) -> Array:
+    """Fit of the initial model, initial state estimated (and nothing else)."""
+    errors, measured = [], []
+    for record in records:
+        engine = Engine(structure, record)
+        start = estimate_initial_state(engine, np.zeros(0))
+        run = engine.run(np.zeros(0), start, sensitivity=False, check=False)
+        errors.append(run.outputs - record.outputs)
+        measured.append(record.outputs)
+    return _fit(np.concatenate(measured, axis=1), np.concatenate(errors, axis=1))

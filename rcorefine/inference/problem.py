@@ -1,0 +1,283 @@
+"""The estimation problem: records, coefficients, initial states, priors, as one residual."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from ..data.measurement import Measurement
+from ..engine.engine import Engine
+from ..engine.structure import Structure
+from ..systems.linear import Array
+from .sizes import natural_sizes
+
+__all__ = ["Evaluation", "Problem", "residual_blocks"]
+
+_LARGEST = 1e60
+_FAILED = 1e8  # residual level of a simulation that blew up: worse than anything, yet finite
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evaluation:
+    """Weighted residual and Jacobian at one point."""
+
+    residual: Array
+    jacobian: Array
+    finite: bool
+
+
+class Problem:
+    """Output-error (or innovation) residuals of a structure on several records.
+
+    The point is ``[theta / scale, x0 of record 1, x0 of record 2, ...]``.
+
+    Parameters
+    ----------
+    structure : Structure
+        Model with effects.
+    records : sequence of Measurement
+        Segments; each has an initial state of its own.
+    weights : ndarray, shape (n_y,)
+        One over the noise level of each output.
+    prior_mean, prior_sd : ndarray, shape (p,)
+        Gaussian prior of the coefficients; sd = inf for none.
+    substeps : int
+        Substeps per sampling interval.
+    initial : ndarray of shape (n,), or None
+        Known initial state; estimated per record where None.
+    """
+
+    def __init__(
+        self,
+        structure: Structure,
+        records: Sequence[Measurement],
+        weights: Array,
+        *,
+        prior_mean: Array,
+        prior_sd: Array,
+        substeps: int = 1,
+        initial: Array | None = None,
+    ) -> None:
+        self.structure, self.records, self.weights = structure, list(records), weights
+        self.prior_mean, self.prior_sd = prior_mean, prior_sd
+        self.initial, self.substeps = initial, substeps
+        self.engines = [Engine(structure, r, substeps=substeps, initial=initial) for r in records]
+        self.n_theta, self.n_states = structure.n_parameters, structure.n_states
+        self.free_start = initial is None
+        self.gain: Array | None = None
+        self._cache: tuple[Array, Evaluation] | None = None
+        states = np.ones(self.size - self.n_theta)
+        self.sizes = np.concatenate([natural_sizes(structure, self.records), states])
+        self.n_points = sum(record.outputs.size for record in self.records)
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return self.n_theta + (len(self.records) * self.n_states if self.free_start else 0)
+
+    def pack(self, theta: Array, starts: Array) -> Array:
+        """Join coefficients and initial states, shape (records, n)."""
+        return np.concatenate([theta, starts.ravel()]) if self.free_start else theta.copy()
+
+    def unpack(self, point: Array) -> tuple[Array, Array]:
+        """Split a point into coefficients and initial states."""
+        theta = point[: self.n_theta]
+        if self.free_start:
+            return theta, point[self.n_theta :].reshape(len(self.records), self.n_states)
+        assert self.initial is not None
+        return theta, np.tile(self.initial, (len(self.records), 1))
+
+    def evaluate(self, point: Array) -> Evaluation:
+        """Weighted residual (model minus record, then priors) and its Jacobian."""
+        if self._cache is not None and np.array_equal(self._cache[0], point):
+            return self._cache[1]
+        theta, starts = self.unpack(point)
+        rows, blocks, finite = [], [], True
+        judged = self.judged(theta)
+        for i, engine in enumerate(self.engines):
+            run = engine.run(theta, starts[i], initial_state=self.free_start, gain=self.gain, check=False)
+            ok = run.blew_up < 0 and _bounded(run.outputs) and _bounded(run.sensitivity)
+            finite &= ok
+            width = run.sensitivity.shape[2]
+            block = np.zeros((engine.data.outputs.size, self.size))
+            if ok:
+                weights = self.weights[:, None] * judged[i]
+                error = (weights * (run.outputs - engine.data.outputs)).ravel()
+                slope = (weights[:, :, None] * run.sensitivity).reshape(-1, width)
+                block[:, : self.n_theta] = slope[:, : self.n_theta]
+                if self.free_start:
+                    first = self.n_theta + i * self.n_states
+                    block[:, first : first + self.n_states] = slope[:, self.n_theta :]
+            else:
+                error = np.full(engine.data.outputs.size, _FAILED)
+            rows.append(error)
+            blocks.append(block)
+        held = np.isfinite(self.prior_sd)
+        if held.any():
+            rows.append((theta[held] - self.prior_mean[held]) / self.prior_sd[held])
+            block = np.zeros((int(held.sum()), self.size))
+            block[np.arange(block.shape[0]), np.flatnonzero(held)] = 1.0 / self.prior_sd[held]
+            blocks.append(block)
+        result = Evaluation(np.concatenate(rows), np.vstack(blocks), finite)
+        self._cache = (point.copy(), result)
+        return result
+
+    def judged(self, theta: Array) -> list[Array]:
+        """Weight (n_y, N) of the samples of each record: nothing for those that a delay hides.
+
+        The others stand in for them, so that no delay gains by hiding what does not fit, and
+        sums of squares stay comparable.
+        """
+        found = []
+        for engine in self.engines:
+            n, lost = engine.data.n_samples, engine.unjudged(theta)[:, None]
+            found.append(np.where(np.arange(n) >= lost, np.sqrt(n / (n - lost)), 0.0))
+        return found
+
+    def cost(self, point: Array) -> float:
+        """Half the sum of squares."""
+        residual = self.evaluate(point).residual
+        return 0.5 * float(residual @ residual)
+
+    def to_box(self, point: Array) -> Array:
+        """Coordinates whose constraints are bounds: a coefficient that exceeds another becomes the excess."""
+        box = point.copy()
+        for larger, smaller in self.structure.ordered:
+            box[larger] -= point[smaller]
+        return box
+
+    def from_box(self, box: Array) -> Array:
+        """The point of these coordinates."""
+        point = box.copy()
+        for larger, smaller in self.structure.ordered:
+            point[larger] += box[smaller]
+        return point
+
+    def columns_in_box(self, jacobian: Array) -> Array:
+        """Derivatives (rows, size) for the point, turned into those for `to_box` of it."""
+        pairs = self.structure.ordered
+        if not pairs:
+            return jacobian
+        turned = jacobian.copy()
+        for larger, smaller in pairs:
+            turned[:, smaller] += jacobian[:, larger]
+        return turned
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Bounds of `to_box` of a point; initial states are free."""
+        lower, upper = np.full(self.size, -np.inf), np.full(self.size, np.inf)
+        for i, parameter in enumerate(self.structure.parameters):
+            lower[i], upper[i] = parameter.lower, parameter.upper
+        for larger, _ in self.structure.ordered:
+            lower[larger] = 0.0
+        return lower, upper
+
+    def box(self) -> tuple[Array, Array]:
+        """The bounds, moved inward by a margin."""
+        lower, upper = self.bounds()
+        margin = 1e-10 * np.maximum(self.sizes, np.minimum(np.abs(lower), 1e300))
+        width = np.where(np.isfinite(upper - lower), upper - lower, 1.0)
+        margin = np.minimum(margin, 1e-6 * width)
+        low = np.where(np.isfinite(lower), lower + margin, -np.inf)
+        high = np.where(np.isfinite(upper), upper - margin, np.inf)
+        return low, high
+
+    def inside(self, point: Array) -> Array:
+        """The point moved strictly inside its bounds."""
+        low, high = self.box()
+        return self.from_box(np.clip(self.to_box(point), low, high))
+
+    def at_bound(self, point: Array, jacobian: Array) -> list[str]:
+        """Labels of the coefficients that stand on a bound, judged by what the residual feels of them."""
+        felt = np.linalg.norm(self.columns_in_box(jacobian), axis=0)
+        box, found = self.to_box(point), []
+        for bound, inner in zip(self.bounds(), self.box(), strict=True):
+            for i, parameter in enumerate(self.structure.parameters):
+                near = 1e-6 * abs(bound[i]) if bound[i] or not felt[i] else 1e-3 / felt[i]
+                if np.isfinite(bound[i]) and abs(box[i] - bound[i]) <= max(
+                    near, 2 * abs(inner[i] - bound[i])
+                ):
+                    found.append(parameter.label)
+        return found
+
+    def minimize(
+        self, point: Array, *, max_nfev: int = 50, tol: float = 1e-12, gain: Array | None = None
+    ) -> Any:
+        """Least squares from `point` (trust region, exact Jacobian).
+
+        Parameters
+        ----------
+        point : ndarray
+            Start.
+        max_nfev : int
+            Evaluations at most.
+        tol : float
+            Relative tolerance on cost and step.
+        gain : ndarray, shape (n, n_y), optional
+            Minimize innovations with this observer gain rather than the free-run error.
+
+        Returns
+        -------
+        OptimizeResult
+            As of `scipy.optimize.least_squares`.
+        """
+        self.gain, self._cache = gain, None
+        scale = self._scales(point)
+        at: Callable[[Array], Evaluation] = lambda q: self.evaluate(self.from_box(q * scale))  # noqa: E731
+        fun: Callable[[Array], Array] = lambda q: at(q).residual  # noqa: E731
+        jac: Callable[[Array], Array] = lambda q: self.columns_in_box(at(q).jacobian) * scale  # noqa: E731
+        lower, upper = self.bounds()
+        options: dict[str, Any] = {
+            "jac": jac,
+            "bounds": (lower / scale, upper / scale),
+            "max_nfev": max_nfev,
+            "ftol": tol,
+            "xtol": tol,
+            "gtol": 1e-14,
+            "x_scale": "jac",
+        }
+        start = self.to_box(self.inside(point)) / scale
+        try:
+            result = least_squares(fun, start, **options)
+        except np.linalg.LinAlgError:
+            # LAPACK's SVD can fail on many like windows (equal singular values): iterate instead
+            result = least_squares(fun, start, tr_solver="lsmr", **options)
+        result.x = self.from_box(result.x * scale)
+        result.jac = result.jac / scale
+        self.gain, self._cache = None, None
+        return result
+
+    def _scales(self, point: Array) -> Array:
+        """Column scales that bring the Jacobian at `point` to unit columns."""
+        columns = np.linalg.norm(self.columns_in_box(self.evaluate(self.inside(point)).jacobian), axis=0)
+        felt = np.where(np.isfinite(columns), columns, 0.0) * self.sizes
+        felt = felt > 1e-12 * felt.max(initial=0.0)
+        columns = np.where(felt, columns, np.nan)
+        level = np.sqrt(self.n_points)
+        return np.asarray(np.where(felt, level / columns, np.maximum(np.abs(point), self.sizes)))
+
+
+def _bounded(values: Array) -> bool:
+    """Whether squares of the values are numbers; False where any is NaN."""
+    return not values.size or bool(np.abs(values).max() < _LARGEST)
+
+
+def residual_blocks(problem: Problem, point: Array) -> list[tuple[Array, Array]]:
+    """Residual (n_y, N) and Jacobian (n_y, N, p) of each window."""
+    evaluation = problem.evaluate(point)
+    blocks, row = [], 0
+    for record in problem.records:
+        count = record.outputs.size
+        shape = record.outputs.shape
+        blocks.append(
+            (
+                evaluation.residual[row : row + count].reshape(shape),
+                evaluation.jacobian[row : row + count].reshape(*shape, problem.size),
+            )
+        )
+        row += count
+    return blocks

@@ -1,0 +1,420 @@
+"""The refined model: what `refine` returns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import control as ct
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..arguments import as_text
+from ..data.measurement import Measurement
+from ..effects.effect import Effect
+from ..engine.nonlinear import nonlinear_system
+from ..engine.simulation import simulate
+from ..engine.structure import Structure
+from ..exceptions import ModelError
+from ..models.physical_model import PhysicalModel
+from ..systems.linear import Array
+
+__all__ = ["EstimatedParameter", "Refinement"]
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatedParameter:
+    """One row of `Refinement.parameters`.
+
+    Attributes
+    ----------
+    name : str
+        Name of the physical parameter (``"k2"``) or of the effect's coefficient.
+    kind, place : str
+        Effect that it belongs to.
+    initial, value : float
+        Value in the initial model (0 for what was not there) and estimate, in `unit`.
+    coefficient : float
+        Coefficient of the effect: value minus initial.
+    std : float
+        Standard deviation of value and coefficient alike.
+    unit : str
+        Unit, "" where unknown.
+    role : str
+        "effect" (asked for), "linear" (parameter of the model) or "offset" (nuisance).
+    """
+
+    name: str
+    kind: str
+    place: str
+    initial: float
+    value: float
+    coefficient: float
+    std: float
+    unit: str
+    role: str
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval."""
+        return self.value - 1.96 * self.std, self.value + 1.96 * self.std
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refinement:
+    """A model refined with effects, and how well it is known.
+
+    Passes as a model to `compare`, `refine` and the other functions.
+
+    Attributes
+    ----------
+    physical_model : PhysicalModel
+        Initial model.
+    effects : tuple of Effect
+        Effects that were added, linear parameters and offsets included.
+    roles : tuple of str
+        Role of each effect: "effect", "linear" or "offset".
+    theta : ndarray, shape (p,)
+        Coefficients in the order of `parameters`.
+    parameters : tuple of EstimatedParameter
+        Rows: name, kind, place, initial, value, std, unit, role.
+    covariance : ndarray, shape (p, p)
+        Covariance of `theta`, robust to coloured residuals.
+    fit, rmse : ndarray, shape (n_y,)
+        On the records that were fitted: 100 (1 - |y - yh| / |y - mean y|) in percent,
+        and the root mean square error in units of each output.
+    initial_fit : ndarray, shape (n_y,)
+        Fit of the initial model on the same records, initial state estimated too.
+    initial_states : ndarray, shape (n_windows, n)
+        Initial state of each record or window.
+    constants : dict
+        Smoothing width of each law that has one, by the index of its effect.
+    substeps : int
+        Substeps per sample with which the model is simulated.
+    residual_orders : tuple of int
+        Order of the autoregressive model of each output's residual; 0 for a white one.
+    success : bool
+        Whether the estimate converged to a finite minimum.
+    message : str
+        What happened, in words.
+    warnings : tuple of str
+        What the records cannot see, one sentence each.
+    """
+
+    physical_model: PhysicalModel
+    effects: tuple[Effect, ...]
+    roles: tuple[str, ...]
+    constants: dict[int, float]
+    theta: Array
+    parameters: tuple[EstimatedParameter, ...]
+    covariance: Array
+    fit: Array
+    rmse: Array
+    initial_fit: Array
+    initial_states: Array
+    substeps: int
+    residual_orders: tuple[int, ...]
+    success: bool
+    message: str
+    warnings: tuple[str, ...] = ()
+
+    # ------------------------------------------------------------------ the model
+    def simulation_structure(self) -> tuple[Structure, Array, int]:
+        """Structure, coefficients and substeps for the simulation engine.
+
+        Returns
+        -------
+        structure : Structure
+            Initial model in feedback with the effects.
+        theta : ndarray, shape (p,)
+            Coefficients.
+        substeps : int
+            Substeps per sample.
+        """
+        structure = Structure(self.physical_model, self.effects, constants=self.constants)
+        return structure, self.theta, self.substeps
+
+    @property
+    def system(self) -> ct.StateSpace:
+        """Refined linear model: the initial one with the linear effects absorbed."""
+        structure, theta, _ = self.simulation_structure()
+        return structure.system(theta, name=f"{self.physical_model.linear.name}_refined")
+
+    @property
+    def nonlinear(self) -> ct.NonlinearIOSystem:
+        """Refined model with its nonlinear effects, continuous time.
+
+        Raises
+        ------
+        ModelError
+            If an effect has no continuous-time state equation (a delay).
+        """
+        structure, theta, _ = self.simulation_structure()
+        return nonlinear_system(structure, theta, name=f"{self.physical_model.linear.name}_refined")
+
+    @property
+    def ports(self) -> tuple[Any, ...]:
+        """Ports of the initial model."""
+        return self.physical_model.ports
+
+    @property
+    def hold(self) -> str | None:
+        """Hold that was found to suit the inputs, whatever a record declares; None where none was sought."""
+        return self.physical_model.hold
+
+    def with_hold(self, hold: str | None) -> Refinement:
+        """The same coefficients with the inputs taken otherwise between the samples.
+
+        Parameters
+        ----------
+        hold : {"zoh", "foh", "bandlimited"} or None
+            The model's own, or None for what each record declares. Nothing is fitted again.
+
+        Returns
+        -------
+        Refinement
+        """
+        return replace(self, physical_model=replace(self.physical_model, hold=hold))
+
+    def simulate(self, data: Measurement, x0: Any = "estimate") -> ct.TimeResponseData:
+        """Free run over a record.
+
+        Parameters
+        ----------
+        data : Measurement
+            Record; its outputs are used for the initial state only.
+        x0 : {"estimate", "zero"} or ndarray of shape (n,)
+            Initial state.
+
+        Returns
+        -------
+        TimeResponseData
+            Outputs and states of the refined model, labels kept.
+        """
+        run = simulate(self, data, x0)
+        structure, _, _ = self.simulation_structure()
+        linear = self.physical_model.linear
+        return ct.TimeResponseData(
+            data.timepts,
+            run.outputs,
+            run.states,
+            data.inputs,
+            input_labels=list(linear.input_labels),
+            output_labels=list(linear.output_labels),
+            state_labels=structure.state_labels(),
+            sysname=f"{linear.name}_refined",
+            issiso=False,
+        )
+
+    def parameter(self, name: str, place: str | None = None) -> EstimatedParameter:
+        """One row of `parameters` by name (or kind), and place where several share it.
+
+        Parameters
+        ----------
+        name : str
+            Name of the parameter, or kind of the effect.
+        place : str, optional
+            Place.
+
+        Returns
+        -------
+        EstimatedParameter
+
+        Raises
+        ------
+        ModelError
+            If none or several rows fit.
+        """
+        as_text(name, "name")
+        if place is not None:
+            as_text(place, "place")
+        rows = [
+            row
+            for row in self.parameters
+            if name in (row.name, row.kind) and (place is None or row.place == place)
+        ]
+        if len(rows) != 1:
+            known = ", ".join(f"{row.name} ({row.place})" for row in self.parameters)
+            raise ModelError(f"{len(rows)} parameters match {name!r} at {place!r}; there are {known}")
+        return rows[0]
+
+    def bode_plot(
+        self,
+        measured: Any = None,
+        omega: ArrayLike | None = None,
+        *,
+        levels: Sequence[float] | None = None,
+        ax: Any = None,
+        label: str | Sequence[str] | None = None,
+        title: str | None = None,
+        legend_loc: str | bool | None = None,
+        rcParams: dict[str, Any] | None = None,
+        show_legend: bool | None = None,
+    ) -> ct.ControlPlot:
+        """Bode plot of the initial and the refined model, beside the measured response.
+
+        Parameters
+        ----------
+        measured : Measurement or FrequencyResponse, optional
+            Record, or its frequency response; drawn as dots with a band, and
+            a row with the relative error of both models is added.
+        omega : array_like of shape (n_omega,), optional
+            Frequencies in rad/s.
+        levels : sequence of float, optional
+            Peaks of a sine at the input: draws the response with all effects at each of them
+            (`frequency_response_at`), beside the measured response at the levels of the record.
+        ax : array of Axes, optional
+            Axes to draw in, shape (2 n_y, n_w); with `measured` and without `levels` (3 n_y, n_w).
+        label : list of str, optional
+            Labels of the two models, or of the levels.
+        title : str, optional
+            Title of the figure.
+        legend_loc : str or False, optional
+            Place of the legend, as in matplotlib; False for none.
+        rcParams : dict, optional
+            Matplotlib settings on top of `control.rcParams`.
+        show_legend : bool, optional
+            Force the legend on or off.
+
+        Returns
+        -------
+        ControlPlot
+            Lines, axes, figure. Without `levels` nonlinear effects are not in it: the refined
+            curve is that of `system`.
+        """
+        if levels is not None:
+            from ..views.level_bode import level_bode
+
+            return level_bode(
+                self, levels, measured, omega, ax=ax, label=label, title=title,
+                legend_loc=legend_loc, rcParams=rcParams, show_legend=show_legend,
+            )  # fmt: skip
+        from ..views.bode import bode_comparison
+
+        if isinstance(measured, Measurement):
+            measured = measured.frequency_response()
+        return bode_comparison(
+            [("initial", self.physical_model.system), ("refined", self.system)],
+            measured,
+            omega,
+            ax=ax,
+            label=label,
+            title=title,
+            legend_loc=legend_loc,
+            rcParams=rcParams,
+            show_legend=show_legend,
+        )
+
+    def report(
+        self,
+        path: str | PathLike[str],
+        *,
+        data: Measurement | None = None,
+        title: str | None = None,
+        code: str | None = None,
+        overwrite: bool = False,
+    ) -> Path:
+        """Write what was found as one HTML file: answer, pictures, tables, code, versions.
+
+        Parameters
+        ----------
+        path : str or path
+            File to write; an older report there is replaced.
+        data : Measurement, optional
+            Record to show the models beside; the result keeps none.
+        title : str, optional
+            Heading.
+        code : str, optional
+            Code or command that made the result, printed above the generated code.
+        overwrite : bool
+            Replace a file there that is no report, too.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the folder does not exist.
+        FileExistsError
+            If another file is there.
+        """
+        from ..views.pages.models import report_refinement
+
+        return report_refinement(self, path, data=data, title=title, code=code, overwrite=overwrite)
+
+    # ------------------------------------------------------------------ in words
+    def sentences(self) -> list[str]:
+        """What the figures mean, one sentence each.
+
+        Returns
+        -------
+        list of str
+        """
+        lines = [
+            f"The free run explains {_percent(self.fit)} of the record "
+            f"(initial model {_percent(self.initial_fit)}).",
+            "std is the standard deviation that another record like this one would show"
+            + (
+                ", for white residuals."
+                if not any(self.residual_orders)
+                else f"; residuals are coloured (AR order {max(self.residual_orders)}), which is allowed for."
+            ),
+            self.message,
+        ]
+        if self.hold is not None:
+            lines.append(f"The inputs are taken with hold={self.hold!r}, whatever a record declares.")
+        return lines + list(self.warnings)
+
+    def __str__(self) -> str:
+        from ..views.tables import text_table
+
+        return "\n".join(
+            [
+                f"Refinement of {self.physical_model.linear.name!r}",
+                text_table(_HEADER, self._rows()),
+                *_wrapped(self.sentences()),
+            ]
+        )
+
+    def _repr_html_(self) -> str:
+        from ..views.tables import html_table
+
+        return html_table(
+            _HEADER,
+            self._rows(),
+            title=f"Refinement of {self.physical_model.linear.name}",
+            notes=self.sentences(),
+        )
+
+    def _rows(self) -> list[list[str]]:
+        return [
+            [
+                row.name,
+                row.kind if row.name != row.kind else "",
+                row.place,
+                f"{row.initial:.5g}",
+                f"{row.value:.5g}",
+                f"{row.std:.2g}",
+                row.unit,
+            ]
+            for row in self.parameters
+        ]
+
+
+_HEADER = ["parameter", "effect", "place", "initial", "value", "std", "unit"]
+
+
+def _percent(fit: Array) -> str:
+    return " / ".join(f"{value:.4g} %" for value in np.atleast_1d(fit))
+
+
+def _wrapped(lines: Sequence[str]) -> list[str]:
+    import textwrap
+
+    return [part for line in lines for part in textwrap.wrap(line, 80)]

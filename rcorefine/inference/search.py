@@ -1,0 +1,269 @@
+"""Find the valley: observer-held fits, growing free runs, scans over decades; then polish."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from ..data.measurement import Measurement
+from ..engine.engine import Engine
+from ..engine.observer import observer_gain
+from ..engine.simulation import estimate_initial_state
+from ..engine.structure import Structure
+from ..systems.linear import Array
+from .covariance import parameter_uncertainty
+from .problem import Problem, residual_blocks
+from .starts import Motion, far_starts, shape_starts
+
+__all__ = ["search", "starting_states", "step_matters", "sufficient_steps"]
+
+_RATIOS = (1.0, 0.1, 0.01)  # observer gains of the first pass, high to low
+_START_SAMPLES = 4000  # the first pass needs no more
+_POLISHED = 3  # starts that are polished
+_FAIR, _POOR = 1e-3, 0.02  # cost over that of no model: above, other starts are tried
+_FIRST_WINDOWS = 32  # free runs that the record is cut into where it is hard
+_SHORTEST_WINDOW = 60  # samples
+_STEP_SHARE = 0.5  # of a standard deviation that halving the substep may shift a coefficient
+_MOST_SUBSTEPS = 256
+
+ProblemOf = Callable[..., Problem]
+
+
+def search(
+    problem: ProblemOf, structure: Structure, windows: Sequence[Measurement], motion: Motion, steps: int
+) -> tuple[Array, int]:
+    """Point from which to polish.
+
+    Parameters
+    ----------
+    problem : callable
+        ``problem(segments, substeps, unknown_start=False)`` builds the estimation problem;
+        unknown_start: estimate initial states even where the record's first one is known.
+    structure : Structure
+        Model with the effects.
+    windows : sequence of Measurement
+        Segments of the record.
+    motion : Motion
+        Estimated motion at the ports, for the shapes of the laws.
+    steps : int
+        Substeps per sample.
+
+    Returns
+    -------
+    point : ndarray
+        Point of ``problem(windows, steps)``.
+    steps : int
+        Substeps that it takes.
+    """
+    short = _shortened(windows)
+    trial = problem(short, steps)
+    theta = structure.start()
+    candidates = shape_starts(structure, theta, motion)
+    outcomes: list[tuple[float, Array]] = []
+    for candidate in candidates:
+        outcomes += _first_pass(trial, structure, short, candidate)
+    outcomes.sort(key=lambda pair: pair[0])
+    level = 0.5 * sum(float(np.sum((trial.weights[:, None] * r.outputs) ** 2)) for r in short)
+    polished = _polish_each(trial, outcomes, level, steps)
+    seen: list[float] = []
+
+    def grow(enough: float) -> None:
+        for _, point in outcomes[:_POLISHED]:
+            if min(entry[0] for entry in polished) < enough * level:
+                break
+            found = _grow(problem, short, steps, point[: structure.n_parameters], _POOR * level, seen)
+            if found is not None:
+                polished.append(found)
+
+    if not structure.is_linear:
+        grow(_FAIR)
+    if min(entry[0] for entry in polished) > _POOR * level:
+        far: list[tuple[float, Array]] = []
+        for candidate in far_starts(trial, structure, outcomes[0][1][: structure.n_parameters]):
+            far += _first_pass(trial, structure, short, candidate)
+        far.sort(key=lambda pair: pair[0])
+        if far:
+            polished += _polish_each(trial, far, level, steps)
+        outcomes = sorted(outcomes + far, key=lambda pair: pair[0])
+        grow(_POOR)
+    _, best, steps = min(polished, key=lambda entry: entry[0])
+    whole = problem(windows, steps)
+    theta = best[: structure.n_parameters]
+    if whole.size == best.size and [r.n_samples for r in short] == [r.n_samples for r in windows]:
+        return best, steps
+    return whole.pack(theta, starting_states(whole, theta)), steps
+
+
+def _polish_each(
+    trial: Problem, outcomes: list[tuple[float, Array]], level: float, steps: int
+) -> list[tuple[float, Array, int]]:
+    """The best starts, each polished on its free run; no further ones after a good fit."""
+    polished: list[tuple[float, Array, int]] = []
+    for _, point in outcomes[:_POLISHED]:
+        result = trial.minimize(point, max_nfev=25)
+        polished.append((float(result.cost), result.x, steps))
+        if result.cost < _FAIR * level:
+            break
+    return polished
+
+
+def _grow(
+    problem: ProblemOf,
+    windows: list[Measurement],
+    steps: int,
+    theta: Array,
+    poor: float,
+    seen: list[float],
+) -> tuple[float, Array, int] | None:
+    """Fit many short free runs together and let them grow, so that no phase slips by a period.
+
+    Each run starts where the shorter one before it had its initial state; a state estimated
+    anew over a long run can itself end in a wrong valley. None where not even the short
+    runs fit, or where they fit as they did from another start.
+    """
+    n = min(record.n_samples for record in windows)
+    count = 2 ** int(np.log2(np.clip(n / _SHORTEST_WINDOW, 1, _FIRST_WINDOWS)))
+    starts: Array | None = None
+    while True:
+        pieces = [piece for record in windows for piece in _cut(record, count)]
+        part = problem(pieces, steps, True)
+        if starts is None:
+            result = part.minimize(
+                part.pack(theta, _observed_states(part, windows, theta, count)), max_nfev=15, tol=1e-6
+            )
+            known = any(abs(result.cost - other) < 1e-3 * other for other in seen)
+            seen.append(float(result.cost))
+            if known or result.cost > poor:
+                return None
+        else:
+            result = part.minimize(part.pack(theta, starts), max_nfev=15, tol=1e-6)
+        finer = sufficient_steps(problem, pieces, part, result.x)
+        if finer != steps:
+            steps = finer
+            part = problem(pieces, steps, True)
+            result = part.minimize(result.x, max_nfev=15, tol=1e-6)
+        theta, starts = part.unpack(result.x)
+        if count == 1:
+            break
+        starts, count = starts[::2], count // 2
+    trial = problem(windows, steps)
+    point = result.x if trial.free_start else trial.pack(theta, starts)
+    result = trial.minimize(point, max_nfev=25)
+    return float(result.cost), result.x, steps
+
+
+def _observed_states(part: Problem, windows: list[Measurement], theta: Array, count: int) -> Array:
+    """Initial states of the pieces as an observer along the record sees them."""
+    found = []
+    for record in windows:
+        gain = observer_gain(part.structure, theta, record, _RATIOS[0])
+        engine = Engine(part.structure, record, substeps=part.substeps)
+        run = engine.run(theta, sensitivity=False, gain=gain, histories=True, check=False)
+        edges = np.linspace(0, record.n_samples, _FIRST_WINDOWS + 1).astype(int)[:: _FIRST_WINDOWS // count]
+        found.append(run.states[:, edges[:-1]].T)
+    states = np.concatenate(found)
+    return states if np.isfinite(states).all() else starting_states(part, theta)
+
+
+def _cut(record: Measurement, count: int) -> list[Measurement]:
+    """Nested windows: those of half the count are pairs of these."""
+    edges = np.linspace(0, record.n_samples, _FIRST_WINDOWS + 1).astype(int)[:: _FIRST_WINDOWS // count]
+    return [record._part(slice(int(a), int(b))) for a, b in pairwise(edges)]
+
+
+def sufficient_steps(
+    problem: ProblemOf, segments: Sequence[Measurement], coarse: Problem, point: Array
+) -> int:
+    """Substeps that shift no coefficient by more than half a standard deviation.
+
+    Parameters
+    ----------
+    problem : callable
+        As in `search`.
+    segments : sequence of Measurement
+        Segments of `coarse`.
+    coarse : Problem
+        Problem with the present substeps.
+    point : ndarray
+        Where to judge.
+
+    Returns
+    -------
+    int
+        The present number where it suffices; otherwise the number that the second
+        order of the integration asks for (to be judged again), 8 times as many at most.
+    """
+    steps = coarse.substeps
+    if coarse.structure.is_linear or steps >= _MOST_SUBSTEPS:
+        return steps
+    shift = step_matters(coarse, problem(segments, 2 * steps, coarse.free_start), point)
+    if shift < _STEP_SHARE:
+        return steps
+    factor = 2 ** int(np.ceil(0.5 * np.log2(shift / _STEP_SHARE))) if np.isfinite(shift) else 2
+    return steps * min(max(factor, 2), 8)
+
+
+def _shortened(windows: Sequence[Measurement]) -> list[Measurement]:
+    kept: list[Measurement] = []
+    total = 0
+    for window in windows:
+        if total >= _START_SAMPLES:
+            break
+        kept.append(window._part(slice(0, _START_SAMPLES)) if total == 0 else window)
+        total += window.n_samples
+    return kept
+
+
+def _first_pass(
+    problem: Problem, structure: Structure, windows: list[Measurement], theta: Array
+) -> list[tuple[float, Array]]:
+    """Observer-held fits from high to low gain, each judged by its free run."""
+    outcomes = []
+    point = problem.inside(problem.pack(theta, starting_states(problem, theta)))
+    outcomes.append((problem.cost(point), point))
+    current = point
+    for ratio in _RATIOS:
+        gain = observer_gain(structure, current[: structure.n_parameters], windows[0], ratio)
+        if not np.isfinite(gain).all():
+            continue
+        result = problem.minimize(current, max_nfev=12, tol=1e-6, gain=gain)
+        current = result.x
+        theta = current[: structure.n_parameters]
+        free = problem.inside(problem.pack(theta, starting_states(problem, theta)))
+        outcomes.append((problem.cost(free), free))
+    return [pair for pair in outcomes if np.isfinite(pair[0])]
+
+
+def starting_states(problem: Problem, theta: Array) -> Array:
+    """Initial state of each segment that suits the coefficients, shape (segments, n)."""
+    if not problem.free_start:
+        return np.zeros((len(problem.records), problem.n_states))
+    low, high = problem.bounds()
+    theta = np.clip(theta, low[: theta.size], high[: theta.size])
+    return np.array([estimate_initial_state(engine, theta, problem.weights) for engine in problem.engines])
+
+
+def step_matters(coarse: Problem, fine: Problem, point: Array) -> float:
+    """What halving the substep changes.
+
+    A coefficient in its standard deviations, or an output in its residual.
+    """
+    evaluation = coarse.evaluate(point)
+    finer = fine.evaluate(point)
+    if not (evaluation.finite and finer.finite):
+        return np.inf
+    n = coarse.n_points
+    jacobian = evaluation.jacobian[:n]
+    scale = np.linalg.norm(jacobian, axis=0)
+    scale[scale == 0] = 1.0
+    shift = np.linalg.lstsq(jacobian / scale, finer.residual[:n] - evaluation.residual[:n], rcond=1e-8)[0]
+    blocks = residual_blocks(coarse, point)
+    unsure = parameter_uncertainty([r for r, _ in blocks], [j for _, j in blocks], np.zeros(coarse.size))
+    spread = np.sqrt(np.maximum(np.diag(unsure.covariance), 1e-300)) * scale
+    noise = np.sqrt(np.mean(evaluation.residual[:n] ** 2))
+    change = np.sqrt(np.mean((finer.residual[:n] - evaluation.residual[:n]) ** 2))
+    return float(
+        max(np.max(np.abs(shift / spread)[: coarse.n_theta], initial=0.0), change / max(noise, 1e-300))
+    )

@@ -1,0 +1,311 @@
+"""What each candidate, and each generic fault, would do to the residual."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..effects.along_motion import unit_forces
+from ..effects.effect import Effect
+from ..engine.engine import Engine
+from ..engine.structure import Structure
+from ..jit import compiled
+from ..systems.discretization import discretize
+from ..systems.linear import Array
+from .fitted import Fitted, evaluated
+from .problem import Problem
+from .starts import Motion, law_widths, shape_starts
+
+__all__ = [
+    "Candidate",
+    "candidate_columns",
+    "force_responses",
+    "generic_forces",
+    "parameter_columns",
+    "slow_forces",
+]
+
+# Kinds whose start is not "absent": their effect is the difference that they make there.
+_SECANT = frozenset({"hidden_mode", "input_saturation", "output_saturation", "input_lag", "output_lag"})
+_LINEAR = frozenset({"stiffness", "damping", "mass", "coefficient"})  # ride along in one simulation
+_SHAPING = frozenset({"gap", "threshold", "velocity", "displacement"})
+
+
+@dataclass(eq=False)
+class Candidate:
+    """An effect, what it would do to the residual, and (made when asked for) its problem."""
+
+    effect: Effect
+    columns: dict[float, list[Array]]  # by observer ratio: blocks (n_y, N, k) per record
+    fitted: Fitted
+    motion: Motion
+    _made: tuple[Problem, list[Array]] | None = None
+
+    def _make(self) -> tuple[Problem, list[Array]]:
+        if self._made is None:
+            problem, point = self.fitted.extended([self.effect], self.motion)
+            theta = problem.unpack(point)[0]
+            p = self.fitted.structure.n_parameters
+            starts = []
+            for shape in shape_starts(problem.structure, theta, self.motion):
+                shifted = point.copy()
+                shifted[p : theta.size] = shape[p:]
+                starts.append(problem.inside(shifted))
+            self._made = problem, starts
+        return self._made
+
+    def at(self, substeps: int, structure: Structure | None = None) -> Problem:
+        """The same problem at another number of substeps, or of a structure with other constants."""
+        old = self.problem
+        return Problem(
+            structure or old.structure,
+            old.records,
+            old.weights,
+            prior_mean=old.prior_mean,
+            prior_sd=old.prior_sd,
+            substeps=substeps,
+            initial=old.initial,
+        )
+
+    def finer(self, substeps: int) -> Candidate:
+        """The candidate at another number of substeps."""
+        return replace(self, _made=(self.at(substeps), self.starts))
+
+    def with_width(self, factor: float) -> Candidate:
+        """The candidate with the width of its sgn(v) times a factor."""
+        old = self.problem.structure
+        last = len(old.effects) - 1
+        constants = {**old.constants, last: factor * old.constants[last]}
+        structure = Structure(old.model, old.effects, constants=constants)
+        return replace(self, _made=(self.at(self.problem.substeps, structure), self.starts))
+
+    @property
+    def problem(self) -> Problem:
+        """Estimation problem with the effect added."""
+        return self._make()[0]
+
+    @property
+    def starts(self) -> list[Array]:
+        """Points to start from: the effect absent, in each shape worth trying."""
+        return self._make()[1]
+
+
+def candidate_columns(
+    fitted: Fitted, effects: Sequence[Effect], motion: Motion, ratios: Sequence[float]
+) -> list[Candidate]:
+    """Sensitivity of the residual to each candidate about the fitted model.
+
+    Linear candidates ride along in one simulation, each absent yet with its derivative
+    carried; the forces of nonlinear laws are taken along the motion and sent through the
+    linearized model; what sits in the signal path has a simulation of its own.
+
+    Parameters
+    ----------
+    fitted : Fitted
+        Model at its minimum.
+    effects : sequence of Effect
+        Candidates.
+    motion : Motion
+        Estimated motion, for the shapes of the laws.
+    ratios : sequence of float
+        Observer ratios, 0 for the free run.
+
+    Returns
+    -------
+    list of Candidate
+    """
+    found = [Candidate(effect, {}, fitted, motion) for effect in effects]
+    riders: list[int] = []
+    laws: list[tuple[int, list[dict[str, float]]]] = []
+    for i, candidate in enumerate(found):
+        effect = candidate.effect
+        if effect.kind in _SECANT or effect.kind.startswith(("input_", "output_")):
+            for ratio in ratios:
+                candidate.columns[ratio] = _own_columns(candidate, ratio)
+        elif effect.kind in _LINEAR:
+            riders.append(i)
+        else:
+            laws.append((i, _shapes(candidate)))
+    if riders:
+        for ratio in ratios:
+            blocks = parameter_columns(fitted, [found[i].effect for i in riders], motion, ratio)
+            for j, i in enumerate(riders):
+                found[i].columns[ratio] = [block[:, :, j : j + 1] for block in blocks]
+    for ratio in ratios:
+        _law_columns(fitted, found, laws, ratio)
+    return found
+
+
+def _law_columns(
+    fitted: Fitted, found: list[Candidate], laws: list[tuple[int, list[dict[str, float]]]], ratio: float
+) -> None:
+    """Columns of nonlinear laws at ports: the outputs that their forces along the motion would add."""
+    gain = fitted.gain(ratio)
+    parts: dict[int, list[Array]] = {i: [] for i, _ in laws}
+    for record in range(len(fitted.problem.records)):
+        forces: list[tuple[str, Array]] = []
+        owners: list[int] = []
+        for i, shapes in laws:
+            effect = found[i].effect
+            d, v = fitted.port(effect.place, ratio, record)
+            columns = unit_forces(effect, d, v, shapes)
+            if columns is None:
+                found[i].columns[ratio] = _own_columns(found[i], ratio)
+                continue
+            forces += [(effect.place, column) for column in columns]
+            owners += [i] * len(columns)
+        if not forces:
+            continue
+        out = force_responses(fitted, record, forces, gain)
+        for i in dict.fromkeys(owners):
+            parts[i].append(out[:, :, np.array(owners) == i])
+    for i, blocks in parts.items():
+        if blocks:
+            found[i].columns[ratio] = blocks
+
+
+def _shapes(candidate: Candidate) -> list[dict[str, float]]:
+    """Values of the coefficients that shape the law, each set worth trying."""
+    effect = candidate.effect
+    structure = Structure(candidate.fitted.structure.model, [effect])
+    sets: list[dict[str, float]] = []
+    for theta in shape_starts(structure, structure.start(), candidate.motion):
+        shape = {q.name: float(theta[i]) for i, q in enumerate(structure.parameters) if q.name in _SHAPING}
+        if shape not in sets:
+            sets.append(shape)
+    return sets
+
+
+def parameter_columns(fitted: Fitted, effects: Sequence[Effect], motion: Motion, ratio: float) -> list[Array]:
+    """Columns (n_y, N, k) per record of changes of the model's own parameters."""
+    structure, theta, engines = _carrier(fitted, effects, motion)
+    p = fitted.structure.n_parameters
+    return [b[:, :, p:] for b in _sensitivities(fitted, structure, theta, engines, fitted.gain(ratio))]
+
+
+def _carrier(
+    fitted: Fitted, effects: Sequence[Effect], motion: Motion
+) -> tuple[Structure, Array, list[Engine]]:
+    old = fitted.refinement
+    base = Structure(old.physical_model, [*old.effects, *effects])
+    widths = law_widths(base, motion)
+    widths.update(old.constants)
+    structure = Structure(old.physical_model, base.effects, constants=widths)
+    theta = np.concatenate([fitted.theta, structure.start()[fitted.theta.size :]])
+    steps = max(old.substeps, 1 if structure.is_linear else 2)
+    return structure, theta, [Engine(structure, r, substeps=steps) for r in fitted.problem.records]
+
+
+def _sensitivities(
+    fitted: Fitted, structure: Structure, theta: Array, engines: Sequence[Engine], gain: Array | None
+) -> list[Array]:
+    starts = fitted.problem.unpack(fitted.point)[1]
+    blocks = []
+    for engine, start in zip(engines, starts, strict=True):
+        x0 = np.pad(start, (0, structure.n_states - start.size))
+        K = None if gain is None else np.pad(gain, ((0, structure.n_states - gain.shape[0]), (0, 0)))
+        run = engine.run(theta, x0, gain=K, check=False)
+        blocks.append(np.nan_to_num(run.sensitivity) * fitted.problem.weights[:, None, None])
+    return blocks
+
+
+def _own_columns(candidate: Candidate, ratio: float) -> list[Array]:
+    fitted, problem = candidate.fitted, candidate.problem
+    p = fitted.structure.n_parameters
+    gain = fitted.gain(ratio)
+    K = None if gain is None else np.pad(gain, ((0, problem.n_states - gain.shape[0]), (0, 0)))
+    wide: list[list[Array]] = [[] for _ in problem.records]
+    for start in candidate.starts:
+        if candidate.effect.kind in _SECANT:  # a difference: no derivatives, which take most of the time
+            theta, states = problem.unpack(start)
+            judged = fitted.problem.judged(fitted.theta)
+            for i, engine in enumerate(problem.engines):
+                run = engine.run(theta, states[i], sensitivity=False, gain=K, check=False)
+                weights = problem.weights[:, None] * judged[i]
+                residual = weights * (run.outputs - engine.data.outputs)
+                ok = run.blew_up < 0 and np.isfinite(residual).all()
+                change = residual - fitted.blocks(ratio)[i][0] if ok else np.zeros_like(residual)
+                wide[i].append(change[:, :, None])
+            continue
+        for i, (_, jacobian) in enumerate(evaluated(problem, start, K)):
+            wide[i].append(jacobian[:, :, p : problem.n_theta])
+    return [np.nan_to_num(np.concatenate(parts, axis=2)) for parts in wide]
+
+
+def generic_forces(fitted: Fitted, ratio: float, record: int) -> list[tuple[str, Array]]:
+    """Forces of laws that are in no library, at every port: (port, force of shape (N,))."""
+    forces = []
+    for port in fitted.structure.model.ports:
+        d, v = fitted.port(port.name, ratio, record)
+        rms_d, rms_v = (float(np.sqrt(np.mean(s**2))) or 1.0 for s in (d, v))
+        d, v = d / rms_d, v / rms_v
+        laws = [v, np.sign(v), v * np.abs(v), v**3, np.abs(v)]
+        if port.position.any() or port.position_input.any():
+            laws += [d, d * d, d**3, d * np.abs(d), d**5, np.abs(d), d * np.abs(v), np.abs(d) * v, d * d * v]
+        forces += [(port.name, law) for law in laws]
+    return forces
+
+
+def slow_forces(fitted: Fitted, ratio: float, record: int) -> list[tuple[str, Array]]:
+    """Forces of stiffness and damping that change over the record."""
+    n = fitted.problem.records[record].n_samples
+    t = np.linspace(-1.0, 1.0, n)
+    shapes = [t, t * t, np.sin(2 * np.pi * t), np.cos(2 * np.pi * t)]
+    forces = []
+    for port in fitted.structure.model.ports:
+        d, v = fitted.port(port.name, ratio, record)
+        for signal in (d, v):
+            if np.any(signal):
+                forces += [(port.name, signal * shape) for shape in shapes]
+    return forces
+
+
+def force_responses(
+    fitted: Fitted, record: int, forces: Sequence[tuple[str, Array]], gain: Array | None = None
+) -> Array:
+    """Outputs that small forces at ports would add, linearized: (n_y, N, k), in units of the noise."""
+    structure = fitted.structure
+    A, C0 = fitted.linearized()
+    n, n0 = structure.n_states, structure.linear_model.n_states
+    data = fitted.problem.records[record]
+    acts = np.zeros((n, len(forces)))
+    for j, (name, _) in enumerate(forces):
+        acts[:n0, j] = structure.model.port(name).act
+    ports = list(dict.fromkeys(name for name, _ in forces))
+    unique = np.column_stack([acts[:, [f[0] for f in forces].index(name)] for name in ports])
+    rate = np.zeros((structure.n_outputs, n0))
+    rate[:, :] = structure.model.output_rate
+    through = rate @ unique[:n0]
+    Phi, G0, G1 = discretize(A, unique, data.dt, "foh")
+    where = np.array([ports.index(name) for name, _ in forces])
+    F = np.ascontiguousarray(np.array([force for _, force in forces]).T)  # (N, k)
+    K = np.zeros((n, structure.n_outputs)) if gain is None else np.ascontiguousarray(gain)
+    out = np.zeros((data.n_samples, structure.n_outputs, len(forces)))
+    _march_forces(
+        np.ascontiguousarray(Phi), np.ascontiguousarray(G0[:, where]), np.ascontiguousarray(G1[:, where]),
+        np.ascontiguousarray(C0), np.ascontiguousarray(through[:, where]), K, F, out,
+    )  # fmt: skip
+    return np.asarray(np.moveaxis(out, 0, 1) * fitted.problem.weights[:, None, None])
+
+
+@compiled
+def _march_forces(  # type: ignore[no-untyped-def]
+    Phi,  # (n, n)
+    drive0,  # (n, k)  of a force that falls from one to zero over the sample
+    drive1,  # (n, k)  of one that rises
+    C,  # (n_y, n)
+    D,  # (n_y, k)
+    K,  # (n, n_y)     observer gain, zero for the free run
+    F,  # (N, k)
+    out,  # (N, n_y, k)
+):
+    N, _ny, k = out.shape
+    x = np.zeros((Phi.shape[0], k))
+    for step in range(N):
+        y = C @ x + D * F[step]
+        out[step] = y
+        x = x - K @ y
+        if step + 1 < N:
+            x = Phi @ x + drive0 * F[step] + drive1 * F[step + 1]

@@ -1,0 +1,206 @@
+"""Whitened residuals, and tests of columns against them that need no equal variances."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+from scipy.signal import lfilter
+
+from ..exceptions import DataError
+from ..systems.linear import Array
+from .covariance import autoregression
+
+__all__ = ["FTest", "Whitener", "f_test", "project", "projected_test", "rank_basis", "unequal_variances"]
+
+_RANK = 3e-7  # singular value, relative, below which a direction is none
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Whitener:
+    """One autoregressive filter per output, common to residuals and regressors.
+
+    Attributes
+    ----------
+    filters : tuple of ndarray
+        Whitening polynomials, leading coefficient 1.
+    scales : ndarray, shape (n_y,)
+        Standard deviation of each innovation.
+    """
+
+    filters: tuple[Array, ...]
+    scales: Array
+
+    @classmethod
+    def fit(cls, residuals: Sequence[Array]) -> Whitener:
+        """Filters from residuals, each of shape (n_y, N); order by Akaike's criterion."""
+        outputs = residuals[0].shape[0]
+        filters, scales = [], []
+        for i in range(outputs):
+            a, variance = autoregression(np.concatenate([r[i] for r in residuals]))
+            filters.append(a)
+            scales.append(np.sqrt(variance) if variance > 0 else 1.0)
+        return cls(tuple(filters), np.array(scales))
+
+    @property
+    def orders(self) -> tuple[int, ...]:
+        """Order of each filter, 0 for white."""
+        return tuple(a.size - 1 for a in self.filters)
+
+    def apply(self, blocks: Sequence[Array]) -> Array:
+        """Whiten blocks of shape (n_y, N) or (n_y, N, k) and stack their rows.
+
+        The first samples of each block, where the filter has no past, are left out.
+
+        Raises
+        ------
+        DataError
+            If that leaves none.
+        """
+        rows = []
+        for block in blocks:
+            for i, a in enumerate(self.filters):
+                white = lfilter(a, [1.0], block[i], axis=0) / self.scales[i]
+                rows.append(white[a.size - 1 :])
+        white = np.concatenate(rows, axis=0)
+        if not len(white):
+            raise DataError(
+                f"free runs of {max(block.shape[1] for block in blocks)} samples are too short to test: the "
+                "noise is correlated for longer; give a longer horizon, or a longer record"
+            )
+        return white
+
+
+@dataclass(frozen=True, slots=True)
+class FTest:
+    """Whether a set of columns explains more of the residual than chance.
+
+    Attributes
+    ----------
+    name : str
+        What was tested.
+    statistic : float
+        F statistic, all samples taken as equally noisy.
+    dof : int
+        Columns that count.
+    p_value : float
+        Probability of such a gain if nothing is missing, whether the samples are equally
+        noisy or not: the larger one of the F-test and of Box's.
+    gain : float
+        Sum of squares that the columns take away.
+    """
+
+    name: str
+    statistic: float
+    dof: int
+    p_value: float
+    gain: float
+
+
+def rank_basis(columns: Array) -> Array:
+    """Orthonormal basis of the span of columns, near-dependent ones left out."""
+    if columns.shape[1] == 0:
+        return columns
+    size = np.linalg.norm(columns, axis=0)
+    columns = columns[:, size > 1e-12 * max(float(size.max()), 1e-300)]
+    if columns.shape[1] == 0:
+        return columns
+    columns = columns / np.linalg.norm(columns, axis=0)
+    values, vectors = np.linalg.eigh(columns.T @ columns)
+    keep = values > _RANK**2 * values[-1]
+    basis = columns @ (vectors[:, keep] / np.sqrt(values[keep]))
+    # once more: the small directions come out of the Gram matrix only nearly orthogonal
+    lower = np.linalg.cholesky(basis.T @ basis)
+    return np.asarray(np.linalg.solve(lower, basis.T).T)
+
+
+def project(values: Array, basis: Array) -> Array:
+    """What is left of values after the span of an orthonormal basis is taken out."""
+    return np.asarray(values - basis @ (basis.T @ values))
+
+
+def f_test(name: str, residual: Array, columns: Array, basis: Array) -> FTest:
+    """Test of columns on a whitened residual.
+
+    Parameters
+    ----------
+    name : str
+        What is tested.
+    residual : ndarray, shape (N,)
+        Whitened residual, the basis already projected off.
+    columns : ndarray, shape (N, k)
+        Whitened columns.
+    basis : ndarray, shape (N, b)
+        Orthonormal basis of what was fitted already; projected off the columns.
+
+    Returns
+    -------
+    FTest
+        p_value 1 where the columns lie in what was fitted.
+    """
+    return projected_test(name, residual, project(columns, basis), np.linalg.norm(columns, axis=0), basis)
+
+
+def projected_test(name: str, residual: Array, left: Array, size: Array, basis: Array) -> FTest:
+    """As `f_test`, of columns off which the basis was projected already; `size` is their norm before."""
+    norms = np.linalg.norm(left, axis=0)
+    keep = norms > 1e-6 * np.maximum(size, 1e-300)
+    c = left[:, keep] / norms[keep]  # columns come in units of their own
+    q = c if c.shape[1] == 1 else rank_basis(c)
+    k = q.shape[1]
+    free = residual.size - basis.shape[1] - k
+    if k == 0 or free < 10:
+        return FTest(name, 0.0, 0, 1.0, 0.0)
+    along = q.T @ residual
+    gain = float(along @ along)
+    rest = max(float(residual @ residual) - gain, 1e-300)
+    statistic = gain / k / (rest / free)
+    p_value = max(float(stats.f.sf(statistic, k, free)), unequal_variances(gain, q, residual, basis))
+    return FTest(name, float(statistic), k, p_value, gain)
+
+
+def unequal_variances(gain: float, q: Array, residual: Array, basis: Array) -> float:
+    """Probability of a gain by chance where each sample may have a noise level of its own.
+
+    Noise in proportion to the reading, bursts, spikes or dropouts are no fault of the
+    model, but columns that are large where the noise is large take much of it away.
+
+    Parameters
+    ----------
+    gain : float
+        Sum of squares of the residual along q.
+    q : ndarray, shape (N, k)
+        Orthonormal columns, orthogonal to the basis.
+    residual : ndarray, shape (N,)
+        Residual, the basis projected off.
+    basis : ndarray, shape (N, b)
+        Orthonormal basis of what was fitted.
+
+    Returns
+    -------
+    float
+
+    Notes
+    -----
+    Box's approximation: the gain is distributed as ``tr(M) / nu`` times chi-squared of
+    ``nu = tr(M)^2 / tr(M^2)`` degrees of freedom, M the covariance of ``q' residual``. M is
+    estimated by the jackknife (HC3 of MacKinnon and White), and counts as a sum of squares
+    weighted as q weighs the samples. What q explains is taken out of the residual for that,
+    or a large fault would pass as noise on the few samples on which it acts.
+
+    References
+    ----------
+    Box, G. E. P., Ann. Math. Statist. 25 (1954) 290; MacKinnon and White, J. Econometrics
+    29 (1985) 305.
+    """
+    weight = np.einsum("ij,ij->i", q, q)
+    free = np.maximum(1.0 - weight - np.einsum("ij,ij->i", basis, basis), 1e-9)
+    scaled = q * (project(residual, q) / free)[:, None]
+    covariance = scaled.T @ scaled
+    total = float(np.trace(covariance))
+    if total <= 0.0:
+        return 1.0 if gain <= 0.0 else 0.0
+    dof = total**2 / float(np.sum(covariance**2))
+    return float(stats.f.sf(gain / total, dof, weight.sum() ** 2 / np.sum(weight**2)))

@@ -1,0 +1,223 @@
+"""Any linear mechanical model from its mass, damping and stiffness matrices."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+from typing import Any
+
+import control as ct
+import numpy as np
+from scipy.linalg import eigh
+
+from ... import arguments
+from ...arguments import as_text
+from ...exceptions import ModelError
+from ...systems.linear import Array
+from ..parameters import NominalParameter
+from ..physical_model import PhysicalModel
+from ._assembly import Place, SecondOrder, Units, unit_vector
+from ._checks import as_index, as_labels, as_matrix, as_vector
+from ._sensors import input_map, parse_sensors
+
+__all__ = ["mechanical"]
+
+
+def mechanical(
+    M: Any,
+    C: Any = None,
+    K: Any = None,
+    *,
+    damping_ratio: float | Sequence[float] | None = None,
+    excitation: str = "force",
+    force_map: int | Sequence[int] | Array | None = None,
+    links: Mapping[str, Any] | None = None,
+    sensors: Any = "displacement",
+    inputs: str | Sequence[str] | None = None,
+    outputs: str | Sequence[str] | None = None,
+    states: Sequence[str] | None = None,
+    position_unit: str = "m",
+    force_unit: str = "N",
+    name: str = "structure",
+) -> PhysicalModel:
+    """Mechanical model M q'' + C q' + K q = F w.
+
+    Parameters
+    ----------
+    M : array_like of shape (n, n)
+        Mass matrix, symmetric and positive definite; n numbers make a diagonal one.
+    C : array_like of shape (n, n), optional
+        Damping matrix; not symmetric where there are gyroscopic forces.
+        Zero if neither it nor `damping_ratio` is given.
+    K : array_like of shape (n, n), optional
+        Stiffness matrix, symmetric; zero if it is not given.
+    damping_ratio : float or sequence of n floats, optional
+        Modal damping ratios, in the order of the natural frequencies, in place of `C`:
+        C = M Phi diag(2 zeta omega) Phi' M with Phi' M Phi = I.
+    excitation : {"force", "base"}, optional
+        ``"base"`` makes the acceleration of the base, the same for all displacements, the
+        first input; the states are then relative to the base.
+    force_map : int, sequence of int or ndarray of shape (n, n_w), optional
+        F as a 2-D array, or the numbers (from 1) of the displacements that a force acts on;
+        default 1 (none under base excitation).
+    links : mapping of str to tuple or ndarray, optional
+        Names of places between displacements: ``{"brace": (1, 3)}`` has d = q_1 - q_3,
+        ``{"foot": (1, 0)}`` d = q_1 to the ground, and a vector g of length n
+        d = g @ q. Default: every pair that K or C couples, named ``"mass1-mass2"``.
+    sensors : str, tuple or list, optional
+        As for `mass_spring_damper`, ``("velocity", 1)`` and so on.
+    inputs, outputs, states : str or sequence of str, optional
+        Labels.
+    position_unit, force_unit : str, optional
+        Units to print.
+    name : str, optional
+        Name of the system.
+
+    Returns
+    -------
+    PhysicalModel
+        Model with a port for each link and ``mass1..mass{n}`` for the displacements.
+
+    Raises
+    ------
+    control.ControlDimension
+        If sizes do not fit.
+    ModelError
+        If M is not positive definite or a matrix is not symmetric.
+
+    Notes
+    -----
+    Any symmetric K is a sum of springs between pairs (-K_ij) and to the ground (the sum of row
+    i, at ``mass{i}``). These are the nominal parameters; those of C likewise, if it was given.
+
+    Examples
+    --------
+    >>> model = mechanical([2.0, 1.0], K=[[3.0, -1.0], [-1.0, 1.0]], damping_ratio=0.02)
+    >>> [port.name for port in model.ports]
+    ['mass1-mass2', 'mass1', 'mass2']
+    >>> bool(np.allclose(ct.damp(model.system, doprint=False)[1], 0.02))
+    True
+    """
+    given = np.atleast_1d(arguments.as_array(M, "M", error=ModelError))
+    given = np.diag(as_vector(given, "M")) if given.ndim == 1 else given
+    n = given.shape[0]
+    mass = as_matrix(given, "M", n, symmetric=True)
+    smallest = float(np.linalg.eigvalsh(mass)[0])
+    if smallest <= 0:
+        raise ModelError(
+            f"M must be positive definite, its smallest eigenvalue is {smallest:g}; "
+            "every displacement needs a mass"
+        )
+    stiffness = np.zeros((n, n)) if K is None else as_matrix(K, "K", n, symmetric=True)
+    damping = np.zeros((n, n)) if C is None else as_matrix(C, "C", n, symmetric=False)
+    if damping_ratio is not None:
+        if C is not None:
+            raise ct.ControlArgument("give C or damping_ratio, not both")
+        damping = _modal_damping(mass, stiffness, damping_ratio)
+
+    listed = damping if C is not None and np.allclose(damping, damping.T) else np.zeros((n, n))
+    places, pairs = _named_links(links, n) if links is not None else _found_links(stiffness, listed)
+    points = [
+        Place(f"mass{i + 1}", unit_vector(n, (i, 1.0)), f"displacement {i + 1} itself (d = q{i + 1})", True)
+        for i in range(n)
+    ]
+    places = [*places, *points]
+    units = Units(as_text(position_unit, "position_unit"), as_text(force_unit, "force_unit"))
+    F, base, input_default, input_units = input_map(excitation, force_map, mass, units)
+    found = parse_sensors(sensors, n, {place.name: place for place in places}, base, units)
+    parameters = _link_parameters(mass, listed, stiffness, pairs, units)
+    return SecondOrder(mass, damping, stiffness, F, base, units).build(
+        places,
+        found,
+        parameters,
+        inputs=as_labels(inputs, "inputs", input_default),
+        input_units=input_units,
+        outputs=as_labels(outputs, "outputs", [sensor.label for sensor in found]),
+        states=as_labels(states, "states", [f"{x}{i + 1}" for x in "qv" for i in range(n)]),
+        name=as_text(name, "name"),
+    )
+
+
+def _modal_damping(M: Array, K: Array, ratio: Any) -> Array:
+    values = as_vector(ratio, "damping_ratio", positive=False)
+    if values.size not in (1, M.shape[0]):
+        raise ct.ControlDimension(
+            f"damping_ratio has {values.size} entries, expected 1 or one per mode ({M.shape[0]})"
+        )
+    squared, modes = eigh(K, M)
+    if squared[0] < -1e-9 * np.abs(squared).max():
+        raise ModelError(
+            f"K has a negative direction (omega^2 = {squared[0]:g}), so damping ratios mean nothing; give C"
+        )
+    omega = np.sqrt(np.maximum(squared, 0.0))
+    shape = M @ modes
+    damping = shape @ np.diag(2.0 * values * omega) @ shape.T
+    return np.asarray((damping + damping.T) / 2)
+
+
+def _found_links(K: Array, C: Array) -> tuple[list[Place], dict[tuple[int, ...], str]]:
+    """A place for each pair that a spring or a damper joins."""
+    n = K.shape[0]
+    places: list[Place] = []
+    pairs: dict[tuple[int, ...], str] = {(i,): f"mass{i + 1}" for i in range(n)}
+    for i, j in combinations(range(n), 2):
+        joined = any(abs(X[i, j]) > 1e-12 * np.sqrt(abs(X[i, i] * X[j, j])) for X in (K, C) if X[i, j])
+        if joined:
+            label = f"mass{i + 1}-mass{j + 1}"
+            words = f"between displacements {i + 1} and {j + 1} (d = q{i + 1} - q{j + 1})"
+            places.append(Place(label, unit_vector(n, (i, 1.0), (j, -1.0)), words, absolute=False))
+            pairs[i, j] = label
+    return places, pairs
+
+
+def _named_links(links: Mapping[str, Any], n: int) -> tuple[list[Place], dict[tuple[int, ...], str]]:
+    """Places that the user named."""
+    places: list[Place] = []
+    pairs: dict[tuple[int, ...], str] = {(i,): f"mass{i + 1}" for i in range(n)}
+    joined: set[tuple[int, ...]] = set()
+    if not isinstance(links, Mapping):
+        raise ct.ControlArgument(f'links must be a mapping such as {{"brace": (1, 3)}}, not {links!r}')
+    for label, ends in links.items():
+        if not isinstance(label, str) or not label or label in [f"mass{i + 1}" for i in range(n)]:
+            raise ModelError(f"a link cannot be named {label!r}; mass1, mass2, ... are the masses")
+        if isinstance(ends, np.ndarray):
+            if ends.shape != (n,) or not np.isfinite(ends).all() or not ends.any():
+                raise ct.ControlDimension(f"link {label!r} must be a finite, nonzero vector of length {n}")
+            places.append(Place(label, ends.astype(float), "d = g @ q with the given vector", absolute=False))
+            continue
+        if not isinstance(ends, Sequence) or len(ends) != 2:
+            raise ct.ControlArgument(
+                f"link {label!r} must be a pair such as (1, 2), with 0 for the ground, not {ends!r}"
+            )
+        numbers = [None if end == 0 else as_index(end, f"an end of link {label!r}", n) for end in ends]
+        if numbers[0] is None or numbers[0] == numbers[1]:
+            raise ModelError(f"link {label!r} = {ends!r} must start at a mass and end elsewhere")
+        entries = [(i, sign) for i, sign in zip(numbers, (1.0, -1.0), strict=True) if i is not None]
+        key = tuple(sorted(i for i, _ in entries))
+        if key in joined:
+            raise ModelError(f"links {pairs[key]!r} and {label!r} join the same ends; give one")
+        joined.add(key)
+        pairs[key] = label
+        words = " - ".join(f"q{i + 1}" for i, _ in entries)
+        places.append(Place(label, unit_vector(n, *entries), f"link with d = {words}", absolute=False))
+    return places, pairs
+
+
+def _link_parameters(
+    M: Array, C: Array, K: Array, pairs: Mapping[tuple[int, ...], str], units: Units
+) -> list[NominalParameter]:
+    """Masses if M is diagonal, and springs and dampers as far as they have a place."""
+    n = M.shape[0]
+    found: list[NominalParameter] = []
+    if not np.any(M - np.diag(np.diag(M))):
+        found += [
+            NominalParameter(f"m{i + 1}", float(M[i, i]), units.coefficient("mass"), "mass", f"mass{i + 1}")
+            for i in range(n)
+        ]
+    for letter, kind, X in (("c", "damping", C), ("k", "stiffness", K)):
+        for key, place in pairs.items():
+            value = -X[key] if len(key) == 2 else X[key[0]].sum()
+            if abs(value) > 1e-12 * np.abs(X).max(initial=0.0):
+                label = f"{letter}[{place}]"
+                found.append(NominalParameter(label, float(value), units.coefficient(kind), kind, place))
+    return found

@@ -1,0 +1,180 @@
+"""Heat capacities joined by thermal resistances."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import control as ct
+
+from ...arguments import as_flag, as_text
+from ...exceptions import ModelError
+from ..parameters import NominalParameter
+from ..physical_model import PhysicalModel
+from ._checks import as_index, as_labels, as_number, as_several, as_vector
+from ._direct import Equations, Reading
+
+__all__ = ["thermal_network"]
+
+
+def thermal_network(
+    capacities: float | Sequence[float],
+    resistances: Mapping[tuple[int, int], float],
+    *,
+    heat: int | Sequence[int] = 1,
+    ambient_input: bool = True,
+    sensors: int | Sequence[int] | None = None,
+    inputs: str | Sequence[str] | None = None,
+    outputs: str | Sequence[str] | None = None,
+    states: Sequence[str] | None = None,
+    name: str = "thermal_network",
+) -> PhysicalModel:
+    """Thermal network of n nodes.
+
+    Parameters
+    ----------
+    capacities : float or sequence of n floats
+        Heat capacities [J/K], positive.
+    resistances : mapping of (int, int) to float
+        Thermal resistances [K/W], positive, between nodes counted from 1; 0 is the
+        surroundings: ``{(1, 2): 0.5, (2, 0): 2.0}``.
+    heat : int or sequence of int, optional
+        Nodes that a heat flow [W] enters, one input each; ``()`` for none.
+    ambient_input : bool, optional
+        Whether the temperature of the surroundings is an input, after the heat
+        flows. Otherwise temperatures are relative to it.
+    sensors : int or sequence of int, optional
+        Nodes whose temperature is measured; default all.
+    inputs, outputs : str or sequence of str, optional
+        Labels; default ``"heat1"`` by node and ``"ambient"``, and those of the nodes.
+    states : sequence of str, optional
+        Names of the nodes, which name the ports too; default ``"T1", "T2", ...``.
+    name : str, optional
+        Name of the system.
+
+    Returns
+    -------
+    PhysicalModel
+        Model with a port per node (``"T1"``: loss of heat to the surroundings), per
+        resistance (``"T1-T2"``, heat from the first to the second) and to the
+        surroundings (``"T1-ambient"``).
+
+    Raises
+    ------
+    ModelError
+        If a value is not positive, a node does not exist, or there is no input.
+
+    Notes
+    -----
+    C_i dT_i/dt = heat_i - sum_j (T_i - T_j) / R_ij. The nominal parameters are the conductances 1/R
+    (`damping`) and the capacities (`mass`).
+
+    Examples
+    --------
+    >>> model = thermal_network([10.0, 20.0], {(1, 2): 0.5, (2, 0): 2.0})
+    >>> [port.name for port in model.ports]
+    ['T1', 'T2', 'T1-T2', 'T2-ambient']
+    >>> model.linear.input_labels
+    ('heat1', 'ambient')
+    """
+    stored = as_vector(capacities, "capacities")
+    n = stored.size
+    nodes = list(as_labels(states, "states", [f"T{i + 1}" for i in range(n)]))
+    heated = [as_index(item, "a node of heat", n) for item in as_several(heat, "heat", "nodes")]
+    edges = _edges(resistances, n)
+    as_flag(ambient_input, "ambient_input")
+    outside = any(j is None for _, j, _ in edges)
+    channels = [f"heat{i + 1}" for i in heated] + (["ambient"] if outside and ambient_input else [])
+    if not channels:
+        raise ModelError(
+            "the network has no input; name a heated node (heat=1) or join a node to the surroundings (0)"
+        )
+    if len(set(channels)) != len(channels):
+        raise ModelError(f"heat={heat!r} names a node twice")
+    if set(nodes) & set(channels):
+        raise ModelError(f"states must not be named like the inputs: {', '.join(set(nodes) & set(channels))}")
+    ambient = {"ambient": -1.0} if "ambient" in channels else {}
+    capacity = dict(zip(nodes, stored.tolist(), strict=True))
+
+    rates: dict[str, dict[str, float]] = {node: {} for node in nodes}
+    for i in heated:
+        rates[nodes[i]][f"heat{i + 1}"] = 1.0 / float(stored[i])
+    for i, j, resistance in edges:
+        ends = [nodes[i], nodes[j] if j is not None else "ambient"]
+        for here, there in (ends, ends[::-1]):
+            if here in nodes:
+                flow = 1.0 / (resistance * capacity[here])
+                rates[here][here] = rates[here].get(here, 0.0) - flow
+                if there in nodes or ambient:
+                    rates[here][there] = rates[here].get(there, 0.0) + flow
+    equations = Equations(tuple(nodes), tuple(channels), rates)
+
+    units = ("", "K", "W")
+    ports, parameters = [], []
+    for node in nodes:
+        ports.append(
+            equations.port(
+                node,
+                "first_order",
+                act={node: -1.0 / capacity[node]},
+                velocity={node: 1.0, **ambient},
+                units=units,
+                description=f"node {node}: heat that it loses to the surroundings",
+            )
+        )
+        parameters.append(NominalParameter(f"C[{node}]", capacity[node], "J/K", "mass", node))
+    for i, j, resistance in edges:
+        one, two = nodes[i], nodes[j] if j is not None else "ambient"
+        inside = {two: 1.0 / capacity[two]} if j is not None else {}
+        ports.append(
+            equations.port(
+                f"{one}-{two}",
+                "first_order",
+                act={one: -1.0 / capacity[one], **inside},
+                velocity={one: 1.0, **({two: -1.0} if j is not None else ambient)},
+                units=units,
+                description=f"heat from {one} to {two}, driven by their difference",
+            )
+        )
+        place = f"{one}-{two}"
+        parameters.append(NominalParameter(f"1/R[{place}]", 1.0 / resistance, "W/K", "damping", place))
+    asked = range(1, n + 1) if sensors is None else as_several(sensors, "sensors", "nodes")
+    measured = [nodes[as_index(item, "a sensor", n)] for item in asked]
+    if not measured or len(set(measured)) != len(measured):
+        raise ModelError(f"sensors={sensors!r} must name at least one node, and each once")
+    return equations.build(
+        [Reading(node, "K", {node: 1.0}, {}, {}) for node in measured],
+        ports,
+        parameters,
+        labels=(
+            as_labels(inputs, "inputs", channels),
+            as_labels(outputs, "outputs", measured),
+            tuple(nodes),
+        ),
+        input_units=("W",) * len(heated) + ("K",) * bool(ambient),
+        state_units=("K",) * n,
+        name=as_text(name, "name"),
+    )
+
+
+def _edges(resistances: Any, n: int) -> list[tuple[int, int | None, float]]:
+    """First node, second node (None: the surroundings) and resistance, each pair once."""
+    if not isinstance(resistances, Mapping) or not resistances:
+        raise ct.ControlArgument(
+            f"resistances must be a mapping such as {{(1, 2): 0.5, (2, 0): 2.0}}, not {resistances!r}"
+        )
+    found: dict[tuple[int, ...], tuple[int, int | None, float]] = {}
+    for ends, value in resistances.items():
+        if not isinstance(ends, tuple) or len(ends) != 2:
+            raise ct.ControlArgument(f"the ends of a resistance must be a pair such as (1, 2), not {ends!r}")
+        pair = ends[::-1] if ends[0] == 0 else ends
+        one = as_index(pair[0], "a node of resistances", n)
+        two = None if pair[1] == 0 else as_index(pair[1], "a node of resistances", n)
+        key = tuple(sorted((one, -1 if two is None else two)))
+        if one == two or key in found:
+            raise ModelError(
+                f"resistance {ends!r} joins a node to itself or a pair that is joined already; "
+                "give each pair once (the resistance of two in parallel is R1 R2 / (R1 + R2))"
+            )
+        found[key] = (one, two, as_number(value, f"resistances[{ends!r}]"))
+    return list(found.values())

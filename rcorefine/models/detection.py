@@ -1,0 +1,181 @@
+"""Ports of a plain StateSpace: masses, springs and stores in its matrices."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+
+from ..systems.linear import Array, LinearModel
+from .displacements import Displacement, find_displacements
+from .masses import MassScale, exchanging, relative_masses
+from .parameters import NominalParameter
+from .ports import Port
+from .readout import read_parameters
+
+__all__ = ["displacement_port", "find_ports"]
+
+
+def find_ports(
+    linear: LinearModel, tolerance: float = 1e-9
+) -> tuple[tuple[Port, ...], tuple[NominalParameter, ...]]:
+    """Ports and nominal parameters of a plain model.
+
+    Parameters
+    ----------
+    linear : LinearModel
+        Continuous-time model.
+    tolerance : float, optional
+        Relative size below which an entry counts as zero.
+
+    Returns
+    -------
+    ports : tuple of Port
+        Absolute ports in the order of the states, then relative ones.
+    parameters : tuple of NominalParameter
+        Nonzero stiffness, damping and coefficients, and the input gains.
+    """
+    displacements = find_displacements(linear, tolerance)
+    masses = relative_masses(linear, displacements, tolerance)
+    owned = {item.moving for item in displacements if item.absolute}
+    others = {item.other for item in displacements} | {item.moving for item in displacements}
+    taken = {item.state for item in displacements} | owned
+
+    by_state = {item.state: displacement_port(linear, item, masses) for item in displacements}
+    for i in range(linear.n_states):
+        if i not in taken:
+            by_state[i] = _state_port(linear, i, masses, mechanical=i in others)
+    absolute = [item for item in displacements if item.absolute]
+    between = {
+        (one, two): _between_masses(linear, one, two, masses)
+        for one, two in combinations(absolute, 2)
+        if masses.linked(_velocity(one), _velocity(two))
+    }
+    stores = [i for i in by_state if i not in taken and i not in others]
+    exchange = [
+        _exchange_port(linear, source, sink, masses)
+        for source, sink in exchanging(linear.A, sorted(stores), tolerance)
+    ]
+    found = (*(by_state[i] for i in sorted(by_state)), *between.values(), *exchange)
+    return found, read_parameters(linear, displacements, by_state, between, masses, tolerance)
+
+
+def _velocity(item: Displacement) -> int:
+    assert item.moving is not None  # absolute displacements have one
+    return item.moving
+
+
+def _row(size: int, entries: dict[int, float]) -> Array:
+    row = np.zeros(size)
+    for index, value in entries.items():
+        row[index] = value
+    return row
+
+
+def displacement_port(linear: LinearModel, item: Displacement, masses: MassScale) -> Port:
+    """Port of a displacement of a mass, or of an elongation.
+
+    Parameters
+    ----------
+    linear : LinearModel
+        Continuous-time model.
+    item : Displacement
+        The displacement.
+    masses : MassScale
+        Masses of the velocity states.
+
+    Returns
+    -------
+    Port
+        Mechanical port named after the displacement state.
+    """
+    n, labels = linear.n_states, linear.state_labels
+    ends = {state: sign for state, sign in ((item.moving, 1.0), (item.other, -1.0)) if state is not None}
+    sources = "; ".join(dict.fromkeys(masses.origin[state] for state in ends))
+    speed = " and ".join(labels[state] for state in ends)
+    if item.absolute:
+        description = f"displacement {labels[item.state]}, velocity {speed}; {sources}"
+    else:
+        description = f"elongation {labels[item.state]}, pulls on {speed}; {sources}"
+    nothing = np.zeros(linear.n_inputs)
+    return Port(
+        labels[item.state],
+        "mechanical",
+        act=_row(n, {state: -sign / masses.mass[state] for state, sign in ends.items()}),
+        position=_row(n, {item.state: 1.0}),
+        position_input=nothing,
+        velocity=_row(n, {state: sign * item.scale for state, sign in ends.items()}),
+        velocity_input=nothing if item.absolute else linear.B[item.state],
+        acceleration_input=masses.base_acceleration if item.absolute else nothing,
+        description=description,
+    )
+
+
+def _state_port(linear: LinearModel, i: int, masses: MassScale, *, mechanical: bool) -> Port:
+    """Port of a state that is its own place: a store, or the speed of a mass without displacement."""
+    label, origin = linear.state_labels[i], masses.origin[i]
+    nothing = np.zeros(linear.n_inputs)
+    return Port(
+        label,
+        "mechanical" if mechanical else "first_order",
+        act=_row(linear.n_states, {i: -1.0 / masses.mass[i]}),
+        position=np.zeros(linear.n_states),
+        position_input=nothing,
+        velocity=_row(linear.n_states, {i: 1.0}),
+        velocity_input=nothing,
+        acceleration_input=masses.base_acceleration if mechanical else nothing,
+        description=f"speed {label}; {origin}" if mechanical else f"state {label}; {_stored(origin)}",
+    )
+
+
+def _stored(origin: str) -> str:
+    return origin.replace("mass", "storage").replace("forces are", "flows are")
+
+
+def _between_masses(linear: LinearModel, one: Displacement, two: Displacement, masses: MassScale) -> Port:
+    """Port between two masses that a spring or a damper joins."""
+    first, second = _velocity(one), _velocity(two)
+    n, labels = linear.n_states, linear.state_labels
+    name = f"{labels[one.state]}-{labels[two.state]}"
+    # displacements in different units are brought to that of the first
+    factor = one.scale / two.scale
+    nothing = np.zeros(linear.n_inputs)
+    return Port(
+        name,
+        "mechanical",
+        act=_row(n, {first: -1.0 / masses.mass[first], second: 1.0 / masses.mass[second]}),
+        position=_row(n, {one.state: 1.0, two.state: -factor}),
+        position_input=nothing,
+        velocity=_row(n, {first: one.scale, second: -one.scale}),
+        velocity_input=nothing,
+        acceleration_input=nothing,
+        description=(
+            f"between {labels[one.state]} and {labels[two.state]}, d = {name}; mass ratio "
+            f"{masses.mass[second] / masses.mass[first]:.4g} from the symmetry of A; {masses.origin[first]}"
+        ),
+    )
+
+
+def _exchange_port(linear: LinearModel, source: int, sink: int, masses: MassScale) -> Port:
+    """Port between two stores: an exchange both ways (temperatures) or a flow (tanks)."""
+    A, labels = linear.A, linear.state_labels
+    both = A[source, sink] > 0
+    gain = 1.0 / masses.mass[sink] if both else A[sink, source] / -A[source, source] / masses.mass[source]
+    one, two = labels[source], labels[sink]
+    if both:
+        name, words = f"{one}-{two}", f"exchange between {one} and {two}, driven by their difference"
+    else:
+        name = f"{one}->{two}"
+        words = f"flow from {one} to {two}, taken as if all that leaves {one} reached {two}"
+    nothing = np.zeros(linear.n_inputs)
+    return Port(
+        name,
+        "first_order",
+        act=_row(linear.n_states, {source: -1.0 / masses.mass[source], sink: float(gain)}),
+        position=np.zeros(linear.n_states),
+        position_input=nothing,
+        velocity=_row(linear.n_states, {source: 1.0, sink: -1.0} if both else {source: 1.0}),
+        velocity_input=nothing,
+        acceleration_input=nothing,
+        description=f"{words}; {_stored(masses.origin[source])}",
+    )

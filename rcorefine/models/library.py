@@ -1,0 +1,266 @@
+"""What could be missing from a model, place by place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from ..arguments import as_texts
+from ..effects.effect import Effect
+from ..effects.law import KINDS
+from ..exceptions import ModelError
+from ..systems.linear import Array
+from .conversion import as_physical
+from .physical_model import PhysicalModel
+from .ports import Port
+
+__all__ = ["effect_library"]
+
+_SPRINGS = frozenset(
+    {"stiffness", "cubic_stiffness", "quadratic_stiffness", "bilinear_stiffness", "clearance"}
+)
+_JOINTS = frozenset({"hysteresis"})
+# what belongs to one mass or store rather than to what joins two
+_BODIES = frozenset({"mass", "hidden_mode", "constant_force"})
+_MOST_ENTRIES = 20
+
+
+def effect_library(
+    model: ct.StateSpace | PhysicalModel | Any,
+    *,
+    kinds: str | Sequence[str] | None = None,
+    places: str | Sequence[str] | None = None,
+    dt: float | None = None,
+) -> list[Effect]:
+    """List what could be missing from a model.
+
+    Parameters
+    ----------
+    model : StateSpace, PhysicalModel, or object with a `physical_model`
+        Initial model.
+    kinds : str or sequence of str, optional
+        Kinds to list, wherever they can sit; default those that are plausible at
+        each place.
+    places : str or sequence of str, optional
+        Ports, inputs, outputs or entries ``"A[i,j]"`` to list; default all.
+    dt : float, optional
+        Sampling time [s] of a discrete-time `StateSpace` that does not tell its own.
+
+    Returns
+    -------
+    list of Effect
+        Port by port, then inputs, outputs and entries of A; linear effects first at
+        each. Each has an `.explanation`; `describe_effects` makes a table.
+
+    Raises
+    ------
+    control.ControlArgument
+        If a kind is unknown.
+    ModelError
+        If a place does not exist, or nothing is left.
+
+    Notes
+    -----
+    Left out unless asked for by `kinds`: springs between a mass and the ground where the model
+    has neither spring nor another link at that mass; masses, hidden modes and constant
+    forces between two masses; `custom` laws (which need a law); entries of A that a port
+    explains. Effects that act exactly alike are listed once, at the place whose
+    parameter they change (in a series circuit, resistance at the resistor).
+
+    In arbitrary coordinates no displacement is recognized, so no springs or friction are
+    listed: use a builder or give the model in physical coordinates.
+
+    Examples
+    --------
+    >>> from rcorefine import dc_motor
+    >>> motor = dc_motor(gain=2.0, time_constant=0.5, inputs="voltage")
+    >>> library = effect_library(motor, places="voltage")
+    >>> print(library[4].explanation)
+    The input voltage has a dead zone: small values do nothing, and larger ones lose that much.
+    """
+    physical = as_physical(model, dt=dt)
+    asked = _names("kinds", kinds)
+    for kind in asked or ():
+        if kind not in KINDS:
+            raise ct.ControlArgument(f"unknown kind of effect {kind!r}; the kinds are {', '.join(KINDS)}")
+    if asked is not None and "custom" in asked:
+        raise ct.ControlArgument(
+            "a custom effect needs its law; make it with Effect('custom', place, law=...)"
+        )
+    wanted = _names("places", places)
+    for place in wanted or ():
+        if place not in physical.places:
+            _check_entry(physical, place)
+
+    found = _at_ports(physical, asked)
+    found += _at_channels(physical, asked)
+    found += _at_entries(physical, asked, wanted)
+    if wanted is not None:
+        found = [effect for effect in found if effect.place in wanted]
+    if not found:
+        what, where = ", ".join(asked or ("any",)), ", ".join(wanted or ("any place",))
+        raise ModelError(
+            f"no effect of kind {what} can sit at {where} of model {physical.name!r}; "
+            f"its places are {', '.join(physical.places)}"
+        )
+    return found
+
+
+def _names(what: str, given: Any) -> tuple[str, ...] | None:
+    if given is None:
+        return None
+    names = as_texts(given, what)
+    if not names:
+        raise ct.ControlArgument(f"{what} must be a name or a list of names, not an empty one")
+    return names
+
+
+def _check_entry(physical: PhysicalModel, place: str) -> None:
+    if place.startswith("A["):
+        physical.entry(place)
+        return
+    raise ModelError(f"there is no place {place!r}; the places are {', '.join(physical.places)}")
+
+
+def _at_ports(physical: PhysicalModel, asked: tuple[str, ...] | None) -> list[Effect]:
+    candidates: list[tuple[Port, str]] = []
+    for port in physical.ports:
+        for kind in KINDS.values():
+            if port.kind not in kind.where or kind.name == "custom":
+                continue
+            if "position" in kind.needs and not port.has_position:
+                continue
+            if "velocity" in kind.needs and not port.has_velocity:
+                continue
+            if kind.name in asked if asked is not None else _plausible(physical, port, kind.name):
+                candidates.append((port, kind.name))
+    best: dict[Any, tuple[int, Port, str]] = {}
+    for port, name in candidates:  # one of those that act alike, the one with the parameter
+        rank = _affinity(physical, port, name)
+        key = _action(port, name)
+        if key not in best or rank > best[key][0]:
+            best[key] = (rank, port, name)
+    chosen = {(port.name, name) for _, port, name in best.values()}
+    return [
+        Effect(name, port.name).at_port(port.kind) for port, name in candidates if (port.name, name) in chosen
+    ]
+
+
+def _plausible(physical: PhysicalModel, port: Port, kind: str) -> bool:
+    """Whether people would look for this kind at this port first."""
+    joined = _joins(port)
+    if kind in _BODIES and (joined or _body_elsewhere(physical, port)):
+        return False
+    if port.kind == "first_order":
+        if kind == "mass":  # only where a builder knows the store; else it rescales a row of A
+            return _has_parameter(physical, port, {"mass"})
+        one_way = joined and not _opposed(port.velocity)
+        if kind in ("cubic_damping", "coulomb_friction"):
+            return not one_way
+        # a level has a root and a rim, the difference of two temperatures has not
+        return kind not in ("sqrt_flow", "threshold_flow") or not _opposed(
+            np.concatenate([port.velocity, port.velocity_input])
+        )
+    if kind in _SPRINGS | _JOINTS and not joined:
+        # a spring to the ground at a mass that hangs on others is far-fetched
+        alone = not any(
+            _joins(other) or _has_parameter(physical, other, {"stiffness"})
+            for other in physical.ports
+            if other is not port and other.kind == "mechanical" and _shares_mass(other, port)
+        )
+        return alone or _has_parameter(physical, port, {"stiffness"})
+    return True
+
+
+def _joins(port: Port) -> bool:
+    """Whether the force acts on two bodies."""
+    return _opposed(port.act)
+
+
+def _opposed(row: Array) -> bool:
+    return bool((row > 0).any() and (row < 0).any())
+
+
+def _body_elsewhere(physical: PhysicalModel, port: Port) -> bool:
+    """Whether another port is the body that this one only holds (wheel and tire)."""
+    return not _has_parameter(physical, port, {"mass"}) and any(
+        np.array_equal(other.act, port.act) and _has_parameter(physical, other, {"mass"})
+        for other in physical.ports
+    )
+
+
+def _shares_mass(one: Port, two: Port) -> bool:
+    return bool(np.any((one.act != 0) & (two.act != 0)))
+
+
+def _has_parameter(physical: PhysicalModel, port: Port, kinds: set[str]) -> bool:
+    return any(item.place == port.name and item.kind in kinds for item in physical.parameters)
+
+
+def _affinity(physical: PhysicalModel, port: Port, kind: str) -> int:
+    """How well a kind fits a port among ports that are the same direction."""
+    if kind in _SPRINGS | _JOINTS:
+        own = {"stiffness"}
+    elif kind in _BODIES:
+        own = {"mass"}
+    else:
+        own = {"damping"}
+    return int(_has_parameter(physical, port, own))
+
+
+def _action(port: Port, kind: str) -> tuple[Any, ...]:
+    """Key that is equal for effects that act exactly alike, up to the sense of the port."""
+    spec = KINDS[kind]
+    arrays = [port.act]
+    if "position" in spec.needs or kind in ("hidden_mode", "hysteresis"):
+        arrays += [port.position, port.position_input]
+    if "velocity" in spec.needs:
+        arrays += [port.velocity, port.velocity_input]
+    if kind in ("mass", "hidden_mode"):
+        arrays += [port.acceleration_input]
+    return (kind, *(tuple((array + 0.0).tolist()) for array in arrays))  # no negative zeros
+
+
+def _at_channels(physical: PhysicalModel, asked: tuple[str, ...] | None) -> list[Effect]:
+    found = []
+    linear = physical.linear
+    for channel, labels in (("input", linear.input_labels), ("output", linear.output_labels)):
+        for label in labels:
+            found += [
+                Effect(kind.name, label)
+                for kind in KINDS.values()
+                if channel in kind.where and (asked is None or kind.name in asked)
+            ]
+    return found
+
+
+def _at_entries(
+    physical: PhysicalModel, asked: tuple[str, ...] | None, wanted: tuple[str, ...] | None
+) -> list[Effect]:
+    """Entries of A: those named, or those that are left over when the ports are taken off."""
+    named = [place for place in wanted or () if place not in physical.places]
+    if asked is not None and "coefficient" not in asked:
+        return []
+    if named:
+        return [Effect("coefficient", place) for place in named]
+    if wanted is not None:
+        return []
+    listed = [item.place for item in physical.parameters if item.kind == "coefficient"]
+    if asked is None:
+        own = {int(np.flatnonzero(port.act)[0]) for port in physical.ports if not _joins(port)}
+        # the damping of a first-order state is its diagonal entry already
+        listed = [place for place in listed if not _diagonal(physical, place, own)]
+        if len(listed) > _MOST_ENTRIES:
+            return []
+    elif not listed:
+        n = physical.linear.n_states
+        listed = [f"A[{i},{j}]" for i in range(n) for j in range(n) if physical.linear.A[i, j]]
+    return [Effect("coefficient", place) for place in listed]
+
+
+def _diagonal(physical: PhysicalModel, place: str, states: set[int]) -> bool:
+    row, column = physical.entry(place)
+    return row == column and row in states

@@ -1,0 +1,374 @@
+"""The initial model with its places: what the builders return."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from typing import Any
+
+import control as ct
+
+from ..arguments import as_choice, as_text, shown
+from ..data.measurement import HOLDS, Measurement
+from ..effects.effect import Effect
+from ..exceptions import ModelError
+from ..systems.discretization import check_sampling_time
+from ..systems.linear import Array, LinearModel
+from .consistency import check_outputs, check_places, check_sizes
+from .description import model_html, model_text
+from .parameters import NominalParameter
+from .ports import Port
+from .units import combine_units
+
+__all__ = ["PhysicalModel"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhysicalModel:
+    """A linear model that knows its places, parameters and units.
+
+    Made by the builders (`mass_spring_damper`, `series_rlc`, ...), or from a plain
+    `StateSpace` by `from_statespace`. The output is split so that a force that an effect
+    adds reaches an accelerometer::
+
+        y = output_state @ x + output_rate @ dx/dt + output_input @ w
+
+    Parameters
+    ----------
+    linear : LinearModel
+        Matrices and labels, in continuous time.
+    output_state : ndarray of shape (n_y, n)
+        Part of the output that reads states.
+    output_rate : ndarray of shape (n_y, n)
+        Part of the output that reads rates of states (accelerometers).
+    output_input : ndarray of shape (n_y, n_w)
+        Direct part of the inputs.
+    ports : tuple of Port
+        Places where a force can act.
+    parameters : tuple of NominalParameter
+        Numbers that the initial model was built from.
+    input_units, output_units, state_units : tuple of str
+        Units, ``""`` where they are unknown.
+    hold : {"zoh", "foh", "bandlimited"}, optional
+        How the inputs run between samples, where that is known better than the records
+        declare it; `improve` finds it out. By default it is as each record declares.
+
+    Attributes
+    ----------
+    system : StateSpace
+        The linear model, built anew at each call.
+
+    Raises
+    ------
+    control.ControlDimension
+        If sizes do not fit.
+    ModelError
+        If the output parts do not add up to C and D, names are not
+        unique, or the model is not in continuous time.
+
+    Examples
+    --------
+    >>> model = PhysicalModel.from_statespace(
+    ...     ct.ss([[0, 1], [-4, -1]], [[0], [2]], [[1, 0]], 0, states=["q", "v"])
+    ... )
+    >>> print(model.port("q").description)
+    displacement q, velocity v; mass 0.5 from the input u[0]
+    """
+
+    linear: LinearModel
+    output_state: Array
+    output_rate: Array
+    output_input: Array
+    ports: tuple[Port, ...]
+    parameters: tuple[NominalParameter, ...] = ()
+    input_units: tuple[str, ...] = ()
+    output_units: tuple[str, ...] = ()
+    state_units: tuple[str, ...] = ()
+    hold: str | None = None
+
+    def __post_init__(self) -> None:
+        linear = self.linear
+        if not isinstance(linear, LinearModel):
+            raise ct.ControlArgument(f"linear must be a LinearModel, not {shown(linear)}")
+        if not linear.is_continuous:
+            raise ModelError(
+                f"model {linear.name!r} has dt = {linear.dt}, but a physical model is in continuous time; "
+                "use PhysicalModel.from_statespace, which converts it"
+            )
+        check_sizes(self)
+        check_outputs(self)
+        check_places(self)
+        if self.hold is not None:
+            as_choice(self.hold, "hold, where there is one,", HOLDS)
+
+    @property
+    def system(self) -> ct.StateSpace:
+        """The linear model as a `control.StateSpace`, built anew."""
+        return self.linear.to_statespace()
+
+    @property
+    def name(self) -> str:
+        """Name of the system."""
+        return self.linear.name
+
+    @property
+    def places(self) -> tuple[str, ...]:
+        """Names of all places: ports, inputs and outputs."""
+        names = (port.name for port in self.ports)
+        return tuple(dict.fromkeys((*names, *self.linear.input_labels, *self.linear.output_labels)))
+
+    @classmethod
+    def from_statespace(cls, sys: ct.StateSpace, *, dt: float | None = None) -> PhysicalModel:
+        """Find ports and parameters in a plain `control.StateSpace`.
+
+        Parameters
+        ----------
+        sys : StateSpace
+            Linear model, the states in physical coordinates and in any order. A
+            discrete-time model is converted to continuous time by `d2c`.
+        dt : float, optional
+            Sampling time [s], for a discrete-time model with ``dt=True``.
+
+        Returns
+        -------
+        PhysicalModel
+            Model with the ports found.
+
+        Raises
+        ------
+        ModelError
+            If the sampling time of a discrete-time model is unknown.
+
+        Notes
+        -----
+        *Displacements.* A state whose derivative is another state is a displacement, and gives
+        a mechanical port named after it. So does a state whose derivative is a difference of
+        two states, or a state minus an input (an elongation), if a spring acts
+        back. Chains of three or more integrators that close on themselves and companion
+        (canonical) forms are not mechanical, and their states are taken as
+        first-order ones.
+
+        *Relative ports.* Masses whose rows of A are coupled both ways give ``"x1-x2"``. Their mass ratio
+        follows from the symmetry of the stiffness matrix, A_ij / A_ji = m_j / m_i. A pair that no
+        choice of masses makes symmetric is not a link and gives none.
+
+        *Masses.* The mass is 1/B where exactly one input drives exactly one velocity (so forces are
+        in units of that input). Otherwise forces are per unit mass. An input
+        with -1 on every mass is the acceleration of the base.
+
+        *First order.* Every other state is a port of its own. Two that exchange something
+        (both off-diagonal entries positive, as between two temperatures) give ``"T1-T2"``, and a
+        one-way flow gives ``"h1->h2"``.
+
+        In arbitrary coordinates (after a similarity transformation) no displacement
+        can be recognized, and the effects left are those on states, entries of A
+        and channels; use a builder, or give the model in physical coordinates.
+
+        Examples
+        --------
+        >>> sys = ct.ss([[0, 1], [-4, -1]], [[0], [1]], [[1, 0]], 0, states=["q", "v"])
+        >>> [(item.name, float(item.value)) for item in PhysicalModel.from_statespace(sys).parameters]
+        [('k[q]', 4.0), ('c[q]', 1.0), ('gain[u[0]]', 1.0)]
+        """
+        from .detection import find_ports
+        from .readout import find_rate_sensors
+
+        linear = LinearModel.from_statespace(sys)
+        step = None if dt is None else check_sampling_time(dt)
+        tolerance = 1e-9
+        if linear.dt is None:  # python-control: either time base
+            linear = linear.with_arrays(dt=0)
+        if not linear.is_continuous:
+            from ..systems.conversion import d2c
+
+            if linear.dt is True:
+                if step is None:
+                    raise ModelError(
+                        f"model {linear.name!r} is in discrete time but has no sampling time (dt = True); "
+                        "give the model a dt, or the time between samples as dt="
+                    )
+                sys = linear.with_arrays(dt=step).to_statespace()
+            linear = replace(LinearModel.from_statespace(d2c(sys)), name=linear.name)
+            tolerance = 1e-7  # the matrix logarithm leaves noise where zeros were
+        found, parameters = find_ports(linear, tolerance)
+        rate = find_rate_sensors(linear, tolerance)
+        return cls(
+            linear=linear,
+            output_state=linear.C - rate @ linear.A if rate.any() else linear.C,
+            output_rate=rate,
+            output_input=linear.D - rate @ linear.B,
+            ports=found,
+            parameters=parameters,
+        )
+
+    def held(self, data: Measurement) -> Measurement:
+        """The record as this model takes its inputs between the samples.
+
+        Parameters
+        ----------
+        data : Measurement
+            Record.
+
+        Returns
+        -------
+        Measurement
+            The record itself, unless `hold` says otherwise.
+        """
+        if not isinstance(data, Measurement):
+            raise ct.ControlArgument(f"data must be a Measurement, not {shown(data)}")
+        return data if self.hold is None else data.with_hold(self.hold)
+
+    def port(self, name: str) -> Port:
+        """Port of a given name.
+
+        Parameters
+        ----------
+        name : str
+            Name of the place.
+
+        Returns
+        -------
+        Port
+            The port.
+
+        Raises
+        ------
+        ModelError
+            If there is none; the message lists the names that exist.
+        """
+        as_text(name, "name")
+        for port in self.ports:
+            if port.name == name:
+                return port
+        known = ", ".join(port.name for port in self.ports) or "none"
+        raise ModelError(f"model {self.name!r} has no port {name!r}; its ports are: {known}")
+
+    def entry(self, place: str) -> tuple[int, int]:
+        """Row and column of an entry of A, the place of a `coefficient` effect.
+
+        Parameters
+        ----------
+        place : str
+            ``"A[1,0]"``, counted from 0, or with state labels, ``"A[v1,x1]"``.
+
+        Returns
+        -------
+        tuple of int
+            Row and column.
+
+        Raises
+        ------
+        ModelError
+            If the text is not of this form or the entry does not exist.
+        """
+        match = re.fullmatch(r"A\[(.+)\]", as_text(place, "place").strip())
+        labels = self.linear.state_labels
+        if match:
+            pieces = match.group(1).split(",")
+            for cut in range(1, len(pieces)):  # a label may hold a comma itself
+                pair = (",".join(pieces[:cut]).strip(), ",".join(pieces[cut:]).strip())
+                found = [self._state(text) for text in pair]
+                if all(index is not None for index in found):
+                    return found[0], found[1]  # type: ignore[return-value]
+        raise ModelError(
+            f"{place!r} is not an entry of A: write 'A[i,j]' with i and j from 0 to {len(labels) - 1}, "
+            f"or with state labels ({', '.join(labels)})"
+        )
+
+    def _state(self, text: str) -> int | None:
+        if text in self.linear.state_labels:
+            return self.linear.state_labels.index(text)
+        if text.isdecimal() and int(text) < self.linear.n_states:
+            return int(text)
+        return None
+
+    def check(self, effect: Effect) -> Effect:
+        """Check that an effect makes sense at its place in this model.
+
+        Parameters
+        ----------
+        effect : Effect
+            Effect to check.
+
+        Returns
+        -------
+        Effect
+            The same effect, worded for its kind of place.
+
+        Raises
+        ------
+        ModelError
+            If the place does not exist, the kind cannot sit there, or the place senses
+            nothing that the law needs (a stiffness where there is no
+            displacement).
+        """
+        _check_type(effect)
+        where = effect.spec.where
+        if effect.kind == "coefficient":
+            self.entry(effect.place)
+            return effect
+        for channel, labels in (("input", self.linear.input_labels), ("output", self.linear.output_labels)):
+            if channel in where:
+                if effect.place not in labels:
+                    raise ModelError(
+                        f"{effect.kind} sits at an {channel}, and {effect.place!r} is none of them: "
+                        f"{', '.join(labels)}"
+                    )
+                return effect
+        port = self.port(effect.place)
+        if port.kind not in where:
+            raise ModelError(
+                f"{effect.kind} cannot sit at {port.name}, a {port.kind.replace('_', '-')} port; "
+                f"it needs a {' or '.join(sorted(where - {'any'})).replace('_', '-')} one"
+            )
+        for need, there in (("position", port.has_position), ("velocity", port.has_velocity)):
+            if need in effect.spec.needs and not there:
+                raise ModelError(f"{effect.label}: there is no {need} at {port.name} ({port.description})")
+        return effect.at_port(port.kind)
+
+    def unit(self, effect: Effect, coefficient: str) -> str:
+        """Unit of a coefficient of an effect in this model.
+
+        Parameters
+        ----------
+        effect : Effect
+            Effect at a place of this model.
+        coefficient : str
+            Name of the coefficient.
+
+        Returns
+        -------
+        str
+            Unit, ``""`` where it is unknown, ``"1"`` for a pure number.
+        """
+        _check_type(effect)
+        if as_text(coefficient, "coefficient") not in effect.coefficients:
+            raise ct.ControlArgument(
+                f"{effect.label} has no coefficient {coefficient!r}, only {', '.join(effect.coefficients)}"
+            )
+        if coefficient not in effect.spec.coefficient_names:
+            return ""  # a custom law's own
+        rule = effect.spec.coefficient(coefficient).unit_rule
+        where = effect.spec.where
+        if effect.kind == "coefficient":
+            row, column = self.entry(effect.place)
+            states = {"row": self.state_units[row], "column": self.state_units[column]}
+            return combine_units("row/(column s)", states)
+        if "input" in where:
+            index = self.linear.input_labels.index(effect.place)
+            return combine_units(rule, {"signal": self.input_units[index]})
+        if "output" in where:
+            index = self.linear.output_labels.index(effect.place)
+            return combine_units(rule, {"signal": self.output_units[index]})
+        return combine_units(rule, self.port(effect.place).units)
+
+    def __str__(self) -> str:
+        return model_text(self)
+
+    def _repr_html_(self) -> str:
+        return model_html(self)
+
+
+def _check_type(effect: Any) -> None:
+    if not isinstance(effect, Effect):
+        raise ct.ControlArgument(f"an effect must be an Effect, not {type(effect).__name__}")

@@ -1,0 +1,150 @@
+"""A port is a place in the model: what it senses, and where its force acts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from ..arguments import as_array, as_text, shown
+from ..exceptions import ModelError
+from ..systems.linear import Array
+
+__all__ = ["Port"]
+
+_TEXTS = ("kind", "position_unit", "velocity_unit", "force_unit", "description")
+_ARRAYS = ("act", "position", "position_input", "velocity", "velocity_input", "acceleration_input")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Port:
+    """A place where a missing effect can sit.
+
+    With the states x and the inputs w of the model the port senses::
+
+        d = position @ x + position_input @ w          displacement
+        v = velocity @ x + velocity_input @ w          velocity
+        a = velocity @ dx/dt + acceleration_input @ w  acceleration
+
+    and a resisting force f at the port changes the model by
+    ``dx/dt += act * f``. At a ``"first_order"`` port (a level, a
+    temperature, a current) there is no displacement, and v is the state
+    itself or the difference of two.
+
+    Parameters
+    ----------
+    name : str
+        Name of the place: ``"x1"``, ``"x1-x2"``, ``"link2"``, ``"tank1->tank2"``.
+    kind : {"mechanical", "first_order"}
+        What v is: the rate of a displacement, or a state.
+    act : ndarray of shape (n,)
+        Effect of a unit resisting force on the rates of the states: -1/m on the
+        moving mass and +1/m on the other end.
+    position, velocity : ndarray of shape (n,)
+        Rows that read d and v from the states; zero where there is none.
+    position_input, velocity_input, acceleration_input : ndarray of shape (n_w,)
+        Direct part of the inputs in d, v and a, for example 1 in
+        `acceleration_input` where the input is the acceleration of the base and
+        the states are relative to the base.
+    position_unit, velocity_unit, force_unit : str
+        Units, ``""`` where they are unknown.
+    description : str
+        The place in words.
+
+    Raises
+    ------
+    ModelError
+        If the name is empty, the kind is unknown, or a number is not finite.
+    control.ControlDimension
+        If the rows have different lengths.
+
+    Notes
+    -----
+    A relative port ``"x1-x2"`` has d = x1 - x2. Link i of a chain has
+    d = q_i - q_(i-1), its elongation, so ``link1`` from the ground to mass 1 has
+    d = q_1. The last link, from mass n to the ground, has d = q_n: its sense is
+    the motion of mass n.
+
+    Examples
+    --------
+    >>> mass = Port("x1", "mechanical", act=[0.0, -2.0], position=[1.0, 0.0], velocity=[0.0, 1.0])
+    >>> mass.is_relative
+    False
+    """
+
+    name: str
+    kind: str
+    act: Array
+    position: Array
+    velocity: Array
+    position_input: Array = ()  # type: ignore[assignment]
+    velocity_input: Array = ()  # type: ignore[assignment]
+    acceleration_input: Array = ()  # type: ignore[assignment]
+    position_unit: str = ""
+    velocity_unit: str = ""
+    force_unit: str = ""
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not self.name:
+            raise ModelError(f"the name of a port must be a nonempty str, not {shown(self.name)}")
+        for key in _TEXTS:
+            as_text(getattr(self, key), f"{key} of port {self.name!r}")
+        if self.kind not in ("mechanical", "first_order"):
+            raise ModelError(
+                f"kind of port {self.name!r} must be 'mechanical' or 'first_order', not {self.kind!r}"
+            )
+        for key in _ARRAYS:
+            array = as_array(getattr(self, key), f"{key} of port {self.name!r}", error=ModelError).reshape(-1)
+            object.__setattr__(self, key, array)
+        n_inputs = max(getattr(self, key).size for key in _ARRAYS if key.endswith("_input"))
+        for key in _ARRAYS:
+            size = n_inputs if key.endswith("_input") else self.act.size
+            array = getattr(self, key)
+            if key.endswith("_input") and array.size == 0:
+                array = np.zeros(size)
+            if array.size != size:
+                raise ct.ControlDimension(
+                    f"{key} of port {self.name!r} has {array.size} entries, expected {size}"
+                )
+            array.setflags(write=False)
+            object.__setattr__(self, key, array)
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        # numpy forgets the write protection when it pickles
+        for key, value in zip(self.__slots__, state, strict=True):
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+            object.__setattr__(self, key, value)
+
+    def __getstate__(self) -> tuple[Any, ...]:
+        return tuple(getattr(self, key) for key in self.__slots__)
+
+    @property
+    def has_position(self) -> bool:
+        """Whether a displacement can be read here."""
+        return bool(self.position.any() or self.position_input.any())
+
+    @property
+    def has_velocity(self) -> bool:
+        """Whether a velocity (first order: a state) can be read here."""
+        return bool(self.velocity.any() or self.velocity_input.any())
+
+    @property
+    def is_relative(self) -> bool:
+        """Whether the force acts between two places (and so on more than one state)."""
+        return bool(np.count_nonzero(self.act) > 1)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units by quantity: position, velocity, force."""
+        return {
+            "position": self.position_unit,
+            "velocity": self.velocity_unit,
+            "force": self.force_unit,
+        }
+
+    def __str__(self) -> str:
+        return f"{self.name} ({self.kind.replace('_', ' ')}): {self.description}"

@@ -1,0 +1,267 @@
+"""Models out of files: TOML (matrices, or a builder's parameters), and .npz or .mat with A, B, C, D."""
+
+from __future__ import annotations
+
+import inspect
+import tomllib
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from ..archives import read_archive
+from ..data.matlab import read_matlab
+from ..exceptions import ModelError
+from ..systems.linear import Array
+from . import builders
+from .physical_model import PhysicalModel
+
+__all__ = ["MATRICES", "builder_names", "read_model"]
+
+#: Table of a TOML file that holds matrices; the others are named like the builders.
+MATRICES = "state_space"
+_LABELS = ("inputs", "outputs", "states")
+_MAPS = ("force", "force_map")  # a list of lists is a matrix there
+_MOST_STATES = 1000  # of a model in a file; a chain of 500 masses takes seconds, one of 2000 minutes
+# what Python raises where a value is not of the kind that a builder expects
+_WRONG_KIND = (TypeError, ValueError, ArithmeticError, LookupError, AttributeError)
+
+
+def builder_names() -> tuple[str, ...]:
+    """Tables that a TOML file can hold besides `MATRICES`.
+
+    Returns
+    -------
+    tuple of str
+        Names of the builders.
+    """
+    return tuple(builders.__all__)
+
+
+def read_model(path: str | PathLike[str]) -> ct.StateSpace | PhysicalModel:
+    r"""Read a model from a file.
+
+    Parameters
+    ----------
+    path : str or path
+        ``.toml``: one table, ``[state_space]`` with A, B, C, D (and dt, inputs, outputs, states, name)
+        or a table named like a builder (``[mass_spring_damper]``, ``[series_rlc]``, ...) with its
+        parameters. ``.npz`` or ``.mat``: arrays A, B, C, and D, dt, inputs, outputs, states, name
+        where they are not 0 and not the default names.
+
+    Returns
+    -------
+    StateSpace or PhysicalModel
+        Matrices give a `StateSpace`, builders a `PhysicalModel`.
+
+    Raises
+    ------
+    ModelError
+        If the file is not one of these, or its model has more than 1000 states; file, table and
+        key are named.
+    DataError
+        If an ``.npz`` or ``.mat`` file is damaged.
+    OSError
+        If it cannot be read.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "circuit.toml"
+    >>> _ = path.write_text("[series_rlc]\nR = 250.0\nL = 0.055\nC = 23.5e-6\n")
+    >>> read_model(path).linear.input_labels
+    ('voltage',)
+    """
+    file = Path(path)
+    suffix = file.suffix.lower()
+    if suffix == ".toml":
+        return _from_toml(file)
+    if suffix not in (".npz", ".mat"):
+        raise ModelError(
+            f"{file}: a model is a .toml, .npz or .mat file, not {suffix or 'without a suffix'!r}"
+        )
+    variables: dict[str, Any] = read_archive(file) if suffix == ".npz" else read_matlab(file)
+    values: dict[str, Any] = {key: variables[key] for key in ("A", "B", "C", "D", "dt") if key in variables}
+    for key in (*_LABELS, "name"):
+        if key in variables:
+            values[key] = _texts(variables[key], f"{file}, {key}")
+    if "name" in values:
+        values["name"] = " ".join(values["name"])
+    if "dt" in values:
+        size = np.asarray(values["dt"])
+        if size.size != 1 or size.dtype.kind not in "fiub":
+            raise ModelError(f"{file}: dt must be one number (0 for continuous time), not {values['dt']!r}")
+        values["dt"] = float(size.ravel()[0])
+    listed = ", ".join(variables) or "nothing"
+    return _state_space(values, str(file), f"the file holds {listed}", _name_of(file))
+
+
+def _from_toml(file: Path) -> ct.StateSpace | PhysicalModel:
+    try:
+        content = tomllib.loads(file.read_text(encoding="utf-8"))
+    except ValueError as error:  # of TOML, of UTF-8, of a number with thousands of digits
+        raise ModelError(f"{file} is not TOML: {error}") from error
+    except RecursionError as error:
+        raise ModelError(f"{file} is not TOML of a model: its brackets are nested too deeply") from error
+    known = ", ".join(f"[{name}]" for name in (MATRICES, *builder_names()))
+    if len(content) != 1:
+        found = ", ".join(content) or "nothing"
+        raise ModelError(f"{file} must hold one table, one of {known}; it holds {found}")
+    [(kind, table)] = content.items()
+    if kind not in (MATRICES, *builder_names()):
+        raise ModelError(f"{file}: no model is called {kind!r}; there are {known}")
+    if not isinstance(table, dict):
+        raise ModelError(f"{file}: {kind} must be a table, [{kind}] on a line of its own")
+    where = f"{file}, [{kind}]"
+    if kind == MATRICES:
+        holds = f"the table holds {', '.join(table) or 'nothing'}"
+        return _state_space(table, where, holds, _name_of(file))
+    builder = getattr(builders, kind)
+    _check_keys(table, builder, where)
+    for key, value in table.items():
+        _check_size(2 * len(value) if isinstance(value, (list, dict)) else 0, f"{where}, {key}")
+    try:
+        model: PhysicalModel = builder(**{key: _argument(key, value, where) for key, value in table.items()})
+        _ = model.system  # names that python-control refuses
+    except (ModelError, ct.ControlDimension, ct.ControlArgument) as error:
+        raise ModelError(f"{where}: {error}") from error
+    except _WRONG_KIND as error:  # text where a number belongs, and the like
+        raise ModelError(f"{where}: a value is of the wrong kind: {error}") from error
+    return model
+
+
+def _name_of(file: Path) -> str:
+    """Name of the file as python-control takes it: a dot would part system and signal."""
+    return file.stem.replace(".", "_")
+
+
+def _check_size(n_states: int, where: str) -> None:
+    if n_states > _MOST_STATES:
+        raise ModelError(
+            f"{where}: a model of {n_states} states; from a file at most {_MOST_STATES} are read. Reduce it, "
+            "by its first modes for instance"
+        )
+
+
+def _check_keys(table: Mapping[str, Any], builder: Any, where: str) -> None:
+    """Every key is a parameter, and none that must be given is missing."""
+    parameters = inspect.signature(builder).parameters
+    unknown = [key for key in table if key not in parameters]
+    if unknown:
+        raise ModelError(f"{where}: no parameter {', '.join(unknown)}; there are {', '.join(parameters)}")
+    needed = [k for k, p in parameters.items() if p.default is inspect.Parameter.empty and k not in table]
+    if needed:
+        raise ModelError(f"{where}: {', '.join(needed)} missing; it must be given")
+
+
+def _argument(key: str, value: Any, where: str) -> Any:
+    """A TOML value as the builder takes it."""
+    if key == "resistances":
+        return {_pair(name, where): size for name, size in _as_table(value, key, where).items()}
+    if key == "links":
+        return {name: _link(ends) for name, ends in _as_table(value, key, where).items()}
+    if key in _MAPS and isinstance(value, list) and value and isinstance(value[0], list):
+        return _matrix(value, f"{where}, {key}")
+    return tuple(value) if key == "heat" and isinstance(value, list) else value
+
+
+def _link(ends: Any) -> Any:
+    """Two numbers of masses, or a vector."""
+    two = len(ends) == 2 and all(isinstance(end, int) for end in ends)
+    return tuple(ends) if two else np.array(ends, dtype=float)
+
+
+def _as_table(value: Any, key: str, where: str) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise ModelError(f'{where}: {key} must be a table, such as {{"1-2" = 0.5, "2-0" = 2.0}}')
+    return value
+
+
+def _pair(name: str, where: str) -> tuple[int, int]:
+    ends = [end.strip() for end in name.split("-")]
+    if len(ends) != 2 or not all(end.isdigit() for end in ends):
+        raise ModelError(f'{where}: {name!r} must name two nodes, such as "1-2" (0 is the surroundings)')
+    return int(ends[0]), int(ends[1])
+
+
+def _state_space(values: Mapping[str, Any], where: str, holds: str, name: str) -> ct.StateSpace:
+    """Matrices and labels; one row or column may be written as a plain list."""
+    allowed = ("A", "B", "C", "D", "dt", *_LABELS, "name")
+    unknown = [key for key in values if key not in allowed]
+    if unknown:
+        raise ModelError(f"{where}: no key {', '.join(unknown)}; there are {', '.join(allowed)}")
+    missing = [key for key in ("A", "B", "C") if key not in values]
+    if missing:
+        raise ModelError(f"{where}: {', '.join(missing)} missing; {holds}")
+    A = _matrix(values["A"], f"{where}, A")
+    n = A.shape[0]
+    B = _matrix(values["B"], f"{where}, B")
+    if np.ndim(values["B"]) == 1 and n != 1:
+        B = B.T  # one input
+    C = _matrix(values["C"], f"{where}, C")
+    if np.ndim(values["C"]) == 1 and n == 1:
+        C = C.T
+    D = _matrix(values["D"], f"{where}, D") if "D" in values else np.zeros((C.shape[0], B.shape[1]))
+    if np.ndim(values.get("D", 0.0)) == 1 and B.shape[1] == 1:
+        D = D.T
+    if D.shape == (1, 1) and D[0, 0] == 0:
+        D = np.zeros((C.shape[0], B.shape[1]))
+    shapes = {"A": (n, n), "B": (n, B.shape[1]), "C": (C.shape[0], n), "D": (C.shape[0], B.shape[1])}
+    for key, matrix in zip("ABCD", (A, B, C, D), strict=True):
+        if matrix.shape != shapes[key]:
+            raise ModelError(
+                f"{where}: {key} is {matrix.shape[0]} x {matrix.shape[1]}; with A {n} x {A.shape[1]}, "
+                f"B {B.shape[0]} x {B.shape[1]}, C {C.shape[0]} x {C.shape[1]} it must be "
+                f"{shapes[key][0]} x {shapes[key][1]}"
+            )
+    dt = values.get("dt", 0)
+    if isinstance(dt, bool) or not isinstance(dt, (int, float)) or not 0 <= dt < 1e300:
+        raise ModelError(f"{where}: dt must be a time in s, or 0 for continuous time, not {dt!r}")
+    labels = {}
+    for key, count in zip(_LABELS, (B.shape[1], C.shape[0], n), strict=True):
+        if key in values:
+            texts = [values[key]] if isinstance(values[key], str) else list(values[key])
+            if len(texts) != count or not all(isinstance(text, str) for text in texts):
+                raise ModelError(f"{where}: {key} must be {count} name(s), not {values[key]!r}")
+            labels[key] = texts
+    title = values.get("name", name)
+    if not isinstance(title, str) or not title:
+        raise ModelError(f"{where}: name must be text, not {title!r}")
+    try:
+        return ct.ss(A, B, C, D, dt, name=title, **labels)
+    except (ValueError, ct.ControlDimension, ct.ControlArgument) as error:  # a name that is not allowed
+        raise ModelError(f"{where}: {error}") from error
+
+
+def _matrix(value: Any, where: str) -> Array:
+    """Numbers as a 2-D array of finite floats."""
+    try:
+        given = np.array(value, ndmin=2)
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"{where} must be numbers in rows of equal length: {error}") from error
+    if given.dtype.kind == "c":
+        raise ModelError(f"{where} is complex; a model is real, in modal form too: write it with real blocks")
+    if given.dtype.kind not in "fiub":
+        raise ModelError(f"{where} must be numbers in rows of equal length, not {value!r:.60}")
+    _check_size(max(given.shape), where)
+    matrix = given.astype(float)
+    if matrix.ndim != 2 or not matrix.size:
+        raise ModelError(f"{where} must be rows of numbers, not an array of shape {matrix.shape}")
+    if not np.isfinite(matrix).all():
+        row, column = np.argwhere(~np.isfinite(matrix))[0]
+        raise ModelError(f"{where} is not finite in row {row + 1}, column {column + 1}")
+    return matrix
+
+
+def _texts(value: Any, where: str) -> list[str]:
+    """Names from an array of text: NumPy's, MATLAB's char array or its cell array."""
+    found: list[str] = []
+    for item in np.asarray(value).ravel():
+        inner: Sequence[Any] = [item] if isinstance(item, str) else list(np.asarray(item).ravel())
+        if not all(isinstance(text, str) for text in inner):
+            raise ModelError(f"{where} must be text, not {value!r}")
+        found += [str(text).strip() for text in inner]
+    return found

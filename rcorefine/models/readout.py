@@ -1,0 +1,168 @@
+"""Parameters and accelerometers of a plain StateSpace, read out of its matrices."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ..systems.linear import Array, LinearModel
+from .displacements import Displacement, find_displacements, significant
+from .masses import MassScale
+from .parameters import NominalParameter
+from .ports import Port
+
+__all__ = ["find_rate_sensors", "read_parameters"]
+
+_LEFT = 1e-9  # relative size of what cancellation leaves behind
+
+
+def read_parameters(
+    linear: LinearModel,
+    displacements: Sequence[Displacement],
+    by_state: Mapping[int, Port],
+    between: Mapping[tuple[Displacement, Displacement], Port],
+    masses: MassScale,
+    tolerance: float,
+) -> tuple[NominalParameter, ...]:
+    """Stiffness and damping by place, whatever else is in A, and the input gains.
+
+    Parameters
+    ----------
+    linear : LinearModel
+        Continuous-time model.
+    displacements : sequence of Displacement
+        Its displacement states.
+    by_state : mapping of int to Port
+        Absolute ports and elongations by their state.
+    between : mapping of pairs of Displacement to Port
+        Relative ports.
+    masses : MassScale
+        Masses of the velocity states.
+    tolerance : float
+        Relative size below which an entry counts as zero.
+
+    Returns
+    -------
+    tuple of NominalParameter
+        Those that are not zero.
+
+    Notes
+    -----
+    The links are taken off a copy of A one by one, the off-diagonal entries first, as each of these
+    belongs to one link. What is left over (first-order states, one-way couplings) is
+    listed entry by entry.
+    """
+    left, scale = significant(linear.A, tolerance), np.abs(linear.A)
+    found: list[NominalParameter] = []
+
+    def take(port: Port, kind: str, row: int, column: int) -> None:
+        """Find the coefficient that explains what is left of an entry, and take all its part off."""
+        sensed = port.position if kind == "stiffness" else port.velocity
+        if abs(left[row, column]) > _LEFT * scale[row, column]:
+            value = float(left[row, column] / (port.act[row] * sensed[column]))
+            name = f"{'k' if kind == 'stiffness' else 'c'}[{port.name}]"
+            found.append(NominalParameter(name, value, "", kind, port.name, False))
+            left[:] -= value * np.outer(port.act, sensed)
+            left[np.abs(left) <= _LEFT * scale] = 0.0
+
+    for (one, two), port in between.items():
+        if one.moving is not None and two.moving is not None:
+            take(port, "stiffness", one.moving, two.state)
+            take(port, "damping", one.moving, two.moving)
+    for item in displacements:
+        if not item.absolute:
+            port = by_state[item.state]
+            end = item.moving if item.moving is not None else item.other
+            assert end is not None
+            take(port, "stiffness", end, item.state)
+            if item.moving is not None and item.other is not None:
+                take(port, "damping", end, item.other)
+            else:  # the other end is an input: its damper shows in B
+                column = int(np.argmax(np.abs(port.velocity_input)))
+                value = linear.B[end, column] / (port.act[end] * port.velocity_input[column])
+                if abs(linear.B[end, column]) > tolerance * np.abs(linear.B[:, column]).max():
+                    found.append(
+                        NominalParameter(f"c[{port.name}]", float(value), "", "damping", port.name, False)
+                    )
+                    left[:] -= value * np.outer(port.act, port.velocity)
+                    left[np.abs(left) <= _LEFT * scale] = 0.0
+    for item in displacements:
+        if item.absolute and item.moving is not None:
+            take(by_state[item.state], "stiffness", item.moving, item.state)
+            take(by_state[item.state], "damping", item.moving, item.moving)
+    for state, port in by_state.items():
+        if port.kind == "mechanical" and not port.has_position:
+            take(port, "damping", state, state)
+
+    kinematic = {item.state for item in displacements}
+    for i, j in np.argwhere(left):
+        if int(i) not in kinematic:
+            place = f"A[{i},{j}]"
+            found.append(NominalParameter(place, float(linear.A[i, j]), "", "coefficient", place, False))
+    found.extend(
+        NominalParameter(f"gain[{label}]", 1.0, "1", "input_gain", label, False)
+        for label, base, column in zip(linear.input_labels, masses.base_acceleration, linear.B.T, strict=True)
+        if column.any() and not base
+    )
+    return tuple(found)
+
+
+def find_rate_sensors(linear: LinearModel, tolerance: float = 1e-9) -> Array:
+    """Part of the outputs that reads rates of velocity states (accelerometers).
+
+    Parameters
+    ----------
+    linear : LinearModel
+        Continuous-time model.
+    tolerance : float, optional
+        Relative size below which an entry counts as zero.
+
+    Returns
+    -------
+    ndarray of shape (n_y, n)
+        Ca with C = Ca A for the outputs that are accelerations, zero rows for others.
+
+    Notes
+    -----
+    The row of C is an acceleration if it is a combination of rows of A that belong to
+    velocity states, and that is the shorter way to say it. In an undamped model
+    every displacement is such a combination, so there the weights must be 1 (or the direct
+    part of the input must agree).
+    """
+    displacements = find_displacements(linear, tolerance)
+    moving = {item.moving for item in displacements} | {item.other for item in displacements}
+    rows = sorted(state for state in moving if state is not None)
+    rate = np.zeros((linear.n_outputs, linear.n_states))
+    for y, (c, d) in enumerate(zip(linear.C, linear.D, strict=True)):
+        weights = _rate_weights(linear, rows, c, d, tolerance)
+        if weights is not None:
+            rate[y, rows] = weights
+    return rate
+
+
+def _rate_weights(linear: LinearModel, rows: list[int], c: Array, d: Array, tolerance: float) -> Array | None:
+    if not rows or not c.any():
+        return None
+    A, B = linear.A[rows], linear.B[rows]
+    candidates: list[Array] = []
+    for index, row in enumerate(A):  # a single accelerometer is the plainest reading
+        if row.any():
+            weights = np.zeros(len(rows))
+            weights[index] = (c @ row) / (row @ row)
+            candidates.append(weights)
+    candidates.sort(key=lambda weights: abs(abs(weights).max() - 1.0))
+    candidates.append(np.asarray(np.linalg.lstsq(A.T, c, rcond=None)[0], dtype=np.float64))
+    for weights in candidates:
+        weights = np.where(np.abs(weights) > 1e-9 * np.abs(weights).max(), weights, 0.0)
+        if np.abs(weights @ A - c).max() > max(10 * tolerance, 1e-9) * np.abs(c).max():
+            continue
+        used = np.flatnonzero(weights)
+        unit = bool(np.allclose(np.abs(weights[used]), 1.0, rtol=1e-6))
+        direct = weights @ B
+        agrees = bool(direct.any() and np.allclose(direct, d, rtol=1e-6, atol=1e-9 * np.abs(direct).max()))
+        damped = bool(np.any(c[rows]))
+        shorter = used.size < np.count_nonzero(np.abs(c) > tolerance * np.abs(c).max())
+        if agrees or (unit and (shorter or used.size == 1)) or (damped and shorter):
+            return np.asarray(weights, dtype=np.float64)
+    return None

@@ -1,0 +1,63 @@
+"""The model fitted as far as it is declared to be free, before anything is tested."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from ..data.channels import match_channels, record_for
+from ..data.measurement import Measurement
+from ..engine.simulation import check_channels
+from ..engine.structure import Structure
+from ..inference.assembly import assemble, offset_variants, unfold
+from ..inference.fit import Fit
+from ..inference.outcome import output_weights, package
+from ..inference.refinement import Refinement
+from ..inference.search import starting_states
+from ..inference.windows import windows
+from .refine import refine
+
+__all__ = ["base_fit"]
+
+
+def base_fit(
+    model: Any,
+    records: Sequence[Measurement],
+    *,
+    free: Any,
+    tolerance: float,
+    offset: bool,
+    noise: Any,
+    horizon: float | None = None,
+) -> Refinement:
+    """The model fitted as far as it is declared to be free.
+
+    Where its numbers are trusted, the minimum is next to them and no search is needed.
+    """
+    if len(free) and tolerance == 0:
+        return refine(
+            model, records, free=free, tolerance=tolerance, offset=offset, noise=noise, horizon=horizon
+        )
+    physical, kept = unfold(model)
+    ordered = [record_for(r, match_channels(physical.linear, r)) for r in records]
+    for record in ordered:
+        check_channels(physical.linear, record)
+        record.check_excitation("diagnose", stacklevel=3)
+    segments, note = windows(physical, ordered, horizon)
+    chosen = assemble(physical, kept, (), free, tolerance, offset_variants(physical, ordered[0], offset)[0])
+    constants = dict(getattr(model, "constants", {}))
+    structure = Structure(physical, [e for e, _ in chosen], constants=constants)
+    fit = Fit(structure, [role for _, role in chosen], segments, noise, None, tolerance)
+    fit.steps = int(getattr(model, "substeps", 1))
+    fit.problem = fit.build(segments, fit.steps)
+    theta = structure.start()
+    fit.result = fit.problem.minimize(
+        fit.problem.pack(theta, starting_states(fit.problem, theta)), max_nfev=30, tol=1e-8
+    )
+    for _ in range(2):  # noise levels from the residual, then the weight of the priors
+        fit.weights = output_weights(segments, noise, fit.problem, fit.result.x)
+        fit.problem = fit.build(segments, fit.steps)
+        fit.result = fit.problem.minimize(fit.result.x, max_nfev=30, tol=1e-10)
+        if noise is not None or (structure.n_outputs == 1 and tolerance == 0):
+            break
+    return package(fit, physical, note)

@@ -1,0 +1,289 @@
+"""Physical effects as coefficients: their model as arrays for the kernel."""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from ...arguments import as_whole
+from ...effects.effect import Effect, as_effects
+from ...engine.engine import _kernel
+from ...engine.structure import Structure
+from ...exceptions import ModelError
+from ...models.consistency import check_stream_hold
+from ...models.conversion import as_physical
+from ...models.physical_model import PhysicalModel
+from ...systems.linear import Array, LinearModel
+from . import kernel
+from .memory import CoefficientMemory, Layout
+from .setup import FilterSettings, Kernel, Setup, checked_settings, held_columns
+
+__all__ = ["EffectsSetup", "make_effects_setup"]
+
+_LAG = 64  # samples that input delays look back on
+_FIRST = 50  # samples of the first stretch, at least
+_MARGIN = 1e-3  # of a bound that an estimate keeps off it
+_STATIC_CODES = {
+    "input_deadzone": (0, "threshold"),
+    "input_saturation": (1, "limit"),
+    "input_delay": (2, "delay"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class EffectsSetup(Setup):
+    """Physical effects as coefficients.
+
+    Parameters
+    ----------
+    physical : PhysicalModel
+        Initial model.
+    effects : tuple of Effect
+        What is estimated.
+    settings : FilterSettings
+        Sampling, noise, memory.
+    substeps : int
+        Substeps per sample.
+    """
+
+    physical: PhysicalModel
+    effects: tuple[Effect, ...]
+    settings: FilterSettings
+    substeps: int
+
+    @cached_property
+    def bare(self) -> Structure:
+        """Model with its effects, laws of unit width."""
+        return Structure(self.physical, self.effects)
+
+    @cached_property
+    def layout(self) -> Layout:
+        """Sizes of the packed memory."""
+        s = self.bare
+        delays = any(effect.kind == "input_delay" for effect in self.effects)
+        lag = 0 if self.fast else (_LAG if delays else 3)
+        return Layout(s.n_states, s.n_parameters, s.n_inputs + 1, s.n_outputs, s.n_ports, lag)
+
+    @cached_property
+    def fast(self) -> bool:
+        """Whether all effects are absorbed into the matrices."""
+        return self.bare.is_linear
+
+    @property
+    def n_laws(self) -> int:
+        """Laws that may have a width of their own."""
+        return len(self.effects)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the coefficients."""
+        return tuple(q.label for q in self.bare.parameters)
+
+    @cached_property
+    def milestones(self) -> tuple[int, ...]:
+        """Numbers of samples at which the first ones are gone over."""
+        lay, last = self.layout, self.settings.start_samples
+        lengths = [min(max(_FIRST, 3 * (lay.n + lay.p) // max(1, lay.ny) + lay.n), last)]
+        while lengths[-1] < last:
+            lengths.append(min(2 * lengths[-1], last))
+        return tuple(lengths)
+
+    def start(self) -> Array:
+        """Coefficients at which the effects are absent, or the user's."""
+        return self.bare.start()
+
+    def compile(self, memory: CoefficientMemory) -> Kernel:
+        """Discretize at `memory.centre` and pack what the loop needs."""
+        return compile_kernel(self, memory)
+
+    def go_over(self, memory: CoefficientMemory) -> CoefficientMemory:
+        """Memory after the first samples, as if the best coefficients had been known from the first."""
+        from .descent import go_over
+
+        return go_over(self, memory)
+
+    def system(self, theta: Array, widths: Array, name: str) -> LinearModel:
+        """Linear part at these coefficients, in continuous time."""
+        return LinearModel.from_statespace(self.structure(widths).system(theta, name))
+
+    def rows(self, theta: Array, spread: Array) -> tuple[Any, ...]:
+        """Estimated parameters, one row each."""
+        from ...inference.outcome import _rows
+
+        return _rows(self.bare, ["effect"] * len(self.effects), theta, spread)
+
+    @property
+    def model(self) -> LinearModel:
+        """Linear part of the initial model."""
+        return self.physical.linear
+
+    @cached_property
+    def bounds(self) -> tuple[Array, Array]:
+        """Bounds of the coefficients, a little inside those of physics."""
+        s = self.bare
+        lower = np.array([q.lower for q in s.parameters])
+        upper = np.array([q.upper for q in s.parameters])
+        for i, q in enumerate(s.parameters):
+            if s.effects[q.effect].kind == "input_delay":
+                upper[i] = min(upper[i], (_LAG - 4) * self.settings.dt)
+        with np.errstate(invalid="ignore"):
+            lower = np.where(np.isfinite(lower), lower + _MARGIN * np.abs(lower), lower)
+            upper = np.where(np.isfinite(upper), upper - _MARGIN * np.abs(upper), upper)
+        return lower, upper
+
+    def bounds_about(self, origin: Array) -> tuple[Array, Array]:
+        """Bounds of the coefficients; those that shape a law stay positive."""
+        lower, upper = self.bounds
+        shapes = np.array([self.is_shape(i) for i in range(lower.size)], dtype=bool)
+        floor = np.where(shapes & (lower >= 0) & (origin > 0), 1e-3 * origin, -np.inf)
+        return np.maximum(lower, floor), upper
+
+    def is_shape(self, column: int) -> bool:
+        """Whether a coefficient has no value at which its effect is absent, so that data tell a start."""
+        q = self.bare.parameters[column]
+        effect = self.effects[q.effect]
+        return effect.kind != "custom" and effect.start_of(q.name) is None
+
+    @cached_property
+    def nominal(self) -> Array:
+        """Size of the physical parameter that each coefficient changes, 0 where there is none."""
+        s = self.bare
+        known = {(q.kind, q.place): abs(q.value) for q in s.model.parameters}
+        found = []
+        for q in s.parameters:
+            effect = s.effects[q.effect]
+            size = known.get((effect.kind, effect.place), 0.0)
+            if effect.kind == "mass":
+                size = s.inertia(effect.place)
+            if effect.kind in ("input_gain", "output_gain"):
+                size = 1.0
+            found.append(size if np.isfinite(size) else 0.0)
+        return np.array(found)
+
+    def structure(self, widths: Array) -> Structure:
+        """Model with its effects and the widths of their laws."""
+        return _structure(self, tuple(widths.tolist()))
+
+
+@lru_cache(maxsize=64)
+def _structure(setup: EffectsSetup, widths: tuple[float, ...]) -> Structure:
+    constants = {i: width for i, width in enumerate(widths) if np.isfinite(width)}
+    return Structure(setup.physical, setup.effects, constants=constants)
+
+
+def compile_kernel(setup: EffectsSetup, memory: CoefficientMemory) -> Kernel:
+    """Discretize at `memory.centre` and pack what the loop needs."""
+    lay, s = setup.layout, setup.structure(memory.widths)
+    dt, hold = setup.settings.dt, setup.settings.hold
+    step = dt / setup.substeps
+    disc = s.discretize(memory.centre, step)
+    n, nu = lay.n, lay.nu
+    forces = _forces(setup, tuple(memory.sizes.tolist()))
+    head, floor = setup.head(memory, setup.bounds_about(memory.origin), *forces)
+    q = disc.linear.size
+    sizes = np.array([n, lay.p, nu, lay.ny, q, lay.lag], dtype=np.int64)
+    if setup.fast:
+        M, dM = held_columns(disc.M[None], n, nu, hold)[0], held_columns(disc.dM, n, nu, hold)
+        fixed = np.concatenate([*head, M.ravel(), disc.O.ravel(), dM.ravel(), disc.dO.ravel(), disc.linear])
+        return Kernel(kernel.advance, sizes, fixed, (), floor)
+    pieces = 16 if s.jumps else 1
+    fine = s.discretize(memory.centre, step / pieces) if pieces > 1 else disc
+    codes, values, columns, widths = s.laws(memory.centre)
+    outcodes, outvalues = np.zeros(lay.ny, dtype=np.int64), np.zeros(lay.ny)
+    outcolumns = np.full(lay.ny, -1, dtype=np.int64)
+    for index, channel, code in s.output_statics:
+        name = "limit" if code == 1 else "fraction"
+        outcodes[channel], outvalues[channel] = code, s.value(memory.centre, index, name)
+        outcolumns[channel] = s.position(index, name)
+    statics, levels = [], []
+    for index, channel in s.input_statics:
+        code, name = _STATIC_CODES[s.effects[index].kind]
+        statics.append((code, channel, s.position(index, name)))
+        levels.append(float(s.value(memory.centre, index, name)))
+    rest = (
+        np.stack([disc.M, fine.M]), np.stack([disc.dM, fine.dM]), pieces, disc.linear, disc.O, disc.dO,
+        disc.P, disc.dP, codes, values, columns, widths,
+        np.array(statics, dtype=np.int64).reshape(-1, 3), np.array(levels, dtype=float),
+        outcodes, outvalues, outcolumns, setup.substeps, hold == "foh", dt,
+    )  # fmt: skip
+    return Kernel(_general(s), sizes, np.concatenate(head), rest, floor)
+
+
+@lru_cache(maxsize=64)
+def _forces(setup: EffectsSetup, sizes: tuple[float, ...]) -> tuple[Array, Array]:
+    """What unknown forces move in a sample, and what an input that was not measured does."""
+    s, n, n_w = setup.bare, setup.layout.n, setup.layout.nu - 1
+    level = np.array([size if size > 0 else 1.0 for size in sizes[:n_w]])
+    lower, upper = setup.bounds
+    calm = np.clip(np.where([setup.is_shape(i) for i in range(setup.layout.p)], 1.0, 0.0), lower, upper)
+    m = s.matrices(calm)
+    inputs = m.B[:, :n_w] * level * setup.settings.dt
+    top = max((float(np.linalg.norm(column)) for column in inputs.T), default=0.0) or setup.settings.dt
+    acts = []
+    for port in s.model.ports:
+        size = float(np.linalg.norm(port.act))
+        if size > 0:
+            acts.append(np.concatenate([port.act, np.zeros(n - port.act.size)]) * (top / size))
+    return np.column_stack([inputs, *acts]) * setup.settings.disturbance, inputs
+
+
+def _general(structure: Structure) -> Callable[..., tuple[int, int]]:
+    """The loop for any effects, bound to the user's own laws where there are any."""
+    if not structure.custom_laws:
+        return kernel.advance_general
+    source = {name: getattr(value, "py_func", value) for name, value in vars(kernel).items()}
+    source["march"] = _kernel(structure)
+    bound: dict[str, Any] = dict(source)
+    for name, value in source.items():
+        if isinstance(value, types.FunctionType) and value.__module__ == kernel.__name__:
+            bound[name] = types.FunctionType(value.__code__, bound)
+    run: Callable[..., tuple[int, int]] = bound["advance_general"]
+    return run
+
+
+def make_effects_setup(
+    model: Any,
+    effects: Sequence[Effect],
+    dt: float,
+    *,
+    hold: str = "zoh",
+    noise: Any = None,
+    disturbance: float | None = None,
+    forgetting: float = 1.0,
+    substeps: int | None = None,
+) -> EffectsSetup:
+    """Check what `RCORefiner` was given for the physical stage."""
+    effects = as_effects(effects, "effects")
+    for effect in effects:
+        if effect.kind == "output_delay":
+            raise ModelError(
+                f"{effect.label}: a delay at an output needs the future and cannot be estimated on a stream; "
+                "use an input_delay, an output_lag, or refine() on a record"
+            )
+    if not effects:
+        raise ModelError("effects is empty: name at least one Effect, or leave effects out")
+    seen: set[tuple[str, str]] = set()
+    for effect in effects:
+        if (effect.kind, effect.place) in seen:
+            raise ModelError(f"{effect.label} is named twice; give each effect once")
+        seen.add((effect.kind, effect.place))
+    given = getattr(model, "system", model)
+    if isinstance(given, ct.StateSpace) and given.dt != 0:
+        raise ModelError(
+            f"model {given.name!r} is discrete, and physical effects live in continuous time; "
+            "give the continuous model, or convert it with rcorefine.d2c"
+        )
+    physical = as_physical(model)
+    check_stream_hold(physical, hold)
+    settings = checked_settings(physical.linear.n_outputs, dt, hold, noise, disturbance, forgetting)
+    bare = Structure(physical, effects)
+    if bare.n_parameters == 0:
+        raise ModelError("every coefficient of the effects is fixed; leave at least one free")
+    steps = 4 if substeps is None else as_whole(substeps, "substeps", least=1, error=ModelError)
+    return EffectsSetup(physical, tuple(effects), settings, 1 if bare.is_linear else steps)

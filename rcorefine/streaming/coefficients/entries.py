@@ -1,0 +1,241 @@
+"""Entries of a linear model as coefficients: [A B; C D] plus patterns times coefficients."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ...systems.exponential import exponential
+from ...systems.linear import Array, LinearModel
+from .kernel import advance
+from .memory import CoefficientMemory, Layout
+from .restart import go_over
+from .setup import NEVER, FilterSettings, Kernel, Setup
+
+__all__ = ["EntriesSetup"]
+
+# Samples at which the first ones are gone over: a wrong start spoils what was learned from them.
+MILESTONES = (32, 64, 128, 256, 512, 1024, 2048)
+_TINY_STEP = 1e-30
+_SHARE = 0.3  # of its standard deviation that an entry may move before the model is discretized anew
+_SURPRISE = 9.0  # mean square of about 32 innovations over their variance: what was learned does not hold
+_UNSEEN = 1e-7  # of the largest change of the response: a direction that changes it less changes nothing
+_LEAST = 0.1  # prior of an entry that is zero, over what would move its row as much as all else does
+
+
+@dataclass(frozen=True, eq=False)
+class EntriesSetup(Setup):
+    """A linear model whose matrices depend linearly on coefficients, in its own timebase.
+
+    Parameters
+    ----------
+    initial : LinearModel
+        Initial model, as it was given.
+    base : LinearModel
+        The model that the patterns change: the initial one, or the same discretized.
+    patterns : ndarray of shape (p, n + n_y, n + n_w)
+        Change of [A B; C D] by a unit of each coefficient.
+    names : tuple of str
+        Names of the coefficients.
+    nominal : ndarray of shape (p,)
+        Size of what each coefficient changes, in its unit; 0 where that is zero.
+    value : ndarray of shape (p,)
+        Value of the entry at coefficient zero, 0 where it is no single entry.
+    share_of_rate : float
+        Prior standard deviation of a coefficient over what would move its row as much as all else does.
+    settings : FilterSettings
+        Sampling, noise, memory.
+    one_to_one : bool
+        Hold the coefficients still along directions that change no response of the initial model,
+        so that each response has one set of them.
+    """
+
+    initial: LinearModel
+    base: LinearModel
+    patterns: Array
+    names: tuple[str, ...]
+    nominal: Array
+    value: Array
+    share_of_rate: float
+    settings: FilterSettings
+    one_to_one: bool = False
+
+    @property
+    def model(self) -> LinearModel:
+        """Initial model."""
+        return self.initial
+
+    @cached_property
+    def layout(self) -> Layout:
+        """Sizes of the packed memory."""
+        base = self.base
+        return Layout(base.n_states, len(self.names), base.n_inputs + 1, base.n_outputs, 0, 0)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the coefficients."""
+        return self.names
+
+    @cached_property
+    def bounds(self) -> tuple[Array, Array]:
+        """No bounds."""
+        free = np.full(len(self.names), np.inf)
+        return -free, free
+
+    @property
+    def milestones(self) -> tuple[int, ...]:
+        """Numbers of samples at which the first ones are gone over."""
+        return MILESTONES
+
+    @property
+    def share(self) -> float:
+        """Standard deviations that a coefficient may move before the model is discretized anew."""
+        return _SHARE if self.base.is_continuous else NEVER
+
+    @property
+    def watch(self) -> float:
+        """Mean square of innovations over their variance at which the filter has to begin anew."""
+        return _SURPRISE if self.names else NEVER
+
+    def start(self) -> Array:
+        """Zero, the initial model."""
+        return np.zeros(len(self.names))
+
+    def stacked(self, theta: Array) -> Array:
+        """[A B; C D] at these coefficients."""
+        return self._whole + np.tensordot(theta, self.patterns, axes=1)
+
+    @cached_property
+    def _whole(self) -> Array:
+        base = self.base
+        return np.block([[base.A, base.B], [base.C, base.D]])
+
+    @cached_property
+    def _dynamic(self) -> np.ndarray[Any, Any]:
+        """Coefficients that enter A or B."""
+        return np.flatnonzero(self.patterns[:, : self.base.n_states].any(axis=(1, 2)))
+
+    def system(self, theta: Array, widths: Array, name: str) -> LinearModel:
+        """Model at these coefficients, in the timebase that it is estimated in."""
+        n, whole = self.base.n_states, self.stacked(theta)
+        return self.base.with_arrays(
+            A=whole[:n, :n], B=whole[:n, n:], C=whole[n:, :n], D=whole[n:, n:], name=name
+        )
+
+    def rows(self, theta: Array, spread: Array) -> tuple[Any, ...]:
+        """Estimated parameters, one row each."""
+        from ...inference.refinement import EstimatedParameter
+
+        return tuple(
+            EstimatedParameter(
+                name=name, kind="coefficient", place=name, initial=float(value), value=float(value + change),
+                coefficient=float(change), std=float(std), unit="", role="coefficient",
+            )
+            for name, value, change, std in zip(self.names, self.value, theta, spread, strict=True)
+        )  # fmt: skip
+
+    def go_over(self, memory: CoefficientMemory) -> CoefficientMemory:
+        """Memory after the first samples, gone over again from the present coefficients."""
+        return go_over(self, memory)
+
+    # -- for the kernel ------------------------------------------------------------------------------
+
+    def discretized(self, theta: Array) -> tuple[Array, Array]:
+        """Columns of the state, the inputs before and after one sample; derivatives by each coefficient."""
+        base, hold = self.base, self.settings.hold
+        n, nw, p = base.n_states, base.n_inputs, len(self.names)
+        nu = nw + 1
+        whole = self.stacked(theta)[:n]
+        M, dM = np.zeros((1, n, n + 2 * nu)), np.zeros((p, n, n + 2 * nu))
+        if not base.is_continuous:
+            M[0, :, : n + nw] = whole
+            dM[:, :, : n + nw] = self.patterns[:, :n]
+            return M[0], dM
+        columns = 2 * nw if hold == "foh" else nw
+        moving = self._dynamic
+        blocks = np.zeros((1 + moving.size, n + columns, n + columns), complex)
+        blocks[:, :n, : n + nw] = whole
+        blocks[1:, :n, : n + nw] += 1j * _TINY_STEP * self.patterns[moving, :n]
+        blocks *= self.settings.dt
+        if hold == "foh":
+            blocks[:, n : n + nw, n + nw :] = np.eye(nw)
+        with np.errstate(over="ignore", invalid="ignore"):  # the loop says so where the model blows up
+            E = exponential(blocks)[:, :n]
+        late = E[:, :, n + nw :] if hold == "foh" else np.zeros((len(E), n, nw))
+        held = np.zeros((len(E), n, n + 2 * nu), complex)
+        held[:, :, :n] = E[:, :, :n]
+        held[:, :, n : n + nw] = E[:, :, n : n + nw] - late
+        held[:, :, n + nu : n + nu + nw] = late
+        M[0] = held[0].real
+        dM[moving] = held[1:].imag / _TINY_STEP
+        return M[0], dM
+
+    def compile(self, memory: CoefficientMemory) -> Kernel:
+        """Discretize at `memory.centre` and pack what the loop needs."""
+        lay, base = self.layout, self.base
+        n, nu, ny, p = lay.n, lay.nu, lay.ny, lay.p
+        nw = nu - 1
+        M, dM = self.discretized(memory.centre)
+        O, dO = np.zeros((ny, n + nu)), np.zeros((p, ny, n + nu))
+        O[:, : n + nw] = self.stacked(memory.centre)[n:]
+        dO[:, :, : n + nw] = self.patterns[:, n:]
+        level = np.where(memory.sizes[:nw] > 0, memory.sizes[:nw], 1.0)
+        inputs = base.B * level * (self.settings.dt if base.is_continuous else 1.0)
+        head, floor = self.head(memory, self.bounds, inputs * self.settings.disturbance, inputs)
+        fixed = np.concatenate([*head, M.ravel(), O.ravel(), dM.ravel(), dO.ravel(), np.arange(float(p))])
+        sizes = np.array([n, p, nu, ny, p, 0], dtype=np.int64)
+        return Kernel(advance, sizes, fixed, (), floor)
+
+    def prior_covariance(self, spread: Array) -> Array:
+        """Covariance of the coefficients before the first sample, shape (p, p).
+
+        Along a change of coordinates of the states no sample tells anything; what linearization
+        seems to tell there would let the coefficients wander.
+        """
+        if not self.one_to_one or not self.names:
+            return super().prior_covariance(spread)
+        _, sizes, directions = np.linalg.svd(self._response_change * spread)
+        seen = directions[: np.count_nonzero(sizes > _UNSEEN * sizes[0])]
+        return np.asarray((seen * spread).T @ (seen * spread))
+
+    @cached_property
+    def _response_change(self) -> Array:
+        """Change of the initial model's frequency response by each coefficient, shape (2 K n_y n_w, p)."""
+        n, nw, p = self.base.n_states, self.base.n_inputs, len(self.names)
+        M, dM = self.discretized(self.start())
+        nu = nw + 1
+        A, B = M[:, :n], M[:, n : n + nw] + M[:, n + nu : n + nu + nw]
+        C = self.base.C
+        rows = []
+        for omega in np.geomspace(1e-3, 0.9, 60) * np.pi:
+            resolvent = np.linalg.inv(np.exp(1j * omega) * np.eye(n) - A)
+            left, right = C @ resolvent, resolvent @ B
+            size = max(float(np.abs(left @ B + self.base.D).max(initial=0.0)), 1e-300)
+            dA, dB = dM[:, :, :n], dM[:, :, n : n + nw] + dM[:, :, n + nu : n + nu + nw]
+            change = left @ (dA @ right + dB) + self.patterns[:, n:, :n] @ right + self.patterns[:, n:, n:]
+            rows.append(change.reshape(p, -1).T / size)
+        found = np.concatenate(rows)
+        return np.concatenate([found.real, found.imag])
+
+    # -- sizes ---------------------------------------------------------------------------------------
+
+    def prior(self, states: Array, inputs: Array, outputs: Array) -> Array:
+        """Standard deviation of each coefficient for signals of these sizes."""
+        base = self.base
+        whole = np.abs(self._whole - np.eye(*self._whole.shape) * (not base.is_continuous))
+        sources = np.concatenate([states, inputs])
+        moved = np.abs(whole) * sources
+        rate = np.concatenate([moved[: base.n_states].max(axis=1, initial=0.0), outputs])
+        rest = states / self.settings.dt if base.is_continuous else states
+        rate[: base.n_states] = np.where(rate[: base.n_states] > 0, rate[: base.n_states], rest)
+        found = np.zeros(len(self.names))
+        for a, pattern in enumerate(self.patterns):
+            drive = np.abs(pattern) * sources  # what a unit of the coefficient moves, row by row
+            active = drive > 0
+            by_rate = float(np.min((rate[:, None] / np.where(active, drive, 1.0))[active], initial=np.inf))
+            by_rate = by_rate if np.isfinite(by_rate) else 1.0
+            found[a] = max(0.5 * self.nominal[a], self.share_of_rate * by_rate) or _LEAST * by_rate
+        return found

@@ -1,0 +1,108 @@
+"""Samples that are missing: where they are, and how the paper's stages are carried over them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import control as ct
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..arguments import as_choice
+from ..systems.linear import Array
+from .checks import as_samples, check_samples
+from .rcmr.setup import Sampled
+
+__all__ = ["Block", "as_missing", "block_with_gaps", "whole_block"]
+
+RAISE, HOLD_OUT = "raise", "hold-out"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Block:
+    """Samples with gaps bridged, and which of them were measured.
+
+    Parameters
+    ----------
+    inputs, outputs : ndarray of shape (N, n_w), (N, n_y)
+        Finite samples; an input that is missing keeps its last value.
+    known : ndarray of uint8, shape (N,)
+        Whether all inputs of the sample were measured.
+    use : ndarray of uint8, shape (N, n_y)
+        Which outputs were measured.
+    """
+
+    inputs: Array
+    outputs: Array
+    known: NDArray[np.uint8]
+    use: NDArray[np.uint8]
+
+    @property
+    def whole(self) -> bool:
+        """Whether nothing is missing."""
+        return bool(self.known.all() and self.use.all())
+
+
+@lru_cache(maxsize=16)
+def _all_there(n_samples: int, n_outputs: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    known, use = np.ones(n_samples, dtype=np.uint8), np.ones((n_samples, n_outputs), dtype=np.uint8)
+    return known, use
+
+
+def whole_block(inputs: Array, outputs: Array) -> Block:
+    """Samples without a gap."""
+    return Block(inputs, outputs, *_all_there(*outputs.shape))
+
+
+def as_missing(value: Any) -> str:
+    """What to do about missing samples."""
+    return as_choice(value, "missing", (RAISE, HOLD_OUT))
+
+
+def _unmasked(values: Any) -> Any:
+    """Masked samples as NaN."""
+    if np.ma.isMaskedArray(values):
+        return np.ma.filled(np.ma.asarray(values, dtype=float), np.nan)
+    return values
+
+
+def block_with_gaps(setup: Sampled, w: ArrayLike, y: ArrayLike, first: int, latest: Array) -> Block:
+    """One sample or a block of which NaN or masked samples are missing.
+
+    Parameters
+    ----------
+    setup : Sampled
+        Model with its labels.
+    w, y : array_like
+        As in `RCORefiner.update`.
+    first : int
+        Number of samples taken before.
+    latest : ndarray of shape (n_w,)
+        Inputs of the sample before, to go on with where one is missing.
+    """
+    model = setup.initial
+    inputs = as_samples(_unmasked(w), "inputs", model.n_inputs)
+    outputs = as_samples(_unmasked(y), "outputs", model.n_outputs)
+    if inputs.shape[1] != outputs.shape[1]:
+        raise ct.ControlDimension(
+            f"inputs have {inputs.shape[1]} sample(s) and outputs {outputs.shape[1]}; "
+            "give both at the same samples"
+        )
+    signals: Sequence[tuple[Array, tuple[str, ...], str]] = (
+        (inputs, model.input_labels, "input"),
+        (outputs, model.output_labels, "output"),
+    )
+    for signal, labels, what in signals:
+        check_samples(np.where(np.isnan(signal), 0.0, signal), labels, what, first, setup.step)
+    known, use = np.asarray(~np.isnan(inputs).any(axis=0)), ~np.isnan(outputs)
+    inputs, outputs = np.ascontiguousarray(inputs.T), np.ascontiguousarray(outputs.T)
+    before = latest
+    for row in inputs:
+        gap = np.isnan(row)
+        row[gap] = before[gap]
+        before = row
+    outputs[~use.T] = 0.0
+    return Block(inputs, outputs, known.astype(np.uint8), np.ascontiguousarray(use.T).astype(np.uint8))

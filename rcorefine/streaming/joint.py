@@ -1,0 +1,231 @@
+"""The static stage as a filter for state and coefficients jointly, stage 1 beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ..exceptions import RCOError
+from ..systems.linear import Array, LinearModel
+from ..systems.nearest import nearest_continuous
+from . import summary
+from .coefficients.estimator import CoefficientFilter, joined
+from .coefficients.history import CoefficientHistory
+from .gaps import Block
+from .race import Race
+from .rcmr.history import pole_samples, poles_of
+from .rcmr.paper import PaperStages
+from .restoring import check_like
+from .uncertainty import response_deviation, variants
+
+__all__ = ["JointStages"]
+
+_PENDING = 32  # single samples that wait for one another in a race, until a result is asked for
+
+
+class JointStages:
+    """Coefficients by one filter or by several in a race, and the paper's stage 1 beside them.
+
+    Parameters
+    ----------
+    static : CoefficientFilter or Race
+        The static stage.
+    first : PaperStages or None
+        Stage 1, None where it does not run.
+    model : LinearModel
+        Initial model.
+    keep : bool
+        Whether to keep the course of every sample.
+    silent : str
+        Why stage 1 does not run, "" where that was asked for.
+    """
+
+    def __init__(
+        self,
+        static: CoefficientFilter | Race,
+        first: PaperStages | None,
+        model: LinearModel,
+        keep: bool,
+        silent: str,
+    ) -> None:
+        self._static, self.first, self.model, self.keep, self._silent = static, first, model, keep, silent
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all samples."""
+        self._waiting: list[Block] = []
+        self._static.reset()
+        if self.first is not None:
+            self.first.reset()
+        self.stopped = self._silent
+
+    # -- samples in ----------------------------------------------------------------------------------
+
+    @property
+    def static(self) -> CoefficientFilter | Race:
+        """The static stage, all samples learned."""
+        self._flush()
+        return self._static
+
+    @property
+    def stage_one(self) -> PaperStages | None:
+        """Stage 1, all samples learned."""
+        self._flush()
+        return self.first
+
+    @property
+    def filter(self) -> CoefficientFilter:
+        """Filter of the coefficients that the refined model has."""
+        static = self.static
+        return static.filter if isinstance(static, Race) else static
+
+    @property
+    def n_samples(self) -> int:
+        """Samples taken."""
+        static = self._static
+        learned = static.n_samples if isinstance(static, Race) else static.memory.n_samples
+        return learned + len(self._waiting)
+
+    @property
+    def n_learned(self) -> int:
+        """Samples learned from: 0 while the first are held back."""
+        return self.n_samples if self.filter.memory.rounds else 0
+
+    def take(self, block: Block, *, keep_sound: bool = False) -> None:
+        """Learn from a block: all of it or nothing."""
+        if len(block.inputs) > 1:
+            self._flush()
+            self._learn(block)
+        elif isinstance(self._static, Race):
+            self._waiting.append(block)
+            if len(self._waiting) >= _PENDING:
+                self._flush()
+        elif self.first is None and block.whole and self._static.one(block.inputs, block.outputs):
+            return
+        else:
+            self._learn(block)
+
+    def _flush(self) -> None:
+        """Learn from the single samples that wait."""
+        if self._waiting:
+            waiting, self._waiting = self._waiting, []
+            self._learn(Block(*(np.concatenate([getattr(b, part) for b in waiting]) for part in _PARTS)))
+
+    def _learn(self, block: Block) -> None:
+        static, beside = self._static, self.first is not None and not self.stopped
+        if isinstance(static, Race):
+            outputs = static.take(block, predict=beside and not block.whole)
+        else:
+            taken = static.taken(
+                block.inputs, block.known, block.outputs, block.use, beside and not block.whole
+            )
+            outputs = taken[1].predicted
+        if beside:
+            self._run_beside(block, outputs)
+        if not isinstance(static, Race):
+            static.commit(taken, block.outputs, block.use)
+
+    def _run_beside(self, block: Block, predicted: Array) -> None:
+        """Stage 1 on the same samples; in a gap it sees what the static stage predicts."""
+        assert self.first is not None
+        outputs = block.outputs
+        if not block.whole:
+            outputs = np.where(block.use > 0, outputs, np.where(np.isfinite(predicted), predicted, 0.0))
+        try:
+            self.first.take_sound(block.inputs, outputs)
+        except RCOError as error:
+            self.stopped = f"Stage 1 stopped: {error}"
+
+    def finish(self) -> None:
+        """Learn from what is still held back, however short."""
+        self.static.finish()
+
+    # -- results -------------------------------------------------------------------------------------
+
+    def system(self, name: str) -> LinearModel:
+        """Refined model, continuous where the initial one is."""
+        model = self.static.system(name)
+        if self.model.is_continuous and not model.is_continuous:
+            return nearest_continuous(model)
+        return model
+
+    def discrete_system(self, name: str) -> LinearModel:
+        """Refined model in discrete time."""
+        return self.static.discrete_system(name)
+
+    def predict(self, inputs: Array) -> Array:
+        """Free run on further inputs of shape (N, n_w); outputs of shape (n_y, N)."""
+        return self.filter.predict(inputs)
+
+    def static_theta(self) -> Array:
+        """Static coefficients, shape (1, p)."""
+        return self.filter.theta[None]
+
+    def standard_deviations(self) -> Array:
+        """Standard deviations of the static coefficients, shape (1, p)."""
+        return self.filter.standard_deviations[None]
+
+    def deviation(self) -> Callable[[Array], Array] | None:
+        """Standard deviation of the refined response by frequency, None where it is not known."""
+        part = self.filter
+        around = variants(part)
+        if not around:
+            return None
+        return partial(response_deviation, part.system(""), around)
+
+    def history(self) -> CoefficientHistory:
+        """Course of both stages."""
+        part = self.filter
+        setup, lay = part.setup, part.setup.layout
+        y = joined([y for _, y in part.records], lay.ny)
+        total = y.shape[1]
+        first = None if self.first is None else self.first.history()
+
+        def beside(values: Array | None, rows: int) -> Array:
+            values = np.zeros((rows, 0)) if values is None else values[:, :total]
+            return np.pad(values, ((0, 0), (0, total - values.shape[1])), constant_values=np.nan)
+
+        theta = joined([r.theta for r, _ in part.records], lay.p)
+        timepts = np.arange(total, dtype=np.float64) * setup.settings.dt
+        at = pole_samples(total)
+        systems = [setup.system(theta[:, k], part.memory.widths, "") for k in at]
+        return CoefficientHistory(
+            timepts=timepts,
+            coefficients=theta,
+            poles=poles_of(systems, setup.settings.dt),
+            pole_timepts=timepts[at],
+            z1=beside(None if first is None else first.z1, lay.ny),
+            z2=joined([r.predicted for r, _ in part.records], lay.ny) - y,
+            x_D=beside(None if first is None else first.x, self.model.n_states),
+            x=joined([r.x for r, _ in part.records], lay.n),
+            y=y,
+            names=setup.labels,
+            output_labels=self.model.output_labels,
+        )
+
+    def summary(self) -> summary.Summary:
+        """Cells and sentences of `str`."""
+        static = self.static
+        if isinstance(static, Race):
+            return summary.summarize_race(self.model, static, self.stopped)
+        return summary.summarize_coefficients(self.model, static, self.stopped)
+
+    def state(self) -> dict[str, Any]:
+        """All that is remembered, for a file."""
+        static = self.static.state()  # all samples learned
+        first = None if self.first is None else self.first.state()
+        return {"static": static, "first": first, "stopped": self.stopped}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from what `state` gave."""
+        check_like(state["stopped"], "", "stopped")
+        self._static.restore(state["static"])
+        self.stopped = state["stopped"]
+        if self.first is not None:
+            self.first.restore(state["first"])
+
+
+_PARTS = ("inputs", "outputs", "known", "use")

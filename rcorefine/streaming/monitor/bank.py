@@ -1,0 +1,267 @@
+"""What each candidate would do to the outputs, as forces along the estimated motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...data.measurement import Measurement
+from ...effects.effect import Effect
+from ...effects.kernel import CODES as LAWS
+from ...engine.engine import Engine
+from ...engine.structure import Structure
+from ...inference.starts import Motion, law_widths, shape_starts
+from ...systems.discretization import discretize
+from ...systems.linear import Array
+from .kernels import CODES, forces
+
+__all__ = ["SHAPING", "UNSEEN", "Bank", "build_bank"]
+
+#: Kinds that are no force along a known motion.
+UNSEEN = frozenset({"hidden_mode"})
+#: Coefficients that give a law its shape rather than its strength.
+SHAPING = frozenset({"gap", "threshold", "velocity", "displacement", "limit"})
+_DIRECT = {
+    "gain": "damping", "offset": "constant", "delay": "delay", "lag": "delay",
+    "rectification": "rectification",
+}  # fmt: skip
+_MOST_SHAPES = 3  # of a law with a gap, a limit or a fading speed
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bank:
+    """Columns of all candidates.
+
+    Attributes
+    ----------
+    effects : tuple of Effect
+        Candidates.
+    owner : ndarray of int, shape (k,)
+        Candidate of each column.
+    rows : ndarray, shape (2, k, n + n_w)
+        What each column senses of states and inputs: d and v.
+    codes, values, widths, pick
+        Law of each column, as in `kernels.forces`.
+    drive : ndarray, shape (2, n, k)
+        What a unit force does to the states, falling from one to zero and rising.
+    through : ndarray, shape (n_y, k)
+        What it does to the outputs at once.
+    names : tuple of str
+        Coefficient that each column stands for.
+    Phi, C : ndarray
+        Transition and output matrix that forces pass, (n, n) and (n_y, n).
+    scale : ndarray, shape (k,)
+        Unit in which each coefficient is counted, so that forces have unit size.
+    """
+
+    effects: tuple[Effect, ...]
+    owner: NDArray[np.int64]
+    rows: Array
+    codes: NDArray[np.int64]
+    values: Array
+    widths: Array
+    pick: NDArray[np.int64]
+    drive: Array
+    through: Array
+    names: tuple[str, ...]
+    Phi: Array
+    C: Array
+    scale: Array
+
+    @property
+    def size(self) -> int:
+        """Number of columns."""
+        return int(self.owner.size)
+
+
+@dataclass(slots=True)
+class _Column:
+    owner: int
+    name: str
+    code: int
+    d: Array
+    v: Array
+    act: Array
+    through: Array
+    hold: str = "foh"
+    values: tuple[float, ...] = ()
+    width: float = 1.0
+    pick: int = 0
+
+
+def build_bank(
+    structure: Structure,
+    theta: Array,
+    candidates: Sequence[Effect],
+    data: Measurement,
+    hold: str,
+    gain: Array,
+) -> Bank:
+    """Columns of the candidates.
+
+    Parameters
+    ----------
+    structure, theta
+        Healthy model.
+    candidates : sequence of Effect
+        What may come.
+    data : Measurement
+        Healthy stretch, for the shapes of laws with a gap or a limit.
+    hold : str
+        Input between samples.
+    gain : ndarray, shape (n, n_y)
+        Gain of the observer.
+
+    Returns
+    -------
+    Bank
+    """
+    motion = Motion(structure, theta, data)
+    A = linearized(structure, theta, data, gain)
+    found: list[_Column] = []
+    for owner, effect in enumerate(candidates):
+        found += _columns(structure, theta, A, owner, effect, motion)
+    n, k = structure.n_states, len(found)
+    drive = np.zeros((2, n, k))
+    for hold_of in ("foh", "zoh"):
+        which = [j for j, c in enumerate(found) if (hold if c.hold == "input" else "foh") == hold_of]
+        if which:
+            acts = np.column_stack([found[j].act for j in which])
+            _, drive[0][:, which], drive[1][:, which] = discretize(A, acts, data.dt, hold_of)
+    bank = Bank(
+        tuple(candidates),
+        np.array([c.owner for c in found], dtype=np.int64),
+        np.ascontiguousarray(np.stack([[c.d for c in found], [c.v for c in found]])),
+        np.array([c.code for c in found], dtype=np.int64),
+        np.array([(*c.values, 0.0, 0.0, 0.0, 0.0)[:4] for c in found]),
+        np.array([c.width for c in found]),
+        np.array([c.pick for c in found], dtype=np.int64),
+        drive,
+        np.ascontiguousarray(np.column_stack([c.through for c in found])),
+        tuple(c.name for c in found),
+        np.ascontiguousarray(discretize(A, np.zeros((n, 1)), data.dt)[0]),
+        np.ascontiguousarray(structure.matrices(theta).C.astype(float)),
+        np.ones(k),
+    )
+    unit = _sizes(bank, structure, theta, data, gain)
+    # a law that has nothing to work on here, as hysteresis without a displacement
+    idle = unit == 0
+    return replace(bank, scale=unit, codes=np.where(idle, CODES["constant"], bank.codes))
+
+
+def _sizes(bank: Bank, structure: Structure, theta: Array, data: Measurement, gain: Array) -> Array:
+    """One over the rms force of each column per unit of its coefficient, 0 where there is none."""
+    run = Engine(structure, data, substeps=2 if structure.n_ports else 1).run(
+        theta, sensitivity=False, gain=gain, histories=True, check=False
+    )
+    X = np.ascontiguousarray(np.vstack([np.nan_to_num(run.states), data.inputs]).T)
+    F, inner = np.zeros((data.n_samples, bank.size)), np.full((3, bank.size), np.nan)
+    inner[0] = 0.0
+    forces(X, bank.rows, bank.codes, bank.values, bank.widths, bank.pick, 1.0 / data.dt, inner, F)
+    size = np.sqrt(np.mean(F**2, axis=0))
+    seen = np.isfinite(size) & (size > 0)
+    return np.where(seen, 1.0 / np.where(seen, size, 1.0), np.where(np.isfinite(size), 1.0, 0.0))
+
+
+def linearized(structure: Structure, theta: Array, data: Measurement, gain: Array) -> Array:
+    """A with each nonlinear force of the healthy model replaced by its best linear fit."""
+    m = structure.matrices(theta)
+    A = m.A.astype(float)
+    if structure.n_ports == 0:
+        return A
+    run = Engine(structure, data, substeps=2).run(
+        theta, sensitivity=False, gain=gain, histories=True, check=False
+    )
+    forces = np.nan_to_num(run.forces)
+    drive = np.vstack([np.nan_to_num(run.states), data.inputs, np.ones((1, data.n_samples))])
+    n, ports = structure.n_states, structure.n_ports
+    for i in range(ports):
+        rows = m.P[[i, ports + i]].astype(float)
+        sensed = (rows @ drive[: rows.shape[1]]).T
+        sensed = sensed - sensed.mean(axis=0)
+        size = np.sqrt(np.mean(sensed**2, axis=0))
+        scale = np.where(size > 0, size, 1.0)
+        slopes = np.linalg.lstsq(sensed / scale, forces[i] - forces[i].mean(), rcond=1e-8)[0]
+        A = A + np.outer(m.E[:, i].astype(float), np.where(size > 0, slopes / scale, 0.0) @ rows[:, :n])
+    return A
+
+
+def _columns(
+    structure: Structure, theta: Array, A: Array, owner: int, effect: Effect, motion: Motion
+) -> list[_Column]:
+    m = structure.matrices(theta)
+    n, nw, ny = structure.n_states, structure.n_inputs, structure.n_outputs
+    B, C, D = m.B[:, :nw].astype(float), m.C.astype(float), m.D[:, :nw].astype(float)
+    rate = np.zeros((ny, n))
+    rate[:, : structure.model.output_rate.shape[1]] = structure.model.output_rate
+    zero = np.zeros(n + nw)
+
+    def at(place: tuple[Array, Array], d: Array, v: Array, name: str, code: int, **law: Any) -> _Column:
+        return _Column(owner, name, code, d, v, *place, **law)
+
+    first = effect.coefficients[0]
+    kind = effect.kind
+    if kind == "coefficient":
+        row, column = structure.model.entry(effect.place)
+        act = np.eye(n)[row]
+        return [at((act, rate @ act), zero, np.eye(n + nw)[column], first, CODES["damping"])]
+    if kind.startswith(("input_", "output_")):
+        what = kind.split("_", 1)[1]
+        if kind.startswith("input_"):
+            i = structure.linear_model.input_labels.index(effect.place)
+            place, sense, hold = (B[:, i], D[:, i]), np.eye(n + nw)[n + i], "input"
+        else:
+            i = structure.linear_model.output_labels.index(effect.place)
+            place, sense, hold = (np.zeros(n), np.eye(ny)[i]), np.concatenate([C[i], D[i]]), "foh"
+        if what in _DIRECT:
+            return [at(place, zero, sense, first, CODES[_DIRECT[what]], hold=hold)]
+        shapes = _shapes(structure, theta, effect, motion)
+        return [
+            at(place, zero, sense, first, CODES[what], hold=hold, values=(0.0, shape[first]))
+            for shape in shapes
+        ]
+    port = structure.model.port(effect.place)
+    pad = n - port.act.size
+    act = np.pad(port.act, (0, pad))
+    place = act, rate @ act
+    d = np.concatenate([port.position, np.zeros(pad), port.position_input])
+    v = np.concatenate([port.velocity, np.zeros(pad), port.velocity_input])
+    if kind == "mass":
+        full = np.pad(port.velocity, (0, pad))
+        a = np.concatenate([full @ A, full @ B + port.acceleration_input])
+        return [at(place, zero, a, first, CODES["damping"])]
+    if kind == "constant_force":
+        return [at(place, zero, zero, first, CODES["constant"])]
+    if kind in ("stiffness", "damping"):
+        return [at(place, d, v, first, CODES[kind])]
+    if kind == "custom":
+        return [at(place, d, v, first, 0)]
+    probe = Structure(structure.model, [effect])
+    width = law_widths(probe, motion).get(0, 1.0)
+    found = []
+    for shape in _shapes(structure, theta, effect, motion):
+        values = tuple(shape.get(name, 0.0) for name in effect.coefficients)
+        found += [
+            at(place, d, v, name, LAWS[kind], values=values, width=width, pick=c)
+            for c, name in enumerate(effect.coefficients)
+            if name not in SHAPING and name not in effect.fixed
+        ]
+    return found
+
+
+def _shapes(structure: Structure, theta: Array, effect: Effect, motion: Motion) -> list[dict[str, float]]:
+    """Coefficients at which the law is looked at: its gap, limit or fading speed, the forces zero."""
+    probe = Structure(structure.model, [effect])
+    sets: list[dict[str, float]] = []
+    for point in shape_starts(probe, probe.start(), motion):
+        shape = dict(effect.fixed)
+        for i, q in enumerate(probe.parameters):
+            shapes = q.name in SHAPING or effect.kind in ("hysteresis", "stribeck_friction")
+            shape[q.name] = float(point[i]) if shapes and q.name != "force" else 0.0
+        if shape not in sets:
+            sets.append(shape)
+    return sets[:_MOST_SHAPES]

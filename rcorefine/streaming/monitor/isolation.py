@@ -1,0 +1,254 @@
+"""Which candidate it is: each one fitted to the samples since the change, in the observer's form."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from ...data.measurement import Measurement
+from ...effects.effect import Effect
+from ...engine.engine import Engine
+from ...engine.structure import Structure
+from ...inference.sizes import natural_sizes
+from ...inference.starts import Motion, law_widths, shape_starts
+from ...systems.linear import Array
+from .bank import SHAPING
+
+__all__ = ["Fit", "Stretch", "fit_candidate"]
+
+_STEPS = 12
+_MOST_STARTS = 2
+_REACH = 8.0
+_HUGE = 1e100  # errors and slopes beyond which the model has blown up
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stretch:
+    """Samples since the change, and how the healthy model is led through them.
+
+    Attributes
+    ----------
+    structure : Structure
+        Healthy model.
+    theta : ndarray, shape (p,)
+        Its coefficients.
+    substeps : int
+        Substeps per sample.
+    data : Measurement
+        Samples, gaps filled.
+    use : ndarray of uint8, shape (N, n_y)
+        Which outputs were measured.
+    x0 : ndarray, shape (n,)
+        State before the first sample.
+    gain : ndarray, shape (n, n_y)
+        Observer gain.
+    filters, mix : ndarray
+        Whitening, the present noise level included.
+    free_state : bool
+        Whether the initial state is not to be trusted, and is fitted too.
+    """
+
+    structure: Structure
+    theta: Array
+    substeps: int
+    data: Measurement
+    use: NDArray[np.uint8]
+    x0: Array
+    gain: Array
+    filters: Array
+    mix: Array
+    free_state: bool
+
+    @property
+    def judged(self) -> NDArray[np.bool_]:
+        """Samples that are whitened, shape (N,): they and the past of the filters were measured."""
+        whole = self.use.all(axis=1)
+        q = self.filters.shape[1]
+        if whole.size <= q:
+            return np.zeros(whole.size, dtype=bool)
+        known = np.lib.stride_tricks.sliding_window_view(whole, q + 1).all(axis=1)
+        return np.concatenate([np.zeros(q, dtype=bool), known])
+
+    def whiten(self, errors: Array) -> Array:
+        """Innovations (n_y, N) or (n_y, N, p) as independent rows of unit variance."""
+        ny, N = errors.shape[:2]
+        there = self.judged
+        flags = self.use.T > 0
+        shape = flags.reshape(ny, N, *([1] * (errors.ndim - 2)))
+        filled = np.where(shape, errors, 0.0)
+        white = np.array([lfilter(np.r_[1.0, self.filters[i]], [1.0], filled[i], axis=0) for i in range(ny)])
+        mixed = np.tensordot(self.mix, white, axes=(1, 0))[:, there]
+        return np.asarray(mixed.reshape(-1, *errors.shape[2:]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """One candidate fitted.
+
+    Attributes
+    ----------
+    effect : Effect
+        Candidate.
+    coefficients, std : ndarray, shape (p,)
+        Estimates and standard deviations.
+    cost : float
+        Sum of squares of the whitened innovations.
+    points : int
+        Their number.
+    state : ndarray, shape (n,)
+        State before the first sample.
+    """
+
+    effect: Effect | None
+    coefficients: Array
+    std: Array
+    cost: float
+    points: int
+    state: Array
+
+
+def fit_candidate(
+    stretch: Stretch,
+    effect: Effect | None,
+    motion: Motion,
+    starts: Sequence[Array] = (),
+    *,
+    alone: bool = False,
+    worst: float = math.inf,
+) -> Fit:
+    """Fit one candidate (None: the healthy model) by damped Gauss-Newton.
+
+    Parameters
+    ----------
+    stretch : Stretch
+        Samples.
+    effect : Effect or None
+        Candidate.
+    motion : Motion
+        Motion at the ports over the stretch, for the shapes of laws.
+    starts : sequence of ndarray
+        Coefficients to start from, beside those at which the effect is absent.
+    alone : bool
+        Start from `starts` alone, where there are any.
+    worst : float
+        Cost above which a fit is given up once it will not come below.
+
+    Returns
+    -------
+    Fit
+    """
+    old = stretch.structure
+    added = [] if effect is None else [effect]
+    base = Structure(old.model, [*old.effects, *added], constants=old.constants)
+    widths = law_widths(base, motion) if added else {}
+    widths.update(old.constants)
+    structure = Structure(old.model, base.effects, constants=widths)
+    steps = max(stretch.substeps, 1 if structure.is_linear else 2)
+    engine = Engine(structure, stretch.data, substeps=steps)
+    p0, p = old.n_parameters, structure.n_parameters
+    theta0 = np.concatenate([stretch.theta, structure.start()[p0:]])
+    extra = structure.n_states - old.n_states
+    x0 = np.pad(stretch.x0, (0, extra))
+    gain = np.pad(stretch.gain, ((0, extra), (0, 0)))
+    lower = np.array([q.lower for q in structure.parameters[p0:]])
+    upper = np.array([q.upper for q in structure.parameters[p0:]])
+    known = np.isfinite(lower)
+    lower[known] += 0.02 * np.abs(lower[known])  # a spring that is gone has no slope
+    lags = np.array([q.name == "time_constant" for q in structure.parameters[p0:]], dtype=bool)
+    lower[lags] = np.maximum(lower[lags], 1e-3 * stretch.data.dt)
+    known = np.isfinite(upper)
+    upper[known] -= 1e-3 * np.abs(upper[known])
+    points = [np.asarray(s, dtype=float) for s in starts if len(s) == p - p0 and np.isfinite(s).all()]
+    if added and not (alone and points):
+        points += [s[p0:] for s in shape_starts(structure, theta0, motion)[:_MOST_STARTS]]
+    best: Fit | None = None
+    for start in points or [np.zeros(0)]:
+        low, high = lower.copy(), upper.copy()
+        for i, q in enumerate(structure.parameters[p0:]):
+            if q.name in SHAPING:  # far off its motion a law turns into another one
+                low[i] = max(low[i], start[i] / _REACH)
+                high[i] = min(high[i], start[i] * _REACH)
+        found = _descend(stretch, engine, gain, x0, np.clip(start, low, high), low, high, effect, worst)
+        if best is None or found.cost < best.cost:
+            best = found
+    assert best is not None
+    return best
+
+
+def _descend(
+    stretch: Stretch,
+    engine: Engine,
+    gain: Array,
+    x0: Array,
+    start: Array,
+    lower: Array,
+    upper: Array,
+    effect: Effect | None,
+    worst: float,
+) -> Fit:
+    p0, p, n = stretch.theta.size, start.size, x0.size
+    free = n if stretch.free_state else 0
+    y = stretch.data.outputs
+    K = gain if gain.any() else None
+
+    slopes = p > 0 or free > 0
+    sizes = np.concatenate([natural_sizes(engine.structure, [engine.data])[p0:], np.ones(free)])
+
+    def evaluate(point: Array) -> tuple[float, Array, Array]:
+        theta = np.concatenate([stretch.theta, point[:p]])
+        begin = x0 + point[p:] if free else x0
+        run = engine.run(
+            theta, begin, sensitivity=slopes, initial_state=slopes and free > 0, gain=K,
+            use=stretch.use > 0, check=False,
+        )  # fmt: skip
+        if run.blew_up >= 0 or not np.isfinite(run.outputs).all():
+            return math.inf, np.zeros(0), np.zeros((0, 0))
+        r = stretch.whiten(y - run.outputs)
+        J = stretch.whiten(-run.sensitivity[:, :, p0:]) if slopes else np.zeros((r.size, 0))
+        if not (np.abs(r).max(initial=0.0) < _HUGE and np.abs(J).max(initial=0.0) < _HUGE):
+            return math.inf, np.zeros(0), np.zeros((0, 0))
+        # no more points than unknowns tell nothing
+        return float(r @ r) if r.size > point.size else math.inf, r, J
+
+    point = np.concatenate([start, np.zeros(free)])
+    low = np.concatenate([lower, np.full(free, -np.inf)])
+    high = np.concatenate([upper, np.full(free, np.inf)])
+    cost, r, J = evaluate(point)
+    damping = 1e-6
+    for step in range(_STEPS if point.size else 0):
+        if not math.isfinite(cost):
+            break
+        size = np.linalg.norm(J, axis=0)
+        scale = np.where(size * sizes > 1e-9 * (size * sizes).max(initial=0.0), size, np.inf)
+        unit = J / scale
+        improved = False
+        for _ in range(5):
+            rows = np.vstack([unit, math.sqrt(damping) * np.eye(point.size)])
+            move = np.linalg.lstsq(rows, np.r_[-r, np.zeros(point.size)], rcond=1e-10)[0] / scale
+            trial = np.clip(point + move, low, high)
+            after, r_after, J_after = evaluate(trial)
+            if after < cost:
+                improved = True
+                break
+            damping = max(10 * damping, 1e-3)
+        if not improved:
+            break
+        left = 5 * (cost - after)
+        done = left < 0.05 or (step >= 2 and after - left > worst)
+        point, cost, r, J = trial, after, r_after, J_after
+        damping *= 0.1
+        if done:
+            break
+    std = np.full(p, np.inf)
+    if p and math.isfinite(cost):
+        size = np.linalg.norm(J, axis=0)
+        scale = np.where(size * sizes > 1e-9 * (size * sizes).max(initial=0.0), size, np.inf)
+        unit = np.where(np.isfinite(scale), J / scale, 0.0)
+        spread = np.sqrt(np.maximum(np.diag(np.linalg.pinv(unit.T @ unit, rcond=1e-12)), 0.0))
+        std = np.where(np.isfinite(scale), spread / scale, np.inf)[:p]
+    return Fit(effect, point[:p], std, cost, r.size, x0 + point[p:] if free else x0)

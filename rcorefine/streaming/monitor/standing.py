@@ -1,0 +1,289 @@
+"""What the bank says: since when, and how likely each candidate is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ...data.measurement import Measurement
+from ...effects.effect import Effect
+from ...inference.starts import Motion
+from ...systems.linear import Array
+from .alarm import MonitorRow
+from .bank import SHAPING
+from .isolation import Fit, Stretch, fit_candidate
+from .stream import Stream
+
+__all__ = [
+    "change_of",
+    "find_state",
+    "fit_all",
+    "fit_one",
+    "linear_estimates",
+    "linear_rows",
+    "misfit_remarks",
+    "shares",
+    "standing",
+]
+
+_SHORTLIST = 10
+_LEADERS = 3  # candidates with which the time of the change is settled
+_MOVES = 4
+_PLACES = 3  # leading fits whose places are searched through
+_HOPELESS = 100.0  # sum of squares by which a fit may lie behind before it is given up
+_ALWAYS = frozenset({"stiffness", "damping", "coefficient"})  # what damage changes first
+
+
+def standing(stream: Stream) -> tuple[float, Array]:
+    """Largest statistic over its threshold, and by how much each candidate's log-likelihood tops it.
+
+    Returns
+    -------
+    ratio : float
+        Largest windowed score over its threshold.
+    gain : ndarray, shape (n_candidates,)
+        Half of (squared score - squared threshold), the best of each candidate's
+        columns and windows; 0 at the threshold.
+    """
+    mem, levels = stream.memory, stream.windows.levels**2
+    V = mem["V"] * mem["factor"]
+    square = mem["N"] ** 2 / np.where(V > 1e-200, V, np.inf)
+    ratio = float(np.sqrt((square / levels[:, None]).max(initial=0.0)))
+    best = (0.5 * (square - levels[:, None])).max(axis=0)
+    return ratio, _by_candidate(stream, best)
+
+
+def _by_candidate(stream: Stream, values: Array) -> Array:
+    gain = np.full(len(stream.bank.effects), -np.inf)
+    np.maximum.at(gain, stream.bank.owner, values)
+    return gain
+
+
+def shares(change: float, gains: Array) -> Array:
+    """Probabilities of nothing and of each candidate, which are as likely before.
+
+    Parameters
+    ----------
+    change : float
+        Log-likelihood ratio of a change, 0 at the threshold.
+    gains : ndarray, shape (n_candidates,)
+        Log-likelihoods of the candidates, up to a constant.
+
+    Returns
+    -------
+    ndarray, shape (1 + n_candidates,)
+    """
+    something = 1.0 / (1.0 + math.exp(-min(max(change, -700.0), 700.0)))
+    weight = np.exp(gains - gains.max())
+    return np.concatenate([[1.0 - something], something * weight / weight.sum()])
+
+
+def change_of(stream: Stream) -> tuple[int, Array]:
+    """Sample since which something is different, and the gain of each column since.
+
+    The change that makes the likelihood of one candidate largest, among the starts of the
+    blocks that are kept.
+    """
+    starts, sums = stream.block_sums()
+    N, V = np.cumsum(sums[0][::-1], axis=0)[::-1], np.cumsum(sums[1][::-1], axis=0)[::-1]
+    factor = stream.memory["factor"].min(axis=0)
+    gain = 0.5 * N**2 / np.where(V > 1e-200, V * factor, np.inf)
+    block = int(np.argmax(gain.max(axis=1)))
+    since = int(starts[block])
+    if block > 0:  # a block in which part of the samples were sound pulls the start a block too far
+        since = max(since - stream.windows.block, int(starts[0]))
+    return since, gain[block]
+
+
+def linear_estimates(stream: Stream, since: int) -> tuple[Array, Array, Array]:
+    """Coefficient, standard deviation and gain of each column since a sample, linearized."""
+    starts, sums = stream.block_sums()
+    recent = starts + stream.windows.block > since
+    N, V = sums[0][recent].sum(axis=0), sums[1][recent].sum(axis=0)
+    safe = np.where(V > 1e-200, V, np.inf)
+    scale = stream.bank.scale
+    return N / safe * scale, scale / np.sqrt(safe), 0.5 * N**2 / safe
+
+
+def linear_rows(stream: Stream) -> list[MonitorRow]:
+    """Ranking from the windows alone, linearized: while no alarm is on."""
+    _, gains = standing(stream)
+    p = shares(float(gains.max()), gains)[1:]
+    mem, keep = stream.memory, stream.windows.keep[:, None]
+    V = np.where(mem["V"] > 1e-200, mem["V"], np.inf)
+    levels = stream.windows.levels[:, None] ** 2
+    square = mem["N"] ** 2 / (V * mem["factor"])
+    rows = []
+    for i, effect in enumerate(stream.bank.effects):
+        own = np.flatnonzero(stream.bank.owner == i)
+        m, c = np.unravel_index(int(np.argmax((square - levels)[:, own])), (keep.size, own.size))
+        j = own[c]
+        scale = stream.bank.scale[j] / (1.0 + float(keep[m, 0]))  # forgetting sums s^2 once, not twice
+        name = stream.bank.names[j]
+        value, std = scale * mem["N"][m, j] / V[m, j], scale * np.sqrt(mem["factor"][m, j] / V[m, j])
+        rows.append(
+            MonitorRow(
+                effect,
+                {name: float(value)},
+                {name: float(std)},
+                float(p[i]),
+                float(0.5 * square[m, j]),
+                False,
+            )
+        )
+    return sorted(rows, key=lambda row: (-row.probability, -row.log_likelihood))
+
+
+def misfit_remarks(stream: Stream) -> tuple[str, ...]:
+    """Whether a candidate was there already in the learning phase, in words."""
+    _, _, gains = linear_estimates(stream, 0)
+    owner, effects = stream.bank.owner, stream.bank.effects
+    idle = [e.label for i, e in enumerate(effects) if not stream.bank.scale[owner == i].any()]
+    found = (f"Not watched, for nothing moves there that the law needs: {', '.join(idle)}.",) if idle else ()
+    best = int(np.argmax(gains))
+    score = math.sqrt(2 * float(gains[best]))
+    if score < stream.windows.levels[-1]:
+        return found
+    label = effects[owner[best]].label
+    return (
+        *found,
+        f"The model does not explain the learning phase: {label} or the like is missing ({score:.0f} "
+        "standard deviations). Thresholds stand higher for it; refine the model on a healthy record first.",
+    )
+
+
+def stretch_of(stream: Stream, start: int, free_state: bool, mean: Array) -> Stretch:
+    """Samples from `start` on as the fit needs them."""
+    W, Y, use, x0 = stream.recent(start)
+    observer, healthy = stream.observer, stream.healthy
+    data = Measurement(W.T, (Y - mean).T, dt=observer.dt, hold=observer.hold)
+    mix = healthy.mix / np.sqrt(stream.memory["size"])[:, None]
+    return Stretch(
+        observer.structure, observer.theta, observer.substeps, data, use, x0, observer.gain,
+        healthy.filters, mix, free_state,
+    )  # fmt: skip
+
+
+def fit_all(
+    stream: Stream,
+    since: int,
+    mean: Array,
+    before: Mapping[Effect, Array],
+    *,
+    latest: int | None,
+    window: int,
+) -> tuple[list[tuple[Fit, float]], int, float]:
+    """Candidates that are worth it, each fitted to the samples since the change.
+
+    Parameters
+    ----------
+    stream : Stream
+        The stream.
+    since : int
+        Sample of the change, as the bank sees it.
+    mean : ndarray, shape (n_y,)
+        Offset of the sensors.
+    before : mapping
+        Coefficients found the last time, to go on from.
+    latest : int or None
+        Latest sample to which the start of the change may move. None: it is past, and the
+        fits take the last samples, their state before unknown.
+    window : int
+        How many last samples.
+
+    Returns
+    -------
+    scored : list of (Fit, float)
+        Fits and their gains of log-likelihood, best first.
+    since : int
+        Sample of the change, moved to what the best fits prefer.
+    misfit : float
+        Mean square of what the best fit leaves, in units of the noise.
+    """
+    effects = stream.bank.effects
+    estimates, _, gains = linear_estimates(stream, since)
+    order = np.argsort(-_by_candidate(stream, gains))
+    chosen = [int(i) for i in order[:_SHORTLIST]]
+    always = (lambda effect: effect in before) if before else (lambda effect: effect.kind in _ALWAYS)
+    chosen += [int(i) for i in order[_SHORTLIST:] if always(effects[i])]
+
+    def fits_from(start: int, which: Sequence[int], known: Mapping[Effect, Array]) -> list[tuple[Fit, float]]:
+        if latest is None:
+            stretch = stretch_of(stream, max(start, stream.n_samples - window, stream.oldest), True, mean)
+        else:
+            stretch = stretch_of(stream, max(start, stream.oldest), start < stream.oldest, mean)
+        found: list[tuple[Fit, float]] = []
+        if not stretch.judged.any():  # a change of a moment ago: the filters have no past yet
+            return found
+        motion = Motion(stretch.structure, stretch.theta, stretch.data)
+        nothing = fit_candidate(stretch, None, motion)
+        worst = math.inf
+        for i in which:
+            effect = effects[i]
+            starts = [known[effect]] if effect in known else []
+            own = int(np.flatnonzero(stream.bank.owner == i)[0])
+            if not starts and len(effect.free) == 1:
+                starts = [np.array([estimates[own]])]
+            fit = fit_candidate(stretch, effect, motion, starts, alone=effect in known, worst=worst)
+            worst = min(worst, fit.cost + _HOPELESS)
+            if math.isfinite(fit.cost):
+                found.append((fit, 0.5 * (nothing.cost - fit.cost)))
+        return sorted(found, key=lambda pair: -pair[1])
+
+    scored = fits_from(since, chosen, before)
+    # a strong change bends the linear scores: all laws at the places that lead
+    leading = {fit.effect.place for fit, _ in scored[:_PLACES] if fit.effect is not None}
+    others = [i for i in range(len(effects)) if effects[i].place in leading and i not in chosen]
+    if others:
+        scored = sorted([*scored, *fits_from(since, others, before)], key=lambda pair: -pair[1])
+    if scored and latest is not None:
+        # the change may have come earlier or later than the linear scores say
+        index = {effect: i for i, effect in enumerate(effects)}
+        leaders = [index[fit.effect] for fit, _ in scored[:_LEADERS] if fit.effect is not None]
+        known = {fit.effect: fit.coefficients for fit, _ in scored if fit.effect is not None}
+        best = {fit.effect: (fit, gain) for fit, gain in scored}
+        step = max(2 * stream.windows.block, 2)
+        top = scored[0][1]
+        for direction in (-1, 1):
+            start = since
+            for _ in range(_MOVES):
+                start += direction * step
+                if start <= stream.oldest or start > latest:
+                    break
+                trial = fits_from(start, leaders, known)
+                for fit, gain in trial:
+                    if gain > best[fit.effect][1]:
+                        best[fit.effect] = fit, gain
+                if not trial or trial[0][1] <= top:
+                    break
+                top, since = trial[0][1], start
+        scored = sorted(best.values(), key=lambda pair: -pair[1])
+    if not scored:
+        return [], since, math.inf
+    points = max(scored[0][0].points, 1)
+    # what the best one leaves, where that is more than noise, weighs all of them less
+    temper = max(1.0, scored[0][0].cost / points)
+    fair = [
+        (fit, gain / temper - 0.5 * (fit.coefficients.size - 1) * math.log(points)) for fit, gain in scored
+    ]
+    return sorted(fair, key=lambda pair: -pair[1]), since, temper
+
+
+def find_state(stream: Stream) -> None:
+    """Find the state anew after a missing input, which a lightly damped model does not forget."""
+    start = max(int(stream.memory["lost"][0]), stream.oldest)
+    stretch = stretch_of(stream, start, True, stream.memory["mean_e"])
+    motion = Motion(stretch.structure, stretch.theta, stretch.data)
+    stream.found(start, fit_candidate(stretch, None, motion).state)
+
+
+def fit_one(stream: Stream, index: int, start: int, mean: Array, before: Array) -> tuple[Fit, Fit]:
+    """One candidate, and none, on the samples from `start` on, their state before unknown."""
+    stretch = stretch_of(stream, max(start, stream.oldest), True, mean)
+    motion = Motion(stretch.structure, stretch.theta, stretch.data)
+    effect = stream.bank.effects[index]
+    nothing = fit_candidate(stretch, None, motion)
+    starts = [before, np.where([name in SHAPING for name in effect.free], before, 0.0)]
+    return fit_candidate(stretch, effect, motion, starts, alone=True), nothing

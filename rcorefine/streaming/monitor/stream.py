@@ -1,0 +1,277 @@
+"""The part of the monitor that runs with every sample: observer, bank and windows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...systems.linear import Array
+from . import kernels
+from .bank import Bank
+from .baseline import Healthy
+from .observer import Observer
+
+__all__ = ["Stream", "Windows"]
+
+_RINGS = ("ring_w", "ring_y", "ring_use", "ring_x")  # the last samples
+_FIND = 64  # blocks after a missing input from which the state is found anew
+_CROWDED = 400  # most samples over which those that stand out are counted
+_SLOWEST = 1.0 / 50_000  # least weight of a sample in the noise level
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Windows:
+    """Memory lengths over which scores are summed.
+
+    Attributes
+    ----------
+    keep : ndarray, shape (M,)
+        Share that each window keeps per sample.
+    levels : ndarray, shape (M,)
+        Threshold of the statistic in each.
+    block : int
+        Samples per block of the sums that tell since when.
+    blocks : int
+        Number of blocks kept.
+    fading : float
+        Weight of a sample in the slow mean that is taken off the innovations.
+    """
+
+    keep: Array
+    levels: Array
+    block: int
+    blocks: int
+    fading: float
+
+    @property
+    def lengths(self) -> Array:
+        """Effective number of samples in each window."""
+        return 1.0 / (1.0 - self.keep)
+
+
+@dataclass(eq=False)
+class Stream:
+    """Everything after the learning phase.
+
+    Parameters
+    ----------
+    observer : Observer
+        Observer of the healthy model.
+    healthy : Healthy
+        Its noise.
+    bank : Bank
+        Columns of the candidates.
+    windows : Windows
+        Windows and thresholds.
+    learned : int
+        Samples of the learning phase.
+    """
+
+    observer: Observer
+    healthy: Healthy
+    bank: Bank
+    windows: Windows
+    learned: int
+    memory: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._spread = np.linalg.norm(np.linalg.inv(self.healthy.mix), axis=1)
+        self._thinning = max(4 * self.windows.fading, 1 / _CROWDED)  # four periods
+        if self.memory:
+            return
+        k, M = self.bank.size, self.windows.keep.size
+        n, ny = self.observer.gain.shape
+        nw = self.observer.structure.n_inputs
+        q = self.healthy.filters.shape[1]
+        kept = self.windows.block * self.windows.blocks
+        inner = np.full((3, k), np.nan)
+        inner[0] = 0.0
+        self.memory = {
+            **self.observer.begin(self.healthy.x0),
+            "inner": inner,
+            "Xc": np.zeros((n, k)),
+            "past_e": np.zeros((q, ny)),
+            "past_s": np.zeros((q, ny, k)),
+            "known": np.zeros(ny),
+            "N": np.zeros((M, k)),
+            "V": np.zeros((M, k)),
+            "mean_e": self.healthy.mean.copy(),
+            "mean_s": np.zeros((ny, k)),
+            "spread": np.ones((M, k + 1)) * np.r_[np.ones(k), 0.0],
+            "factor": np.ones((M, k)),
+            "crowd": np.zeros(ny),
+            "size": np.ones(ny),
+            "sums": np.zeros((2, self.windows.blocks, k)),
+            "counters": np.zeros(2, dtype=np.int64),
+            "pause": np.zeros(1, dtype=np.int64),
+            "lost": np.full(1, -1, dtype=np.int64),
+            "ring_w": np.zeros((kept, nw)),
+            "ring_y": np.zeros((kept, ny)),
+            "ring_use": np.zeros((kept, ny), dtype=np.uint8),
+            "ring_x": np.zeros((kept, n)),
+        }
+
+    @property
+    def n_samples(self) -> int:
+        """Samples taken, those of the learning phase included."""
+        return int(self.memory["counters"][0])
+
+    def way_back(self, coming: int) -> Callable[[], None]:
+        """What restores the present state after up to `coming` samples more."""
+        mem = self.memory
+        kept = len(mem["ring_w"])
+        place = (self.n_samples + np.arange(min(coming, kept))) % kept
+        rings = {key: mem[key][place] for key in _RINGS}
+        others = {key: value.copy() for key, value in mem.items() if key not in _RINGS}
+
+        def restore() -> None:
+            mem.update(others)
+            for key, rows in rings.items():
+                mem[key][place] = rows
+
+        return restore
+
+    def advance(
+        self, W: Array, Y: Array, use: NDArray[np.uint8], known: NDArray[np.uint8], *, stop: bool
+    ) -> tuple[int, Array]:
+        """Take a block, or its samples up to the first that lies above a threshold.
+
+        Parameters
+        ----------
+        W, Y : ndarray, shape (N, n_w), (N, n_y)
+            Samples, gaps filled.
+        use : ndarray of uint8, shape (N, n_y)
+            Which outputs were measured.
+        known : ndarray of uint8, shape (N,)
+            Whether the inputs were.
+        stop : bool
+            Whether the structure counts as healthy: stop at an alarm, follow the noise level.
+
+        Returns
+        -------
+        done : int
+            Samples taken.
+        ratio : ndarray, shape (done,)
+            Largest squared statistic over its threshold.
+        """
+        mem, bank, w = self.memory, self.bank, self.windows
+        first = self.n_samples
+        use = use.copy()  # samples that stand out alone are marked in it
+        calm, pause = self._calm(known)
+        state = {key: mem[key] for key in ("x", "z", "w")}
+        after, before, F, inner = self._motion(state, W, Y, use, first)
+        ratio = np.zeros(len(W))
+        done = int(kernels.scores(
+            Y - after[1], use, calm, F, bank.Phi, bank.drive, bank.C, bank.through, self.observer.gain,
+            self.healthy.filters, self.healthy.mix, w.keep, w.levels**2, stop, _SLOWEST, w.fading,
+            stop, w.block, mem["Xc"], mem["past_e"], mem["past_s"], mem["known"], mem["N"], mem["V"],
+            mem["mean_e"], mem["mean_s"], mem["spread"], mem["factor"], self._spread, self._thinning,
+            mem["crowd"], mem["size"], mem["sums"], mem["counters"], ratio,
+        ))  # fmt: skip
+        left_out = bool((use[:done] == kernels.ALONE).any())
+        marks, use = use[:done], (use[:done] == 1).astype(np.uint8)
+        if done < len(W) or left_out:  # the observer stops at the same sample, and does not follow it
+            after, before, _, inner = self._motion(state, W[:done], Y[:done], use, first)
+            _, pause = self._calm(known[:done])
+        mem.update(after[0])
+        mem["inner"] = inner
+        mem["pause"][0] = pause
+        gaps = np.flatnonzero(known[:done] == 0)
+        if gaps.size and self.wait < self.healthy.settle:
+            mem["lost"][0] = first + gaps[-1] + 1
+        at = np.arange(max(first, first + done - len(mem["ring_w"])), first + done)
+        place, here = at % len(mem["ring_w"]), at - first
+        mem["ring_w"][place], mem["ring_y"][place] = W[here], Y[here]
+        mem["ring_use"][place], mem["ring_x"][place] = marks[here], before[here]
+        return done, ratio[:done]
+
+    @property
+    def wait(self) -> int:
+        """Samples after a missing input before the state is trusted, or found anew."""
+        return min(self.healthy.settle, _FIND * self.windows.block)
+
+    @property
+    def find_at(self) -> int:
+        """Number of samples at which the state is to be found anew, -1 if not."""
+        lost = int(self.memory["lost"][0])
+        return -1 if lost < 0 else lost + self.wait
+
+    def _calm(self, known: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], int]:
+        """Samples that count: not those after an input was missing, until the observer has settled."""
+        pause = int(self.memory["pause"][0])
+        if known.all() and pause == 0:
+            return known, 0
+        calm = np.ones_like(known)
+        for i, there in enumerate(known):
+            pause = self.wait if not there else max(pause - 1, 0)
+            calm[i] = pause == 0
+        return calm, pause
+
+    def _motion(
+        self, state: dict[str, Array], W: Array, Y: Array, use: NDArray[np.uint8], first: int
+    ) -> tuple[tuple[dict[str, Array], Array], Array, Array, Array]:
+        """Observer over a block, and the candidates' forces along its motion."""
+        after, outputs, states = self.observer.advance(state, W, Y, use, first)
+        bank = self.bank
+        # before the correction: what is said about a sample must not contain its own noise
+        before = states - np.where(use > 0, Y - outputs, 0.0) @ self.observer.gain.T
+        sensed = np.ascontiguousarray(np.hstack([before, W]))
+        F, inner = np.zeros((len(W), bank.size)), self.memory["inner"].copy()
+        kernels.forces(
+            sensed,
+            bank.rows,
+            bank.codes,
+            bank.values,
+            bank.widths,
+            bank.pick,
+            1.0 / self.observer.dt,
+            inner,
+            F,
+        )
+        for j in np.flatnonzero(bank.codes == 0):
+            law = bank.effects[bank.owner[j]].law
+            assert law is not None
+            motion = sensed @ bank.rows[:, j].T
+            F[:, j] = [float(law(d, v)) for d, v in motion]
+        return (after, outputs), before, F * bank.scale, inner
+
+    def recent(self, start: int) -> tuple[Array, Array, NDArray[np.uint8], Array]:
+        """Samples from `start` on, as far as they are kept: inputs, outputs, flags, state at the start."""
+        mem = self.memory
+        place = np.arange(start, self.n_samples) % len(mem["ring_w"])
+        marks = mem["ring_use"][place]
+        # what was left out, where it turned out to be the beginning of a change
+        use = (marks == 1) | ((marks == kernels.ALONE) & (mem["crowd"] > kernels.FEW))
+        return mem["ring_w"][place], mem["ring_y"][place], use.astype(np.uint8), mem["ring_x"][place[0]]
+
+    @property
+    def oldest(self) -> int:
+        """First sample that is kept."""
+        return max(0, self.n_samples - len(self.memory["ring_w"]))
+
+    def block_sums(self) -> tuple[NDArray[np.int64], Array]:
+        """First sample of each block that is kept, in order of time, and its scores and informations."""
+        w = self.windows
+        last = (self.n_samples - 1) // w.block
+        index = np.arange(max(0, last - w.blocks + 1), last + 1)
+        return index * w.block, self.memory["sums"][:, index % w.blocks]
+
+    def restart(self, start: int, state: Array) -> None:
+        """Begin anew as healthy, from the state that was found at sample `start`."""
+        self.found(start, state)
+        for key in ("N", "V", "sums", "Xc", "past_e", "past_s"):
+            self.memory[key][:] = 0
+
+    def found(self, start: int, state: Array) -> None:
+        """Go on from the state that was found at sample `start`."""
+        mem = self.memory
+        W, Y, use, _ = self.recent(start)
+        begin = {"x": state, "z": mem["z"], "w": mem["w"][:0]}
+        after, _, _ = self.observer.advance(begin, W, Y, use, start)
+        mem["x"], mem["z"] = after["x"], after["z"]
+        mem["known"][:] = 0
+        mem["lost"][0] = -1

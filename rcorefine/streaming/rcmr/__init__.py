@@ -1,0 +1,1 @@
+"""Retrospective cost model refinement by the paper's equations: both stages on arrays."""

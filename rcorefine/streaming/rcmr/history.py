@@ -1,0 +1,212 @@
+"""What a refiner did, sample by sample; kept only on request."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import control as ct
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from ...systems.linear import Array, LinearModel
+
+__all__ = ["History", "draw_poles", "pole_samples", "poles_of"]
+
+_POINTS = 200  # at which poles are given over time
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class History:
+    """Course of both stages, in the units of the signals.
+
+    Attributes
+    ----------
+    timepts : ndarray of shape (N,)
+        Times in s (sample numbers where the model has no definite dt).
+    z1 : ndarray of shape (n_y, N)
+        Performance of stage 1, simulated minus measured output.
+    z2 : ndarray of shape (n_y, N)
+        Performance of stage 2: output predicted from the estimated states
+        minus measured output.
+    theta1, theta2 : ndarray of shape (l_u, l_psi, N)
+        Coefficients of the stages after each sample.
+    x : ndarray of shape (n, N)
+        Estimated states.
+    y : ndarray of shape (n_y, N)
+        Measured outputs that were learned from.
+    input_labels, output_labels, state_labels : tuple of str
+        Names of the signals.
+    pole_timepts : ndarray of shape (K,)
+        Times in s, up to 200 of them, at which the poles are given.
+    poles : complex ndarray of shape (n, K)
+        Poles of the refined model in rad/s (of a discrete one log(z) / dt) at these times.
+    """
+
+    timepts: Array
+    z1: Array
+    z2: Array
+    theta1: Array
+    theta2: Array
+    x: Array
+    y: Array
+    input_labels: tuple[str, ...]
+    output_labels: tuple[str, ...]
+    state_labels: tuple[str, ...]
+    pole_timepts: Array = field(default_factory=lambda: np.zeros(0))
+    poles: NDArray[np.complex128] = field(default_factory=lambda: np.zeros((0, 0), complex))
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples learned."""
+        return int(self.timepts.size)
+
+    def performance(self, start: int = 0, stop: int | None = None) -> tuple[Array, Array]:
+        """Rms of z1 and z2 over rms of y on a stretch, each of shape (n_y,).
+
+        Parameters
+        ----------
+        start, stop : int, optional
+            Samples of the stretch, as in a slice; default all.
+
+        Returns
+        -------
+        first, second : ndarray of shape (n_y,)
+            Performance of stage 1 and of stage 2; NaN where the stretch is
+            empty or the output is zero.
+        """
+        part = slice(start, stop)
+        if self.timepts[part].size == 0:
+            none = np.full(self.y.shape[0], np.nan)
+            return none, none.copy()
+        size = np.sqrt(np.mean(self.y[:, part] ** 2, axis=1))
+        size[size == 0.0] = np.nan
+        first, second = (np.sqrt(np.mean(z[:, part] ** 2, axis=1)) / size for z in (self.z1, self.z2))
+        return first, second
+
+    def plot(
+        self,
+        *,
+        ax: Any = None,
+        label: str | list[str] | None = None,
+        title: str | None = None,
+        legend_loc: str | bool | None = None,
+        rcParams: dict[str, Any] | None = None,
+        show_legend: bool | None = None,
+    ) -> ct.ControlPlot:
+        """Plot the performance of both stages over time, the static coefficients and the refined poles.
+
+        Parameters
+        ----------
+        ax : array of Axes, optional
+            Axes to draw in, shape (n_y + 2, 1).
+        label : list of str, optional
+            Labels of the two stages.
+        title : str, optional
+            Title of the figure.
+        legend_loc : str or False, optional
+            Place of the legend, as in matplotlib; False for none.
+        rcParams : dict, optional
+            Matplotlib settings on top of `control.rcParams`.
+        show_legend : bool, optional
+            Force the legend on or off.
+
+        Returns
+        -------
+        ControlPlot
+            Lines, axes, figure.
+        """
+        from ...views.figures import curve_labels, finish, make_axes, settings, style, unit_text
+
+        names = curve_labels(label, ["stage 1", "stage 2"])
+        n_y = self.z1.shape[0]
+        with settings(rcParams):
+            figure, axes = make_axes(ax, [1.6] * (n_y + 2), 1)
+            lines = np.empty(axes.shape, dtype=object)
+            for row, output in enumerate(self.output_labels):
+                axis = axes[row, 0]
+                lines[row, 0] = []
+                for index, z in ((1, self.z2), (0, self.z1)):
+                    look = style(index)
+                    lines[row, 0] += axis.plot(
+                        self.timepts,
+                        z[row],
+                        color=look.color,
+                        linestyle="-",
+                        linewidth=0.8,
+                        label=names[index],
+                    )
+                axis.set_ylabel(unit_text(f"simulated - measured\n{output}", ""))
+                axis.grid(True, alpha=0.35)
+            axis = axes[n_y, 0]
+            lines[n_y, 0] = axis.plot(
+                self.timepts, self.theta2.reshape(-1, self.timepts.size).T, linewidth=1.0
+            )
+            for line, text in zip(lines[n_y, 0], self._coefficients(), strict=False):
+                line.set_label(unit_text(text, ""))
+            axis.set_ylabel("static coefficients")
+            axis.grid(True, alpha=0.35)
+            lines[n_y + 1, 0] = draw_poles(axes[n_y + 1, 0], self.pole_timepts, self.poles)
+            return finish(
+                figure,
+                axes,
+                lines,
+                title=title,
+                legends=[axes[0, 0], axis],
+                legend_loc=legend_loc,
+                show_legend=show_legend,
+            )
+
+    def _coefficients(self) -> list[str]:
+        """Signal of each static coefficient, where the static stage has no memory."""
+        names = [*self.state_labels, *self.input_labels]
+        l_u, q = self.theta2.shape[:2]
+        if q != len(names):
+            return []
+        return [f"{name} (u{c})" if l_u > 1 else name for c in range(l_u) for name in names]
+
+
+def pole_samples(n_samples: int) -> NDArray[np.int64]:
+    """Samples at which the poles are given."""
+    return np.unique(np.linspace(0, max(n_samples - 1, 0), min(n_samples, _POINTS)).astype(np.int64))
+
+
+def poles_of(models: Sequence[LinearModel], dt: float | None) -> NDArray[np.complex128]:
+    """Poles in rad/s, shape (n, K), each next to the nearest one before."""
+    found: list[NDArray[np.complex128]] = []
+    for model in models:
+        poles = np.linalg.eigvals(model.A).astype(complex)
+        if not model.is_continuous:
+            with np.errstate(divide="ignore"):
+                poles = np.log(poles) / (1.0 if dt is None else dt)
+        poles = poles[np.lexsort((poles.imag, np.abs(poles)))]
+        if found and poles.size and np.isfinite(poles).all() and np.isfinite(found[-1]).all():
+            rows, columns = linear_sum_assignment(np.abs(found[-1][:, None] - poles[None, :]))
+            poles = poles[columns[np.argsort(rows)]]
+        found.append(poles)
+    return np.array(found).T if found else np.zeros((0, 0), complex)
+
+
+def draw_poles(axis: Any, timepts: Array, poles: NDArray[np.complex128]) -> list[Any]:
+    """Size of the refined poles over time: dashed where a pole is complex."""
+    lines: list[Any] = []
+    with np.errstate(invalid="ignore"):
+        for pole in poles:
+            size, oscillates = np.abs(pole), np.abs(pole.imag) > 1e-6 * np.abs(pole)
+            for part, line, name in ((~oscillates, "-", "real"), (oscillates, "--", "complex")):
+                if part.any():
+                    drawn = axis.plot(
+                        timepts, np.where(part, size, np.nan), line, linewidth=1.0, color="tab:purple"
+                    )
+                    drawn[0].set_label(name if all(one.get_label() != name for one in lines) else f"_{name}")
+                    lines += drawn
+    positive = np.abs(poles)[np.isfinite(poles) & (np.abs(poles) > 0)]
+    if positive.size and positive.max() > 30 * positive.min():
+        axis.set_yscale("log")
+        axis.set_ylim(max(0.5 * positive.min(), 1e-6 * positive.max()), 2.0 * positive.max())
+    axis.set_ylabel("refined poles\n|s| [rad/s]")
+    axis.set_xlabel("Time [s]")
+    axis.grid(True, alpha=0.35)
+    return lines

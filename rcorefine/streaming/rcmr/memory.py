@@ -1,0 +1,155 @@
+"""All that a refiner remembers, as plain arrays, copied before a block: a failed one changes nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...systems.linear import Array
+from ..restoring import check_like, check_range
+from .kernels import Design, Plant, Stage
+from .path import markov_parameters
+from .scaling import Scales, scaled_plant
+from .stage import copied, start
+
+__all__ = ["Memory", "Settings", "Tuned", "begin", "restored_memory", "tuned"]
+
+_GROWN = {"inputs": "samples", "outputs": "samples"}
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Numbers that shape one stage: n_c, p, mu and alpha."""
+
+    order: int
+    window: int
+    markov: int
+    learning_rate: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tuned:
+    """What follows from the scales: the scaled model and the designs of both stages."""
+
+    scales: Scales
+    plant: Plant
+    designs: tuple[Design, Design]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Memory:
+    """State of a refiner between two calls.
+
+    Parameters
+    ----------
+    stages : tuple of two Stage
+        Both stages.
+    peak, levels : ndarray of shape (1,), (3, n_y)
+        Largest scaled output; mean squares of y, z1 and z2.
+    recent_theta : ndarray of shape (average, m)
+        Latest coefficients of stage 2, as a ring.
+    inputs, outputs : ndarray of shape (K, n_w), (K, n_y)
+        First samples, held back until they tell the scales; then empty.
+    n_samples : int
+        Samples taken, those held back included.
+    tuned : Tuned or None
+        None while samples are held back.
+    """
+
+    stages: tuple[Stage, Stage]
+    peak: Array
+    levels: Array
+    recent_theta: Array
+    inputs: Array
+    outputs: Array
+    n_samples: int
+    tuned: Tuned | None
+
+    def static_theta(self) -> Array:
+        """Coefficients of stage 2, averaged over the latest samples; with padding, in scaled units."""
+        learned = int(self.stages[1].counters[4])
+        count = min(max(learned, 1), self.recent_theta.shape[0])
+        return np.asarray(self.recent_theta[:count].mean(axis=0))
+
+    def copied(self) -> Memory:
+        """Independent copy of what changes in place."""
+        first, second = self.stages
+        return replace(
+            self,
+            stages=(copied(first), copied(second)),
+            peak=self.peak.copy(),
+            levels=self.levels.copy(),
+            recent_theta=self.recent_theta.copy(),
+        )
+
+
+def tuned(plant: Plant, scales: Scales, delay: int, settings: tuple[Settings, Settings]) -> Tuned:
+    """Scale the model and cut the Markov parameters that each stage uses."""
+    scaled = scaled_plant(plant, scales)
+    values = markov_parameters(scaled, delay + max(s.markov for s in settings))
+    first, second = (
+        Design(np.ascontiguousarray(values[delay : delay + s.markov]), delay, s.order, s.learning_rate)
+        for s in settings
+    )
+    return Tuned(scales, scaled, (first, second))
+
+
+def begin(
+    plant: Plant, delay: int, settings: tuple[Settings, Settings], average: int, scales: Scales | None
+) -> Memory:
+    """Memory before the first sample."""
+    n, n_w = plant.B.shape
+    n_y, l_u = plant.Du.shape
+    reach = delay + max(s.markov for s in settings)
+    first, second = (
+        start(
+            Design(np.zeros((s.markov, n_y, l_u)), delay, s.order, s.learning_rate), n, n_w, s.window, reach
+        )
+        for s in settings
+    )
+    return Memory(
+        stages=(first, second),
+        peak=np.ones(1),
+        levels=np.zeros((3, n_y)),
+        recent_theta=np.zeros((average, second.theta.size)),
+        inputs=np.zeros((0, n_w)),
+        outputs=np.zeros((0, n_y)),
+        n_samples=0,
+        tuned=None if scales is None else tuned(plant, scales, delay, settings),
+    )
+
+
+def restored_memory(
+    found: Memory, plant: Plant, delay: int, settings: tuple[Settings, Settings], average: int
+) -> Memory:
+    """Memory from a file, held against a fresh one; what follows from the scales is made anew.
+
+    Raises
+    ------
+    DataError
+        If a refiner with these settings cannot have left it.
+    """
+    check_like(replace(found, tuned=None), begin(plant, delay, settings, average, None), "memory", _GROWN)
+    n_y = plant.C.shape[0]
+    waiting = len(found.inputs)
+    check_range(
+        waiting, 0 if found.tuned else found.n_samples, 0 if found.tuned else found.n_samples, "inputs"
+    )
+    check_range(found.peak, 1.0, np.inf, "peak")
+    for stage in found.stages:
+        slots, recent = stage.rows.shape[0] // n_y, stage.past_u.shape[0]
+        check_range(
+            stage.counters, 0, [slots - 1, found.n_samples, 1, recent - 1, found.n_samples], "counters"
+        )
+    if found.tuned is None:
+        return found
+    scales = found.tuned.scales
+    check_like(
+        scales,
+        Scales(*(np.ones(size) for size in (plant.B.shape[1], n_y, plant.A.shape[0], plant.Bu.shape[1]))),
+        "scales",
+    )
+    for name in ("inputs", "outputs", "states", "corrections"):
+        check_range(getattr(scales, name), np.finfo(float).tiny, np.finfo(float).max, f"scales.{name}")
+    return replace(found, tuned=tuned(plant, scales, delay, settings))

@@ -1,0 +1,199 @@
+"""Both stages by the paper's equations, behind the protocol that the refiner speaks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ...exceptions import ModelError
+from ...systems.linear import Array, LinearModel
+from ...systems.nearest import nearest_continuous
+from .. import summary
+from ..gaps import Block
+from ..restoring import check_course
+from .gaps import take_over_gaps
+from .history import History, pole_samples, poles_of
+from .kernels import Record
+from .memory import Memory, begin, restored_memory
+from .realization import refined
+from .scaling import Scales
+from .setup import Setup
+from .stage import in_units, regressor_scale
+from .stream import Diverged, take, take_until
+
+__all__ = ["PaperStages"]
+
+
+class PaperStages:
+    """Retrospective cost optimization in two stages, equations (23) to (46).
+
+    Parameters
+    ----------
+    setup : Setup
+        Model and settings.
+    keep : bool
+        Whether to keep the course of every sample.
+    """
+
+    def __init__(self, setup: Setup, keep: bool) -> None:
+        self.setup, self.keep = setup, keep
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all samples."""
+        s = self.setup
+        self.memory: Memory = begin(s.plant, s.delay, s.settings, s.average, s.scales)
+        self.records: list[tuple[Record, Array]] = []
+
+    @property
+    def n_samples(self) -> int:
+        """Samples taken."""
+        return self.memory.n_samples
+
+    @property
+    def n_learned(self) -> int:
+        """Samples learned from."""
+        return self.memory.n_samples - len(self.memory.inputs)
+
+    def take(self, block: Block, *, keep_sound: bool = False) -> None:
+        """Learn from a block: all of it or nothing, or with `keep_sound` what came before a divergence."""
+        if not block.whole:
+            self.memory, records = take_over_gaps(self.setup, self.memory, block, keep=self.keep)
+            self.records += records
+            return
+        self._take(block.inputs, block.outputs, keep_sound, last=False)
+
+    def finish(self) -> None:
+        """Learn from what is still held back for the scales, however short."""
+        if self.memory.tuned is None:
+            s = self.setup
+            self._take(np.zeros((0, s.initial.n_inputs)), np.zeros((0, s.initial.n_outputs)), True, last=True)
+
+    def _take(self, inputs: Array, outputs: Array, keep_sound: bool, last: bool) -> None:
+        try:
+            self._commit(take(self.setup, self.memory, inputs, outputs, keep=self.keep, last=last))
+        except Diverged as error:
+            if keep_sound:
+                self._commit(take_until(self.setup, self.memory, inputs, outputs, error, keep=self.keep))
+            raise
+
+    def take_sound(self, inputs: Array, outputs: Array) -> None:
+        """Learn from samples of shape (N, .) without gaps, at least from those before a divergence."""
+        self._take(inputs, outputs, True, last=False)
+
+    def _commit(self, taken: tuple[Memory, Record | None, Array]) -> None:
+        self.memory, record, outputs = taken
+        if self.keep and record is not None:
+            self.records.append((record, outputs.copy()))
+
+    # -- results -------------------------------------------------------------------------------------
+
+    @property
+    def scales(self) -> Scales | None:
+        """Sizes that signals are divided by, None while they are not known yet."""
+        return None if self.memory.tuned is None else self.memory.tuned.scales
+
+    def theta(self, stage: int) -> Array:
+        """Coefficients of stage 0 (dynamic) or 1 (static), in the units of the signals."""
+        memory = self.memory
+        if memory.tuned is None:
+            return np.zeros(self.setup.theta_shapes[stage])
+        theta = memory.stages[0].theta if stage == 0 else memory.static_theta()
+        return in_units(theta, memory.tuned.scales, self.setup.settings[stage].order)
+
+    def static_theta(self) -> Array:
+        """Static coefficients."""
+        return self.theta(1)
+
+    def standard_deviations(self) -> Array:
+        """Scatter of the static coefficients over the samples that they are averaged over."""
+        memory = self.memory
+        learned = min(int(memory.stages[1].counters[4]), memory.recent_theta.shape[0])
+        if memory.tuned is None or learned < 2:
+            return np.full(self.setup.theta_shapes[1], np.inf)
+        scatter = memory.recent_theta[:learned].std(axis=0, ddof=1)
+        return np.abs(in_units(scatter, memory.tuned.scales, self.setup.settings[1].order))
+
+    def deviation(self) -> None:
+        """The paper's coefficients have no covariance."""
+        return None
+
+    def discrete_system(self, name: str) -> LinearModel:
+        """Refined model in discrete time."""
+        s = self.setup
+        return refined(s.discrete, s.plant, self.theta(1), s.settings[1].order, name)
+
+    def system(self, name: str) -> LinearModel:
+        """Refined model, continuous where the initial one is."""
+        initial = self.setup.initial
+        if not initial.is_continuous:
+            return self.discrete_system(name)
+        if not self.theta(1).any():
+            return initial.with_arrays(name=name)
+        return nearest_continuous(self.discrete_system(name))
+
+    def predict(self, inputs: Array) -> Array:
+        """Free run on further inputs of shape (N, n_w); outputs of shape (n_y, N)."""
+        model, x = self.discrete_system(""), self._present_state()
+        outputs = np.empty((model.n_outputs, len(inputs)))
+        with np.errstate(over="ignore", invalid="ignore"):
+            for k, w in enumerate(inputs):
+                outputs[:, k] = model.C @ x + model.D @ w
+                x = model.A @ x + model.B @ w
+        return outputs
+
+    def history(self) -> History:
+        """Course of both stages."""
+        s = self.setup
+        found = summary.assemble_history(self.records, s.initial, s.step, s.theta_shapes)
+        if s.settings[1].order > 0:
+            return found
+        at = pole_samples(found.n_samples)
+        systems = [refined(s.discrete, s.plant, found.theta2[:, :, k], 0, "") for k in at]
+        return replace(found, poles=poles_of(systems, s.step), pole_timepts=found.timepts[at])
+
+    def summary(self) -> summary.Summary:
+        """Cells and sentences of `str`."""
+        s = self.setup
+        return summary.summarize(
+            s.initial, s.step, s.settings, s.delay, s.theta_shapes, self.memory, self.n_learned, s.estimated
+        )
+
+    def state(self) -> dict[str, Any]:
+        """All that is remembered, for a file."""
+        return {"memory": self.memory, "records": self.records}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from what `state` gave, once it was held against a fresh memory."""
+        s = self.setup
+        widths = (s.initial.n_outputs,), (s.initial.n_outputs,), *s.theta_shapes, (s.initial.n_states,)
+        check_course(state["records"], Record(*(np.zeros((0, *w)) for w in widths)), s.initial.n_outputs)
+        self.memory = restored_memory(state["memory"], s.plant, s.delay, s.settings, s.average)
+        self.records = state["records"]
+
+    def _present_state(self) -> Array:
+        """State of the refined model after the last sample, in the units of the states."""
+        memory, s = self.memory, self.setup
+        order = s.settings[1].order
+        n, n_w, l_u = s.initial.n_states, s.initial.n_inputs, s.plant.Bu.shape[1]
+        if memory.tuned is None:
+            if order > 0:
+                raise ModelError(
+                    "predict with static_order > 0 needs the scales: it works once the first "
+                    f"{s.warm_up} samples are learned, or with scale={{...}} declared"
+                )
+            x = np.zeros(n)
+            for w in memory.inputs:
+                x = s.plant.A @ x + s.plant.B @ w
+            return x
+        scales, stage = memory.tuned.scales, memory.stages[1]
+        x = memory.stages[0 if s.estimated else 1].x * scales.states
+        if order == 0:
+            return x
+        psi = stage.psi * regressor_scale(scales.states, scales.inputs, scales.corrections, order)
+        first_w, first_u = (order + 1) * n, (order + 1) * (n + n_w)
+        latest = stage.past_u[stage.counters[3]] * scales.corrections
+        past_u = np.concatenate([latest, psi[first_u : first_u + (order - 1) * l_u]])
+        return np.concatenate([x, psi[: order * n], psi[first_w : first_w + order * n_w], past_u])

@@ -1,0 +1,151 @@
+"""Samples in, memory out: held back until the scales are known, then learned from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ...exceptions import DivergenceError
+from ...systems.linear import Array
+from .divergence import explain
+from .kernels import Record, advance
+from .memory import Memory, Tuned, tuned
+from .scaling import Scales, is_settled, measured_scales
+from .setup import Setup
+from .stage import in_units
+
+__all__ = ["Diverged", "take", "take_until"]
+
+# Signals that still grow are held back until there are this many times as many samples.
+LONGEST_WARM_UP = 16
+
+
+class Diverged(DivergenceError):
+    """Divergence after `done` sound samples (those held back included), in these scales."""
+
+    def __init__(self, message: str, done: int = 0, found: Tuned | None = None) -> None:
+        super().__init__(message)
+        self.done = done
+        self.found = found
+
+
+def take(
+    setup: Setup, memory: Memory, inputs: Array, outputs: Array, *, keep: bool = False, last: bool = False
+) -> tuple[Memory, Record | None, Array]:
+    """Memory after some samples, and what they leave behind for a history.
+
+    Parameters
+    ----------
+    setup, memory
+        The refiner; `memory` stays as it is.
+    inputs, outputs : ndarray of shape (N, n_w), (N, n_y)
+        Samples.
+    keep : bool
+        Whether to record every sample.
+    last : bool
+        Whether the record ends here, so that no sample is held back.
+
+    Raises
+    ------
+    Diverged
+        If a correction diverges.
+    """
+    n_samples = memory.n_samples + inputs.shape[0]
+    if memory.tuned is None:
+        inputs = np.concatenate([memory.inputs, inputs])
+        outputs = np.concatenate([memory.outputs, outputs])
+        scales = found_scales(setup, inputs, outputs, memory.inputs.shape[0], last)
+        if scales is None:
+            waiting = replace(memory, inputs=inputs, outputs=outputs, n_samples=n_samples)
+            return waiting, None, outputs[:0]
+        memory = replace(
+            memory,
+            inputs=inputs[:0].copy(),
+            outputs=outputs[:0].copy(),
+            tuned=tuned(setup.plant, scales, setup.delay, setup.settings),
+        )
+    record = _advanced(setup, memory := memory.copied(), inputs, outputs, n_samples - inputs.shape[0], keep)
+    return replace(memory, n_samples=n_samples), record, outputs
+
+
+def take_until(
+    setup: Setup, memory: Memory, inputs: Array, outputs: Array, error: Diverged, *, keep: bool = False
+) -> tuple[Memory, Record | None, Array]:
+    """Take the samples that were sound before these diverged."""
+    inputs = np.concatenate([memory.inputs, inputs])[: error.done]
+    outputs = np.concatenate([memory.outputs, outputs])[: error.done]
+    memory = replace(
+        memory,
+        inputs=inputs[:0].copy(),
+        outputs=outputs[:0].copy(),
+        n_samples=memory.n_samples - len(memory.inputs),
+        tuned=error.found,
+    )
+    return take(setup, memory, inputs, outputs, keep=keep)
+
+
+def found_scales(setup: Setup, inputs: Array, outputs: Array, before: int, last: bool) -> Scales | None:
+    """Scales, as soon as the samples tell them; the same for every way to cut the stream."""
+    labels = (setup.initial.input_labels, setup.initial.output_labels)
+    count = setup.warm_up
+    longest = count * LONGEST_WARM_UP
+    while count <= longest and count <= inputs.shape[0]:
+        if count > before:
+            w, y = inputs[:count].T, outputs[:count].T
+            if count == longest or (is_settled(w) and is_settled(y)):
+                return measured_scales(setup.plant, w, y, labels)
+        count *= 2
+    return measured_scales(setup.plant, inputs.T, outputs.T, labels) if last else None
+
+
+def _advanced(setup: Setup, memory: Memory, inputs: Array, outputs: Array, first: int, keep: bool) -> Record:
+    """Run both stages over the block, in place."""
+    assert memory.tuned is not None
+    scales, plant, designs = memory.tuned.scales, memory.tuned.plant, memory.tuned.designs
+    stages = memory.stages
+    kept = inputs.shape[0] if keep else 0
+    record = Record(
+        z1=np.empty((kept, outputs.shape[1])),
+        z2=np.empty((kept, outputs.shape[1])),
+        theta1=np.empty((kept, stages[0].theta.size)),
+        theta2=np.empty((kept, stages[1].theta.size)),
+        x=np.empty((kept, plant.A.shape[0])),
+    )
+    with np.errstate(all="ignore"):  # a divergence is reported below, in words
+        done, stage = advance(
+            plant,
+            *designs,
+            *stages,
+            memory.peak,
+            memory.levels,
+            memory.recent_theta,
+            inputs / scales.inputs,
+            outputs / scales.outputs,
+            setup.estimated,
+            record,
+        )
+    if stage:
+        raise Diverged(_explained(setup, memory, first + done, stage), done, memory.tuned)
+    return Record(
+        record.z1 * scales.outputs,
+        record.z2 * scales.outputs,
+        in_units(record.theta1, scales, setup.settings[0].order),
+        in_units(record.theta2, scales, setup.settings[1].order),
+        record.x * scales.states,
+    )
+
+
+def _explained(setup: Setup, memory: Memory, sample: int, stage: int) -> str:
+    assert memory.tuned is not None
+    settings = setup.settings[stage - 1]
+    time = "" if setup.step is None else f" (t = {sample * setup.step:.6g} s)"
+    return explain(
+        memory.tuned.plant,
+        setup.delay,
+        settings.markov,
+        settings.learning_rate,
+        stage,
+        f"sample {sample}{time}",
+        float(memory.peak[0]),
+    )

@@ -1,0 +1,92 @@
+"""Samples and records against the model: lengths, channels, finite values, excitation, hold and dt."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import control as ct
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..data.measurement import Measurement
+from ..exceptions import DataError
+from ..systems.conversion import to_discrete
+from ..systems.linear import Array
+from .checks import as_samples, check_samples
+from .rcmr.setup import Sampled
+
+__all__ = ["checked_block", "checked_record"]
+
+
+def checked_block(setup: Sampled, w: ArrayLike, y: ArrayLike, first: int) -> tuple[Array, Array]:
+    """Inputs and outputs of one sample or a block as (N, signals).
+
+    Parameters
+    ----------
+    setup : Sampled
+        Model with its labels.
+    w, y : array_like
+        As in `RCORefiner.update`.
+    first : int
+        Number of samples taken before, for the messages.
+    """
+    model = setup.initial
+    if (  # one sample as it comes from a loop: the checks below would take longer than to learn from it
+        type(w) is np.ndarray
+        and type(y) is np.ndarray
+        and w.shape == (model.n_inputs,)
+        and y.shape == (model.n_outputs,)
+        and w.dtype == y.dtype == np.float64
+        and math.isfinite(float(w.sum() + y.sum()))
+    ):
+        return w[None].copy(), y[None].copy()
+    inputs = as_samples(w, "inputs", model.n_inputs)
+    outputs = as_samples(y, "outputs", model.n_outputs)
+    if inputs.shape[1] != outputs.shape[1]:
+        raise ct.ControlDimension(
+            f"inputs have {inputs.shape[1]} sample(s) and outputs {outputs.shape[1]}; "
+            "give both at the same samples"
+        )
+    check_samples(inputs, model.input_labels, "input", first, setup.step)
+    check_samples(outputs, model.output_labels, "output", first, setup.step)
+    return np.ascontiguousarray(inputs.T), np.ascontiguousarray(outputs.T)
+
+
+def checked_record(setup: Sampled, data: Any, hold: str) -> tuple[Array, Array]:
+    """Inputs and outputs of a record as (N, signals), in the order of the model's channels."""
+    model = setup.initial
+    if not isinstance(data, Measurement):
+        raise ct.ControlArgument(
+            f"data must be a Measurement, not {type(data).__name__}; "
+            "build one with Measurement(inputs, outputs, dt=...) or Measurement.from_response(...)"
+        )
+    from ..data.channels import match_channels
+
+    if setup.step is not None:
+        to_discrete(setup.discrete, data.dt)
+    if model.is_continuous and data.hold != hold:
+        raise DataError(
+            f"record {data.name!r} has hold={data.hold!r}, but the refiner takes hold={hold!r}; pass "
+            f"RCORefiner(..., hold=...) or Measurement(..., hold={hold!r})"
+        )
+    channels = match_channels(model, data)
+    if -1 in channels.outputs:
+        missing = model.output_labels[channels.outputs.index(-1)]
+        raise ct.ControlDimension(
+            f"output {missing!r} of the model is not in record {data.name!r}; measure it, or give a model "
+            "without it"
+        )
+    if data.n_samples < model.n_states:
+        raise DataError(
+            f"record {data.name!r} has {data.n_samples} sample(s) for a model of {model.n_states} "
+            "states; give a longer record, or a smaller model"
+        )
+    inputs, outputs = data.inputs[list(channels.inputs)], data.outputs[list(channels.outputs)]
+    for signal, label in zip(inputs, model.input_labels, strict=True):
+        if np.ptp(signal) == 0.0:
+            raise DataError(
+                f"input {label!r} is constant ({signal[0]:g}) from sample 0 to {data.n_samples - 1}: nothing "
+                "can be learned from it. Give a stretch where it varies, or leave it out of the model"
+            )
+    return np.ascontiguousarray(inputs.T), np.ascontiguousarray(outputs.T)

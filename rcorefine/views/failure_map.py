@@ -1,0 +1,271 @@
+"""Tables and picture of a `FailureMap`."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import control as ct
+import matplotlib.pyplot as plt
+import numpy as np
+
+from ..exceptions import DataError
+from .bode_axes import BodeUnits
+from .figures import (
+    BAND,
+    MEASURED,
+    curve_labels,
+    finish,
+    log_labels,
+    make_axes,
+    picture,
+    settings,
+    style,
+    unit_text,
+)
+from .tables import WIDTH, clip, html_table, number, text_table
+
+if TYPE_CHECKING:
+    from ..comparison.failure_map.search import FailureMap
+    from ..comparison.result import Comparison
+
+__all__ = ["failure_html", "failure_text", "plot_map"]
+
+_HEADERS = ["", "", "where", "measure", "share", "p-value"]
+_ROLES = {"first": "1", "besides": "+", "instead": "="}
+
+
+def _cells(found: FailureMap) -> tuple[list[list[str]], str, list[str]]:
+    rows = [
+        [
+            _ROLES[row.role],
+            row.dimension,
+            row.where,
+            row.measure,
+            f"{100 * row.share:.0f} %",
+            _chance(row.p_value),
+        ]
+        for row in found.rows
+    ]
+    title = f"Where {found.name!r} fails: {len(rows)} row{'s' if len(rows) != 1 else ''}"
+    if not rows:
+        title = f"No failure of {found.name!r} found (looked at: {', '.join(found.looked) or 'nothing'})"
+    if not rows and found.looked:
+        notes = [
+            "Nothing stands out: what is left looks like noise that knows nothing of input, motion or time."
+        ]
+    elif not rows:
+        notes = []
+    else:
+        notes = [f"1. {found.rows[0].sentence}"]
+        notes += [f"{k}. {row.sentence}" for k, row in enumerate(found.rows[1:4], 2)]
+        notes.append(
+            "share: part of the error's energy that the row explains (rows overlap); p-value: chance of such "
+            "a row anywhere in the map if the model were right. 1: leaves least unexplained; +: besides, "
+            "what is left when the rows above are allowed for; =: instead, another view of the same error."
+        )
+    notes += [f"{note}." for note in found.notes]
+    return rows, title, notes
+
+
+def _chance(p: float) -> str:
+    return "< 1e-99" if p < 1e-99 else number(p, 1)
+
+
+def failure_text(found: FailureMap) -> str:
+    """Table with one row per failure, at most 80 columns."""
+    rows, title, notes = _cells(found)
+    if not rows:
+        return "\n".join(line for text in (title, *notes) for line in textwrap.wrap(text, WIDTH))
+    return text_table(_HEADERS, rows, title=title, notes=notes, left=4)
+
+
+def failure_html(found: FailureMap) -> str:
+    """Table with one row per failure, HTML."""
+    rows, title, notes = _cells(found)
+    return html_table(_HEADERS, rows, title=title, notes=notes, left=4)
+
+
+_ROWS = (1.6, 1.3, 1.5, 1.5)
+_LOOKS = {
+    "time": ("#1f4e9c", ""), "frequency": ("#b5400a", "///"), "amplitude": ("#1b7837", "..."),
+    "state": ("#7b3294", "xxx"), "place": ("0.6", "\\\\\\"),
+}  # fmt: skip
+_MARK = "#e8c9b8"
+
+
+@picture
+def plot_map(
+    result: Comparison,
+    *,
+    ax: Any = None,
+    label: str | Sequence[str] | None = None,
+    title: str | None = None,
+    legend_loc: str | bool | None = None,
+    rcParams: dict[str, Any] | None = None,
+    show_legend: bool | None = None,
+) -> ct.ControlPlot:
+    """Four rows per model: shares, residual over time, error over frequency, force over motion."""
+    maps = result.failures if result.several else (result.failures,)
+    names = curve_labels(label, result.names)
+    with settings(rcParams):
+        figure, axes = _axes(ax, len(maps))
+        lines = np.empty(axes.shape, dtype=object)
+        for m, (found, name) in enumerate(zip(maps, names, strict=True)):
+            lines[0, m] = _shares(axes[0, m], found, name)
+            lines[1, m] = _times(axes[1, m], result, m, found)
+            lines[2, m] = _frequencies(axes[2, m], result, m, found)
+            lines[3, m] = _motions(axes[3, m], result, m, found)
+        return finish(
+            figure, axes, lines,
+            title=f"Where the model fails on record {result.data.name}"
+            if title is None and ax is None
+            else title,
+            legends=[axes[2, 0]], legend_loc=legend_loc, show_legend=show_legend,
+        )  # fmt: skip
+
+
+def _axes(ax: Any, n_columns: int) -> tuple[Any, Any]:
+    """Rows that share nothing, new or those given."""
+    if ax is not None:
+        return make_axes(ax, _ROWS, n_columns)
+    figure, axes = plt.subplots(
+        len(_ROWS), n_columns, squeeze=False, figsize=(max(7.0, 4.0 * n_columns), 8.2),
+        layout="constrained", gridspec_kw={"height_ratios": _ROWS},
+    )  # fmt: skip
+    return figure, axes
+
+
+def _shares(axis: Any, found: FailureMap, name: str) -> list[Any]:
+    """Bars: share of the error that each row explains."""
+    rows = list(found.rows)[:6]
+    drawn = []
+    for k, row in enumerate(rows):
+        color, hatch = _LOOKS[row.dimension]
+        bar = axis.barh(
+            k, 100 * row.share, color=color, hatch=hatch, edgecolor="white", alpha=0.85, height=0.7
+        )
+        drawn += list(bar)
+        text = clip(f"{row.dimension}: {row.where} ({row.measure})", 62).replace("$", r"\$")
+        axis.text(1.5, k, text, va="center", fontsize="x-small", zorder=4,
+                  bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 0.8})  # fmt: skip
+    if not rows:
+        axis.text(50, 0, "nothing stands out", ha="center", va="center")
+    axis.set_xlim(0, 100)
+    axis.set_ylim(max(len(rows), 1) - 0.4, -0.6)
+    axis.set_yticks(range(len(rows)), [str(k + 1) for k in range(len(rows))])
+    axis.set_xlabel("Share of the error [%] (rows overlap)")
+    axis.set_title(name.replace("$", r"\$"), fontsize="medium")
+    return drawn
+
+
+def _times(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[Any]:
+    """Residuals over time, marked stretches shaded."""
+    data = result.data
+    drawn = []
+    for i, name in enumerate(data.output_labels):
+        look: dict[str, Any] = style(i)._asdict() | {"linewidth": 0.7, "linestyle": "-"}
+        drawn += axis.plot(data.timepts, data.outputs[i] - result.runs[m, i], label=name, zorder=2, **look)
+    for row in found.rows:
+        if row.dimension == "time" and "start" in row.values:
+            axis.axvspan(row.values["start"], row.values["stop"], color=_MARK, zorder=1)
+    unit = data.output_units[0] if len(set(data.output_units)) == 1 else ""
+    axis.set_ylabel(unit_text("Residual", unit))
+    axis.set_xlabel("Time [s]")
+    axis.margins(x=0.01)
+    axis.grid(True, alpha=0.3)
+    if data.n_outputs > 1:
+        axis.legend(fontsize="x-small", loc="upper right", ncols=data.n_outputs)
+    return list(drawn)
+
+
+def _frequencies(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[Any]:
+    """Relative error of the model against its simultaneous band, found bands shaded."""
+    from ..comparison.model_error import model_error
+
+    units = BodeUnits.from_defaults()
+    factor = units.frequency_factor
+    axis.set_xlabel("Frequency [Hz]" if units.Hz else "Frequency [rad/s]")
+    axis.set_ylabel("Error |G$_{meas}$/G - 1|")
+    try:
+        error = model_error(result, m)
+    except DataError:
+        axis.text(0.5, 0.5, "the input does not excite", ha="center", transform=axis.transAxes)
+        return []
+    size = np.abs(error.model)
+    worst = np.unravel_index(
+        int(np.argmax([float(np.sum((abs(e) / b) ** 2)) for e, b in
+                       zip(error.error.reshape(-1, error.omega.size),
+                           error.simultaneous.reshape(-1, error.omega.size), strict=True)])),
+        size.shape[:2],
+    )  # fmt: skip
+    i, j = (int(k) for k in worst)
+    ratio, bound = error.relative[i, j], error.simultaneous[i, j] / np.maximum(size[i, j], 1e-300)
+    low = max(0.3 * float(np.nanquantile(np.minimum(ratio, bound), 0.02)), 1e-6)
+    x = error.omega * factor
+    axis.fill_between(x, low, np.maximum(bound, low), color=BAND, linewidth=0, zorder=1,
+                      label="noise alone (95 % of all together)")  # fmt: skip
+    beyond = error.differs[i, j]
+    drawn = axis.plot(x, ratio, color="0.45", linewidth=0.8, zorder=2)
+    drawn += axis.plot(
+        x[beyond], ratio[beyond], linestyle="none", marker=".", color=MEASURED, zorder=3,
+        label=f"differs, {result.data.input_labels[j]} to {result.data.output_labels[i]}".replace("$", r"\$"),
+    )  # fmt: skip
+    for row in found.rows:
+        if row.dimension == "frequency" and row.values.get("kind") != "gain":
+            axis.axvspan(max(row.values["low"] * factor, x[0]), min(row.values["high"] * factor, x[-1]),
+                         color=_MARK, zorder=0, alpha=0.5)  # fmt: skip
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    log_labels(axis.xaxis)
+    axis.set_xlim(x[0], x[-1])
+    axis.set_ylim(low, max(3.0, min(2.0 * float(np.nanmax(ratio)), 100.0)))
+    axis.grid(True, which="major", alpha=0.3)
+    return list(drawn)
+
+
+def _motions(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[Any]:
+    """Residual force over displacement or velocity, at the place that matters most."""
+    from ..comparison.failure_map.search import residual_force
+
+    lead = next((r for r in found.rows if r.dimension == "state"), None) or next(
+        (r for r in found.rows if r.dimension == "place"), None
+    )
+    force = residual_force(result, m, None if lead is None else str(lead.values["place"]))
+    if force is None:
+        axis.text(0.5, 0.5, "no place to look at", ha="center", transform=axis.transAxes)
+        return []
+    over_d = np.ptp(force.position) > 0 and (lead is None or lead.values.get("axis", "d") == "d")
+    motion, unit = (force.position, force.position_unit) if over_d else (force.velocity, force.velocity_unit)
+    letter = "d" if over_d else ("v" if force.mechanical else "x")
+    drawn = axis.plot(
+        motion, force.force, linestyle="none", marker=",", color="0.6", zorder=1, rasterized=True
+    )
+    edges = np.quantile(motion, np.linspace(0.002, 0.998, 22))
+    cell = np.clip(np.searchsorted(edges, motion) - 1, 0, edges.size - 2)
+    centers, means, spreads = [], [], []
+    for c in range(edges.size - 1):
+        inside = force.force[cell == c]
+        if inside.size > 5:
+            centers.append(float(motion[cell == c].mean()))
+            means.append(float(np.median(inside)))
+            # neighbors in time say the same: a tenth of the samples counts
+            spreads.append(
+                2.0
+                * 1.4826
+                * float(np.median(np.abs(inside - np.median(inside))))
+                / np.sqrt(max(inside.size / 10.0, 1.0))
+            )
+    drawn += list(axis.errorbar(centers, means, spreads, color="#7b3294", marker="o", markersize=3.5,
+                                linewidth=1.2, capsize=2, zorder=3).lines[:1])  # fmt: skip
+    # where a free run begins the estimate has no past yet: its first samples are not to set the scale
+    if means:
+        reach = 1.8 * max(float(np.max(np.abs(np.array(means)) + np.array(spreads))), 1e-300)
+        axis.set_ylim(-reach, reach)
+        axis.set_xlim(edges[0] - 0.05 * np.ptp(edges), edges[-1] + 0.05 * np.ptp(edges))
+    axis.axhline(0.0, color=MEASURED, linewidth=0.7, zorder=2)
+    axis.set_xlabel(unit_text(f"{letter} at {force.place}", unit))
+    axis.set_ylabel("Force the\nmodel lacks")
+    axis.grid(True, alpha=0.3)
+    return list(drawn)

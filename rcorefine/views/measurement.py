@@ -1,0 +1,199 @@
+"""Tables and pictures of a record and of its measured frequency response."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import control as ct
+import numpy as np
+
+from .bode_axes import bode_rows, draw_measured, magnitude_limits
+from .figures import MEASURED, curve_labels, finish, make_axes, picture, settings, unit_text
+from .tables import html_table, number, text_table
+
+if TYPE_CHECKING:
+    from ..data.frequency_response import FrequencyResponse
+    from ..data.measurement import Measurement
+
+__all__ = [
+    "frequency_response_html",
+    "frequency_response_text",
+    "measurement_html",
+    "measurement_text",
+    "plot_frequency_response",
+    "plot_measurement",
+]
+
+_HOLD_TEXT = {
+    "zoh": "constant between samples",
+    "foh": "straight lines between samples",
+    "bandlimited": "band-limited between samples",
+}
+
+
+def _measurement_cells(data: Measurement) -> tuple[list[str], list[list[str]], str, list[str]]:
+    headers = ["signal", "unit", "role", "min", "mean", "max", "std"]
+    rows = []
+    for role, labels, units, signals in (
+        ("input", data.input_labels, data.input_units, data.inputs),
+        ("output", data.output_labels, data.output_units, data.outputs),
+    ):
+        for label, unit, signal in zip(labels, units, signals, strict=True):
+            figures = (signal.min(), signal.mean(), signal.max(), signal.std())
+            rows.append([label, unit, role, *(number(value) for value in figures)])
+    title = (
+        f"Record {data.name!r}: {data.n_samples} samples, dt = {number(data.dt, 6)} s, "
+        f"t = {number(data.timepts[0])} ... {number(data.timepts[-1])} s"
+    )
+    notes = [f"hold {data.hold!r}: the inputs are taken as {_HOLD_TEXT[data.hold]}."]
+    still = [row[0] for row in rows if row[2] == "input" and row[3] == row[5]]
+    if still:
+        notes.append(
+            f"Constant over the record, so it drives nothing that could be seen: {', '.join(still)}."
+        )
+    return headers, rows, title, notes
+
+
+def measurement_text(data: Measurement) -> str:
+    """Table of the signals of a record."""
+    headers, rows, title, notes = _measurement_cells(data)
+    return text_table(headers, rows, title=title, notes=notes, left=3)
+
+
+def measurement_html(data: Measurement) -> str:
+    """Table of the signals of a record, HTML."""
+    headers, rows, title, notes = _measurement_cells(data)
+    return html_table(headers, rows, title=title, notes=notes, left=3)
+
+
+@picture
+def plot_measurement(
+    data: Measurement,
+    *,
+    ax: Any = None,
+    label: str | None = None,
+    title: str | None = None,
+    legend_loc: str | bool | None = None,
+    rcParams: dict[str, Any] | None = None,
+    show_legend: bool | None = None,
+) -> ct.ControlPlot:
+    """Outputs above inputs, one row per signal; see `Measurement.plot`."""
+    n_rows = data.n_outputs + data.n_inputs
+    (name,) = curve_labels(label, [data.name])
+    with settings(rcParams):
+        figure, axes = make_axes(ax, [1.2] * n_rows, 1)
+        lines = np.empty((n_rows, 1), dtype=object)
+        signals = np.vstack([data.outputs, data.inputs])
+        labels = data.output_labels + data.input_labels
+        units = data.output_units + data.input_units
+        fresh = ax is None
+        for row in range(n_rows):
+            axis = axes[row, 0]
+            steps = "steps-post" if row >= data.n_outputs and data.hold == "zoh" else "default"
+            look: dict[str, Any] = {"color": MEASURED} if fresh else {}
+            lines[row, 0] = axis.plot(
+                data.timepts, signals[row], drawstyle=steps, linewidth=1.0, label=name, **look
+            )
+            axis.set_ylabel(unit_text(labels[row], units[row]))
+            axis.grid(True, alpha=0.3)
+        axes[-1, 0].set_xlabel("Time [s]")
+        figure.align_ylabels(axes[:, 0])
+        return finish(
+            figure,
+            axes,
+            lines,
+            title=f"Record {data.name}" if title is None and fresh else title,
+            legends=[axes[0, 0]] if show_legend or not fresh or legend_loc else [],
+            legend_loc=legend_loc,
+            show_legend=show_legend,
+        )
+
+
+def _response_cells(measured: FrequencyResponse) -> tuple[list[str], list[list[str]], str, list[str]]:
+    headers = ["output", "input", "peak |G|", "at [Hz]", "coherence > 0.9", "median std/|G|"]
+    rows = []
+    hertz = measured.omega / (2.0 * np.pi)
+    for i, output in enumerate(measured.output_labels):
+        share = float(np.mean(measured.coherence[i] > 0.9))
+        for j, source in enumerate(measured.input_labels):
+            magnitude = measured.magnitude[i, j]
+            top = int(np.argmax(magnitude))
+            relative = np.median(measured.std[i, j] / np.maximum(magnitude, np.finfo(float).tiny))
+            rows.append(
+                [
+                    output,
+                    source,
+                    number(magnitude[top]),
+                    number(hertz[top]),
+                    f"{share:.0%}",
+                    f"{relative:.2%}",
+                ]
+            )
+    title = (
+        f"Measured frequency response of {measured.name!r}: {hertz.size} points, "
+        f"{number(hertz[0])} ... {number(hertz[-1])} Hz"
+    )
+    if measured.segment_length == 0:
+        return headers, rows, title, ["Taken as given: coherence and error are not known."]
+    notes = [
+        f"H1 from {measured.n_averages:.1f} effective segments of {measured.segment_length} samples, "
+        f"lines {number(measured.resolution / (2.0 * np.pi))} Hz apart (narrower peaks are flattened).",
+        "Coherence: share of the output's power that the inputs explain linearly; 'coherence > 0.9' is the "
+        "share of frequencies where that is so. std/|G|: random error of a point.",
+    ]
+    if measured.n_omitted:
+        notes.append(f"{measured.n_omitted} frequencies are left out: an input holds no power there.")
+    return headers, rows, title, notes
+
+
+def frequency_response_text(measured: FrequencyResponse) -> str:
+    """Table of a measured frequency response."""
+    headers, rows, title, notes = _response_cells(measured)
+    return text_table(headers, rows, title=title, notes=notes, left=2)
+
+
+def frequency_response_html(measured: FrequencyResponse) -> str:
+    """Table of a measured frequency response, HTML."""
+    headers, rows, title, notes = _response_cells(measured)
+    return html_table(headers, rows, title=title, notes=notes, left=2)
+
+
+@picture
+def plot_frequency_response(
+    measured: FrequencyResponse,
+    *,
+    ax: Any = None,
+    label: str | None = None,
+    title: str | None = None,
+    legend_loc: str | bool | None = None,
+    rcParams: dict[str, Any] | None = None,
+    show_legend: bool | None = None,
+) -> ct.ControlPlot:
+    """Magnitude, phase and coherence; see `FrequencyResponse.plot`."""
+    n_y, n_w = measured.response.shape[:2]
+    (name,) = curve_labels(label, [measured.name])
+    with settings(rcParams):
+        figure, axes = make_axes(ax, [1.8, 1.4, 0.9] * n_y, n_w)
+        bode = bode_rows(axes, measured.output_labels, measured.input_labels, extra="coherence")
+        lines = np.empty(axes.shape, dtype=object)
+        for i in range(n_y):
+            for j in range(n_w):
+                magnitude, phase, below = axes[3 * i : 3 * i + 3, j]
+                lines[3 * i, j], lines[3 * i + 1, j] = draw_measured(
+                    magnitude, phase, measured, i, j, name, bode
+                )
+                magnitude_limits(magnitude, lines[3 * i, j], bode)
+                x = measured.omega * bode.frequency_factor
+                lines[3 * i + 2, j] = below.plot(x, measured.coherence[i], color=MEASURED, linewidth=1.0)
+                below.set_ylim(0.0, 1.05)
+        return finish(
+            figure,
+            axes,
+            lines,
+            title=f"Measured frequency response of {measured.name}"
+            if title is None and ax is None
+            else title,
+            legends=[axes[0, 0]],
+            legend_loc=legend_loc,
+            show_legend=show_legend,
+        )

@@ -1,0 +1,166 @@
+"""The answer that a report opens with, in three sentences."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...comparison.adequacy import best_of, failures_of
+from ..tables import number
+
+if TYPE_CHECKING:
+    from ...comparison.responses import FrequencyComparison
+    from ...comparison.result import Comparison
+    from ...diagnosis.result import Diagnosis
+    from ...diagnosis.stepwise.improvement import Improvement
+    from ...inference.refinement import EstimatedParameter, Refinement
+
+__all__ = [
+    "comparison_answer",
+    "diagnosis_answer",
+    "improvement_answer",
+    "refinement_answer",
+    "response_answer",
+]
+
+
+def comparison_answer(result: Comparison) -> tuple[list[str], bool]:
+    """How well it fits, where it fails, what to do.
+
+    Returns
+    -------
+    sentences : list of str
+        Three of them.
+    fine : bool
+        Whether nothing stands out.
+    """
+    fits = np.nanmean(np.atleast_2d(result.fit), axis=1) if not np.isnan(result.fit).all() else None
+    data = result.data
+    best = best_of(result)
+    if fits is None:
+        first = f"The measured output of {data.name} is constant, so there is nothing to explain."
+    elif len(result.names) == 1:
+        first = f"The free run of {result.names[0]} explains {fits[0]:.4g} % of the record {data.name}."
+    else:
+        others = ", ".join(f"{n} {fits[i]:.4g} %" for i, n in enumerate(result.names) if i != best)
+        first = (
+            f"{result.names[best]} comes closest: it explains {fits[best]:.4g} % of the record "
+            f"{data.name} ({others})."
+        )
+    found = failures_of(result, best)
+    rmse = np.atleast_2d(result.rmse)[best]
+    sizes = ", ".join(
+        f"{number(rmse[i], 3)}{' ' + data.output_units[i] if data.output_units[i] else ''} in {label}"
+        for i, label in enumerate(data.output_labels)
+    )
+    if not found:
+        return [
+            first,
+            f"What is left over (typically {sizes}) holds nothing that this record could tell from noise.",
+            "The model is adequate for this record; a record at another amplitude could still show more.",
+        ], True
+    besides = sum(row.role == "besides" for row in found)
+    more = f" (and {besides} failure{'s' * (besides > 1)} besides)" if besides else ""
+    return [
+        first,
+        f"Where it fails{more}: {found[0].sentence.rstrip('.')}.",
+        f"The typical error is {sizes}; diagnose names the physical effect that is missing.",
+    ], False
+
+
+def response_answer(result: FrequencyComparison) -> tuple[list[str], bool]:
+    """How well a measured response is met, and where it is not; shape as `comparison_answer`."""
+    measured = result.measured
+    fits = result.fit if result.several else result.fit[None]
+    means = np.nan_to_num(fits, nan=-np.inf).reshape(len(result.names), -1).mean(axis=1)
+    best = int(np.argmax(means))
+    error = result.relative_error if result.several else result.relative_error[None]
+    worst = result.worst if result.several else result.worst[None]
+    i, j = np.unravel_index(int(np.argmin(np.nan_to_num(fits[best], nan=np.inf))), fits[best].shape)
+    others = ", ".join(f"{n} {means[k]:.4g} %" for k, n in enumerate(result.names) if k != best)
+    path = f"from {measured.input_labels[j]} to {measured.output_labels[i]}"
+    typical = float(np.nanmedian(error[best]))
+    return [
+        f"{result.names[best]} explains {means[best]:.4g} % of the measured response {measured.name}"
+        + (f" ({others})." if others else "."),
+        f"It departs most near {worst[best, i, j]:.4g} rad/s, {path}.",
+        f"The typical relative error is {100 * typical:.3g} %; a record in time would tell whether that is "
+        "noise.",
+    ], False
+
+
+def diagnosis_answer(found: Diagnosis) -> tuple[list[str], bool]:
+    """What is missing, how sure that is, what to do; shape as `comparison_answer`."""
+    first = found.sentences()[0]
+    worst = min(found.tests, key=lambda t: t.p_value) if found.tests else None
+    if worst is None:
+        second = "No test was possible."
+    elif found.verdict == "adequate":
+        least = f"smallest p = {worst.p_value:.2g}, {worst.name}"
+        second = f"No test fires at the level {found.significance:g} ({least})."
+    else:
+        p = f"p = {worst.p_value:.2g}" if worst.p_value > 0 else "p < 1e-300"
+        second = f"The model as it is fails its tests, most clearly this one: {worst.name}, {p}."
+    if found.verdict == "adequate":
+        seen = ", ".join(
+            f"{d.effect.label} {number(d.smallest, 3)} {d.unit}".strip() for d in found.detectable[:3]
+        )
+        third = (
+            f"With 95 % probability it would have shown: {seen}."
+            if seen
+            else "Adding one would only fit the noise."
+        )
+        return [first, second, third], True
+    third = {
+        "effect": "Add it with refine, and judge the result on data that took part in nothing.",
+        "ambiguous": "They explain it alike; suggest_experiment() names the record that tells them apart.",
+        "unexplained": "Do not trust the closest candidate: what is missing is not in the list.",
+    }[found.verdict]
+    return [first, second, third], False
+
+
+def improvement_answer(ladder: Improvement) -> tuple[list[str], bool]:
+    """How far the error fell, by what, and why it ended; shape as `comparison_answer`."""
+    first, last = ladder.steps[0], ladder.steps[-1]
+    before, after = (float(np.sqrt(np.mean(s.validation_rmse**2))) for s in (first, last))
+    unit = f" {ladder.output_units[0]}" if len(ladder.output_units) == 1 and ladder.output_units[0] else ""
+    change = f" ({100 * (after / before - 1):+.0f} %)" if before > 0 else ""
+    names = [f"{e.label} ({_estimate(last.refinement, e.kind, e.place)})" for e in ladder.effects]
+    added = f"Added: {'; '.join(names)}." if names else "No effect earned its place."
+    return [
+        f"The error on data that took part in nothing goes from {before:.4g} to {after:.4g}{unit}{change}.",
+        added,
+        ladder.message,
+    ], ladder.verdict == "adequate" and not names
+
+
+def refinement_answer(refinement: Refinement) -> tuple[list[str], bool]:
+    """How far the fit rose, what moved most, how well it is known; shape as `comparison_answer`."""
+    before, after = float(np.mean(refinement.initial_fit)), float(np.mean(refinement.fit))
+    first = f"The refined model explains {after:.4g} % of the record, the initial one {before:.4g} %."
+    moved = [r for r in refinement.parameters if r.role != "offset" and r.std > 0]
+    if moved:
+        row = max(moved, key=lambda r: abs(r.coefficient) / r.std)
+        sure = abs(row.coefficient) / row.std
+        second = f"The surest change is {_row(row)}, {sure:.3g} standard deviations from the initial model."
+    else:
+        second = "No parameter was estimated."
+    labels = refinement.physical_model.linear.output_labels
+    left = ", ".join(
+        f"{number(size, 3)} in {label}" for size, label in zip(refinement.rmse, labels, strict=True)
+    )
+    third = f"{refinement.message.rstrip('.')}; what is left over is typically {left}."
+    if refinement.warnings:
+        third = refinement.warnings[0]
+    return [first, second, third], refinement.success
+
+
+def _row(row: EstimatedParameter) -> str:
+    unit = f" {row.unit}" if row.unit else ""
+    return f"{row.name} at {row.place}: {row.initial:.4g} to {row.value:.4g} +/- {row.std:.2g}{unit}"
+
+
+def _estimate(refinement: Refinement, kind: str, place: str) -> str:
+    rows = [r for r in refinement.parameters if r.kind == kind and r.place == place]
+    return ", ".join(f"{r.coefficient:.4g} +/- {r.std:.2g}{' ' + r.unit if r.unit else ''}" for r in rows)

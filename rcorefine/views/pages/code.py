@@ -1,0 +1,340 @@
+"""Python code that does once more what a report shows: models, records and calls as text."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ...data.frequency_response import FrequencyResponse
+from ...data.measurement import Measurement
+from ...effects.effect import Effect
+from ...inference.refinement import Refinement
+from ...models.conversion import as_physical
+from ...models.parameters import NominalParameter
+from ...models.physical_model import PhysicalModel
+from ...models.ports import Port
+from ...systems.linear import LinearModel
+from .origin import fingerprint, response_facts
+
+__all__ = ["comment", "effects_code", "literal", "model_code", "record_code", "script"]
+
+_MOST_POINTS = 4000  # of a measured response
+_LARGEST = 30  # states of a model that is listed in full
+
+
+def literal(value: Any, indent: int = 0) -> str:
+    """A value as Python code that makes an equal one.
+
+    Parameters
+    ----------
+    value : object
+        Numbers, text, arrays, sequences, mappings, effects, and the parts of a model.
+    indent : int
+        Columns by which broken lines are set in.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    TypeError
+        For anything else.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> literal(np.array([[1.0, -2.5]])), literal(("a", float("inf")))
+    ('np.array([[1.0, -2.5]])', '("a", np.inf)')
+    """
+    if value is None or isinstance(value, (bool, np.bool_)):
+        return repr(value if value is None else bool(value))
+    if isinstance(value, str):
+        return '"' + value.encode("unicode_escape").decode("ascii").replace('"', '\\"') + '"'
+    if isinstance(value, (int, np.integer)):
+        return repr(int(value))
+    if isinstance(value, (float, np.floating)):
+        return repr(float(value)) if math.isfinite(value) else f"np.{float(value)!r}".replace("np.-", "-np.")
+    if isinstance(value, (complex, np.complexfloating)):
+        return repr(complex(value))
+    if isinstance(value, np.ndarray):
+        if value.size > 1 and not value.any():
+            return f"np.zeros({literal(value.shape if value.ndim > 1 else value.shape[0])})"
+        return f"np.array({literal(value.tolist(), indent)})"
+    if isinstance(value, Effect):
+        return _effect(value)
+    if isinstance(value, (LinearModel, PhysicalModel, Port, NominalParameter)):
+        return _fields(value, indent)
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{literal(k)}: {literal(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, (list, tuple)):
+        left, right = "[]" if isinstance(value, list) else "()"
+        items = [literal(item, indent + 4) for item in value]
+        comma = "," if isinstance(value, tuple) and len(items) == 1 else ""
+        line = left + ", ".join(items) + comma + right
+        if len(line) + indent <= 100 and "\n" not in line:
+            return line
+        pad = " " * (indent + 4)
+        return left + "\n" + "".join(f"{pad}{item},\n" for item in items) + " " * indent + right
+    raise TypeError(f"{type(value).__name__} cannot be written as code")
+
+
+def comment(text: str) -> str:
+    r"""A line of comment, whatever the text holds: a line break in a name must not begin a line of code.
+
+    Parameters
+    ----------
+    text : str
+        Names of files, models and signals included.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> comment("ready\nimport os")
+    '# ready\\nimport os'
+    """
+    return "# " + "".join(
+        letter if letter.isprintable() else letter.encode("unicode_escape").decode("ascii") for letter in text
+    )
+
+
+def _effect(effect: Effect) -> str:
+    if effect.kind == "custom":
+        raise TypeError(f"the law of {effect.label} is a function of yours")
+    given = {"start": effect.start, "fixed": effect.fixed, "prior": effect.prior, "name": effect.name}
+    parts = [literal(effect.kind), literal(effect.place)]
+    parts += [f"{key}={literal(value)}" for key, value in given.items() if value]
+    return f"rco.Effect({', '.join(parts)})"
+
+
+_NAMES = {"LinearModel": "LinearModel"}  # not public; the others are names in rco
+
+
+def _fields(value: Any, indent: int) -> str:
+    name = type(value).__name__
+    pad = " " * (indent + 4)
+    lines = [
+        f"{pad}{field.name}={literal(getattr(value, field.name), indent + 4)},\n"
+        for field in dataclasses.fields(value)
+    ]
+    return f"{_NAMES.get(name, f'rco.{name}')}(\n{''.join(lines)}{' ' * indent})"
+
+
+def model_code(model: Any, name: str = "model") -> list[str]:
+    """Lines that define a model.
+
+    Parameters
+    ----------
+    model : LinearModel or PhysicalModel
+        What to write down.
+    name : str
+        Name of the variable.
+
+    Returns
+    -------
+    list of str
+        Starting with a comment instead where the model is too large to be listed.
+    """
+    linear = model.linear if isinstance(model, PhysicalModel) else model
+    if linear.n_states > _LARGEST:
+        return [
+            f"# {name}: {linear.n_states} states, too large to be listed here. It is the one with",
+            *(f"#   sha256 of {key}: {fingerprint(getattr(linear, key))}" for key in "ABCD"),
+            f"{name} = ...",
+        ]
+    if isinstance(model, PhysicalModel) and not _plain(model):
+        return ["from rcorefine.systems.linear import LinearModel", "", f"{name} = {literal(model)}"]
+    keys = {
+        "inputs": list(linear.input_labels),
+        "outputs": list(linear.output_labels),
+        "states": list(linear.state_labels),
+    }
+    return [
+        f"{name} = ct.ss(",
+        *(f"    {literal(getattr(linear, key), 4)}," for key in "ABCD"),
+        f"    {literal(linear.dt)},",
+        *(f"    {key}={literal(value, 4)}," for key, value in keys.items()),
+        f"    name={literal(linear.name)},",
+        ")",
+    ]
+
+
+def _plain(model: PhysicalModel) -> bool:
+    """Whether the same places follow from the matrices alone."""
+    again = as_physical(model.system)
+    return (
+        model.hold is None
+        and [p.name for p in again.ports] == [p.name for p in model.ports]
+        and again.parameters == model.parameters
+    )
+
+
+def effects_code(effects: Sequence[Effect]) -> str:
+    """List of effects as code; a comment in the place of a law that only the user has."""
+    lines = []
+    for effect in effects:
+        try:
+            lines.append(f"    {literal(effect)},\n")
+        except TypeError as error:
+            lines.append(f"    ...,  {comment(str(error))}\n")
+    return "[\n" + "".join(lines) + "]" if lines else "[]"
+
+
+def record_code(records: Sequence[Measurement]) -> list[str]:
+    """Lines that read the records from files and check that they are the same ones.
+
+    Parameters
+    ----------
+    records : sequence of Measurement
+        What the result rests on.
+
+    Returns
+    -------
+    list of str
+    """
+    lines = ["# the record: put the name of your file here"]
+    for index, data in enumerate(records):
+        name = "data" if len(records) == 1 else f"data{index + 1}"
+        file = "record.npz" if len(records) == 1 else f"record{index + 1}.npz"
+        lines += [
+            f"{name} = rco.Measurement.from_npz(",
+            f"    {literal(file)},",
+            f"    inputs={literal(list(data.input_labels), 4)},",
+            f"    outputs={literal(list(data.output_labels), 4)},",
+            f"    dt={literal(data.dt)},",
+            f"    hold={literal(data.hold)},",
+        ]
+        if any(data.input_units):
+            lines.append(f"    input_units={literal(list(data.input_units), 4)},")
+        if any(data.output_units):
+            lines.append(f"    output_units={literal(list(data.output_units), 4)},")
+        lines += [
+            f"    name={literal(data.name)},",
+            ")",
+            f"assert sha256({name}.inputs.tobytes()).hexdigest() == {literal(fingerprint(data.inputs))}",
+            f"assert sha256({name}.outputs.tobytes()).hexdigest() == {literal(fingerprint(data.outputs))}",
+        ]
+    if len(records) > 1:
+        lines.append(f"data = [{', '.join(f'data{i + 1}' for i in range(len(records)))}]")
+    return lines
+
+
+def response_code(measured: FrequencyResponse) -> list[str]:
+    """Lines that define a measured response, its points in full up to a few thousand."""
+    if measured.response.size > _MOST_POINTS:
+        facts = [comment(f"{name}: {value}") for name, value in response_facts(measured)]
+        return ["# the measured response is too long to be listed here", *facts, "measured = ..."]
+    return [
+        "measured = FrequencyResponse.from_frd(",
+        "    ct.frd(",
+        f"        {literal(measured.response, 8)},",
+        f"        {literal(measured.omega, 8)},",
+        f"        dt={literal(measured.dt)},",
+        f"        name={literal(measured.name)},",
+        f"        inputs={literal(list(measured.input_labels), 8)},",
+        f"        outputs={literal(list(measured.output_labels), 8)},",
+        "    ),",
+        f"    hold={literal(measured.hold)},",
+        ")",
+    ]
+
+
+def script(*blocks: Sequence[str]) -> str:
+    """Blocks of lines under the imports that they need."""
+    body = "\n\n".join("\n".join(block) for block in blocks if block)
+    own = ["import rcorefine as rco"]
+    model = "from rcorefine.systems.linear import LinearModel"
+    if model in body:
+        own.append(model)
+        body = body.replace(f"{model}\n\n", "")
+    if "FrequencyResponse.from_frd" in body:
+        own.append("from rcorefine.data.frequency_response import FrequencyResponse")
+    standard = "from hashlib import sha256\n\n" if "sha256(" in body else ""
+    outside = [
+        line
+        for line, sign in (("import control as ct", "ct."), ("import numpy as np", "np."))
+        if sign in body
+    ]
+    return (
+        standard
+        + "".join(f"{line}\n" for line in outside)
+        + ("\n" if outside else "")
+        + "\n".join(own)
+        + f"\n\n{body}\n"
+    )
+
+
+def refinement_code(refinement: Refinement, settings: Mapping[str, Any] | None = None) -> list[str]:
+    """Lines that fit a refinement again, from its own estimates.
+
+    Parameters
+    ----------
+    refinement : Refinement
+        What was found.
+    settings : mapping, optional
+        Options of `refine` as they were given; where they are not known, what the roles of the effects tell.
+
+    Returns
+    -------
+    list of str
+    """
+    structure, theta, _ = refinement.simulation_structure()
+    asked, floating = [], []
+    for index, (effect, role) in enumerate(zip(refinement.effects, refinement.roles, strict=True)):
+        free = [name for name in effect.coefficients if structure.position(index, name) >= 0]
+        found = {name: float(structure.value(theta, index, name)) for name in free}
+        if role == "effect":
+            asked.append(effect.replace(start=found))
+        elif role == "linear":
+            floating.append(effect)
+    options = dict(settings or {})
+    if settings is None:
+        options["offset"] = "offset" in refinement.roles
+        if floating:
+            options["free"] = floating
+    lines = [
+        f"effects = {effects_code(asked)}",
+        "better = rco.refine(model, data, effects" + _options(options) + ")",
+    ]
+    if settings is None and floating:
+        lines.insert(0, "# the linear parameters below floated; give tolerance= too if you gave it")
+    return lines
+
+
+def _options(options: Mapping[str, Any]) -> str:
+    """Keywords that differ from their defaults."""
+    defaults: dict[str, Any] = {
+        "free": (),
+        "tolerance": 0.0,
+        "offset": True,
+        "noise": None,
+        "horizon": None,
+        "significance": 0.01,
+    }
+    text = ""
+    for key, value in options.items():
+        if key in defaults and _same(value, defaults[key]):
+            continue
+        try:
+            text += f", {key}={literal(value)}"
+        except TypeError as error:
+            text += f", {key}=...  {comment(str(error))}\n"
+    return text
+
+
+def _same(value: Any, default: Any) -> bool:
+    if isinstance(default, tuple):
+        return not isinstance(value, str) and hasattr(value, "__len__") and len(value) == 0
+    return bool(np.all(value == default)) if value is not None and default is not None else value is default
+
+
+def call_options(options: Mapping[str, Any]) -> str:
+    """Keywords of a call as text, those at their defaults left out."""
+    return _options(options)

@@ -1,0 +1,212 @@
+"""The report of a comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...comparison.adequacy import failures_of
+from ...systems.linear import LinearModel
+from ..comparison import _cells, _without_empty_unit
+from ..tables import number
+from .answers import comparison_answer, response_answer
+from .code import model_code, record_code, response_code, script
+from .origin import response_facts, version_facts
+from .page import Facts, Page, Paragraphs, Section, Table, check_target, write_page
+from .parts import Parts, Target, Wanted, chance, code_section, origin_section, pictures
+
+if TYPE_CHECKING:
+    from ...comparison.failure_map.search import Failure
+    from ...comparison.responses import FrequencyComparison
+    from ...comparison.result import Comparison
+
+__all__ = ["comparison_tables", "fits_in_words", "report_comparison", "report_responses", "time_words"]
+
+
+def report_comparison(
+    result: Comparison, path: Target, *, title: str | None, code: str | None, overwrite: bool
+) -> Path:
+    """Write the report of a comparison; see `Comparison.report`."""
+    target = check_target(path, title=title, code=code, overwrite=overwrite)
+    answer, fine = comparison_answer(result)
+    sections = [
+        Section(
+            "Pictures",
+            pictures([_comparison_picture(result, kind) for kind in _kinds_of(result)]),
+        ),
+        Section("Tables", comparison_tables(result)),
+        code_section(_comparison_code(result), code),
+        origin_section([result.data]),
+    ]
+    heading = title or f"{' and '.join(result.names[:3])}: comparison with {result.data.name}"
+    about = f"{len(result.names)} model(s), {result.data.n_samples} samples, {number(result.data.duration)} s"
+    return write_page(Page(heading, about, answer, fine, sections), target, overwrite=overwrite)
+
+
+def report_responses(
+    result: FrequencyComparison, path: Target, *, title: str | None, code: str | None, overwrite: bool
+) -> Path:
+    """Write the report of a comparison with a measured response; see `FrequencyComparison.report`."""
+    target = check_target(path, title=title, code=code, overwrite=overwrite)
+    measured = result.measured
+    answer, fine = response_answer(result)
+    headers, rows, above, notes = result._cells()
+    magnitudes = ", ".join(result.names)
+    drawn = (
+        "bode",
+        lambda: result.plot(title=""),
+        f"Bode diagram of {magnitudes} beside the measured response {measured.name}.",
+        "Dots: measured response. Lines: the models. Bottom row: relative error.",
+    )
+    models = [model_code(m, f"model{i + 1}") for i, m in enumerate(result.models)]
+    listed = ", ".join(f"model{i + 1}" for i in range(len(models)))
+    call = f"result = rco.compare({f'[{listed}]' if result.several else listed}, measured)"
+    own = script(*models, response_code(measured), [call, "print(result)", "result.plot()"])
+    sections = [
+        Section("Pictures", pictures([drawn])),
+        Section("Tables", [Table(headers, rows, title=above, notes=notes, left=3)]),
+        code_section(own, code),
+        Section("Response and versions", [Facts(response_facts(measured)), Facts(version_facts())]),
+    ]
+    heading = title or f"{' and '.join(result.names[:3])}: comparison with {measured.name}"
+    about = f"{len(result.names)} model(s), {measured.omega.size} frequencies"
+    return write_page(Page(heading, about, answer, fine, sections), target, overwrite=overwrite)
+
+
+def _comparison_picture(result: Comparison, kind: str) -> Wanted:
+    alt, caption = _WORDS[kind](f"record {result.data.name}", fits_in_words(result))
+    return kind, lambda: result.plot(kind, title=""), alt, caption
+
+
+def _kinds_of(result: Comparison) -> list[str]:
+    """Pictures that a comparison offers, the one that answers first."""
+    from ...comparison import result as module
+
+    return [kind for kind in _WORDS if kind in module._KINDS]
+
+
+def fits_in_words(result: Comparison) -> str:
+    """Fit of every model and output."""
+    fits = np.atleast_2d(result.fit)
+    return "; ".join(
+        f"{name} fits {' / '.join(f'{v:.4g} %' for v in row)}"
+        for name, row in zip(result.names, fits, strict=True)
+    )
+
+
+_WORDS: dict[str, Callable[[str, str], tuple[str, str]]] = {
+    "map": lambda record, fits: (
+        f"Failure map of {record}: where over time, frequency, amplitude, state and place the model fails.",
+        "Where the model fails: what stands out from noise, over time, frequency, amplitude, state and "
+        "place.",
+    ),
+    "time": lambda record, fits: (
+        f"Measured and simulated outputs of {record} over time; {fits}. Residuals in the lower row.",
+        "The record (broad, pale) and the free run of each model, with the fit in the legend; below, what is "
+        "left over.",
+    ),
+    "bode": lambda record, fits: (
+        f"Bode diagram of the models beside the measured frequency response of {record}.",
+        "Frequency responses as the record sees them; dots and band: measured, two standard deviations. "
+        "Bottom row: relative error, and what noise alone would cause.",
+    ),
+    "residual": lambda record, fits: (
+        f"Tests of what is left over of {record}: correlation with itself and with the inputs.",
+        "What is left over: its correlation with itself and with the inputs, and the bounds of chance.",
+    ),
+    "horizon": lambda record, fits: (
+        f"Error against the length of the prediction for {record}.",
+        "Error against the time for which the model predicts, from one step to the free run.",
+    ),
+}
+
+
+def comparison_tables(result: Comparison) -> Parts:
+    """Failures, where there are any, and the table of fits."""
+    headers, rows, title, notes = _cells(result)
+    headers, rows = _without_empty_unit(headers, rows)
+    parts: Parts = [Table(headers, rows, title=title, notes=notes, left=len(headers) - 5)]
+    maps = [failures_of(result, index) for index in range(len(result.names))]
+    first: Parts = []
+    for found in maps:
+        notes = [f"{note}." for note in found.notes]
+        if found:
+            explained = [*_FAILURE_NOTES, *notes]
+            title = f"Where {found.name} fails"
+            first.append(
+                Table(
+                    _FAILURE_HEADERS, [_failure_row(r) for r in found], title=title, notes=explained, left=4
+                )
+            )
+        else:
+            nowhere = f"Where {found.name} fails: nowhere that this record could show."
+            first.append(Paragraphs([nowhere, *notes]))
+    return [*first, *parts]
+
+
+_FAILURE_HEADERS = ("", "dimension", "where", "in words", "statistic", "p-value", "share of the error")
+_FAILURE_NOTES = (
+    "1: leaves least unexplained; +: what is left besides when the rows before are allowed for; "
+    "=: another view of the same error.",
+    "statistic: twice the log-likelihood that allowing for it adds; p-value: the chance of such a "
+    "row anywhere if the model were right; share: the part of the error's energy that it explains "
+    "(rows overlap).",
+)
+_ROLES = {"first": "1", "besides": "+", "instead": "="}
+
+
+def _failure_row(row: Failure) -> list[str]:
+    words = [_ROLES[row.role], row.dimension, row.where, row.sentence]
+    return [*words, number(row.statistic, 3), chance(row.p_value), f"{100 * row.share:.3g} %"]
+
+
+def _comparison_code(result: Comparison) -> str:
+    """Models and record as code; nonlinear effects are not in a comparison, and it says so."""
+    from ...engine.simulation import simulate
+
+    blocks: list[Sequence[str]] = []
+    for index, model in enumerate(result.models):
+        name = "model" if len(result.models) == 1 else f"model{index + 1}"
+        lines = model_code(model, name)
+        if len(result.starts) == 1 and not _reproduces(model, result, index, simulate):
+            lines = [
+                f"# {name} holds effects that are not linear; below is its linear part only. "
+                "Put the Refinement here.",
+                *lines,
+            ]
+        blocks.append(lines)
+    names = ", ".join(f"model{i + 1}" for i in range(len(result.models)))
+    models = (
+        "model"
+        if len(result.models) == 1 and not result.several
+        else f"[{names if len(result.models) > 1 else 'model'}]"
+    )
+    options = (
+        ""
+        if result.x0 == "estimate"
+        else f', x0="{result.x0}"'
+        if result.x0 == "zero"
+        else ", x0=...  # as given"
+    )
+    if result.horizon is not None:
+        options = f", horizon={result.horizon!r}" + options
+    close = ")" if "#" not in options else "\n)"
+    call = [f"result = rco.compare({models}, data{options}{close}", "print(result)", "result.plot()"]
+    return script(*blocks, record_code([result.data]), call)
+
+
+def _reproduces(model: LinearModel, result: Comparison, index: int, simulate: Callable[..., Any]) -> bool:
+    """Whether the linear model alone gives the run that was compared."""
+    run = simulate(
+        model.to_statespace(), result.data, result.initial_states[index][0][: model.n_states]
+    ).outputs
+    scale = float(np.abs(result.runs[index]).max()) or 1.0
+    return bool(np.abs(run - result.runs[index]).max() < 1e-6 * scale)
+
+
+def time_words(result: Comparison) -> tuple[str, str]:
+    """What the picture over time shows, and what it means."""
+    return _WORDS["time"](f"record {result.data.name}", fits_in_words(result))

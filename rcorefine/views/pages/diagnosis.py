@@ -1,0 +1,143 @@
+"""The report of a diagnosis."""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..tables import number
+from .answers import diagnosis_answer
+from .code import call_options, effects_code, model_code, record_code, refinement_code, script
+from .page import Page, Paragraphs, Section, Table, check_target, write_page
+from .parts import Parts, Target, chance, code_section, origin_section, parameter_table, pictures
+
+if TYPE_CHECKING:
+    from ...diagnosis.result import Diagnosis
+    from ...inference.refinement import Refinement
+
+__all__ = ["report_diagnosis"]
+
+
+def report_diagnosis(
+    found: Diagnosis, path: Target, *, title: str | None, code: str | None, overwrite: bool
+) -> Path:
+    """Write the report of a diagnosis; see `Diagnosis.report`."""
+    from ...diagnosis.diagnose import diagnose
+
+    target = check_target(path, title=title, code=code, overwrite=overwrite)
+    answer, fine = diagnosis_answer(found)
+    shown = ", ".join(f"{row.effect.label} {row.probability:.2f}" for row in found.ranking[:4]) or "nothing"
+    drawn = pictures(
+        [
+            (
+                "diagnosis",
+                lambda: found.plot(title=""),
+                f"Ranking of the candidates by probability ({shown}), the hidden force against the motion, "
+                "and the residual before and after.",
+                "The candidates by probability; the force that the record itself asks for at the place of "
+                "the best one, with its law; and what is left over with and without it.",
+            )
+        ]
+    )
+    linear = found.base.physical_model.linear
+    tested = [
+        ["model as it is", t.name, number(t.statistic), str(t.dof), chance(t.p_value)] for t in found.tests
+    ] + [
+        ["with the best effect", t.name, number(t.statistic), str(t.dof), chance(t.p_value)]
+        for t in found.winner_tests
+    ]
+    tables: Parts = [
+        Table(
+            [
+                "effect",
+                "coefficient",
+                "value",
+                "std",
+                "fit before [%]",
+                "fit after [%]",
+                "p-value",
+                "probability",
+            ],
+            _ranking_rows(found),
+            title="Candidates that were refitted",
+            notes=[
+                "p-value: the chance of such a score if nothing were missing. probability: among the "
+                "candidates, "
+                "if exactly one of them is missing. std: one standard deviation of the coefficient.",
+            ],
+            left=2,
+        )
+        if found.ranking
+        else Table(
+            ["effect", "smallest coefficient", "unit"],
+            [[d.effect.label, number(d.smallest, 3), d.unit] for d in found.detectable],
+            title="What the record would have shown",
+            notes=["The smallest coefficient that would have been noticed with 95 % probability."],
+        ),
+        Table(
+            ["model", "test", "F", "degrees of freedom", "p-value"],
+            tested,
+            title="Tests of what is left over",
+            notes=[
+                f"The gate is at {found.significance:g}, divided by the number of tests. A small p-value "
+                "says "
+                "that the residual still holds what this test looks for."
+            ],
+            left=2,
+        ),
+        parameter_table(found.base, "The model as it is, its free parameters fitted"),
+        Paragraphs(found.notes),
+    ]
+    known = inspect.signature(diagnose).parameters
+    settings = {key: value for key, value in found.settings.items() if key in known}
+    candidates = settings.pop("candidates", None)
+    settings["significance"] = found.significance
+    call = f"found = rco.diagnose(model, data{call_options(settings)})"
+    if candidates is not None:
+        call = f"candidates = {effects_code(candidates)}\n" + call.replace(
+            "data", "data, candidates=candidates", 1
+        )
+    start, name = _start_code(found.base)
+    own = script(
+        start,
+        record_code(found.records),
+        [call.replace("(model,", f"({name},", 1), "print(found)", "found.plot()"],
+    )
+    sections = [
+        Section("Pictures", drawn),
+        Section("Tables", [part for part in tables if not isinstance(part, Table) or part.rows]),
+        code_section(own, code),
+        origin_section(found.records),
+    ]
+    samples = sum(r.n_samples for r in found.records)
+    about = f"model {linear.name}, {len(found.records)} record(s), {samples} samples"
+    page = Page(title or f"Diagnosis of {linear.name}: {found.verdict}", about, answer, fine, sections)
+    return write_page(page, target, overwrite=overwrite)
+
+
+def _ranking_rows(found: Diagnosis) -> list[list[str]]:
+    rows = []
+    for row in found.ranking:
+        for i, (name, value) in enumerate(row.coefficients.items()):
+            head = row.effect.label if i == 0 else ""
+            tail = [
+                number(row.fit_before),
+                number(row.fit_after),
+                chance(row.p_value),
+                f"{row.probability:.3f}",
+            ]
+            rows.append([head, name, f"{value:.5g}", f"{row.std[name]:.2g}", *(tail if i == 0 else [""] * 4)])
+    return rows
+
+
+def _start_code(base: Refinement) -> tuple[list[str], str]:
+    """The model that a diagnosis started from, and its name: a refinement where effects were in it."""
+    lines = model_code(base.physical_model)
+    if "effect" not in base.roles:
+        return lines, "model"
+    return [
+        *lines,
+        "# diagnose started from this model with the effects that it held:",
+        *refinement_code(base),
+    ], "better"

@@ -1,0 +1,201 @@
+"""The reports of an improvement and of a refinement."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...data.measurement import Measurement
+from ..level_bode import stretches_by_level
+from ..tables import number
+from .answers import improvement_answer, refinement_answer
+from .code import model_code, record_code, refinement_code, script
+from .comparison import comparison_tables, time_words
+from .page import Page, Paragraphs, Section, Table, check_target, write_page
+from .parts import (
+    Parts,
+    Target,
+    Wanted,
+    code_section,
+    estimates,
+    origin_section,
+    parameter_plot,
+    parameter_table,
+    pictures,
+    root_mean_square,
+)
+
+if TYPE_CHECKING:
+    from ...diagnosis.stepwise.improvement import Improvement
+    from ...inference.refinement import Refinement
+
+__all__ = ["report_improvement", "report_refinement"]
+
+
+def report_improvement(
+    ladder: Improvement,
+    path: Target,
+    *,
+    data: Measurement | None,
+    title: str | None,
+    code: str | None,
+    overwrite: bool,
+) -> Path:
+    """Write the report of an improvement; see `Improvement.report`."""
+    target = check_target(path, title=title, code=code, overwrite=overwrite)
+    answer, fine = improvement_answer(ladder)
+    last = ladder.refinement
+    errors = ", ".join(f"{float(np.sqrt(np.mean(s.validation_rmse**2))):.3g}" for s in ladder.steps)
+    wanted: list[Wanted] = [
+        (
+            "staircase",
+            lambda: ladder.plot(title=" "),
+            f"Staircase of the root mean square error after each step; held out: {errors}.",
+            "Error of the free run after each step: on the part that was fitted, on the part on which the "
+            "step was chosen, and on the part that took part in nothing, which is the one to trust.",
+        )
+    ]
+    rows = []
+    for i, step in enumerate(ladder.steps):
+        values = "; ".join(f"{k} {v:.4g} +/- {step.std[k]:.2g}" for k, v in step.coefficients.items())
+        errors_of = (step.train_rmse, step.choice_rmse, step.validation_rmse)
+        rivals = ", ".join(effect.label for effect in step.rivals)
+        rows.append([str(i), step.name, values, *(root_mean_square(e) for e in errors_of), rivals])
+    tables: Parts = [
+        Table(
+            ["step", "what", "coefficients", "fitted", "chosen on", "held out", "explains the same alike"],
+            rows,
+            title="Root mean square error after each step",
+            notes=["Effects in the last column explain the record as well as the one that was added."],
+            left=3,
+        ),
+        parameter_table(last, "Parameters of the last model"),
+        Paragraphs(ladder.sentences()),
+    ]
+    return _report_model(
+        target,
+        title or f"Improvement of {last.physical_model.linear.name}: {ladder.verdict}",
+        (answer, fine),
+        wanted,
+        tables,
+        (ladder.steps[0].refinement, last),
+        data,
+        code,
+        overwrite,
+    )
+
+
+def report_refinement(
+    refinement: Refinement,
+    path: Target,
+    *,
+    data: Measurement | None,
+    title: str | None,
+    code: str | None,
+    overwrite: bool,
+) -> Path:
+    """Write the report of a refinement; see `Refinement.report`."""
+    target = check_target(path, title=title, code=code, overwrite=overwrite)
+    tables: Parts = [
+        parameter_table(refinement, "Parameters"),
+        Paragraphs([refinement.message, *refinement.warnings]),
+    ]
+    return _report_model(
+        target,
+        title or f"Refinement of {refinement.physical_model.linear.name}",
+        refinement_answer(refinement),
+        [],
+        tables,
+        (None, refinement),
+        data,
+        code,
+        overwrite,
+    )
+
+
+def _report_model(
+    target: Path,
+    title: str,
+    answer: tuple[list[str], bool],
+    wanted: list[Wanted],
+    tables: Parts,
+    models: tuple[Refinement | None, Refinement],
+    data: Measurement | None,
+    code: str | None,
+    overwrite: bool,
+) -> Path:
+    """A refined model beside the one it came from, and beside a record where there is one."""
+    first, last = models
+    linear = last.physical_model.linear
+    about = (
+        f"model {linear.name}: {linear.n_states} states, {linear.n_inputs} input(s), "
+        f"{linear.n_outputs} output(s)"
+    )
+    records: list[Measurement] = [] if data is None else [data]
+    if data is None:
+        tables.append(
+            Paragraphs(["The result keeps no record; report(..., data=...) shows the models beside one."])
+        )
+    else:
+        from ...comparison.compare import compare
+
+        before: Any = last.physical_model if first is None else first
+        beside = replace(compare([before, last], data), names=("initial", "refined"))
+        words = time_words(beside)
+        wanted.append(("time", lambda: beside.plot(title=""), *words))
+        tables += comparison_tables(beside)
+        about += f"; beside record {data.name}, {data.n_samples} samples"
+    wanted.append(_bode_picture(last, data))
+    wanted.append(
+        (
+            "parameters",
+            lambda: parameter_plot(last),
+            "Estimates with their 95 % intervals: "
+            + ", ".join(f"{r.name} {r.value:.3g} +/- {1.96 * r.std:.2g}" for r in estimates(last)[:12]),
+            "Estimates with 95 % intervals, in units of the initial value (or of the estimate, where the "
+            "initial model has none); the vertical line is the initial model.",
+        )
+    )
+    if not estimates(last):
+        wanted.pop()
+    own = script(
+        ["# the initial model", *model_code(last.physical_model)],
+        record_code(records) if records else ["data = ...  # your record"],
+        [*refinement_code(last), "print(better)"],
+    )
+    sections = [
+        Section("Pictures", pictures(wanted)),
+        Section("Tables", tables),
+        code_section(own, code),
+        origin_section(records),
+    ]
+    sentences, fine = answer
+    return write_page(Page(title, about, sentences, fine, sections), target, overwrite=overwrite)
+
+
+def _bode_picture(refinement: Refinement, data: Measurement | None) -> Wanted:
+    """Bode diagram, at the levels of the record where the model is not linear."""
+    structure, _, _ = refinement.simulation_structure()
+    beside = "" if data is None else ", beside the measured points"
+    if structure.is_linear or data is None:
+        return (
+            "bode",
+            lambda: refinement.bode_plot(data, title=""),
+            f"Bode diagram: magnitude and phase of the initial and of the refined model{beside}.",
+            "Frequency response of the initial and of the refined model; effects that are not linear are not "
+            "in it." + ("" if data is None else " Dots: measured. Bottom row: relative error."),
+        )
+    rms = [level for level, _ in stretches_by_level(data)]
+    # a sine of the same power as the record, and a weaker one where the record has one level only
+    levels = [np.sqrt(2.0) * level for level in ([0.3 * rms[0], *rms] if len(rms) == 1 else rms)]
+    sines = ", ".join(number(level, 3) for level in levels)
+    return (
+        "bode at several amplitudes",
+        lambda: refinement.bode_plot(data, levels=levels, title=""),
+        f"Bode diagram of the refined model for sines of amplitude {sines}{beside}.",
+        "Response to sines of several amplitudes, all effects included; it would be one curve if the system "
+        "were linear. Dots: measured, by level of the record; thin lines: the model on the same input.",
+    )

@@ -1,0 +1,111 @@
+"""Where a report comes from: the record's fingerprint and the versions that made it."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+
+import numpy as np
+
+from ...data.frequency_response import FrequencyResponse
+from ...data.measurement import Measurement
+from ...systems.linear import Array
+from ..tables import number
+
+__all__ = ["fingerprint", "record_facts", "response_facts", "version_facts"]
+
+_PACKAGES = ("control", "numpy", "scipy", "matplotlib", "numba")
+
+
+def fingerprint(values: Array) -> str:
+    """SHA-256 of an array's numbers: equal records have equal fingerprints.
+
+    Parameters
+    ----------
+    values : ndarray
+        Numbers.
+
+    Returns
+    -------
+    str
+        Of the bytes of the array as little-endian float64, row by row.
+
+    Examples
+    --------
+    >>> import hashlib, numpy as np
+    >>> fingerprint(np.array([1.0])) == hashlib.sha256(bytes.fromhex("000000000000f03f")).hexdigest()
+    True
+    """
+    return hashlib.sha256(np.ascontiguousarray(values, dtype="<f8").tobytes()).hexdigest()
+
+
+def record_facts(records: Sequence[Measurement]) -> list[tuple[str, str]]:
+    """Names and values that identify the records.
+
+    Parameters
+    ----------
+    records : sequence of Measurement
+        What a result rests on.
+
+    Returns
+    -------
+    list of (str, str)
+    """
+    rows = []
+    for data in records:
+        rows += [
+            ("record", data.name),
+            ("samples", f"{data.n_samples}, {number(data.dt, 6)} s apart, hold {data.hold!r}"),
+            ("time", f"{number(data.timepts[0], 6)} to {number(data.timepts[-1], 6)} s"),
+            ("inputs", _signals(data.input_labels, data.input_units)),
+            ("outputs", _signals(data.output_labels, data.output_units)),
+            ("sha256 of the inputs", fingerprint(data.inputs)),
+            ("sha256 of the outputs", fingerprint(data.outputs)),
+        ]
+    return rows
+
+
+def response_facts(measured: FrequencyResponse) -> list[tuple[str, str]]:
+    """Names and values that identify a measured response."""
+    parts = np.stack([measured.response.real, measured.response.imag])
+    return [
+        ("response", measured.name),
+        (
+            "frequencies",
+            f"{measured.omega.size}, {number(measured.omega[0])} to {number(measured.omega[-1])} rad/s",
+        ),
+        ("inputs", _signals(measured.input_labels, measured.input_units)),
+        ("outputs", _signals(measured.output_labels, measured.output_units)),
+        ("sha256 of the frequencies", fingerprint(measured.omega)),
+        ("sha256 of the response", f"{fingerprint(parts)} (real parts, then imaginary parts)"),
+    ]
+
+
+def _signals(labels: Sequence[str], units: Sequence[str]) -> str:
+    return ", ".join(
+        f"{label} [{unit}]" if unit else label for label, unit in zip(labels, units, strict=True)
+    )
+
+
+def version_facts() -> list[tuple[str, str]]:
+    """Versions of what computed the result.
+
+    Returns
+    -------
+    list of (str, str)
+    """
+    from ... import __version__
+    from ...jit import NUMBA
+
+    rows = [("rcorefine", __version__), ("Python", f"{platform.python_version()} on {platform.system()}")]
+    for package in _PACKAGES:
+        if package == "numba" and not NUMBA:
+            rows.append(("numba", "not used"))
+            continue
+        try:
+            rows.append((package, version(package)))
+        except PackageNotFoundError:
+            rows.append((package, "version unknown"))
+    return rows

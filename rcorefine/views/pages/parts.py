@@ -1,0 +1,141 @@
+"""What several reports have in common: pictures, parameters, code, origin."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from os import PathLike
+from typing import TYPE_CHECKING
+
+import control as ct
+import numpy as np
+
+from ...data.measurement import Measurement
+from ...systems.linear import Array
+from .origin import record_facts, version_facts
+from .page import Facts, Listing, Paragraphs, Section, Table
+from .pictures import Picture, draw
+
+if TYPE_CHECKING:
+    from ...inference.refinement import EstimatedParameter, Refinement
+
+__all__ = [
+    "Parts",
+    "Target",
+    "Wanted",
+    "chance",
+    "code_section",
+    "estimates",
+    "origin_section",
+    "parameter_plot",
+    "parameter_table",
+    "pictures",
+    "root_mean_square",
+]
+
+Target = str | PathLike[str]
+#: Kind of a picture, how to draw it, what is to be seen, what it means.
+Wanted = tuple[str, Callable[[], ct.ControlPlot], str, str]
+Parts = list[Table | Paragraphs | Listing | Facts | Picture]
+
+
+def pictures(wanted: Sequence[Wanted]) -> Parts:
+    """Pictures; in the place of one that the record does not allow, the reason."""
+    parts: Parts = []
+    for kind, plot, alt, caption in wanted:
+        drawn = draw(plot, alt, caption)
+        parts.append(drawn if isinstance(drawn, Picture) else Paragraphs([f"No picture {kind!r}: {drawn}."]))
+    return parts
+
+
+def parameter_table(refinement: Refinement, title: str) -> Table:
+    """Estimates of a refinement, with intervals."""
+    rows = [
+        [
+            row.name,
+            row.kind,
+            row.place,
+            row.role,
+            f"{row.initial:.5g}",
+            f"{row.value:.6g}",
+            f"{row.std:.2g}",
+            f"{row.interval[0]:.5g} ... {row.interval[1]:.5g}",
+            row.unit,
+        ]
+        for row in refinement.parameters
+    ]
+    return Table(
+        ["parameter", "effect", "place", "role", "initial", "value", "std", "95 % interval", "unit"],
+        rows,
+        title=title,
+        notes=["std: the standard deviation that other records like this one would show."],
+        left=4,
+    )
+
+
+def estimates(refinement: Refinement) -> list[EstimatedParameter]:
+    """Parameters that mean something; a nuisance offset has no scale to be drawn on."""
+    return [row for row in refinement.parameters if row.role != "offset" and np.isfinite(row.std)]
+
+
+def parameter_plot(refinement: Refinement) -> ct.ControlPlot:
+    """Estimates with intervals, one row each, relative to the initial model."""
+    from ..figures import finish, make_axes, settings, unit_text
+
+    rows = estimates(refinement)
+    with settings(None):
+        figure, axes = make_axes(None, [max(1.0, 0.3 * len(rows))], 1)
+        axis = axes[0, 0]
+        names = []
+        for i, row in enumerate(rows):
+            size = abs(row.initial) or abs(row.value) or 1.0
+            start, value, spread = row.initial / size, row.value / size, 1.96 * row.std / size
+            axis.errorbar(value, i, xerr=min(spread, 1e3), fmt="o", color="#1f4e9c", capsize=3, markersize=4)
+            axis.plot(start, i, marker="|", markersize=14, color="0.15")
+            axis.annotate(
+                f"{row.value:.4g} {row.unit}", (value, i), xytext=(0, 6), textcoords="offset points",
+                ha="center", fontsize="x-small",
+            )  # fmt: skip
+            names.append(unit_text(row.name if row.name != row.kind else f"{row.kind} {row.place}", ""))
+        axis.set_yticks(range(len(rows)), names)
+        axis.set_ylim(len(rows) - 0.4, -0.6)
+        axis.margins(x=0.08)
+        axis.set_xlabel("Estimate over initial value")
+        axis.grid(True, axis="x", alpha=0.3)
+        lines = np.empty((1, 1), dtype=object)
+        lines[0, 0] = list(axis.lines)
+        return finish(figure, axes, lines, title=None, legends=[], legend_loc=False, show_legend=False)
+
+
+def chance(p_value: float) -> str:
+    """A p-value; what is smaller than any number is not zero."""
+    return f"{p_value:.2g}" if p_value > 0 else "< 1e-300"
+
+
+def root_mean_square(values: Array) -> str:
+    """Mean over several outputs, as text."""
+    return f"{float(np.sqrt(np.mean(np.asarray(values) ** 2))):.4g}"
+
+
+def code_section(generated: str, given: str | None) -> Section:
+    """The code, under a heading: what the user gave, then what was generated."""
+    lines = "Save the record as an .npz file (or read your own), give its name below, and run it with Python."
+    code = generated if given is None else f"{given.rstrip()}\n\n{generated}"
+    parts: Parts = [
+        Paragraphs([lines if "record.npz" in generated else "Run it with Python."]),
+        Listing(code),
+    ]
+    return Section("The code that does this again", parts)
+
+
+def origin_section(records: Sequence[Measurement]) -> Section:
+    """Fingerprints of the records and versions of the programs."""
+    parts: Parts = []
+    if records:
+        parts += [
+            Facts(record_facts(records)),
+            Paragraphs(
+                ["The fingerprints are those of the arrays as little-endian float64, signal by signal."]
+            ),
+        ]
+    parts.append(Facts(version_facts()))
+    return Section("Record and versions", parts)
