@@ -405,3 +405,15 @@ def test_a_noise_model_with_a_pole_outside_becomes_stable_with_the_same_spectrum
     omega, before = freqz([1.0], a)
     _, after = freqz([1.0], stable, worN=omega)
     np.testing.assert_allclose(variance * np.abs(after) ** 2, 2.0 * np.abs(before) ** 2, rtol=1e-10)
+
+
+def test_forces_that_overflow_are_no_warning():
+    """From a start that no record can mean; as plain Python the loop is as silent about it as compiled."""
+    one = rco.mass_spring_damper([1.3], [0.6], [70.0], sensors="displacement")
+    rng = np.random.default_rng(31)
+    w = rng.standard_normal(300)
+    y = held_response(one.system, w, STEP)
+    data = Measurement(w, y + 0.01 * y.std() * rng.standard_normal(y.shape), dt=STEP)
+    far = Effect("cubic_stiffness", "link1", start={"cubic_stiffness": -1e100})
+    with pytest.warns(IdentifiabilityWarning):
+        assert not refine(one, data, [far]).success

@@ -186,11 +186,12 @@ class Engine:
                 )
             return Trajectory(Yout.T, np.moveaxis(SY, 1, 0), X.T, F.T, 0)
         limit = 1e12 * (1.0 + float(np.abs(x).max(initial=0.0)) + self._state_bound())
-        blew_up = self._march(
-            Ms, dMs, pieces, disc.linear, disc.O, disc.dO, disc.P, disc.dP, codes, values, columns, widths,
-            drive.W, drive.nodes, drive.Wout, dW, dWout, driven, self._measured, flags, K, outcodes,
-            outvalues, outcolumns, x, np.zeros(m), S, self.substeps, Yout, SY, X, F, limit,
-        )  # fmt: skip
+        with np.errstate(all="ignore"):  # it notices what overflows; plain Python is as silent as compiled
+            blew_up = self._march(
+                Ms, dMs, pieces, disc.linear, disc.O, disc.dO, disc.P, disc.dP, codes, values, columns,
+                widths, drive.W, drive.nodes, drive.Wout, dW, dWout, driven, self._measured, flags, K,
+                outcodes, outvalues, outcolumns, x, np.zeros(m), S, self.substeps, Yout, SY, X, F, limit,
+            )  # fmt: skip
         if blew_up >= 0 and check:
             raise DivergenceError(
                 f"the simulation left all bounds at sample {blew_up} (t = {blew_up * data.dt:.6g} s): the "
