@@ -1,6 +1,6 @@
 """pytest plugin for runs without numba: a test that plain Python is too slow for is skipped, and says so.
 
-RCOREFINE_TEST_SECONDS=4 python -m pytest -p tests.time_limit
+RCOREFINE_TEST_SECONDS=3 python -m pytest -p tests.time_limit
 """
 
 from __future__ import annotations
