@@ -100,6 +100,7 @@ def shortlist(candidates: Sequence[Candidate], batteries: Sequence[Battery]) -> 
         scores.append(tests)
         order = sorted(range(len(tests)), key=lambda i: _rank(tests[i]))
         chosen += order[:_SHORT]
+        chosen += sorted(order, key=lambda i: tests[i].p_equal)[: _SHORT // 2]  # what acts on few samples
         place = candidates[order[0]].effect.place
         chosen += [i for i, c in enumerate(candidates) if c.effect.place == place]
     return list(dict.fromkeys(chosen)), scores[0]

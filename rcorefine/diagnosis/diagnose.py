@@ -189,7 +189,8 @@ def investigate(
     -------
     found : Diagnosis
     race : Race or None
-        The refitted rivals, where there were any.
+        The refitted rivals, where there were any. Beside "adequate", unless `thorough`, those of
+        a fault that few samples alone would show.
     """
     tolerance, noise, horizon = settings["tolerance"], settings["noise"], settings["horizon"]
     physical = base.physical_model
@@ -232,7 +233,11 @@ def investigate(
     gate = _overall(tests)
     loud = _excess(fitted, noise)
     if gate >= significance and loud <= _NOISE_EXCESS:
-        return _adequate(free_run, scored, tests, about), None
+        adequate = _adequate(free_run, scored, tests, about)
+        if thorough or _overall(tests, equal=True) >= significance:
+            return adequate, None
+        # few samples carry it, fault or noise: whoever holds another record asks the rivals there
+        return adequate, run_race(fitted, [scored[i] for i in shortlist(scored, [free_run])[0]], progress=progress)
     forced: tuple[Battery, list[FTest]] | None = None
     forced_columns: list[Candidate] = []
     likely = _unmeasured_force(fitted, free_run) if loud <= _NOISE_EXCESS else []
@@ -432,10 +437,10 @@ def _adequate(
     return Diagnosis("adequate", (), (), tuple(tests), (), shown, force_ratio=battery.ratio, **about)
 
 
-def _overall(tests: Sequence[FTest]) -> float:
-    """Smallest p-value, corrected for the number of tests."""
-    valid = [t for t in tests if t.dof]
-    return min(1.0, min((t.p_value for t in valid), default=1.0) * len(valid))
+def _overall(tests: Sequence[FTest], equal: bool = False) -> float:
+    """Smallest p-value, corrected for the number of tests; of equally noisy samples if asked."""
+    valid = [t.p_equal if equal else t.p_value for t in tests if t.dof]
+    return min(1.0, min(valid, default=1.0) * len(valid))
 
 
 def _excess(fitted: Fitted, noise: Any) -> float:
@@ -519,9 +524,12 @@ def _detectable(battery: Battery, scored: Sequence[Candidate], significance: flo
         if len(candidate.effect.coefficients) != 1 or len(candidate.starts) != 1:
             continue
         white = battery.whiten(candidate.columns[battery.ratio])
-        size = float(np.linalg.norm(project(white[:, :1], battery.basis)))
+        column = project(white[:, 0], battery.basis)
+        size = float(np.linalg.norm(column))
         if size > 1e-9 * max(float(np.linalg.norm(white[:, :1])), 1e-300):
             parameter = candidate.problem.structure.parameters[-1]
             unit = candidate.problem.structure.unit(parameter)
-            found.append(Detectable(candidate.effect, parameter.name, float(level / size), unit))
+            # more where the column is large on samples that are noisier than the rest
+            spread = max(1.0, float(np.linalg.norm(column * battery.left)) / size)
+            found.append(Detectable(candidate.effect, parameter.name, level * spread / size, unit))
     return tuple(found)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from ..inference.sensitivities import (
     slow_forces,
 )
 from ..inference.starts import Motion
-from ..inference.whitening import FTest, Whitener, f_test, project, projected_test, rank_basis
+from ..inference.whitening import FTest, Whitener, f_test, huber_weights, project, projected_test, rank_basis
 from ..systems.linear import Array
 
 __all__ = ["Battery", "run_battery"]
@@ -49,10 +50,27 @@ class Battery:
         self._judged = fitted.problem.judged(fitted.theta)
         self.basis = rank_basis(self.whitener.apply([j * fitted.problem.sizes for _, j in blocks]))
         self.left = project(self.residual, self.basis)
+        self._weights = self._weighted = None
+        outputs = self.whitener.outputs([r for r, _ in blocks])
+        weights = huber_weights(self.left, outputs)
+        if weights is not None:
+            # skewed noise has no mean of zero once it is weighted: each output's level stays open
+            levels = (outputs[:, None] == np.unique(outputs)).astype(float)
+            basis = rank_basis(weights[:, None] * np.hstack([self.basis, levels]))
+            self._weights, self._weighted = weights[:, None], (project(weights * self.left, basis), basis)
 
     def test(self, name: str, blocks: Sequence[Array]) -> FTest:
         """F-test of columns given as blocks (n_y, N, k) per record."""
-        return f_test(name, self.left, self.whiten(blocks), self.basis)
+        white = self.whiten(blocks)
+        return self._both(f_test(name, self.left, white, self.basis), white)
+
+    def _both(self, test: FTest, white: Array) -> FTest:
+        """The test, and where samples are unequally noisy the weighted one beside it."""
+        if self._weights is None or self._weighted is None or not test.dof:
+            return test
+        left, basis = self._weighted
+        weighted = f_test(test.name, left, self._weights * white, basis)
+        return replace(test, p_value=min(1.0, 2.0 * min(test.p_value, weighted.p_value)))
 
     def whiten(self, blocks: Sequence[Array]) -> Array:
         """Columns (n_y, N, k) per record, whitened as the residual is; nothing where it is not judged."""
@@ -69,9 +87,8 @@ class Battery:
         tests, first = [], 0
         for candidate, parts in zip(candidates, columns, strict=True):
             mine = slice(first, first + parts[0].shape[2])
-            tests.append(
-                projected_test(candidate.effect.label, self.left, left[:, mine], size[mine], self.basis)
-            )
+            test = projected_test(candidate.effect.label, self.left, left[:, mine], size[mine], self.basis)
+            tests.append(self._both(test, white[:, mine]))
             first = mine.stop
         return tests
 
@@ -120,7 +137,7 @@ def _library(battery: Battery, candidates: Sequence[Candidate]) -> FTest:
     tests = battery.each([c for c in candidates if battery.ratio in c.columns]) if candidates else []
     tests = [t for t in tests if t.dof]
     if not tests:
-        return FTest("library", 0.0, 0, 1.0, 0.0)
+        return FTest("library", 0.0, 0, 1.0, 0.0, 1.0)
     best = min(tests, key=lambda t: t.p_value)
     return FTest(
         f"library (most: {best.name})",
@@ -128,6 +145,7 @@ def _library(battery: Battery, candidates: Sequence[Candidate]) -> FTest:
         best.dof,
         min(1.0, best.p_value * len(tests)),
         best.gain,
+        min(1.0, min(t.p_equal for t in tests) * len(tests)),
     )
 
 
@@ -139,7 +157,7 @@ def _parameters(battery: Battery, motion: Motion) -> FTest:
         Effect(q.kind, q.place) for q in fitted.structure.model.parameters if (q.kind, q.place) not in held
     ]
     if not effects:
-        return FTest("parameters", 0.0, 0, 1.0, 0.0)
+        return FTest("parameters", 0.0, 0, 1.0, 0.0, 1.0)
     return battery.test("parameters", parameter_columns(fitted, effects, motion, battery.ratio))
 
 

@@ -41,10 +41,10 @@ def climb(ladder: Ladder, library: list[Effect], most: int) -> str:
         ladder.learn_verdict(found.verdict)
         # one more where that passes every test: an early one may then turn out to be needless
         room = most - len(ladder.effects) + (found.verdict != "unexplained" and most > 1)
-        if found.verdict == "adequate" or race is None or room < 1:
+        if race is None or room < 1:
             return found.verdict
         choice = _one(ladder, found, race, len(rest))
-        if choice is None and room > 1:
+        if choice is None and room > 1 and found.verdict != "adequate":
             choice = _pair(ladder, race, rest)
         if choice is None:
             return found.verdict
@@ -57,7 +57,7 @@ def _one(ladder: Ladder, found: Diagnosis, race: Race, choices: int) -> Choice |
 
     The most probable of those with which the tests pass; else the one whose plain error on the
     second part falls most per coefficient; else, on trust, the most probable if its likelihood
-    stands out. What has rivals, or likelihood only, may not raise the error on the second part.
+    stands out. Where the model is adequate but for few samples, the second part alone decides. What has rivals, or likelihood only, may not raise the error on the second part.
     """
     if found.verdict in ("effect", "ambiguous"):
         tied = [row for row in found.ranking if row.effect in found.ambiguous]
@@ -75,6 +75,8 @@ def _one(ladder: Ladder, found: Diagnosis, race: Race, choices: int) -> Choice |
         if settled is not None and ladder.share((effect,), settled) >= GAIN:
             ladder.by_error = True
             return Choice((effect,), settled, ties=ties)
+    if found.verdict == "adequate":
+        return None
     top = found.ranking[0]
     if 2 * ladder.gain(top.refinement, ladder.current) > ladder.price(choices) * len(top.coefficients):
         settled = _settled(ladder, (top.effect,), top.refinement)
@@ -100,12 +102,13 @@ def _pair(ladder: Ladder, race: Race, rest: list[Effect]) -> Choice | None:
 
 
 def _settled(ladder: Ladder, effects: tuple[Effect, ...], refinement: Refinement) -> Refinement | None:
-    """The model fitted to the end; None where that was tried before, or a coefficient stays unknown."""
+    """The model fitted to the end; None where it was tried before, diverges, or leaves a coefficient unknown."""
     held = [*ladder.effects, *effects]
     if not ladder.is_new(held):
         return None
     settled = ladder.refit(refinement)
-    return settled if determined(held, settled) else None
+    runs = np.isfinite(ladder.log_error(settled, ladder.parts.fit, ladder.parts.choose))
+    return settled if runs and determined(held, settled) else None
 
 
 def _by_error(ladder: Ladder, race: Race) -> list[tuple[Effect, Refinement, tuple[Effect, ...]]]:
