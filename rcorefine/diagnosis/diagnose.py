@@ -16,7 +16,7 @@ from ..comparison.compare import compare
 from ..data.channels import match_channels, record_for
 from ..data.measurement import Measurement
 from ..effects.effect import Effect, as_effects
-from ..exceptions import DataError, IdentifiabilityWarning
+from ..exceptions import DataError, IdentifiabilityWarning, ModelError
 from ..inference.assembly import check_settings
 from ..inference.fitted import Fitted, fitted_from
 from ..inference.refinement import Refinement
@@ -237,7 +237,8 @@ def investigate(
         if thorough or _overall(tests, equal=True) >= significance:
             return adequate, None
         # few samples carry it, fault or noise: whoever holds another record asks the rivals there
-        return adequate, run_race(fitted, [scored[i] for i in shortlist(scored, [free_run])[0]], progress=progress)
+        short = [scored[i] for i in shortlist(scored, [free_run])[0]]
+        return adequate, run_race(fitted, short, progress=progress)
     forced: tuple[Battery, list[FTest]] | None = None
     forced_columns: list[Candidate] = []
     likely = _unmeasured_force(fitted, free_run) if loud <= _NOISE_EXCESS else []
@@ -346,9 +347,11 @@ def _judge(
     held = {(effect.kind, effect.place) for effect in fitted.structure.effects}
     rest = [effect for effect in library if (effect.kind, effect.place) not in held]
     moved = [Motion(fitted.structure, fitted.theta, motion.data) for motion in motions]
-    scored = candidate_columns(fitted, rest, moved[0], (race.ratio,))
-    battery = Battery(fitted, race.ratio)
-    tests = run_battery(battery, scored, moved)
+    try:
+        scored = candidate_columns(fitted, rest, moved[0], (race.ratio,))
+        tests = run_battery(Battery(fitted, race.ratio), scored, moved)
+    except ModelError:  # its linear model runs away within one sample: what cannot be tested has not passed
+        return _Judged(race, [], False)
     passed = _overall(tests) >= significance and _excess(fitted, noise) <= _NOISE_EXCESS
     return _Judged(race, tests, passed)
 

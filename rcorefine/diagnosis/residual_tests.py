@@ -19,7 +19,16 @@ from ..inference.sensitivities import (
     slow_forces,
 )
 from ..inference.starts import Motion
-from ..inference.whitening import FTest, Whitener, f_test, huber_weights, project, projected_test, rank_basis
+from ..inference.whitening import (
+    FTest,
+    Whitener,
+    f_test,
+    huber_weights,
+    in_own_units,
+    project,
+    projected_test,
+    rank_basis,
+)
 from ..systems.linear import Array
 
 __all__ = ["Battery", "run_battery"]
@@ -81,7 +90,7 @@ class Battery:
         """F-test of each candidate on its own."""
         columns = [c.columns[self.ratio] for c in candidates]
         joined = [np.concatenate(parts, axis=2) for parts in zip(*columns, strict=True)]
-        white = self.whiten(joined)
+        white = in_own_units(self.whiten(joined))
         size = np.linalg.norm(white, axis=0)
         left = project(white, self.basis)
         tests, first = [], 0

@@ -31,6 +31,7 @@ __all__ = [
 _SECANT = frozenset({"hidden_mode", "input_saturation", "output_saturation", "input_lag", "output_lag"})
 _LINEAR = frozenset({"stiffness", "damping", "mass", "coefficient"})  # ride along in one simulation
 _SHAPING = frozenset({"gap", "threshold", "velocity", "displacement"})
+_DIVERGED = 1e100  # of the noise: its squares would be no numbers
 
 
 @dataclass(eq=False)
@@ -135,7 +136,15 @@ def candidate_columns(
                 found[i].columns[ratio] = [block[:, :, j : j + 1] for block in blocks]
     for ratio in ratios:
         _law_columns(fitted, found, laws, ratio)
+    for candidate in found:
+        candidate.columns.update({ratio: _tame(blocks) for ratio, blocks in candidate.columns.items()})
     return found
+
+
+def _tame(blocks: list[Array]) -> list[Array]:
+    """Columns (n_y, N, k) per record, zero where one diverges: it says nothing about the record."""
+    largest = np.max([np.abs(block).max(axis=(0, 1)) for block in blocks], axis=0)
+    return [np.where(largest < _DIVERGED, block, 0.0) for block in blocks]
 
 
 def _law_columns(

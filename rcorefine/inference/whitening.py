@@ -19,6 +19,7 @@ __all__ = [
     "Whitener",
     "f_test",
     "huber_weights",
+    "in_own_units",
     "project",
     "projected_test",
     "rank_basis",
@@ -177,6 +178,16 @@ def project(values: Array, basis: Array) -> Array:
     return np.asarray(values - basis @ (basis.T @ values))
 
 
+def in_own_units(columns: Array) -> Array:
+    """Columns with 1 as their largest entry; zero where the response diverges, which tests nothing.
+
+    What nearly diverges has squares beyond every number.
+    """
+    largest = np.abs(columns).max(axis=0, initial=0.0)
+    finite = np.isfinite(largest)
+    return np.where(finite, columns, 0.0) / np.where(finite & (largest > 0.0), largest, 1.0)
+
+
 def f_test(name: str, residual: Array, columns: Array, basis: Array) -> FTest:
     """Test of columns on a whitened residual.
 
@@ -196,6 +207,7 @@ def f_test(name: str, residual: Array, columns: Array, basis: Array) -> FTest:
     FTest
         p_value 1 where the columns lie in what was fitted.
     """
+    columns = in_own_units(columns)
     return projected_test(name, residual, project(columns, basis), np.linalg.norm(columns, axis=0), basis)
 
 

@@ -57,7 +57,8 @@ def _one(ladder: Ladder, found: Diagnosis, race: Race, choices: int) -> Choice |
 
     The most probable of those with which the tests pass; else the one whose plain error on the
     second part falls most per coefficient; else, on trust, the most probable if its likelihood
-    stands out. Where the model is adequate but for few samples, the second part alone decides. What has rivals, or likelihood only, may not raise the error on the second part.
+    stands out. What has rivals, or likelihood only, may not raise the error on the second part.
+    Where the model is adequate but for few samples, the second part alone decides.
     """
     if found.verdict in ("effect", "ambiguous"):
         tied = [row for row in found.ranking if row.effect in found.ambiguous]
@@ -102,7 +103,7 @@ def _pair(ladder: Ladder, race: Race, rest: list[Effect]) -> Choice | None:
 
 
 def _settled(ladder: Ladder, effects: tuple[Effect, ...], refinement: Refinement) -> Refinement | None:
-    """The model fitted to the end; None where it was tried before, diverges, or leaves a coefficient unknown."""
+    """The model fitted to the end; None where it was tried before, diverges, or is not determined."""
     held = [*ladder.effects, *effects]
     if not ladder.is_new(held):
         return None
