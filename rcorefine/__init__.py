@@ -42,9 +42,11 @@ from .models.parameters import NominalParameter
 from .models.physical_model import PhysicalModel
 from .models.ports import Port
 from .refinement import EstimatedParameter, Refinement, refine
+from .results import loaders as _loaders
 from .streaming import RCORefiner
 from .streaming.monitor import Alarm, Monitor
 from .systems import d2c
+from .version import __version__ as __version__
 
 __all__ = [
     "Alarm",
@@ -95,4 +97,9 @@ __all__ = [
     "two_tanks",
 ]
 
-__version__ = "0.1.0"
+
+def _views() -> None:
+    from . import views  # noqa: F401
+
+
+_loaders.append(_views)

@@ -66,14 +66,14 @@ def test_words_fit_the_page_and_the_result_can_be_kept(friction, nothing):
 
 
 def test_picture_shows_the_force_without_a_law():
-    from rcorefine.views.diagnosis import estimated_force
+    from rcorefine.inference.hidden_force import estimated_force
 
     hidden, found = diagnosed(304, effect="cubic_stiffness", loss=0.2)
     plot = found.plot()
     assert isinstance(plot, ct.ControlPlot)
     assert plot.axes.shape == (2, 2)
     port = hidden.plant.model.port(hidden.place)
-    force, states = estimated_force(found, port, found.ordered_records()[0])
+    force, states = estimated_force(found.base, found.best.refinement.rmse, port, found.ordered_records()[0])
     d = port.position @ states + port.position_input @ hidden.data.inputs
     # no law went in, yet the force follows the cube of the displacement
     inner = slice(100, -100)

@@ -10,9 +10,11 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import rcorefine as rco
+from rcorefine.data.levels import stretches_by_level
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
-from rcorefine.views.level_bode import hold_factor, level_bode, stretches_by_level
+from rcorefine.systems.response import hold_factor
+from rcorefine.views.level_bode import level_bode
 
 M, C, K = 1.0, 0.4, 100.0
 

@@ -44,12 +44,13 @@ CALLABLES = {
 
 
 def with_methods() -> dict[str, Any]:
-    """Public callables, and the public methods that the classes among them define."""
+    """Public callables, and the public methods that the classes among them define or have as a result."""
     found = dict(CALLABLES)
     for name, obj in CALLABLES.items():
         if not isinstance(obj, type):
             continue
-        for attribute, raw in vars(obj).items():
+        shown = [base for base in obj.__mro__[1:] if base.__module__ == "rcorefine.results"]
+        for attribute, raw in [item for base in (*shown, obj) for item in vars(base).items()]:
             if attribute.startswith("_") or isinstance(raw, property):
                 continue
             method = getattr(obj, attribute)

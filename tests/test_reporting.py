@@ -10,8 +10,8 @@ import pytest
 from rcorefine import Measurement, compare
 from rcorefine.data.frequency_response import FrequencyResponse
 from rcorefine.systems.linear import LinearModel
+from rcorefine.systems.response import as_sampled
 from rcorefine.views import bode_comparison, html_table, text_table
-from rcorefine.views.bode import as_sampled
 
 DT = 0.1
 

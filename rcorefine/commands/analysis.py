@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from .. import __version__
 from ..comparison.adequacy import best_of, failures_of
 from ..comparison.compare import compare
 from ..diagnosis.diagnose import diagnose
@@ -20,6 +19,7 @@ from ..effects.law import KINDS
 from ..exceptions import ModelError
 from ..models.library import effect_library
 from ..models.reading import read_model
+from ..version import __version__
 from ..views.pages.answers import comparison_answer, diagnosis_answer, improvement_answer
 from ..views.pages.code import comment
 from ..views.pages.page import check_target

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from .. import __version__
 from ..data.measurement import HOLDS
+from ..version import __version__
 
 __all__ = ["build_parser"]
 

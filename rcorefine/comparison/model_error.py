@@ -12,7 +12,7 @@ from scipy import stats
 from ..data.frequency_response import estimate_frequency_response
 from ..data.measurement import Measurement
 from ..systems.linear import Array
-from ..systems.response import frequency_response
+from ..systems.response import as_sampled, frequency_response
 
 if TYPE_CHECKING:
     from .result import Comparison
@@ -99,8 +99,6 @@ def model_error(comparison: Comparison, model: int = 0, *, segment_length: int |
     >>> bool(model_error(rco.compare(plant, data)).differs.any())
     False
     """
-    from ..views.bode import as_sampled
-
     data = comparison.seen_by(model)
     residual = Measurement(
         data.inputs, data.outputs - comparison.runs[model], dt=data.dt, hold=data.hold,

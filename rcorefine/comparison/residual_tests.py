@@ -13,6 +13,7 @@ from scipy import stats
 
 from ..exceptions import DataError
 from ..inference.autoregression import whitened
+from ..results import Result
 from ..systems.linear import Array
 
 __all__ = [
@@ -52,7 +53,7 @@ class ResidualTest(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TestTable:
+class TestTable(Result):
     """Residual tests, one row each.
 
     Attributes
@@ -97,30 +98,6 @@ class TestTable:
                 break
             bad.append(self.rows[index])
         return tuple(bad)
-
-    def _cells(self) -> tuple[list[str], list[list[str]], list[str]]:
-        from ..views.tables import number
-
-        rows = [[r.test, r.signal, number(r.statistic), str(r.dof), f"{r.p_value:.2g}"] for r in self.rows]
-        bad = self.failed()
-        verdict = (
-            "No row fails at 1 %, their number allowed for."
-            if not bad
-            else f"Fails at 1 %: {', '.join(dict.fromkeys(r.test for r in bad))}."
-        )
-        return ["test", "signal", "statistic", "dof", "p-value"], rows, [verdict, self.note]
-
-    def __str__(self) -> str:
-        from ..views.tables import text_table
-
-        headers, rows, notes = self._cells()
-        return text_table(headers, rows, notes=notes, left=2)
-
-    def _repr_html_(self) -> str:
-        from ..views.tables import html_table
-
-        headers, rows, notes = self._cells()
-        return html_table(headers, rows, notes=notes, left=2)
 
 
 class Correlogram(NamedTuple):

@@ -4,23 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from os import PathLike
-from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import control as ct
 import numpy as np
 from numpy.typing import NDArray
 
 from ..data.frequency_response import FrequencyResponse
+from ..results import Options, Reported, picture, show
 from ..systems.linear import Array, LinearModel
-from ..systems.response import frequency_response
+from ..systems.response import as_sampled, frequency_response
 
 __all__ = ["FrequencyComparison", "compare_responses"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FrequencyComparison:
+class FrequencyComparison(Reported):
     """Models beside a measured frequency response.
 
     Arrays have a leading axis over the models where `compare` was given a
@@ -79,56 +78,12 @@ class FrequencyComparison:
         error = np.abs(self.measured.response[None] - self.responses)
         return np.asarray(self._shaped(self.measured.omega[np.argmax(error, axis=-1)]))
 
-    def _cells(self) -> tuple[list[str], list[list[str]], str, list[str]]:
-        from ..views.tables import number
-        from .failure_map.frequency import frequency_text
-
-        fit, worst = (a if self.several else a[None] for a in (self.fit, self.worst))
-        typical = self.relative_error if self.several else self.relative_error[None]
-        rows = [
-            [
-                name, self.measured.output_labels[i], self.measured.input_labels[j], number(fit[m, i, j], 3),
-                number(float(np.nanmedian(typical[m, i, j])), 2), frequency_text(float(worst[m, i, j])),
-            ]
-            for m, name in enumerate(self.names)
-            for i in range(fit.shape[1])
-            for j in range(fit.shape[2])
-        ]  # fmt: skip
-        omega = self.measured.omega
-        low, high = frequency_text(float(omega[0])), frequency_text(float(omega[-1]))
-        several = "s" if len(self.names) > 1 else ""
-        title = (
-            f"{len(self.names)} model{several} on response {self.measured.name!r}: "
-            f"{omega.size} frequencies, {low} ... {high}"
-        )
-        notes = [
-            "fit = 100 (1 - |G - Gh| / |G - mean(G)|) of the complex responses: 100 % is perfect.",
-            "error: median of |Gh/G - 1|; worst: where |G - Gh| is largest.",
-        ]
-        return ["model", "output", "input", "fit [%]", "error", "worst"], rows, title, notes
-
-    def __str__(self) -> str:
-        from ..views.tables import text_table
-
-        headers, rows, title, notes = self._cells()
-        return text_table(headers, rows, title=title, notes=notes, left=3)
-
-    def _repr_html_(self) -> str:
-        from ..views.tables import html_table
-
-        headers, rows, title, notes = self._cells()
-        return html_table(headers, rows, title=title, notes=notes, left=3)
-
+    @picture
     def plot(
         self,
         *,
         omega: Any = None,
-        ax: Any = None,
-        label: str | Sequence[str] | None = None,
-        title: str | None = None,
-        legend_loc: str | bool | None = None,
-        rcParams: dict[str, Any] | None = None,
-        show_legend: bool | None = None,
+        **options: Unpack[Options],
     ) -> ct.ControlPlot:
         """Bode plot of all models and the measured points, with an error row.
 
@@ -140,64 +95,13 @@ class FrequencyComparison:
             Axes to draw in, shape (3 n_y, n_w).
         label : str or sequence of str, optional
             Labels of the models in place of their names.
-        title : str, optional
-            Title of the figure.
-        legend_loc : str or False, optional
-            Place of the legend, as in matplotlib; False for none.
-        rcParams : dict, optional
-            Matplotlib settings on top of `control.rcParams`.
-        show_legend : bool, optional
-            Force the legend on or off.
 
         Returns
         -------
         ControlPlot
             Lines, axes, figure.
         """
-        from ..views.bode import bode_comparison
-
-        return bode_comparison(
-            [(model.name, model) for model in self.models], self.measured, omega, ax=ax, label=label,
-            title=f"Models and response {self.measured.name}" if title is None and ax is None else title,
-            legend_loc=legend_loc, rcParams=rcParams, show_legend=show_legend,
-        )  # fmt: skip
-
-    def report(
-        self,
-        path: str | PathLike[str],
-        *,
-        title: str | None = None,
-        code: str | None = None,
-        overwrite: bool = False,
-    ) -> Path:
-        """Write what was found as one HTML file: answer, pictures, tables, code, versions.
-
-        Parameters
-        ----------
-        path : str or path
-            File to write; an older report there is replaced.
-        title : str, optional
-            Heading.
-        code : str, optional
-            Code or command that made the result, printed above the generated code.
-        overwrite : bool
-            Replace a file there that is no report, too.
-
-        Returns
-        -------
-        Path
-            The file.
-
-        Raises
-        ------
-        FileNotFoundError
-            If the folder does not exist.
-        FileExistsError
-            If another file is there.
-        """
-        from ..views.pages.comparison import report_responses
-
-        return report_responses(self, path, title=title, code=code, overwrite=overwrite)
+        return show(self, "plot", omega=omega, **options)
 
 
 def compare_responses(
@@ -223,8 +127,6 @@ def compare_responses(
     control.ControlDimension
         If channels do not fit.
     """
-    from ..views.bode import as_sampled
-
     measured = data if isinstance(data, FrequencyResponse) else FrequencyResponse.from_frd(data)
     straight = [_ordered(model, measured) for model in models]
     seen = [as_sampled(m, measured.dt, measured.hold) if measured.dt > 0 else m for m in straight]

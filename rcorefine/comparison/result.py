@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from os import PathLike
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import control as ct
 import numpy as np
 
-from ..arguments import as_choice, as_whole, shown
+from ..arguments import as_whole, shown
 from ..data.measurement import Measurement
+from ..results import Options, Reported, picture, show
 from ..systems.linear import Array, LinearModel
 from .failure_map.places import Places
 from .metrics import fit_percent, root_mean_square
@@ -21,13 +19,13 @@ if TYPE_CHECKING:
     from ..data.frequency_response import FrequencyResponse
     from .failure_map.search import FailureMap
 
-__all__ = ["Comparison"]
+__all__ = ["KINDS", "Comparison"]
 
-_KINDS = ("time", "bode", "residual", "horizon", "map")
+KINDS = ("time", "bode", "residual", "horizon", "map")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
+class Comparison(Reported):
     """Models beside the record that they were simulated on.
 
     Arrays have a leading axis over the models where `compare` was given a
@@ -199,28 +197,14 @@ class Comparison:
             several=False,
         )
 
-    def __str__(self) -> str:
-        from ..views.comparison import comparison_text
-
-        return comparison_text(self)
-
-    def _repr_html_(self) -> str:
-        from ..views.comparison import comparison_html
-
-        return comparison_html(self)
-
+    @picture
     def plot(
         self,
         kind: str = "time",
         *,
         measured: FrequencyResponse | None = None,
         omega: Any = None,
-        ax: Any = None,
-        label: str | Sequence[str] | None = None,
-        title: str | None = None,
-        legend_loc: str | bool | None = None,
-        rcParams: dict[str, Any] | None = None,
-        show_legend: bool | None = None,
+        **options: Unpack[Options],
     ) -> ct.ControlPlot:
         """Draw the record and the models.
 
@@ -246,14 +230,6 @@ class Comparison:
             (4, n_models) for "map".
         label : str or sequence of str, optional
             Labels of the models in place of their names.
-        title : str, optional
-            Title of the figure.
-        legend_loc : str or False, optional
-            Place of the legend, as in matplotlib; False for none.
-        rcParams : dict, optional
-            Matplotlib settings on top of `control.rcParams`.
-        show_legend : bool, optional
-            Force the legend on or off.
 
         Returns
         -------
@@ -267,75 +243,7 @@ class Comparison:
         DataError
             For "bode": if the record is too short or does not excite.
         """
-        as_choice(kind, "kind", _KINDS)
-        if kind == "bode":
-            from ..views.bode import bode_comparison
-
-            return bode_comparison(
-                [(model.name, model) for model in self.models],
-                self.data.frequency_response() if measured is None else measured,
-                omega,
-                ax=ax,
-                label=label,
-                title=f"Models and record {self.data.name}" if title is None and ax is None else title,
-                legend_loc=legend_loc,
-                rcParams=rcParams,
-                show_legend=show_legend,
-            )
-        for keyword, value in (("measured", measured), ("omega", omega)):
-            if value is not None:
-                raise ct.ControlArgument(f"{keyword} belongs to kind='bode', not to kind={kind!r}")
-        from ..views.comparison import plot_time
-        from ..views.failure_map import plot_map
-        from ..views.residuals import plot_horizon, plot_residual
-
-        draw = {"time": plot_time, "residual": plot_residual, "horizon": plot_horizon, "map": plot_map}[kind]
-        return draw(
-            self,
-            ax=ax,
-            label=label,
-            title=title,
-            legend_loc=legend_loc,
-            rcParams=rcParams,
-            show_legend=show_legend,
-        )
-
-    def report(
-        self,
-        path: str | PathLike[str],
-        *,
-        title: str | None = None,
-        code: str | None = None,
-        overwrite: bool = False,
-    ) -> Path:
-        """Write what was found as one HTML file: answer, pictures, tables, code, versions.
-
-        Parameters
-        ----------
-        path : str or path
-            File to write; an older report there is replaced.
-        title : str, optional
-            Heading.
-        code : str, optional
-            Code or command that made the result, printed above the generated code.
-        overwrite : bool
-            Replace a file there that is no report, too.
-
-        Returns
-        -------
-        Path
-            The file.
-
-        Raises
-        ------
-        FileNotFoundError
-            If the folder does not exist.
-        FileExistsError
-            If another file is there.
-        """
-        from ..views.pages.comparison import report_comparison
-
-        return report_comparison(self, path, title=title, code=code, overwrite=overwrite)
+        return show(self, "plot", kind, measured=measured, omega=omega, **options)
 
     def __repr__(self) -> str:
         fits = np.atleast_2d(self.fit).mean(axis=1)

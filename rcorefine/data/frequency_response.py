@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import control as ct
 import numpy as np
@@ -13,6 +13,7 @@ from scipy import signal
 
 from ..arguments import as_choice, as_number, shown
 from ..exceptions import DataError
+from ..results import Options, Result, picture, show
 from ..systems.linear import Array
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ _POWER_FLOOR = 1e-10
 _SAME_INPUT = 1.0 - 1e-9
 
 
-class FrequencyResponse(ct.FrequencyResponseData):  # type: ignore[misc]
+class FrequencyResponse(Result, ct.FrequencyResponseData):  # type: ignore[misc]
     """Frequency response estimated from a record, with its uncertainty.
 
     It passes wherever python-control takes a `FrequencyResponseData`; what is computed
@@ -232,26 +233,8 @@ class FrequencyResponse(ct.FrequencyResponseData):  # type: ignore[misc]
             f"{self.omega.size} frequencies, dt={self.dt:g}>"
         )
 
-    def __str__(self) -> str:
-        from ..views.measurement import frequency_response_text
-
-        return frequency_response_text(self)
-
-    def _repr_html_(self) -> str:
-        from ..views.measurement import frequency_response_html
-
-        return frequency_response_html(self)
-
-    def plot(
-        self,
-        *,
-        ax: Any = None,
-        label: str | None = None,
-        title: str | None = None,
-        legend_loc: str | bool | None = None,
-        rcParams: dict[str, Any] | None = None,
-        show_legend: bool | None = None,
-    ) -> ct.ControlPlot:
+    @picture
+    def plot(self, **options: Unpack[Options]) -> ct.ControlPlot:
         """Bode plot with the band of two standard deviations, and the coherence.
 
         Parameters
@@ -260,31 +243,13 @@ class FrequencyResponse(ct.FrequencyResponseData):  # type: ignore[misc]
             Axes to draw in, of the shape that a call without it returns.
         label : str, optional
             Label of the curve; default the record's name.
-        title : str, optional
-            Title of the figure.
-        legend_loc : str or False, optional
-            Place of the legend, as in matplotlib; False for none.
-        rcParams : dict, optional
-            Matplotlib settings on top of `control.rcParams`.
-        show_legend : bool, optional
-            Force the legend on or off.
 
         Returns
         -------
         ControlPlot
             Lines, axes (3 rows per output: magnitude, phase, coherence), figure.
         """
-        from ..views.measurement import plot_frequency_response
-
-        return plot_frequency_response(
-            self,
-            ax=ax,
-            label=label,
-            title=title,
-            legend_loc=legend_loc,
-            rcParams=rcParams,
-            show_legend=show_legend,
-        )
+        return show(self, "plot", **options)
 
 
 def estimate_frequency_response(

@@ -5,13 +5,14 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import control as ct
 import numpy as np
 
 from ..arguments import as_choice, as_labels, as_list, as_number, as_share, as_text, as_texts, as_whole
 from ..exceptions import DataError, ExcitationWarning
+from ..results import Options, Result, picture, show
 from ..systems.linear import Array
 from .reading import RecordReaders
 from .signals import HOLDS, as_signals, as_time_grid, check_finite, default_labels
@@ -29,7 +30,7 @@ _ARRAYS = ("inputs", "outputs", "timepts")
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
-class Measurement(RecordReaders):
+class Measurement(Result, RecordReaders):
     """Measured inputs and outputs on a regular time grid.
 
     The record keeps read-only copies: nothing that you do to your arrays
@@ -384,16 +385,8 @@ class Measurement(RecordReaders):
             self, segment_length=segment_length, overlap=overlap, window=window
         )
 
-    def plot(
-        self,
-        *,
-        ax: Any = None,
-        label: str | None = None,
-        title: str | None = None,
-        legend_loc: str | bool | None = None,
-        rcParams: dict[str, Any] | None = None,
-        show_legend: bool | None = None,
-    ) -> ct.ControlPlot:
+    @picture
+    def plot(self, **options: Unpack[Options]) -> ct.ControlPlot:
         """Plot outputs over inputs, one row per signal.
 
         Parameters
@@ -402,12 +395,6 @@ class Measurement(RecordReaders):
             Axes to draw in, shape (n_y + n_w, 1).
         label : str, optional
             Label of the curves; default the record's name.
-        title : str, optional
-            Title of the figure.
-        legend_loc : str or False, optional
-            Place of the legend, as in matplotlib.
-        rcParams : dict, optional
-            Matplotlib settings on top of `control.rcParams`.
         show_legend : bool, optional
             Force the legend on or off; default: off for one record.
 
@@ -416,33 +403,13 @@ class Measurement(RecordReaders):
         ControlPlot
             Lines, axes, figure.
         """
-        from ..views.measurement import plot_measurement
-
-        return plot_measurement(
-            self,
-            ax=ax,
-            label=label,
-            title=title,
-            legend_loc=legend_loc,
-            rcParams=rcParams,
-            show_legend=show_legend,
-        )
+        return show(self, "plot", **options)
 
     def __repr__(self) -> str:
         return (
             f"<Measurement {self.name!r}: {self.n_inputs} input(s), {self.n_outputs} output(s), "
             f"{self.n_samples} samples, dt={self.dt:g}, hold={self.hold!r}>"
         )
-
-    def __str__(self) -> str:
-        from ..views.measurement import measurement_text
-
-        return measurement_text(self)
-
-    def _repr_html_(self) -> str:
-        from ..views.measurement import measurement_html
-
-        return measurement_html(self)
 
 
 def as_records(data: Any, name: str = "data") -> list[Measurement]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import textwrap
 from dataclasses import dataclass
-from typing import Any
+from typing import Unpack
 
 import control as ct
 
 from ..inference.whitening import FTest
+from ..results import Options, Result, picture, show
 from ..systems.linear import Array
 
 __all__ = ["Confirmation", "RecordEstimate"]
@@ -44,7 +44,7 @@ class RecordEstimate:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Confirmation:
+class Confirmation(Result):
     """Whether the same effects, with the same coefficients, explain every record.
 
     Attributes
@@ -87,48 +87,8 @@ class Confirmation:
             "p-value of the tests on what the refitted model leaves; input: rms over that of the first.",
         ]
 
-    def _rows(self) -> list[list[str]]:
-        rows = []
-        for estimate in self.estimates:
-            for i, name in enumerate(self.names):
-                first = i == 0
-                rows.append(
-                    [
-                        estimate.name if first else "",
-                        name,
-                        f"{estimate.coefficients[i]:.4g}",
-                        f"{estimate.std[i]:.2g}",
-                        f"{estimate.level:.3g}" if first else "",
-                        f"{estimate.agreement:.2g}" if first and estimate is not self.estimates[0] else "",
-                        f"{estimate.residual:.2g}" if first else "",
-                    ]
-                )
-        return rows
-
-    def __str__(self) -> str:
-        from ..views.tables import text_table
-
-        parts = [f"Further records: {self.verdict.upper()}", *textwrap.wrap(self.message, 80)]
-        parts.append(text_table(_HEADER, self._rows(), left=2))
-        parts += textwrap.wrap(self.sentences()[1], 80)
-        return "\n".join(parts)
-
-    def _repr_html_(self) -> str:
-        from ..views.tables import html_table
-
-        title = f"Further records: {self.verdict}"
-        return html_table(_HEADER, self._rows(), title=title, notes=self.sentences(), left=2)
-
-    def plot(
-        self,
-        *,
-        ax: Any = None,
-        label: str | None = None,
-        title: str | None = None,
-        legend_loc: str | bool | None = None,
-        rcParams: dict[str, Any] | None = None,
-        show_legend: bool | None = None,
-    ) -> ct.ControlPlot:
+    @picture
+    def plot(self, **options: Unpack[Options]) -> ct.ControlPlot:
         """Coefficients from each record alone, with their 95 % intervals.
 
         Parameters
@@ -137,30 +97,11 @@ class Confirmation:
             Where to draw, one per coefficient.
         label : str, optional
             Label of the estimates.
-        title : str, optional
-            Title.
-        legend_loc : str or bool, optional
-            Place of the legend, False for none.
-        rcParams : dict, optional
-            Matplotlib settings for this plot.
         show_legend : bool, optional
-            Whether to show a legend; default only where a label is given.
+            Force the legend on or off; default: on where a label is given.
 
         Returns
         -------
         ControlPlot
         """
-        from ..views.experiment import confirmation_plot
-
-        return confirmation_plot(
-            self,
-            ax=ax,
-            label=label,
-            title=title,
-            legend_loc=legend_loc,
-            rcParams=rcParams,
-            show_legend=show_legend,
-        )
-
-
-_HEADER = ["record", "coefficient", "alone", "std", "input", "agreement", "residual"]
+        return show(self, "plot", **options)

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from os import PathLike
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import control as ct
 import numpy as np
@@ -17,6 +14,7 @@ from ..data.measurement import Measurement
 from ..effects.effect import Effect
 from ..inference.refinement import Refinement
 from ..inference.whitening import FTest
+from ..results import Look, Reported, picture, show
 from ..systems.linear import Array
 from .absorbed import what_was_absorbed
 
@@ -72,7 +70,7 @@ class Detectable:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Diagnosis:
+class Diagnosis(Reported):
     """Which physical effect is missing, and how sure that is.
 
     Attributes
@@ -296,108 +294,17 @@ class Diagnosis:
     def _alike_text(self) -> str:
         return ", ".join(effect.label for effect in self.ambiguous)
 
-    def __str__(self) -> str:
-        from ..views.tables import text_table
-
-        parts = [f"Diagnosis: {self.verdict.upper()}"]
-        for sentence in self.sentences():
-            parts += textwrap.wrap(sentence, 80)
-        if self.ranking:
-            parts.append(text_table(_HEADER, self._rows()))
-        return "\n".join(parts)
-
-    def _repr_html_(self) -> str:
-        from ..views.tables import html_table
-
-        title = f"Diagnosis: {self.verdict}"
-        return html_table(_HEADER, self._rows(), title=title, notes=self.sentences())
-
-    def _rows(self) -> list[list[str]]:
-        rows = []
-        for row in self.ranking[:8]:
-            first = next(iter(row.coefficients))
-            rows.append(
-                [
-                    row.effect.label[:38],
-                    f"{row.coefficients[first]:.4g}",
-                    f"{row.std[first]:.2g}",
-                    f"{row.fit_after:.2f}",
-                    f"{row.p_value:.1e}",
-                    f"{row.probability:.3f}",
-                ]
-            )
-        return rows
-
-    def plot(
-        self,
-        *,
-        title: str | None = None,
-        rcParams: dict[str, Any] | None = None,
-        legend_loc: str | bool | None = None,
-        show_legend: bool | None = None,
-    ) -> ct.ControlPlot:
+    @picture
+    def plot(self, **options: Unpack[Look]) -> ct.ControlPlot:
         """Ranking, hidden force against motion, residual before and after.
-
-        Parameters
-        ----------
-        title : str, optional
-            Title of the figure.
-        rcParams : dict, optional
-            Matplotlib settings for this plot.
-        legend_loc : str or bool, optional
-            Place of the legends, False for none.
-        show_legend : bool, optional
-            Whether to show legends.
 
         Returns
         -------
         ControlPlot
         """
-        from ..views.diagnosis import diagnosis_plot
-
-        return diagnosis_plot(
-            self, title=title, rcParams=rcParams, legend_loc=legend_loc, show_legend=show_legend
-        )
-
-    def report(
-        self,
-        path: str | PathLike[str],
-        *,
-        title: str | None = None,
-        code: str | None = None,
-        overwrite: bool = False,
-    ) -> Path:
-        """Write what was found as one HTML file: answer, pictures, tables, code, versions.
-
-        Parameters
-        ----------
-        path : str or path
-            File to write; an older report there is replaced.
-        title : str, optional
-            Heading.
-        code : str, optional
-            Code or command that made the result, printed above the generated code.
-        overwrite : bool
-            Replace a file there that is no report, too.
-
-        Returns
-        -------
-        Path
-            The file.
-
-        Raises
-        ------
-        FileNotFoundError
-            If the folder does not exist.
-        FileExistsError
-            If another file is there.
-        """
-        from ..views.pages.diagnosis import report_diagnosis
-
-        return report_diagnosis(self, path, title=title, code=code, overwrite=overwrite)
+        return show(self, "plot", **options)
 
 
-_HEADER = ["effect", "coefficient", "std", "fit %", "p-value", "probability"]
 _VERDICTS = {
     "adequate": "Nothing is missing that this record could show.",
     "effect": "What is missing: {best}.",

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..arguments import as_choice, as_vector, as_whole, shown
 from ..data.measurement import Measurement
 from ..exceptions import ModelError
+from ..results import Result
 from ..systems.linear import Array
 from .engine import Engine
 from .harmonic_balance import Balance, SteadyState
@@ -28,7 +29,7 @@ _PERIODS, _PER_PERIOD = 200, 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AmplitudeResponse:
+class AmplitudeResponse(Result):
     """Response to sines of stated amplitudes.
 
     Attributes
@@ -72,52 +73,6 @@ class AmplitudeResponse:
     output_labels: tuple[str, ...]
     input_unit: str
     name: str
-
-    def __str__(self) -> str:
-        from ..views.tables import text_table
-
-        return text_table(*self._cells(), title=self._title(), notes=_NOTES, left=2)
-
-    def _repr_html_(self) -> str:
-        from ..views.tables import html_table
-
-        return html_table(*self._cells(), title=self._title(), notes=_NOTES, left=2)
-
-    def _title(self) -> str:
-        lost, loose = int((~self.converged).sum()), int((self.converged & ~self.stable).sum())
-        return (
-            f"{self.name} driven by a sine at {self.input_label}: {self.omega.size} frequencies, "
-            f"{self.omega.min():.4g} ... {self.omega.max():.4g} rad/s"
-            + (f"; no steady state found at {lost} of {self.converged.size} points" if lost else "")
-            + (f"; unstable at {loose} of {self.converged.size} points" if loose else "")
-        )
-
-    def _cells(self) -> tuple[list[str], list[list[str]]]:
-        rows = []
-        for level, amplitude in enumerate(self.amplitude):
-            for i, label in enumerate(self.output_labels):
-                size = np.abs(self.response[level, i])
-                if not np.isfinite(size).any():
-                    rows.append([f"{amplitude:.4g} {self.input_unit}".strip(), label, "-", "-", "-"])
-                    continue
-                k = int(np.nanargmax(size))
-                rows.append(
-                    [
-                        f"{amplitude:.4g} {self.input_unit}".strip(),
-                        label,
-                        f"{size[k]:.4g}",
-                        f"{self.omega[k]:.5g}",
-                        f"{100 * np.nanmax(self.distortion[level, i]):.2g}",
-                    ]
-                )
-        return ["amplitude", "output", "largest |G|", "at [rad/s]", "distortion [%]"], rows
-
-
-_NOTES = (
-    "|G|: fundamental of the output over the sine at the input; a linear model shows the same at every "
-    "amplitude.",
-    "distortion: the largest share of higher harmonics over the frequencies.",
-)
 
 
 def frequency_response_at(

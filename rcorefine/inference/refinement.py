@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from os import PathLike
-from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import control as ct
 import numpy as np
@@ -20,6 +18,7 @@ from ..engine.simulation import simulate
 from ..engine.structure import Structure
 from ..exceptions import ModelError
 from ..models.physical_model import PhysicalModel
+from ..results import Options, ReportedModel, picture, show
 from ..systems.linear import Array
 
 __all__ = ["EstimatedParameter", "Refinement"]
@@ -64,7 +63,7 @@ class EstimatedParameter:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Refinement:
+class Refinement(ReportedModel):
     """A model refined with effects, and how well it is known.
 
     Passes as a model to `compare`, `refine` and the other functions.
@@ -241,18 +240,14 @@ class Refinement:
             raise ModelError(f"{len(rows)} parameters match {name!r} at {place!r}; there are {known}")
         return rows[0]
 
+    @picture
     def bode_plot(
         self,
         measured: Any = None,
         omega: ArrayLike | None = None,
         *,
         levels: Sequence[float] | None = None,
-        ax: Any = None,
-        label: str | Sequence[str] | None = None,
-        title: str | None = None,
-        legend_loc: str | bool | None = None,
-        rcParams: dict[str, Any] | None = None,
-        show_legend: bool | None = None,
+        **options: Unpack[Options],
     ) -> ct.ControlPlot:
         """Bode plot of the initial and the refined model, beside the measured response.
 
@@ -270,14 +265,6 @@ class Refinement:
             Axes to draw in, shape (2 n_y, n_w); with `measured` and without `levels` (3 n_y, n_w).
         label : list of str, optional
             Labels of the two models, or of the levels.
-        title : str, optional
-            Title of the figure.
-        legend_loc : str or False, optional
-            Place of the legend, as in matplotlib; False for none.
-        rcParams : dict, optional
-            Matplotlib settings on top of `control.rcParams`.
-        show_legend : bool, optional
-            Force the legend on or off.
 
         Returns
         -------
@@ -285,68 +272,7 @@ class Refinement:
             Lines, axes, figure. Without `levels` nonlinear effects are not in it: the refined
             curve is that of `system`.
         """
-        if levels is not None:
-            from ..views.level_bode import level_bode
-
-            return level_bode(
-                self, levels, measured, omega, ax=ax, label=label, title=title,
-                legend_loc=legend_loc, rcParams=rcParams, show_legend=show_legend,
-            )  # fmt: skip
-        from ..views.bode import bode_comparison
-
-        if isinstance(measured, Measurement):
-            measured = measured.frequency_response()
-        return bode_comparison(
-            [("initial", self.physical_model.system), ("refined", self.system)],
-            measured,
-            omega,
-            ax=ax,
-            label=label,
-            title=title,
-            legend_loc=legend_loc,
-            rcParams=rcParams,
-            show_legend=show_legend,
-        )
-
-    def report(
-        self,
-        path: str | PathLike[str],
-        *,
-        data: Measurement | None = None,
-        title: str | None = None,
-        code: str | None = None,
-        overwrite: bool = False,
-    ) -> Path:
-        """Write what was found as one HTML file: answer, pictures, tables, code, versions.
-
-        Parameters
-        ----------
-        path : str or path
-            File to write; an older report there is replaced.
-        data : Measurement, optional
-            Record to show the models beside; the result keeps none.
-        title : str, optional
-            Heading.
-        code : str, optional
-            Code or command that made the result, printed above the generated code.
-        overwrite : bool
-            Replace a file there that is no report, too.
-
-        Returns
-        -------
-        Path
-            The file.
-
-        Raises
-        ------
-        FileNotFoundError
-            If the folder does not exist.
-        FileExistsError
-            If another file is there.
-        """
-        from ..views.pages.models import report_refinement
-
-        return report_refinement(self, path, data=data, title=title, code=code, overwrite=overwrite)
+        return show(self, "bode_plot", measured, omega, levels=levels, **options)
 
     # ------------------------------------------------------------------ in words
     def sentences(self) -> list[str]:
@@ -371,50 +297,6 @@ class Refinement:
             lines.append(f"The inputs are taken with hold={self.hold!r}, whatever a record declares.")
         return lines + list(self.warnings)
 
-    def __str__(self) -> str:
-        from ..views.tables import text_table
-
-        return "\n".join(
-            [
-                f"Refinement of {self.physical_model.linear.name!r}",
-                text_table(_HEADER, self._rows()),
-                *_wrapped(self.sentences()),
-            ]
-        )
-
-    def _repr_html_(self) -> str:
-        from ..views.tables import html_table
-
-        return html_table(
-            _HEADER,
-            self._rows(),
-            title=f"Refinement of {self.physical_model.linear.name}",
-            notes=self.sentences(),
-        )
-
-    def _rows(self) -> list[list[str]]:
-        return [
-            [
-                row.name,
-                row.kind if row.name != row.kind else "",
-                row.place,
-                f"{row.initial:.5g}",
-                f"{row.value:.5g}",
-                f"{row.std:.2g}",
-                row.unit,
-            ]
-            for row in self.parameters
-        ]
-
-
-_HEADER = ["parameter", "effect", "place", "initial", "value", "std", "unit"]
-
 
 def _percent(fit: Array) -> str:
     return " / ".join(f"{value:.4g} %" for value in np.atleast_1d(fit))
-
-
-def _wrapped(lines: Sequence[str]) -> list[str]:
-    import textwrap
-
-    return [part for line in lines for part in textwrap.wrap(line, 80)]

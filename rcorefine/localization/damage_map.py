@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Unpack
 
 import control as ct
 
@@ -12,6 +11,7 @@ from ..arguments import as_text
 from ..effects.effect import Effect
 from ..exceptions import ModelError
 from ..inference.whitening import FTest
+from ..results import Options, Result, picture, show
 from ..systems.linear import Array, LinearModel
 from .residual import overall
 
@@ -138,7 +138,7 @@ class HypothesisRow:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DamageMap:
+class DamageMap(Result):
     """Which places of a structure changed, by how much, and what would have been seen.
 
     Attributes
@@ -243,16 +243,12 @@ class DamageMap:
         known = ", ".join(row.label for row in self.rows)
         raise ModelError(f"there is no {kind} at {place!r} among the candidates: {known}")
 
+    @picture
     def plot(
         self,
         *,
         kind: str | None = None,
-        ax: Any = None,
-        label: str | Sequence[str] | None = None,
-        title: str | None = None,
-        legend_loc: str | bool | None = None,
-        rcParams: dict[str, Any] | None = None,
-        show_legend: bool | None = None,
+        **options: Unpack[Options],
     ) -> ct.ControlPlot:
         """Bar chart along the structure: changes, intervals and detection limits.
 
@@ -264,32 +260,9 @@ class DamageMap:
             Where to draw; one per panel.
         label : str or sequence of str, optional
             Names of the places on the axis.
-        title, legend_loc, rcParams, show_legend
-            As in python-control.
 
         Returns
         -------
         ControlPlot
         """
-        from ..views.damage_map import plot_damage
-
-        return plot_damage(
-            self,
-            kind=kind,
-            ax=ax,
-            label=label,
-            title=title,
-            legend_loc=legend_loc,
-            rcParams=rcParams,
-            show_legend=show_legend,
-        )
-
-    def __str__(self) -> str:
-        from ..views.damage_map import damage_text
-
-        return damage_text(self)
-
-    def _repr_html_(self) -> str:
-        from ..views.damage_map import damage_html
-
-        return damage_html(self)
+        return show(self, "plot", kind=kind, **options)

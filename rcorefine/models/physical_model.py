@@ -12,10 +12,10 @@ from ..arguments import as_choice, as_text, shown
 from ..data.measurement import HOLDS, Measurement
 from ..effects.effect import Effect
 from ..exceptions import ModelError
+from ..results import Result
 from ..systems.discretization import check_sampling_time
 from ..systems.linear import Array, LinearModel
 from .consistency import check_outputs, check_places, check_sizes
-from .description import model_html, model_text
 from .parameters import NominalParameter
 from .ports import Port
 from .units import combine_units
@@ -24,7 +24,7 @@ __all__ = ["PhysicalModel"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PhysicalModel:
+class PhysicalModel(Result):
     """A linear model that knows its places, parameters and units.
 
     Made by the builders (`mass_spring_damper`, `series_rlc`, ...), or from a plain
@@ -361,12 +361,6 @@ class PhysicalModel:
             index = self.linear.output_labels.index(effect.place)
             return combine_units(rule, {"signal": self.output_units[index]})
         return combine_units(rule, self.port(effect.place).units)
-
-    def __str__(self) -> str:
-        return model_text(self)
-
-    def _repr_html_(self) -> str:
-        return model_html(self)
 
 
 def _check_type(effect: Any) -> None:

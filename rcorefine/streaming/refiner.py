@@ -6,7 +6,7 @@ import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar, Unpack, cast
 
 import control as ct
 import numpy as np
@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 from ..arguments import as_flag
 from ..data.measurement import Measurement
 from ..exceptions import RCOError
+from ..results import Options, Result, picture, show
 from ..systems.linear import Array, LinearModel
-from . import summary
 from .assembly import assembled
 from .checks import as_samples, check_samples
 from .coefficients.history import CoefficientHistory
@@ -31,6 +31,7 @@ from .rcmr.scaling import Scales
 from .rcmr.setup import sampled_model
 from .restoring import check_like, damaged
 from .samples import checked_block, checked_record
+from .summary import Summary
 
 __all__ = ["RCORefiner"]
 
@@ -58,7 +59,7 @@ def _alone(method: _Method) -> _Method:
     return cast(_Method, locked)
 
 
-class RCORefiner:
+class RCORefiner(Result):
     """Refine a linear model on measured samples, in two concurrent stages.
 
     >>> example = rco.examples.rlc()
@@ -616,17 +617,12 @@ class RCORefiner:
         return found
 
     @_alone
+    @picture
     def bode_plot(
         self,
         measured: Any = None,
         omega: ArrayLike | None = None,
-        *,
-        ax: Any = None,
-        label: str | list[str] | None = None,
-        title: str | None = None,
-        legend_loc: str | bool | None = None,
-        rcParams: dict[str, Any] | None = None,
-        show_legend: bool | None = None,
+        **options: Unpack[Options],
     ) -> ct.ControlPlot:
         """Bode plot of the initial and the refined model, beside the measured response.
 
@@ -644,42 +640,18 @@ class RCORefiner:
             Axes to draw in, shape (2 n_y, n_w), with `measured` (3 n_y, n_w).
         label : list of str, optional
             Labels of the two models.
-        title : str, optional
-            Title of the figure.
-        legend_loc : str or False, optional
-            Place of the legend, as in matplotlib; False for none.
-        rcParams : dict, optional
-            Matplotlib settings on top of `control.rcParams`.
-        show_legend : bool, optional
-            Force the legend on or off.
 
         Returns
         -------
         ControlPlot
             Lines, axes, figure.
         """
-        from ..views.bode import bode_comparison
-
-        return bode_comparison(
-            [("initial", self._sampled.initial), ("refined", self.system)],
-            measured,
-            omega,
-            deviation=self._estimator.deviation(),
-            ax=ax,
-            label=label,
-            title=title,
-            legend_loc=legend_loc,
-            rcParams=rcParams,
-            show_legend=show_legend,
-        )
+        return show(self, "bode_plot", measured, omega, **options)
 
     @_alone
-    def __str__(self) -> str:
-        return summary.text(self._estimator.summary(), left=1 if self.form == "paper" else 3)
-
-    @_alone
-    def _repr_html_(self) -> str:
-        return summary.html(self._estimator.summary())
+    def _summary(self) -> Summary:
+        """Cells and sentences of `str(refiner)`."""
+        return self._estimator.summary()
 
     def __repr__(self) -> str:
         return f"<RCORefiner of {self._sampled.initial.name!r}: {self.n_learned} samples learned>"

@@ -20,11 +20,9 @@ if TYPE_CHECKING:
 __all__ = [
     "Summary",
     "assemble_history",
-    "html",
     "summarize",
     "summarize_coefficients",
     "summarize_race",
-    "text",
 ]
 
 
@@ -194,17 +192,3 @@ def _of_coefficients(model: LinearModel, part: CoefficientFilter) -> list[str]:
         f"Missed one sample ahead (rms): {levels}.",
         *part.cautions(),
     ]
-
-
-def text(summary: Summary, left: int = 1) -> str:
-    """Table of at most 80 columns."""
-    from ..views.tables import text_table
-
-    return text_table(summary.headers, summary.rows, title=summary.title, notes=summary.notes, left=left)
-
-
-def html(summary: Summary) -> str:
-    """Same table for notebooks."""
-    from ..views.tables import html_table
-
-    return html_table(summary.headers, summary.rows, title=summary.title, notes=summary.notes)

@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..arguments import as_array
 from ..exceptions import ModelError
-from .discretization import check_sampling_time
+from .discretization import check_sampling_time, discretize
 from .linear import Array, LinearModel
 
-__all__ = ["bode_error", "default_omega", "frequency_response"]
+__all__ = ["as_sampled", "bode_error", "default_omega", "frequency_response", "hold_factor"]
 
 # Complex numbers that one batch may hold (32 MB).
 _BATCH = 2_000_000
@@ -196,3 +196,57 @@ def _common_dt(g: LinearModel, g_hat: LinearModel, dt: float | None) -> float:
             "give dt= (seconds) or omega= (rad/s)"
         )
     return max(known)
+
+
+def as_sampled(model: LinearModel, dt: float, hold: str) -> LinearModel:
+    """Continuous model as a record with this dt and hold sees it.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Returned as it is where it is discrete already.
+    dt : float
+        Sampling time in s.
+    hold : {"zoh", "foh", "bandlimited"}
+        Behind a band-limited input the samples follow G(j omega) itself, so
+        the model stays continuous.
+
+    Returns
+    -------
+    LinearModel
+        Model whose frequency response is that of the sampled signals.
+    """
+    if not model.is_continuous or hold == "bandlimited":
+        return model
+    phi, g0, g1 = discretize(model.A, model.B, dt, hold)
+    # x(k) = xi(k) + G1 w(k) takes the input ahead out of the state equation
+    return model.with_arrays(A=phi, B=g0 + phi @ g1, C=model.C, D=model.D + model.C @ g1, dt=dt)
+
+
+def hold_factor(omega: Array, dt: float, hold: str) -> NDArray[np.complex128]:
+    """What a hold makes of a sine's fundamental.
+
+    Parameters
+    ----------
+    omega : ndarray, shape (n,)
+        Frequencies in rad/s.
+    dt : float
+        Sampling time in s, 0 for none.
+    hold : {"zoh", "foh", "bandlimited"}
+        How the input runs between samples.
+
+    Returns
+    -------
+    complex ndarray, shape (n,)
+        1 for a band-limited input.
+
+    Examples
+    --------
+    >>> abs(hold_factor(np.array([1e-9]), 0.1, "zoh"))
+    array([1.])
+    """
+    half = 0.5 * omega * dt
+    if hold == "bandlimited" or dt == 0:
+        return np.ones(omega.shape, complex)
+    size = np.sinc(half / np.pi)
+    return size * np.exp(-1j * half) if hold == "zoh" else (size**2).astype(complex)

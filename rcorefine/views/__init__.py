@@ -1,8 +1,42 @@
-"""Tables and pictures of results."""
+"""Tables, pictures and reports of results; each enters itself for the class that it shows."""
 
-from __future__ import annotations
-
+from . import (
+    amplitude_response,
+    comparison,
+    damage_map,
+    diagnosis,
+    experiment,
+    failure_map,
+    improvement,
+    measurement,
+    monitor,
+    pages,
+    physical_model,
+    refinement,
+    refiner,
+    residuals,
+    responses,
+)
 from .bode import bode_comparison
 from .tables import html_table, text_table
 
-__all__ = ["bode_comparison", "html_table", "text_table"]
+__all__ = [
+    "amplitude_response",
+    "bode_comparison",
+    "comparison",
+    "damage_map",
+    "diagnosis",
+    "experiment",
+    "failure_map",
+    "html_table",
+    "improvement",
+    "measurement",
+    "monitor",
+    "pages",
+    "physical_model",
+    "refinement",
+    "refiner",
+    "residuals",
+    "responses",
+    "text_table",
+]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Unpack
 
 import control as ct
 import numpy as np
@@ -13,13 +13,13 @@ from ..arguments import as_vector
 from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement
 from ..exceptions import ModelError
-from ..systems.discretization import discretize
+from ..results import Options, picture
 from ..systems.linear import Array, LinearModel
-from ..systems.response import frequency_response
+from ..systems.response import as_sampled, frequency_response
 from .bode_axes import BodeUnits, bode_rows, broken_phase, draw_measured, magnitude_limits
-from .figures import BAND, curve_labels, finish, log_labels, make_axes, picture, settings, style
+from .figures import BAND, Frame, log_labels, style
 
-__all__ = ["as_sampled", "bode_comparison", "bode_grid"]
+__all__ = ["bode", "bode_comparison", "bode_grid"]
 
 # |noise| of a complex point stays below this many standard deviations of one component, 95 of 100 times
 _RAYLEIGH_95 = float(np.sqrt(-2.0 * np.log(0.05)))
@@ -33,12 +33,7 @@ def bode_comparison(
     omega: ArrayLike | None = None,
     *,
     deviation: Callable[[Array], Array] | None = None,
-    ax: Any = None,
-    label: str | Sequence[str] | None = None,
-    title: str | None = None,
-    legend_loc: str | bool | None = None,
-    rcParams: dict[str, Any] | None = None,
-    show_legend: bool | None = None,
+    **options: Unpack[Options],
 ) -> ct.ControlPlot:
     """Bode plot of systems, beside a measured response where there is one.
 
@@ -61,14 +56,6 @@ def bode_comparison(
         Axes to draw in, shape (2 n_y, n_w), with `measured` (3 n_y, n_w).
     label : str or sequence of str, optional
         Labels in place of those in `systems`.
-    title : str, optional
-        Title of the figure.
-    legend_loc : str or False, optional
-        Place of the legend, as in matplotlib; False for none.
-    rcParams : dict, optional
-        Matplotlib settings on top of `control.rcParams`.
-    show_legend : bool, optional
-        Force the legend on or off.
 
     Returns
     -------
@@ -88,6 +75,18 @@ def bode_comparison(
     >>> cplt.axes.shape
     (2, 1)
     """
+    return bode(systems, measured, omega, Frame(**options), deviation)
+
+
+def bode(
+    systems: Sequence[tuple[str, ct.StateSpace | LinearModel]],
+    measured: FrequencyResponse | Measurement | ct.FrequencyResponseData | None,
+    omega: ArrayLike | None,
+    frame: Frame,
+    deviation: Callable[[Array], Array] | None = None,
+    title: str | None = None,
+) -> ct.ControlPlot:
+    """`bode_comparison` in a frame, with a title of its own."""
     models = [
         (str(text), m if isinstance(m, LinearModel) else LinearModel.from_statespace(m))
         for text, m in systems
@@ -95,14 +94,10 @@ def bode_comparison(
     seen_as = _as_measured(measured)
     outputs, inputs = _channels(models, seen_as)
     points = None if omega is None else as_vector(omega, "omega", above=0.0)
-    names = curve_labels(label, [text for text, _ in models])
-    with settings(rcParams):
-        ratios = [1.8, 1.4] if seen_as is None else [1.8, 1.4, 1.2]
-        figure, axes = make_axes(ax, ratios * len(outputs), len(inputs))
+    names = frame.labels([text for text, _ in models])
+    ratios = [1.8, 1.4] if seen_as is None else [1.8, 1.4, 1.2]
+    with frame.axes(ratios * len(outputs), len(inputs)) as (axes, lines):
         units = bode_rows(axes, outputs, inputs, extra=None if seen_as is None else "error")
-        lines = np.empty(axes.shape, dtype=object)
-        for place in np.ndindex(axes.shape):
-            lines[place] = []
         for index, (name, (_, model)) in enumerate(zip(names, models, strict=True)):
             seen = model if seen_as is None else as_sampled(model, seen_as.dt, seen_as.hold)
             grid = bode_grid(seen, seen_as, points)
@@ -113,40 +108,7 @@ def bode_comparison(
             _draw_measured(axes, lines, seen_as, units)
         for i, j in np.ndindex(len(outputs), len(inputs)):
             magnitude_limits(axes[len(ratios) * i, j], lines[len(ratios) * i, j], units)
-        return finish(
-            figure,
-            axes,
-            lines,
-            title=title,
-            legends=[axes[0, 0]] if seen_as is None else [axes[0, 0], axes[2, 0]],
-            legend_loc=legend_loc,
-            show_legend=show_legend,
-        )
-
-
-def as_sampled(model: LinearModel, dt: float, hold: str) -> LinearModel:
-    """Continuous model as a record with this dt and hold sees it.
-
-    Parameters
-    ----------
-    model : LinearModel
-        Returned as it is where it is discrete already.
-    dt : float
-        Sampling time in s.
-    hold : {"zoh", "foh", "bandlimited"}
-        Behind a band-limited input the samples follow G(j omega) itself, so
-        the model stays continuous.
-
-    Returns
-    -------
-    LinearModel
-        Model whose frequency response is that of the sampled signals.
-    """
-    if not model.is_continuous or hold == "bandlimited":
-        return model
-    phi, g0, g1 = discretize(model.A, model.B, dt, hold)
-    # x(k) = xi(k) + G1 w(k) takes the input ahead out of the state equation
-    return model.with_arrays(A=phi, B=g0 + phi @ g1, C=model.C, D=model.D + model.C @ g1, dt=dt)
+        return frame.finish(axes, lines, axes[[0] if seen_as is None else [0, 2], 0], title)
 
 
 def bode_grid(model: LinearModel, measured: FrequencyResponse | None, omega: Array | None) -> Array:

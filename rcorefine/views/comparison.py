@@ -1,20 +1,22 @@
-"""Tables and the time picture of a `Comparison`."""
+"""Table and pictures of a `Comparison`."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import control as ct
 import numpy as np
 
-from .figures import MEASURED, curve_labels, finish, make_axes, picture, settings, style, unit_text
-from .tables import html_table, number, text_table
+from ..arguments import as_choice
+from ..comparison.result import KINDS, Comparison
+from .bode import bode
+from .failure_map import plot_map
+from .figures import MEASURED, Frame, draws, style, unit_text
+from .residuals import plot_horizon, plot_residual
+from .tables import Table, number, tabulates
 
-if TYPE_CHECKING:
-    from ..comparison.result import Comparison
-
-__all__ = ["comparison_html", "comparison_text", "plot_time"]
+__all__ = ["comparison_table", "plot_comparison", "plot_time"]
 
 _START = {
     "estimate": "the initial state is estimated from the record",
@@ -23,7 +25,9 @@ _START = {
 }
 
 
-def _cells(result: Comparison) -> tuple[list[str], list[list[str]], str, list[str]]:
+@tabulates(Comparison)
+def comparison_table(result: Comparison) -> Table:
+    """One row per model and output."""
     data = result.data
     headers = ["model", "output", "unit", "fit [%]", "RMSE", "bias", "largest", "at [s]"]
     residual = data.outputs[None] - result.runs
@@ -60,7 +64,9 @@ def _cells(result: Comparison) -> tuple[list[str], list[list[str]], str, list[st
     if np.isnan(fit).any():
         notes.append("fit '-': the measured output is constant, so there is nothing to explain.")
     notes += [f"{note[0].upper()}{note[1:]}." for note in result.notes]
-    return headers, rows, title, notes
+    if not any(row[2] for row in rows):  # no units
+        headers, rows = headers[:2] + headers[3:], [row[:2] + row[3:] for row in rows]
+    return Table(headers, rows, title, notes, left=len(headers) - 5)
 
 
 def _how(result: Comparison) -> str:
@@ -73,45 +79,34 @@ def _how(result: Comparison) -> str:
     )
 
 
-def comparison_text(result: Comparison) -> str:
-    """Table with one row per model and output, at most 80 columns."""
-    headers, rows, title, notes = _cells(result)
-    headers, rows = _without_empty_unit(headers, rows)
-    return text_table(headers, rows, title=title, notes=notes, left=len(headers) - 5)
-
-
-def comparison_html(result: Comparison) -> str:
-    """Table with one row per model and output, HTML."""
-    headers, rows, title, notes = _cells(result)
-    headers, rows = _without_empty_unit(headers, rows)
-    return html_table(headers, rows, title=title, notes=notes, left=len(headers) - 5)
-
-
-def _without_empty_unit(headers: list[str], rows: list[list[str]]) -> tuple[list[str], list[list[str]]]:
-    if any(row[2] for row in rows):
-        return headers, rows
-    return headers[:2] + headers[3:], [row[:2] + row[3:] for row in rows]
-
-
-@picture
-def plot_time(
-    result: Comparison,
-    *,
-    ax: Any = None,
-    label: str | Sequence[str] | None = None,
-    title: str | None = None,
-    legend_loc: str | bool | None = None,
-    rcParams: dict[str, Any] | None = None,
-    show_legend: bool | None = None,
+@draws(Comparison)
+def plot_comparison(
+    result: Comparison, frame: Frame, kind: str = "time", *, measured: Any = None, omega: Any = None
 ) -> ct.ControlPlot:
+    """The picture asked for; see `Comparison.plot`."""
+    as_choice(kind, "kind", KINDS)
+    if kind == "bode":
+        return bode(
+            [(model.name, model) for model in result.models],
+            result.data.frequency_response() if measured is None else measured,
+            omega,
+            frame,
+            title=f"Models and record {result.data.name}",
+        )
+    for keyword, value in (("measured", measured), ("omega", omega)):
+        if value is not None:
+            raise ct.ControlArgument(f"{keyword} belongs to kind='bode', not to kind={kind!r}")
+    draw = {"time": plot_time, "residual": plot_residual, "horizon": plot_horizon, "map": plot_map}[kind]
+    return draw(result, frame)
+
+
+def plot_time(result: Comparison, frame: Frame) -> ct.ControlPlot:
     """Measured and simulated outputs, and the residuals; see `Comparison.plot`."""
     data = result.data
-    names = curve_labels(label, result.names)
+    names = frame.labels(result.names)
     fits = np.atleast_2d(result.fit)
     residual = data.outputs[None] - result.runs
-    with settings(rcParams):
-        figure, axes = make_axes(ax, [1.9, 1.0] * data.n_outputs, 1)
-        lines = np.empty(axes.shape, dtype=object)
+    with frame.axes([1.9, 1.0] * data.n_outputs, 1) as (axes, lines):
         for i, (output, unit) in enumerate(zip(data.output_labels, data.output_units, strict=True)):
             upper, lower = axes[2 * i, 0], axes[2 * i + 1, 0]
             # the record lies under the models, broad and pale: a good model would hide it otherwise
@@ -135,16 +130,8 @@ def plot_time(
                 axis.grid(True, alpha=0.3)
         axes[-1, 0].set_xlabel("Time [s]")
         axes[-1, 0].margins(x=0.01)
-        figure.align_ylabels(axes[:, 0])
-        return finish(
-            figure,
-            axes,
-            lines,
-            title=f"Models and record {data.name}" if title is None and ax is None else title,
-            legends=list(axes[::2, 0]),
-            legend_loc=legend_loc,
-            show_legend=show_legend,
-        )
+        axes[0, 0].figure.align_ylabels(axes[:, 0])
+        return frame.finish(axes, lines, axes[::2, 0], f"Models and record {data.name}")
 
 
 def _percent(fit: float) -> str:

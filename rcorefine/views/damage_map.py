@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import control as ct
 import numpy as np
 
 from ..arguments import as_text
 from ..exceptions import ModelError
-from .figures import curve_labels, finish, make_axes, picture, settings, unit_text
-from .tables import html_table, number, text_table
-
-if TYPE_CHECKING:
-    from ..localization.damage_map import DamageMap, DamageRow
+from ..localization.damage_map import DamageMap, DamageRow
+from ..results import shows
+from .figures import Frame, draws, unit_text
+from .tables import WIDTH, html_table, number, text_table
 
 __all__ = ["damage_html", "damage_text", "plot_damage"]
 
@@ -122,6 +121,7 @@ def _title(result: DamageMap) -> str:
     return f"Damage in {result.name!r}: {result.n_samples} samples, {number(result.duration)} s"
 
 
+@shows(DamageMap, "text")
 def damage_text(result: DamageMap) -> str:
     """Tables of places and scenarios, at most 80 columns."""
     headers, rows = _change_cells(result)
@@ -129,10 +129,13 @@ def damage_text(result: DamageMap) -> str:
     if result.ranking:
         headers, rows = _ranking_cells(result)
         parts.append("\n" + text_table(headers, rows, left=2))
-    parts += [line for note in _sentences(result) for line in textwrap.wrap(note, 80, subsequent_indent="  ")]
+    parts += [
+        line for note in _sentences(result) for line in textwrap.wrap(note, WIDTH, subsequent_indent="  ")
+    ]
     return "\n".join(parts)
 
 
+@shows(DamageMap, "html")
 def damage_html(result: DamageMap) -> str:
     """The same in HTML."""
     headers, rows = _change_cells(result)
@@ -143,47 +146,26 @@ def damage_html(result: DamageMap) -> str:
     return first + html_table(headers, rows, title="Scenarios, the most probable first", left=2)
 
 
-@picture
-def plot_damage(
-    result: DamageMap,
-    *,
-    kind: str | None = None,
-    ax: Any = None,
-    label: str | Sequence[str] | None = None,
-    title: str | None = None,
-    legend_loc: str | bool | None = None,
-    rcParams: dict[str, Any] | None = None,
-    show_legend: bool | None = None,
-) -> ct.ControlPlot:
+@draws(DamageMap)
+def plot_damage(result: DamageMap, frame: Frame, *, kind: str | None = None) -> ct.ControlPlot:
     """Bar chart along the structure; see `DamageMap.plot`."""
     kinds = list(dict.fromkeys(row.kind for row in result.rows))
     if kind is not None:
         if as_text(kind, "kind") not in kinds:
             raise ModelError(f"kind {kind!r} is none of the candidates': {', '.join(kinds)}")
         kinds = [kind]
-    with settings(rcParams):
-        figure, axes = make_axes(ax, [1.9] * len(kinds), 1)
-        lines = np.empty(axes.shape, dtype=object)
+    with frame.axes([1.9] * len(kinds), 1) as (axes, lines):
         for panel, name in zip(axes[:, 0], kinds, strict=True):
             rows = [row for row in result.rows if row.kind == name]
             relative = all(row.nominal for row in rows)
             lines[kinds.index(name), 0] = _bars(panel, rows, relative)
             panel.set_xticks(range(len(rows)))
-            panel.set_xticklabels(curve_labels(label, [row.place for row in rows]))
+            panel.set_xticklabels(frame.labels([row.place for row in rows]))
             panel.tick_params(axis="x", labelbottom=True)
             panel.set_ylabel(unit_text(f"change of {name}", "%" if relative else rows[0].unit))
             panel.set_xlim(-0.6, len(rows) - 0.4)
-        if title is None:
-            title = f"Changes in {result.name}: dark bars are named"
-        return finish(
-            figure,
-            axes,
-            lines,
-            title=title.replace("$", r"\$"),
-            legends=[axes[0, 0]],
-            legend_loc=legend_loc,
-            show_legend=show_legend,
-        )
+        title = f"Changes in {result.name}: dark bars are named".replace("$", r"\$")
+        return frame.finish(axes, lines, [axes[0, 0]], title)
 
 
 def _bars(panel: Any, rows: Sequence[DamageRow], relative: bool) -> list[Any]:

@@ -1,30 +1,24 @@
-"""The picture of a diagnosis: ranking, hidden force against motion, residual before and after."""
+"""A diagnosis as text and as a picture: ranking, hidden force against motion, residual before and after."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import control as ct
-import matplotlib.pyplot as plt
 import numpy as np
-from scipy.linalg import solve_discrete_are
 from scipy.signal import welch
 
+from ..data.measurement import Measurement
+from ..diagnosis.result import Diagnosis
+from ..effects.along_motion import unit_forces
 from ..engine.simulation import simulate
-from ..systems.discretization import discretize
-from ..systems.linear import Array, LinearModel
-from .figures import MEASURED, finish, picture, settings, style, unit_text
+from ..inference.hidden_force import estimated_force
+from ..systems.linear import Array
+from .figures import MEASURED, Frame, draws, style, unit_text
+from .tables import Table, Told, tells
 
-if TYPE_CHECKING:
-    from ..data.measurement import Measurement
-    from ..diagnosis.result import Diagnosis
-    from ..models.ports import Port
+__all__ = ["diagnosis_told", "plot_diagnosis"]
 
-__all__ = ["diagnosis_plot", "estimated_force"]
-
-_LEVELS = np.logspace(-3, 1, 9)  # of the force that drives the estimate, tried by likelihood
-_MEMORY = (3.0, 12.0, 50.0)  # samples for which it lasts, tried too
-_TRIED_ON = 1000  # samples
 _SHOWN = 8
 _ALONG_D = frozenset(
     {
@@ -38,50 +32,40 @@ _ALONG_D = frozenset(
 )
 
 
-@picture
-def diagnosis_plot(
-    found: Diagnosis,
-    *,
-    title: str | None = None,
-    rcParams: dict[str, Any] | None = None,
-    legend_loc: str | bool | None = None,
-    show_legend: bool | None = None,
-) -> ct.ControlPlot:
-    """Draw what a diagnosis rests on.
+@tells(Diagnosis)
+def diagnosis_told(found: Diagnosis) -> Told:
+    """The verdict in words, and the ranking."""
+    headers = ["effect", "coefficient", "std", "fit %", "p-value", "probability"]
+    rows = []
+    for row in found.ranking[:8]:
+        first = next(iter(row.coefficients))
+        rows.append(
+            [
+                row.effect.label[:38],
+                f"{row.coefficients[first]:.4g}",
+                f"{row.std[first]:.2g}",
+                f"{row.fit_after:.2f}",
+                f"{row.p_value:.1e}",
+                f"{row.probability:.3f}",
+            ]
+        )
+    above = [f"Diagnosis: {found.verdict.upper()}", *found.sentences()]
+    return above, Table(headers, rows, f"Diagnosis: {found.verdict}", found.sentences()), []
 
-    Parameters
-    ----------
-    found : Diagnosis
-        Result of `diagnose`.
-    title : str, optional
-        Title of the figure; by default the verdict.
-    rcParams : dict, optional
-        Matplotlib settings.
-    legend_loc, show_legend
-        As in python-control's plots.
 
-    Returns
-    -------
-    ControlPlot
-        Axes: ranking (or tests, where nothing is missing), hidden force estimated without
-        any law with the law's curve through it, residual in time, residual in frequency.
+@draws(Diagnosis)
+def plot_diagnosis(found: Diagnosis, frame: Frame) -> ct.ControlPlot:
+    """What a diagnosis rests on; see `Diagnosis.plot`.
+
+    Axes: ranking (or tests, where nothing is missing), hidden force estimated without
+    any law with the law's curve through it, residual in time, residual in frequency.
     """
     record = found.ordered_records()[0]
-    with settings(rcParams):
-        figure, axes = plt.subplots(2, 2, figsize=(10.5, 7.2), layout="constrained", squeeze=False)
-        lines = np.empty((2, 2), dtype=object)
+    with frame.axes([1.0, 1.0], 2, figsize=(10.5, 7.2), sharex=False) as (axes, lines):
         lines[0, 0] = _ranking(axes[0, 0], found) if found.best is not None else _tests(axes[0, 0], found)
         lines[0, 1] = _force(axes[0, 1], found, record)
         lines[1, 0], lines[1, 1] = _residuals(axes[1], found, record)
-        return finish(
-            figure,
-            axes,
-            lines,
-            title=_title(found) if title is None else title,
-            legends=[axes[0, 0], axes[0, 1], axes[1, 1]],
-            legend_loc=legend_loc,
-            show_legend=show_legend,
-        )
+        return frame.finish(axes, lines, [axes[0, 0], axes[0, 1], axes[1, 1]], _title(found))
 
 
 def _title(found: Diagnosis) -> str:
@@ -146,7 +130,7 @@ def _force(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
         ax.text(0.5, 0.5, said, ha="center", va="center", transform=ax.transAxes)
         ax.set_axis_off()
         return []
-    force, states = estimated_force(found, port, record)
+    force, states = estimated_force(found.base, best.refinement.rmse, port, record)
     d = port.position @ states + port.position_input @ record.inputs
     v = port.velocity @ states + port.velocity_input @ record.inputs
     along_d = best.effect.kind in _ALONG_D
@@ -191,8 +175,6 @@ def _force(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
 
 
 def _law(found: Diagnosis, d: Array, v: Array, motion: Array) -> tuple[Array, Array] | None:
-    from ..effects.along_motion import unit_forces
-
     assert found.best is not None
     effect, values = found.best.effect, dict(found.best.coefficients)
     order = np.argsort(motion, kind="stable")
@@ -240,96 +222,3 @@ def _residuals(axes: Any, found: Diagnosis, record: Measurement) -> tuple[list[A
     axes[1].set_ylabel(unit_text("amplitude density", f"{unit}/sqrt(Hz)" if unit else ""))
     axes[1].set_title("Residual in frequency")
     return in_time, in_frequency
-
-
-def estimated_force(found: Diagnosis, port: Port, record: Measurement) -> tuple[Array, Array]:
-    """Force at a port and the motion, from the record and the model as it is, without any law.
-
-    The force is one more state of a Kalman smoother, driven by noise; how strongly, and how
-    long it remembers, is chosen by likelihood. Its mean is no part of the estimate.
-
-    Parameters
-    ----------
-    found : Diagnosis
-        Result of `diagnose`.
-    port : Port
-        Where the force acts.
-    record : Measurement
-        Record, channels in the order of the model.
-
-    Returns
-    -------
-    force : ndarray, shape (N,)
-        Resisting force.
-    states : ndarray, shape (n, N)
-        States of the linear model.
-    """
-    linear = LinearModel.from_statespace(found.base.system)
-    n = linear.n_states
-    act = np.zeros(n)
-    act[: port.act.size] = port.act
-    rate = np.zeros((linear.n_outputs, n))
-    given = found.base.physical_model.output_rate
-    rate[:, : given.shape[1]] = given
-    B = np.vstack([linear.B, np.zeros((1, linear.n_inputs))])
-    C = np.column_stack([linear.C, rate @ act])
-    hold = "zoh" if record.hold == "zoh" else "foh"
-    w = record.inputs
-    level = found.best.refinement.rmse if found.best is not None else found.base.rmse
-    R = np.diag(np.maximum(level, 1e-6 * record.outputs.std(axis=1)) ** 2)
-    y = record.outputs - linear.D @ w
-    y = y - y.mean(axis=1, keepdims=True)
-    runs = []
-    for memory in _MEMORY:
-        A = np.zeros((n + 1, n + 1))
-        A[:n, :n], A[:n, n], A[n, n] = linear.A, act, -1.0 / (memory * record.dt)
-        F, G0, G1 = discretize(A, B, record.dt, hold)
-        drive = G0 @ w[:, :-1] + G1 @ w[:, 1:]
-        # a force that moves the output by its own size within a sample: the scale of the walk
-        reach = np.linalg.norm(C @ F[:, -1]) + np.linalg.norm(C[:, -1]) + 1e-300
-        unit = float(np.linalg.norm(y.std(axis=1))) / reach
-        short = min(_TRIED_ON, y.shape[1])
-        for share in _LEVELS:
-            try:
-                run = _smoother(F, C, drive[:, : short - 1], y[:, :short], R, share * unit)
-            except (np.linalg.LinAlgError, ValueError):
-                continue  # no stationary filter at this level; the next one may have
-            runs.append((run[0], F, drive, share * unit))
-    if not runs:
-        return np.zeros(record.n_samples), np.zeros((n, record.n_samples))
-    _, F, drive, walk = max(runs, key=lambda run: run[0])
-    smooth = _smoother(F, C, drive, y, R, walk)[1]
-    return smooth[n], smooth[:n]
-
-
-def _smoother(F: Array, C: Array, drive: Array, y: Array, R: Array, walk: float) -> tuple[float, Array]:
-    """Stationary Kalman filter forth, Rauch-Tung-Striebel back: log-likelihood and states."""
-    n, N = F.shape[0], y.shape[1]
-    Q = np.zeros((n, n))
-    Q[-1, -1] = walk**2
-    size = np.ones(n)
-    size[-1] = walk
-    Fs, Cs, Qs = F * size / size[:, None], C * size, Q / np.outer(size, size)
-    Qs = Qs + 1e-12 * np.eye(n) * np.mean(np.diag(R))
-    P = solve_discrete_are(Fs.T, Cs.T, Qs, R)
-    S = Cs @ P @ Cs.T + R
-    K = P @ Cs.T @ np.linalg.inv(S)
-    after = P - K @ Cs @ P
-    J = np.linalg.solve(P.T, (after @ Fs.T).T).T
-    steer = drive / size[:, None]
-    before_all, after_all = np.zeros((n, N)), np.zeros((n, N))
-    x = np.zeros(n)
-    errors = np.zeros_like(y)
-    for k in range(N):
-        before_all[:, k] = x
-        errors[:, k] = y[:, k] - Cs @ x
-        z = x + K @ errors[:, k]
-        after_all[:, k] = z
-        if k + 1 < N:
-            x = Fs @ z + steer[:, k]
-    smooth = np.zeros((n, N))
-    smooth[:, -1] = after_all[:, -1]
-    for k in range(N - 2, -1, -1):
-        smooth[:, k] = after_all[:, k] + J @ (smooth[:, k + 1] - before_all[:, k + 1])
-    likelihood = -0.5 * (N * np.linalg.slogdet(S)[1] + float(np.sum(errors * np.linalg.solve(S, errors))))
-    return likelihood, smooth * size[:, None]

@@ -1,65 +1,52 @@
-"""Pictures of what to measure next, and of what a further record says."""
+"""What to measure next, and what a further record says: tables and pictures."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
 import control as ct
-import matplotlib.pyplot as plt
 import numpy as np
 
-from .figures import curve_labels, finish, only_axes, picture, unit_text
+from ..diagnosis.confirmation import Confirmation
+from ..diagnosis.experiment_design.result import ExperimentAdvice
+from .figures import Frame, draws, unit_text
+from .tables import Table, Told, tells
 
-if TYPE_CHECKING:
-    from ..diagnosis.confirmation import Confirmation
-    from ..diagnosis.experiment_design.result import ExperimentAdvice
+__all__ = [
+    "advice_told",
+    "confirmation_told",
+    "plot_advice",
+    "plot_confirmation",
+]
 
-__all__ = ["confirmation_plot", "experiment_plot"]
+
+def _head(advice: ExperimentAdvice) -> str:
+    return "Experiment: " + (advice.chosen.name if advice.chosen else "nothing to separate")
 
 
-@picture
-def experiment_plot(
-    advice: ExperimentAdvice,
-    *,
-    ax: Any = None,
-    label: str | None = None,
-    title: str | None = None,
-    legend_loc: str | bool | None = None,
-    rcParams: dict[str, Any] | None = None,
-    show_legend: bool | None = None,
-) -> ct.ControlPlot:
-    """Bars: probability with which each option separates the rivals, the cheapest on top.
+@tells(ExperimentAdvice)
+def advice_told(advice: ExperimentAdvice) -> Told:
+    """The advice, and the experiments that were judged."""
+    headers = ["experiment", "cost", "probability", "distance", "reach"]
+    rows = [
+        [
+            ("> " if option is advice.chosen else "  ") + option.name,
+            f"{option.cost:.3g}",
+            "-" if option.failed else f"{option.probability:.2f}",
+            "-" if option.failed else f"{option.distance:.3g}",
+            "-" if option.failed else f"{option.reach:.2g}",
+        ]
+        for option in advice.options
+    ]
+    message, *rest = advice.sentences()
+    return [_head(advice), message], Table(headers, rows, _head(advice), advice.sentences()), rest
 
-    Parameters
-    ----------
-    advice : ExperimentAdvice
-        Result of `Diagnosis.suggest_experiment`.
-    ax : Axes, optional
-        Where to draw.
-    label : str, optional
-        Label of the bars.
-    title : str, optional
-        Title.
-    legend_loc : str or bool, optional
-        Place of the legend, False for none.
-    rcParams : dict, optional
-        Matplotlib settings for this plot.
-    show_legend : bool, optional
-        Whether to show a legend.
 
-    Returns
-    -------
-    ControlPlot
-    """
-    settings: Any = {**ct.rcParams, **(rcParams or {})}
-    with plt.rc_context(settings):
-        options = advice.options
-        own = ax is None
-        if own:
-            height = 1.6 + 0.32 * max(len(options), 1)
-            _, ax = plt.subplots(figsize=(7.0, height), layout="constrained")
-        ax = only_axes(ax)
-        (name,) = curve_labels(label, ["then separated"])
+@draws(ExperimentAdvice)
+def plot_advice(advice: ExperimentAdvice, frame: Frame) -> ct.ControlPlot:
+    """Bars: probability with which each option separates the rivals, the cheapest on top."""
+    options = advice.options
+    (name,) = frame.labels(["then separated"])
+    with frame.axes([1.0], 1, figsize=(7.0, 1.6 + 0.32 * max(len(options), 1))) as (axes, lines):
+        ax = axes[0, 0]
         rows = np.arange(len(options))
         colors = ["C0" if option is advice.chosen else "0.7" for option in options]
         values = [option.probability for option in options]
@@ -86,67 +73,53 @@ def experiment_plot(
         ax.invert_yaxis()
         ax.set_xlim(0, 1)
         ax.set_xlabel("probability that the true effect then stands alone")
-        if title is None:
-            title = "Next experiment (cost in record lengths)" if options else "Nothing to separate"
-        ax.set_title(title)
+        heading = "Next experiment (cost in record lengths)" if options else "Nothing to separate"
+        ax.set_title(heading if frame.title is None else frame.title)
         ax.grid(True, axis="x", alpha=0.4)
-        shown = show_legend or (show_legend is None and legend_loc is not False and bool(options))
+        lines[0, 0] = [*bars, line]
         legend = None
-        if shown and (own and not isinstance(legend_loc, str)):
-            legend = ax.figure.legend(loc="outside lower center", ncols=2)
-        elif shown:
-            legend = ax.legend(loc=legend_loc if isinstance(legend_loc, str) else "best", framealpha=0.9)
-    out = np.empty((1, 1), dtype=object)
-    out[0, 0] = [*bars, line]
-    return ct.ControlPlot(out, np.array([[ax]]), ax.figure, legend)
+        if frame.show_legend or (frame.legends and options):
+            if frame.ax is None and not isinstance(frame.legend_loc, str):
+                legend = ax.figure.legend(loc="outside lower center", ncols=2)
+            else:
+                place = frame.legend_loc if isinstance(frame.legend_loc, str) else "best"
+                legend = ax.legend(loc=place, framealpha=0.9)
+    return ct.ControlPlot(lines, axes, ax.figure, legend)
 
 
-@picture
-def confirmation_plot(
-    confirmation: Confirmation,
-    *,
-    ax: Any = None,
-    label: str | None = None,
-    title: str | None = None,
-    legend_loc: str | bool | None = None,
-    rcParams: dict[str, Any] | None = None,
-    show_legend: bool | None = None,
-) -> ct.ControlPlot:
-    """Coefficients of each record alone, with 95 % intervals, one panel per coefficient.
-
-    Parameters
-    ----------
-    confirmation : Confirmation
-        Result of `confirm`.
-    ax : Axes or array of Axes, optional
-        Where to draw, one per coefficient.
-    label : str, optional
-        Label of the estimates.
-    title : str, optional
-        Title.
-    legend_loc : str or bool, optional
-        Place of the legend, False for none.
-    rcParams : dict, optional
-        Matplotlib settings for this plot.
-    show_legend : bool, optional
-        Whether to show a legend; default only where a label is given.
-
-    Returns
-    -------
-    ControlPlot
-    """
-    settings: Any = {**ct.rcParams, **(rcParams or {})}
-    with plt.rc_context(settings):
-        count = len(confirmation.names)
-        if ax is None:
-            _, ax = plt.subplots(
-                1, count, squeeze=False, figsize=(2.2 + 2.8 * count, 3.2), layout="constrained"
+@tells(Confirmation)
+def confirmation_told(found: Confirmation) -> Told:
+    """The verdict, the records, and what the columns are."""
+    headers = ["record", "coefficient", "alone", "std", "input", "agreement", "residual"]
+    rows = []
+    for estimate in found.estimates:
+        for i, name in enumerate(found.names):
+            first = i == 0
+            rows.append(
+                [
+                    estimate.name if first else "",
+                    name,
+                    f"{estimate.coefficients[i]:.4g}",
+                    f"{estimate.std[i]:.2g}",
+                    f"{estimate.level:.3g}" if first else "",
+                    f"{estimate.agreement:.2g}" if first and estimate is not found.estimates[0] else "",
+                    f"{estimate.residual:.2g}" if first else "",
+                ]
             )
-        axes = np.atleast_1d(np.asarray(ax, dtype=object)).reshape(1, -1)
-        if axes.size != count:
-            raise ct.ControlDimension(f"ax holds {axes.size} axes; there are {count} coefficients")
-        (name,) = curve_labels(label, ["95 % interval"])
-        lines = np.empty((1, count), dtype=object)
+    message, *rest = found.sentences()
+    return (
+        [f"Further records: {found.verdict.upper()}", message],
+        Table(headers, rows, f"Further records: {found.verdict}", found.sentences(), left=2),
+        rest,
+    )
+
+
+@draws(Confirmation)
+def plot_confirmation(confirmation: Confirmation, frame: Frame) -> ct.ControlPlot:
+    """Coefficients of each record alone, with 95 % intervals, one panel per coefficient."""
+    count = len(confirmation.names)
+    (name,) = frame.labels(["95 % interval"])
+    with frame.axes([1.0], count, figsize=(2.2 + 2.8 * count, 3.2)) as (axes, lines):
         names = [
             f"{e.name}, {e.level:.2g} x input\nresidual p = {e.residual:.2g}" for e in confirmation.estimates
         ]
@@ -160,13 +133,5 @@ def confirmation_plot(
             axis.set_xlim(-0.5, len(names) - 0.5)
             axis.set_ylabel(unit_text(confirmation.names[i], confirmation.units[i]))
             axis.grid(True, axis="y", alpha=0.4)
-        axes[0, 0].figure.suptitle(title or f"Each record alone: {confirmation.verdict}")
-        return finish(
-            axes[0, 0].figure,
-            axes,
-            lines,
-            title=None,
-            legends=[axes[0, 0]] if label is not None or show_legend else [],
-            legend_loc=legend_loc,
-            show_legend=show_legend,
-        )
+        legends = [axes[0, 0]] if frame.label is not None or frame.show_legend else []
+        return frame.finish(axes, lines, legends, f"Each record alone: {confirmation.verdict}")

@@ -2,33 +2,19 @@
 
 from __future__ import annotations
 
-import textwrap
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import control as ct
-import matplotlib.pyplot as plt
 import numpy as np
 
+from ..comparison.failure_map.search import FailureMap, residual_force
+from ..comparison.model_error import model_error
+from ..comparison.result import Comparison
 from ..exceptions import DataError
+from ..results import shows
 from .bode_axes import BodeUnits
-from .figures import (
-    BAND,
-    MEASURED,
-    curve_labels,
-    finish,
-    log_labels,
-    make_axes,
-    picture,
-    settings,
-    style,
-    unit_text,
-)
-from .tables import WIDTH, clip, html_table, number, text_table
-
-if TYPE_CHECKING:
-    from ..comparison.failure_map.search import FailureMap
-    from ..comparison.result import Comparison
+from .figures import BAND, MEASURED, Frame, log_labels, style, unit_text
+from .tables import clip, html_table, number, text_table, wrapped
 
 __all__ = ["failure_html", "failure_text", "plot_map"]
 
@@ -73,14 +59,16 @@ def _chance(p: float) -> str:
     return "< 1e-99" if p < 1e-99 else number(p, 1)
 
 
+@shows(FailureMap, "text")
 def failure_text(found: FailureMap) -> str:
     """Table with one row per failure, at most 80 columns."""
     rows, title, notes = _cells(found)
     if not rows:
-        return "\n".join(line for text in (title, *notes) for line in textwrap.wrap(text, WIDTH))
+        return "\n".join(wrapped([title, *notes]))
     return text_table(_HEADERS, rows, title=title, notes=notes, left=4)
 
 
+@shows(FailureMap, "html")
 def failure_html(found: FailureMap) -> str:
     """Table with one row per failure, HTML."""
     rows, title, notes = _cells(found)
@@ -95,46 +83,19 @@ _LOOKS = {
 _MARK = "#e8c9b8"
 
 
-@picture
-def plot_map(
-    result: Comparison,
-    *,
-    ax: Any = None,
-    label: str | Sequence[str] | None = None,
-    title: str | None = None,
-    legend_loc: str | bool | None = None,
-    rcParams: dict[str, Any] | None = None,
-    show_legend: bool | None = None,
-) -> ct.ControlPlot:
+def plot_map(result: Comparison, frame: Frame) -> ct.ControlPlot:
     """Four rows per model: shares, residual over time, error over frequency, force over motion."""
     maps = result.failures if result.several else (result.failures,)
-    names = curve_labels(label, result.names)
-    with settings(rcParams):
-        figure, axes = _axes(ax, len(maps))
-        lines = np.empty(axes.shape, dtype=object)
+    names = frame.labels(result.names)
+    size = (max(7.0, 4.0 * len(maps)), 8.2)
+    with frame.axes(_ROWS, len(maps), figsize=size, sharex=False) as (axes, lines):
         for m, (found, name) in enumerate(zip(maps, names, strict=True)):
             lines[0, m] = _shares(axes[0, m], found, name)
             lines[1, m] = _times(axes[1, m], result, m, found)
             lines[2, m] = _frequencies(axes[2, m], result, m, found)
             lines[3, m] = _motions(axes[3, m], result, m, found)
-        return finish(
-            figure, axes, lines,
-            title=f"Where the model fails on record {result.data.name}"
-            if title is None and ax is None
-            else title,
-            legends=[axes[2, 0]], legend_loc=legend_loc, show_legend=show_legend,
-        )  # fmt: skip
-
-
-def _axes(ax: Any, n_columns: int) -> tuple[Any, Any]:
-    """Rows that share nothing, new or those given."""
-    if ax is not None:
-        return make_axes(ax, _ROWS, n_columns)
-    figure, axes = plt.subplots(
-        len(_ROWS), n_columns, squeeze=False, figsize=(max(7.0, 4.0 * n_columns), 8.2),
-        layout="constrained", gridspec_kw={"height_ratios": _ROWS},
-    )  # fmt: skip
-    return figure, axes
+        title = f"Where the model fails on record {result.data.name}"
+        return frame.finish(axes, lines, [axes[2, 0]], title)
 
 
 def _shares(axis: Any, found: FailureMap, name: str) -> list[Any]:
@@ -182,8 +143,6 @@ def _times(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[Any
 
 def _frequencies(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[Any]:
     """Relative error of the model against its simultaneous band, found bands shaded."""
-    from ..comparison.model_error import model_error
-
     units = BodeUnits.from_defaults()
     factor = units.frequency_factor
     axis.set_xlabel("Frequency [Hz]" if units.Hz else "Frequency [rad/s]")
@@ -227,8 +186,6 @@ def _frequencies(axis: Any, result: Comparison, m: int, found: FailureMap) -> li
 
 def _motions(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[Any]:
     """Residual force over displacement or velocity, at the place that matters most."""
-    from ..comparison.failure_map.search import residual_force
-
     lead = next((r for r in found.rows if r.dimension == "state"), None) or next(
         (r for r in found.rows if r.dimension == "place"), None
     )

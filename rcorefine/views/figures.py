@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, NamedTuple, ParamSpec
+from dataclasses import dataclass
+from typing import Any, NamedTuple, TypeVar
 
 import control as ct
 import matplotlib as mpl
@@ -16,28 +17,15 @@ from matplotlib.legend import Legend
 from matplotlib.ticker import LogFormatter
 
 from ..arguments import as_choice, as_flag, as_mapping, as_text, as_texts, shown
+from ..results import OPTIONS, shows
 
-__all__ = [
-    "BAND",
-    "MEASURED",
-    "Style",
-    "curve_labels",
-    "finish",
-    "log_labels",
-    "make_axes",
-    "only_axes",
-    "picture",
-    "settings",
-    "style",
-    "unit_text",
-]
+__all__ = ["BAND", "MEASURED", "Frame", "Style", "draws", "log_labels", "style", "unit_text"]
 
 MEASURED = "0.15"
 BAND = "0.78"
 _WIDTH = 7.0
-_OPTIONS = ("ax", "title", "legend_loc", "rcParams", "show_legend")
 
-Parameters = ParamSpec("Parameters")
+_Draw = TypeVar("_Draw", bound=Callable[..., ct.ControlPlot])
 
 
 class Style(NamedTuple):
@@ -63,124 +51,139 @@ def style(index: int) -> Style:
     return _STYLES[index % len(_STYLES)]
 
 
-def picture(draw: Callable[Parameters, ct.ControlPlot]) -> Callable[Parameters, ct.ControlPlot]:
-    """Check the options that all pictures share before anything is drawn."""
-
-    @functools.wraps(draw)
-    def checked(*args: Parameters.args, **options: Parameters.kwargs) -> ct.ControlPlot:
-        label = options.get("label")
-        if label is not None and not isinstance(label, str):
-            options["label"] = as_texts(label, "label")  # an iterator is read once
-        _check_options(**{name: options.get(name) for name in _OPTIONS})
-        return draw(*args, **options)
-
-    return checked
-
-
-def _check_options(ax: Any, title: Any, legend_loc: Any, rcParams: Any, show_legend: Any) -> None:
-    given = [] if ax is None else list(np.ravel(np.asarray(ax, dtype=object)))
-    if not all(isinstance(item, Axes) for item in given) or (ax is not None and not given):
-        raise ct.ControlArgument(f"ax must hold matplotlib axes and nothing else, not {shown(ax)}")
-    if title is not None:
-        as_text(title, "title")
-    if legend_loc is not None and legend_loc is not False:
-        as_choice(legend_loc, "legend_loc", Legend.codes)
-    if show_legend is not None:
-        as_flag(show_legend, "show_legend")
-    try:
-        mpl.RcParams(as_mapping(rcParams, "rcParams", "matplotlib's settings"))
-    except (KeyError, ValueError) as error:
-        raise ct.ControlArgument(f"rcParams: {' '.join(str(error).split())}") from error
-
-
-@contextmanager
-def settings(rcParams: dict[str, Any] | None) -> Iterator[None]:
-    """Matplotlib settings: python-control's, then the caller's."""
-    changed: Any = {**ct.rcParams, **(rcParams or {})}
-    with plt.rc_context(changed):
-        yield
-
-
-def make_axes(ax: Any, ratios: Sequence[float], n_columns: int) -> tuple[Any, Any]:
-    """Figure and (rows, columns) array of axes, new or those given.
-
-    Raises
-    ------
-    control.ControlDimension
-        If `ax` has another shape than the picture needs.
-    """
-    shape = (len(ratios), n_columns)
-    if ax is None:
-        width = max(_WIDTH, 3.2 * n_columns)
-        height = min(max(0.9 + 1.15 * sum(ratios), 3.0), 24.0)
-        figure, axes = plt.subplots(
-            *shape,
-            squeeze=False,
-            sharex="col",
-            figsize=(width, height),
-            layout="constrained",
-            gridspec_kw={"height_ratios": list(ratios)},
-        )
-        return figure, axes
-    axes = np.atleast_1d(np.asarray(ax, dtype=object))
-    if axes.size != shape[0] * shape[1] or (axes.ndim == 2 and axes.shape != shape):
-        raise ct.ControlDimension(f"ax holds {axes.shape} axes; this picture needs {shape} (rows, columns)")
-    axes = axes.reshape(shape)
-    return axes[0, 0].figure, axes
-
-
-def only_axes(ax: Any) -> Any:
-    """The one axes that a picture of one panel is drawn in."""
-    given = np.ravel(np.asarray(ax, dtype=object))
-    if given.size != 1:
-        raise ct.ControlDimension(f"ax holds {given.size} axes; this picture needs one")
-    return given[0]
-
-
-def curve_labels(label: str | Sequence[str] | None, defaults: Sequence[str]) -> list[str]:
-    """Labels of the curves: those given, or the defaults."""
-    if label is None:
-        return list(defaults)
-    labels = [label] if isinstance(label, str) else list(label)
-    if len(labels) != len(defaults):
-        raise ct.ControlDimension(f"label: {len(labels)} given for {len(defaults)} curve(s)")
-    return [str(text) for text in labels]
-
-
-def finish(
-    figure: Any,
-    axes: Any,
-    lines: Any,
-    *,
-    title: str | None,
-    legends: Sequence[Any],
-    legend_loc: str | bool | None,
-    show_legend: bool | None,
-) -> ct.ControlPlot:
-    """Set title and legends and wrap up as `control.ControlPlot`.
+@dataclass(frozen=True, kw_only=True)
+class Frame:
+    """Axes, labels, settings and legends of one picture, from the options that all pictures share.
 
     Parameters
     ----------
-    figure, axes, lines
-        Figure, 2-D array of axes, 2-D object array of lists of lines.
-    title : str or None
-        Title of the figure; none where None.
-    legends : sequence of Axes
-        Axes that get a legend unless it is switched off.
-    legend_loc, show_legend
-        As in python-control's plots.
+    ax, label, title, legend_loc, rcParams, show_legend
+        As in python-control's plots; checked before anything is drawn.
     """
-    legend = None
-    if show_legend or (show_legend is None and legend_loc is not False):
-        place = legend_loc if isinstance(legend_loc, str) else "best"
-        for axis in legends:
+
+    ax: Any = None
+    label: str | Sequence[str] | None = None
+    title: str | None = None
+    legend_loc: str | bool | None = None
+    rcParams: Mapping[str, Any] | None = None
+    show_legend: bool | None = None
+
+    def __post_init__(self) -> None:
+        given = [] if self.ax is None else list(np.ravel(np.asarray(self.ax, dtype=object)))
+        if not all(isinstance(item, Axes) for item in given) or (self.ax is not None and not given):
+            raise ct.ControlArgument(f"ax must hold matplotlib axes and nothing else, not {shown(self.ax)}")
+        if self.label is not None and not isinstance(self.label, str):
+            object.__setattr__(self, "label", as_texts(self.label, "label"))  # an iterator is read once
+        if self.title is not None:
+            as_text(self.title, "title")
+        if self.legend_loc is not None and self.legend_loc is not False:
+            as_choice(self.legend_loc, "legend_loc", Legend.codes)
+        if self.show_legend is not None:
+            as_flag(self.show_legend, "show_legend")
+        try:
+            mpl.RcParams(as_mapping(self.rcParams, "rcParams", "matplotlib's settings"))
+        except (KeyError, ValueError) as error:
+            raise ct.ControlArgument(f"rcParams: {' '.join(str(error).split())}") from error
+
+    @property
+    def legends(self) -> bool:
+        """Whether there are legends at all."""
+        return bool(self.show_legend or (self.show_legend is None and self.legend_loc is not False))
+
+    @contextmanager
+    def settings(self) -> Iterator[None]:
+        """Matplotlib settings: python-control's, then the caller's."""
+        changed: Any = {**ct.rcParams, **(self.rcParams or {})}
+        with plt.rc_context(changed):
+            yield
+
+    @contextmanager
+    def axes(self, ratios: Sequence[float], n_columns: int, **layout: Any) -> Iterator[tuple[Any, Any]]:
+        """Axes (rows, columns), new or those given, and as many empty lists of lines.
+
+        Parameters
+        ----------
+        ratios : sequence of float
+            Heights of the rows.
+        n_columns : int
+            Number of columns.
+        **layout
+            What `matplotlib.pyplot.subplots` is to be told otherwise, where axes are new.
+
+        Raises
+        ------
+        control.ControlDimension
+            If `ax` has another shape than the picture needs.
+        """
+        shape = (len(ratios), n_columns)
+        with self.settings():
+            if self.ax is None:
+                width = max(_WIDTH, 3.2 * n_columns)
+                height = min(max(0.9 + 1.15 * sum(ratios), 3.0), 24.0)
+                usual = {"sharex": "col", "figsize": (width, height), "height_ratios": list(ratios)}
+                _, axes = plt.subplots(*shape, squeeze=False, layout="constrained", **(usual | layout))
+            else:
+                axes = np.atleast_1d(np.asarray(self.ax, dtype=object))
+                if axes.size != shape[0] * shape[1] or (axes.ndim == 2 and axes.shape != shape):
+                    raise ct.ControlDimension(
+                        f"ax holds {axes.shape} axes; this picture needs {shape} (rows, columns)"
+                    )
+                axes = axes.reshape(shape)
+            lines = np.empty(shape, dtype=object)
+            for place in np.ndindex(shape):
+                lines[place] = []
+            yield axes, lines
+
+    def labels(self, defaults: Sequence[str]) -> list[str]:
+        """Labels of the curves: those given, or the defaults."""
+        if self.label is None:
+            return list(defaults)
+        labels = [self.label] if isinstance(self.label, str) else list(self.label)
+        if len(labels) != len(defaults):
+            raise ct.ControlDimension(f"label: {len(labels)} given for {len(defaults)} curve(s)")
+        return [str(text) for text in labels]
+
+    def finish(
+        self, axes: Any, lines: Any, legends: Sequence[Any], title: str | None = None
+    ) -> ct.ControlPlot:
+        """Set title and legends and wrap up as `control.ControlPlot`.
+
+        Parameters
+        ----------
+        axes, lines
+            2-D arrays of axes and of lists of lines.
+        legends : sequence of Axes
+            Axes that get a legend unless it is switched off.
+        title : str, optional
+            The picture's own title: where none was given, and not in a figure of the caller's.
+        """
+        legend = None
+        for axis in legends if self.legends else ():
             handles, labels = axis.get_legend_handles_labels()
             if labels:
+                place = self.legend_loc if isinstance(self.legend_loc, str) else "best"
                 shown = axis.legend(handles, labels, loc=place, framealpha=0.85)
                 legend = shown if legend is None else legend
-    if title is not None:
-        figure.suptitle(title)
-    return ct.ControlPlot(lines, axes, figure, legend)
+        figure = axes.flat[0].figure
+        heading = title if self.title is None and self.ax is None else self.title
+        if heading is not None:
+            figure.suptitle(heading)
+        return ct.ControlPlot(lines, axes, figure, legend)
+
+
+def draws(kind: type, what: str = "plot") -> Callable[[_Draw], _Draw]:
+    """Enter a picture: the function gets the result, the frame, and the options that are its own."""
+
+    def enter(draw: _Draw) -> _Draw:
+        @functools.wraps(draw)
+        def framed(result: Any, *args: Any, **options: Any) -> ct.ControlPlot:
+            shared = {name: options.pop(name) for name in OPTIONS if name in options}
+            return draw(result, Frame(**shared), *args, **options)
+
+        shows(kind, what)(framed)
+        return draw
+
+    return enter
 
 
 class _Short(LogFormatter):

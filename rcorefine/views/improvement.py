@@ -1,65 +1,53 @@
-"""The staircase: held-out error after each effect."""
+"""An improvement as a table and as a staircase: held-out error after each effect."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
 import control as ct
-import matplotlib.pyplot as plt
 import numpy as np
 
-from .figures import curve_labels, only_axes, picture
+from ..diagnosis.stepwise.improvement import Improvement
+from ..systems.linear import Array
+from .figures import Frame, draws
+from .tables import Table, Told, tells
 
-if TYPE_CHECKING:
-    from ..diagnosis.stepwise.improvement import Improvement
-
-__all__ = ["staircase_plot"]
+__all__ = ["improvement_told", "plot_staircase"]
 
 
-@picture
-def staircase_plot(
-    improvement: Improvement,
-    *,
-    ax: Any = None,
-    label: str | None = None,
-    title: str | None = None,
-    legend_loc: str | bool | None = "upper right",
-    rcParams: dict[str, Any] | None = None,
-    show_legend: bool | None = None,
-) -> ct.ControlPlot:
-    """Error after each step on the three parts of the record, the effect's name on each step.
+@tells(Improvement)
+def improvement_told(found: Improvement) -> Told:
+    """The steps, and what they mean."""
+    headers = ["step", "coefficient", "fitted", "chosen on", "held out"]
+    rows = []
+    for i, step in enumerate(found.steps):
+        value = ""
+        if step.coefficients:
+            key = next(iter(step.coefficients))
+            value = f"{step.coefficients[key]:.3g} +/- {step.std[key]:.1g}"
+        rows.append(
+            [
+                f"{i} {step.name}"[:40],
+                value,
+                *(_size(v) for v in (step.train_rmse, step.choice_rmse, step.validation_rmse)),
+            ]
+        )
+    above = [f"Improvement in {len(found.steps) - 1} step(s): {found.verdict.upper()}"]
+    return above, Table(headers, rows, f"Improvement: {found.verdict}", found.sentences()), found.sentences()
 
-    Parameters
-    ----------
-    improvement : Improvement
-        Result of `improve`.
-    ax : Axes, optional
-        Where to draw.
-    label : str, optional
-        Label of the held-out line.
-    title : str, optional
-        Title.
-    legend_loc : str, optional
-        Place of the legend.
-    rcParams : dict, optional
-        Matplotlib settings for this plot.
-    show_legend : bool, optional
-        Whether to show a legend; default True.
 
-    Returns
-    -------
-    ControlPlot
-    """
-    settings: Any = {**ct.rcParams, **(rcParams or {})}
-    with plt.rc_context(settings):
-        if ax is None:
-            _, ax = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
-        ax = only_axes(ax)
-        (held_out,) = curve_labels(label, ["held out"])
+def _size(values: Array) -> str:
+    """Root mean square error, one output or the mean over several."""
+    return f"{float(np.sqrt(np.mean(np.asarray(values) ** 2))):.4g}"
+
+
+@draws(Improvement)
+def plot_staircase(improvement: Improvement, frame: Frame) -> ct.ControlPlot:
+    """Error after each step on the three parts of the record; see `Improvement.plot`."""
+    (held_out,) = frame.labels(["held out"])
+    with frame.axes([1.0], 1, figsize=(7.0, 4.2)) as (axes, lines):
+        ax = axes[0, 0]
         steps = improvement.steps
         base = np.array([np.sqrt(np.mean(steps[0].validation_rmse ** 2))])
         position = np.arange(len(steps) + 1) - 0.5
-        lines = []
         styles = (
             ("train_rmse", "fitted", "0.65", ":", 1.5),
             ("choice_rmse", "chosen on", "0.45", "--", 1.5),
@@ -67,7 +55,7 @@ def staircase_plot(
         )
         for attribute, name, color, line, width in styles:
             values = [float(np.sqrt(np.mean(getattr(step, attribute) ** 2))) for step in steps]
-            lines += ax.step(
+            lines[0, 0] += ax.step(
                 position,
                 [values[0], *values],
                 where="pre",
@@ -98,10 +86,8 @@ def staircase_plot(
         ax.set_xticks(range(len(steps)), [step.name for step in steps], rotation=25, ha="right")
         unit = improvement.output_units[0] if len(improvement.output_units) == 1 else ""
         ax.set_ylabel(f"RMS error [{unit}]" if unit else "RMS error")
-        ax.set_title(title or f"The error falls: {improvement.verdict} after {len(steps) - 1} step(s)")
+        ax.set_title(frame.title or f"The error falls: {improvement.verdict} after {len(steps) - 1} step(s)")
         ax.grid(True, axis="y", alpha=0.4)
-        shown = show_legend or (show_legend is None and legend_loc is not False)
-        legend = ax.legend(loc=legend_loc if isinstance(legend_loc, str) else None) if shown else None
-    out = np.empty((1, 1), dtype=object)
-    out[0, 0] = lines
-    return ct.ControlPlot(out, np.array([[ax]]), ax.figure, legend)
+        place = frame.legend_loc if isinstance(frame.legend_loc, str) else "upper right"
+        legend = ax.legend(loc=place) if frame.legends else None
+    return ct.ControlPlot(lines, axes, ax.figure, legend)

@@ -3,142 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Any
 
 import control as ct
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
 
 from ..arguments import as_vector
 from ..data.channels import match_channels, record_for
 from ..data.frequency_response import FrequencyResponse
+from ..data.levels import MOST, stretches_by_level
 from ..data.measurement import Measurement, as_records
 from ..engine.amplitude_response import AmplitudeResponse, frequency_response_at
 from ..engine.simulation import simulate, structure_of
 from ..exceptions import DivergenceError
 from ..systems.linear import Array, LinearModel
-from ..systems.response import frequency_response
+from ..systems.response import frequency_response, hold_factor
 from .bode import bode_grid
 from .bode_axes import BodeUnits, bode_rows, broken_phase, draw_measured, magnitude_limits
-from .figures import curve_labels, finish, make_axes, picture, settings, style
+from .figures import Frame, style
 
-__all__ = ["hold_factor", "level_bode", "stretches_by_level"]
+__all__ = ["level_bode"]
 
-_BLOCKS = 24  # pieces of a record whose level is looked at
-_RATIO = 1.6  # of the levels of two stretches that count as different
-_FEWEST = 4  # blocks of a stretch
 _POINTS = 90
-_MOST = 3  # levels of a record that are drawn
 _MARKERS = (".", "x", "+")
 _GRAYS = ("0.15", "0.45", "0.65")
 
 
-def stretches_by_level(data: Measurement) -> list[tuple[float, Measurement]]:
-    """Longest stretch of a record at each level of its excitation.
-
-    Parameters
-    ----------
-    data : Measurement
-        Record.
-
-    Returns
-    -------
-    list of (float, Measurement)
-        Root mean square of the inputs about their mean, and the stretch, the lowest level first; the
-        whole record where the level does not change.
-
-    Examples
-    --------
-    >>> w = np.random.default_rng(0).standard_normal(4000)
-    >>> w[2000:] *= 5
-    >>> data = rco.Measurement(w, w, dt=0.01)
-    >>> [(round(level), part.n_samples) for level, part in stretches_by_level(data)]
-    [(1, 2000), (5, 2000)]
-    """
-    n, centered = data.n_samples, data.inputs - data.inputs.mean(axis=1, keepdims=True)
-    scale = centered.std(axis=1, keepdims=True)
-    relative = np.divide(centered, scale, out=np.zeros_like(centered), where=scale > 0)
-    edges = np.linspace(0, n, min(_BLOCKS, max(1, n // 64)) + 1).round().astype(int)
-    power = np.array([np.mean(relative[:, a:b] ** 2) for a, b in pairwise(edges)])
-    whole = [(_level(data), data)]
-    if power.size < 2 * _FEWEST or not (power > 0).all():
-        return whole
-    height = 0.5 * np.log(power)
-    # the step that starts a new stretch is larger than what chance makes of one level
-    jumps = np.flatnonzero(np.abs(np.diff(height)) > np.log(_RATIO)) + 1
-    bounds = [0, *jumps.tolist(), power.size]
-    bounds = [0] + [cut for a, b in pairwise(bounds) for cut in _thirds(height, a, b)]
-    found: list[tuple[float, Measurement]] = []
-    for a, b in sorted(pairwise(bounds), key=lambda pair: pair[0] - pair[1]):
-        if b - a < _FEWEST:
-            continue
-        stop = float(data.timepts[edges[b]]) if edges[b] < n else None
-        part = data.segment(float(data.timepts[edges[a]]), stop)
-        level = _level(part)
-        if all(max(level, other) / min(level, other) > _RATIO for other, _ in found):
-            found.append((level, part))
-    return sorted(found[:_MOST], key=lambda pair: pair[0]) if found else whole
-
-
-def _thirds(height: Array, first: int, last: int) -> list[int]:
-    """Ends of the parts of a stretch: three where its level climbs or falls all the way, else one."""
-    blocks = last - first
-    if blocks < 3 * _FEWEST:
-        return [last]
-    line = stats.linregress(np.arange(blocks), height[first:last])
-    climbs = abs(line.slope) * blocks > 2 * np.log(_RATIO) and line.pvalue < 1e-4
-    return [first + blocks // 3, first + 2 * blocks // 3, last] if climbs else [last]
-
-
-def _level(data: Measurement) -> float:
-    """Root mean square of the inputs about their mean."""
-    return float(np.sqrt(np.mean(data.inputs.var(axis=1))))
-
-
-def hold_factor(omega: Array, dt: float, hold: str) -> NDArray[np.complex128]:
-    """What a hold makes of a sine's fundamental.
-
-    Parameters
-    ----------
-    omega : ndarray, shape (n,)
-        Frequencies in rad/s.
-    dt : float
-        Sampling time in s, 0 for none.
-    hold : {"zoh", "foh", "bandlimited"}
-        How the input runs between samples.
-
-    Returns
-    -------
-    complex ndarray, shape (n,)
-        1 for a band-limited input.
-
-    Examples
-    --------
-    >>> abs(hold_factor(np.array([1e-9]), 0.1, "zoh"))
-    array([1.])
-    """
-    half = 0.5 * omega * dt
-    if hold == "bandlimited" or dt == 0:
-        return np.ones(omega.shape, complex)
-    size = np.sinc(half / np.pi)
-    return size * np.exp(-1j * half) if hold == "zoh" else (size**2).astype(complex)
-
-
-@picture
 def level_bode(
     refinement: Any,
     levels: Sequence[float] | Array,
     measured: Any = None,
     omega: ArrayLike | None = None,
-    *,
-    ax: Any = None,
-    label: str | Sequence[str] | None = None,
-    title: str | None = None,
-    legend_loc: str | bool | None = None,
-    rcParams: dict[str, Any] | None = None,
-    show_legend: bool | None = None,
+    frame: Frame | None = None,
 ) -> ct.ControlPlot:
     """Bode plot of a model with nonlinear effects at stated amplitudes.
 
@@ -153,12 +50,8 @@ def level_bode(
         the same input, estimated in the same way.
     omega : array_like of shape (n_omega,), optional
         Frequencies in rad/s.
-    ax : array of Axes, optional
-        Axes to draw in, shape (2 n_y, n_w).
-    label : str or sequence of str, optional
-        Labels of the levels.
-    title, legend_loc, rcParams, show_legend
-        As in `bode_comparison`.
+    frame : Frame, optional
+        Axes of shape (2 n_y, n_w), labels of the levels, title, legend, settings.
 
     Returns
     -------
@@ -170,6 +63,7 @@ def level_bode(
     DataError
         If no level is given.
     """
+    frame = Frame() if frame is None else frame
     peaks = as_vector(levels, "levels", above=0.0)
     if omega is not None:
         omega = as_vector(omega, "omega", above=0.0)
@@ -181,13 +75,9 @@ def level_bode(
     dt, hold = (groups[0][1].dt, groups[0][1].hold) if groups else (0.0, "bandlimited")
     grid = _grid(absorbed, groups, omega)
     unit = structure.model.input_units[0] if structure.model.input_units else ""
-    names = curve_labels(label, [f"{peak:.4g} {unit} sine".replace("  ", " ") for peak in peaks])
-    with settings(rcParams):
-        figure, axes = make_axes(ax, [1.9, 1.4] * linear.n_outputs, linear.n_inputs)
+    names = frame.labels([f"{peak:.4g} {unit} sine".replace("  ", " ") for peak in peaks])
+    with frame.axes([1.9, 1.4] * linear.n_outputs, linear.n_inputs) as (axes, lines):
         units = bode_rows(axes, linear.output_labels, linear.input_labels, extra=None)
-        lines = np.empty(axes.shape, dtype=object)
-        for place in np.ndindex(axes.shape):
-            lines[place] = []
         factor = hold_factor(grid, dt, hold)
         base = frequency_response(initial, grid) * factor
         look: dict[str, Any] = {"color": "0.55", "linestyle": (0, (2, 1.5)), "linewidth": 1.3}
@@ -201,15 +91,7 @@ def level_bode(
         _draw_groups(axes, lines, groups, units, unit)
         for i, j in np.ndindex(linear.n_outputs, linear.n_inputs):
             magnitude_limits(axes[2 * i, j], lines[2 * i, j], units)
-        return finish(
-            figure,
-            axes,
-            lines,
-            title=title,
-            legends=[axes[0, 0]],
-            legend_loc=legend_loc,
-            show_legend=show_legend,
-        )
+        return frame.finish(axes, lines, [axes[0, 0]])
 
 
 def _seen(found: AmplitudeResponse, index: int) -> NDArray[np.complex128]:
@@ -233,7 +115,7 @@ def _measured_groups(refinement: Any, linear: LinearModel, measured: Any) -> lis
     for record in records:
         parts += stretches_by_level(record_for(record, match_channels(linear, record)))
     groups: list[_Group] = []
-    for level, part in sorted(parts, key=lambda pair: pair[0])[:_MOST]:
+    for level, part in sorted(parts, key=lambda pair: pair[0])[:MOST]:
         try:
             run = simulate(refinement, part).outputs
         except DivergenceError:

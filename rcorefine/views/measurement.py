@@ -2,27 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import control as ct
 import numpy as np
 
+from ..data.frequency_response import FrequencyResponse
+from ..data.measurement import Measurement
 from .bode_axes import bode_rows, draw_measured, magnitude_limits
-from .figures import MEASURED, curve_labels, finish, make_axes, picture, settings, unit_text
-from .tables import html_table, number, text_table
+from .figures import MEASURED, Frame, draws, unit_text
+from .tables import Table, number, tabulates
 
-if TYPE_CHECKING:
-    from ..data.frequency_response import FrequencyResponse
-    from ..data.measurement import Measurement
-
-__all__ = [
-    "frequency_response_html",
-    "frequency_response_text",
-    "measurement_html",
-    "measurement_text",
-    "plot_frequency_response",
-    "plot_measurement",
-]
+__all__ = ["frequency_response_table", "measurement_table", "plot_frequency_response", "plot_measurement"]
 
 _HOLD_TEXT = {
     "zoh": "constant between samples",
@@ -31,7 +22,9 @@ _HOLD_TEXT = {
 }
 
 
-def _measurement_cells(data: Measurement) -> tuple[list[str], list[list[str]], str, list[str]]:
+@tabulates(Measurement)
+def measurement_table(data: Measurement) -> Table:
+    """One row per signal of a record."""
     headers = ["signal", "unit", "role", "min", "mean", "max", "std"]
     rows = []
     for role, labels, units, signals in (
@@ -51,42 +44,19 @@ def _measurement_cells(data: Measurement) -> tuple[list[str], list[list[str]], s
         notes.append(
             f"Constant over the record, so it drives nothing that could be seen: {', '.join(still)}."
         )
-    return headers, rows, title, notes
+    return Table(headers, rows, title, notes, left=3)
 
 
-def measurement_text(data: Measurement) -> str:
-    """Table of the signals of a record."""
-    headers, rows, title, notes = _measurement_cells(data)
-    return text_table(headers, rows, title=title, notes=notes, left=3)
-
-
-def measurement_html(data: Measurement) -> str:
-    """Table of the signals of a record, HTML."""
-    headers, rows, title, notes = _measurement_cells(data)
-    return html_table(headers, rows, title=title, notes=notes, left=3)
-
-
-@picture
-def plot_measurement(
-    data: Measurement,
-    *,
-    ax: Any = None,
-    label: str | None = None,
-    title: str | None = None,
-    legend_loc: str | bool | None = None,
-    rcParams: dict[str, Any] | None = None,
-    show_legend: bool | None = None,
-) -> ct.ControlPlot:
+@draws(Measurement)
+def plot_measurement(data: Measurement, frame: Frame) -> ct.ControlPlot:
     """Outputs above inputs, one row per signal; see `Measurement.plot`."""
     n_rows = data.n_outputs + data.n_inputs
-    (name,) = curve_labels(label, [data.name])
-    with settings(rcParams):
-        figure, axes = make_axes(ax, [1.2] * n_rows, 1)
-        lines = np.empty((n_rows, 1), dtype=object)
+    (name,) = frame.labels([data.name])
+    with frame.axes([1.2] * n_rows, 1) as (axes, lines):
         signals = np.vstack([data.outputs, data.inputs])
         labels = data.output_labels + data.input_labels
         units = data.output_units + data.input_units
-        fresh = ax is None
+        fresh = frame.ax is None
         for row in range(n_rows):
             axis = axes[row, 0]
             steps = "steps-post" if row >= data.n_outputs and data.hold == "zoh" else "default"
@@ -97,19 +67,14 @@ def plot_measurement(
             axis.set_ylabel(unit_text(labels[row], units[row]))
             axis.grid(True, alpha=0.3)
         axes[-1, 0].set_xlabel("Time [s]")
-        figure.align_ylabels(axes[:, 0])
-        return finish(
-            figure,
-            axes,
-            lines,
-            title=f"Record {data.name}" if title is None and fresh else title,
-            legends=[axes[0, 0]] if show_legend or not fresh or legend_loc else [],
-            legend_loc=legend_loc,
-            show_legend=show_legend,
-        )
+        axes[0, 0].figure.align_ylabels(axes[:, 0])
+        legends = [axes[0, 0]] if frame.show_legend or not fresh or frame.legend_loc else []
+        return frame.finish(axes, lines, legends, f"Record {data.name}")
 
 
-def _response_cells(measured: FrequencyResponse) -> tuple[list[str], list[list[str]], str, list[str]]:
+@tabulates(FrequencyResponse)
+def frequency_response_table(measured: FrequencyResponse) -> Table:
+    """One row per output and input of a measured frequency response."""
     headers = ["output", "input", "peak |G|", "at [Hz]", "coherence > 0.9", "median std/|G|"]
     rows = []
     hertz = measured.omega / (2.0 * np.pi)
@@ -134,7 +99,7 @@ def _response_cells(measured: FrequencyResponse) -> tuple[list[str], list[list[s
         f"{number(hertz[0])} ... {number(hertz[-1])} Hz"
     )
     if measured.segment_length == 0:
-        return headers, rows, title, ["Taken as given: coherence and error are not known."]
+        return Table(headers, rows, title, ["Taken as given: coherence and error are not known."], left=2)
     notes = [
         f"H1 from {measured.n_averages:.1f} effective segments of {measured.segment_length} samples, "
         f"lines {number(measured.resolution / (2.0 * np.pi))} Hz apart (narrower peaks are flattened).",
@@ -143,39 +108,16 @@ def _response_cells(measured: FrequencyResponse) -> tuple[list[str], list[list[s
     ]
     if measured.n_omitted:
         notes.append(f"{measured.n_omitted} frequencies are left out: an input holds no power there.")
-    return headers, rows, title, notes
+    return Table(headers, rows, title, notes, left=2)
 
 
-def frequency_response_text(measured: FrequencyResponse) -> str:
-    """Table of a measured frequency response."""
-    headers, rows, title, notes = _response_cells(measured)
-    return text_table(headers, rows, title=title, notes=notes, left=2)
-
-
-def frequency_response_html(measured: FrequencyResponse) -> str:
-    """Table of a measured frequency response, HTML."""
-    headers, rows, title, notes = _response_cells(measured)
-    return html_table(headers, rows, title=title, notes=notes, left=2)
-
-
-@picture
-def plot_frequency_response(
-    measured: FrequencyResponse,
-    *,
-    ax: Any = None,
-    label: str | None = None,
-    title: str | None = None,
-    legend_loc: str | bool | None = None,
-    rcParams: dict[str, Any] | None = None,
-    show_legend: bool | None = None,
-) -> ct.ControlPlot:
+@draws(FrequencyResponse)
+def plot_frequency_response(measured: FrequencyResponse, frame: Frame) -> ct.ControlPlot:
     """Magnitude, phase and coherence; see `FrequencyResponse.plot`."""
     n_y, n_w = measured.response.shape[:2]
-    (name,) = curve_labels(label, [measured.name])
-    with settings(rcParams):
-        figure, axes = make_axes(ax, [1.8, 1.4, 0.9] * n_y, n_w)
+    (name,) = frame.labels([measured.name])
+    with frame.axes([1.8, 1.4, 0.9] * n_y, n_w) as (axes, lines):
         bode = bode_rows(axes, measured.output_labels, measured.input_labels, extra="coherence")
-        lines = np.empty(axes.shape, dtype=object)
         for i in range(n_y):
             for j in range(n_w):
                 magnitude, phase, below = axes[3 * i : 3 * i + 3, j]
@@ -186,14 +128,5 @@ def plot_frequency_response(
                 x = measured.omega * bode.frequency_factor
                 lines[3 * i + 2, j] = below.plot(x, measured.coherence[i], color=MEASURED, linewidth=1.0)
                 below.set_ylim(0.0, 1.05)
-        return finish(
-            figure,
-            axes,
-            lines,
-            title=f"Measured frequency response of {measured.name}"
-            if title is None and ax is None
-            else title,
-            legends=[axes[0, 0]],
-            legend_loc=legend_loc,
-            show_legend=show_legend,
-        )
+        title = f"Measured frequency response of {measured.name}"
+        return frame.finish(axes, lines, [axes[0, 0]], title)

@@ -2,59 +2,74 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import control as ct
 import numpy as np
 
 from ..exceptions import DataError
-from .figures import BAND, curve_labels, finish, make_axes, picture, settings, style, unit_text
+from ..streaming.monitor.monitor import Monitor
+from .figures import BAND, Frame, draws, style, unit_text
+from .tables import Table, number, tabulates
 
-if TYPE_CHECKING:
-    from ..streaming.monitor import Monitor
+__all__ = ["monitor_table", "plot_monitor"]
 
-__all__ = ["monitor_plot"]
-
+_SHOWN = 8  # candidates in the table
 _MOST = 4  # candidates whose probability is drawn
 
 
-@picture
-def monitor_plot(
-    monitor: Monitor,
-    *,
-    ax: Any = None,
-    label: str | Sequence[str] | None = None,
-    title: str | None = None,
-    legend_loc: str | bool | None = None,
-    rcParams: dict[str, Any] | None = None,
-    show_legend: bool | None = None,
-) -> ct.ControlPlot:
-    """Statistic over its threshold, probabilities, and the named coefficient, over time.
+@tabulates(Monitor)
+def monitor_table(monitor: Monitor) -> Table:
+    """The candidates of a monitor, the most probable first."""
+    n, name = monitor.n_samples, monitor._structure.linear_model.name
+    stream = monitor._stream
+    state = monitor.alarm
+    if stream is None:
+        head = f"learning, {n} of {monitor.learn} samples"
+    elif state is not None:
+        head = "ALARM"
+    else:
+        head = "a threshold was crossed, the name is not clear yet" if monitor._watch.busy else "no alarm"
+    title = f"Monitor of {name!r}: {head}\n{n} samples ({n * monitor.dt:.6g} s)"
+    rows = []
+    for row in monitor.ranking[:_SHOWN]:
+        first = next(iter(row.coefficients))
+        unit = monitor._structure.model.unit(row.effect, first)
+        figure = f"{number(row.coefficients[first])} +/- {number(row.std[first], 2)} {unit}".rstrip()
+        rows.append([row.effect.label, figure, f"{row.probability:.3f}", number(row.log_likelihood, 3)])
+    notes = [state.sentence] if state is not None else []
+    notes += list(monitor.remarks)
+    notes += [f"Ended: {alarm.sentence}" for alarm in monitor.past_alarms[-2:]]
+    if stream is not None:
+        ratio = float(monitor.statistic[-1]) if monitor.statistic.size else 0.0
+        force = stream.healthy.ratio
+        noise = "white" if not any(stream.healthy.orders) else f"AR({max(stream.healthy.orders)})"
+        notes.append(
+            f"The largest statistic stands at {ratio:.2f} of its threshold. Healthy noise: {noise}"
+            + (f", unmeasured force about {100 * force:.2g} % of the input." if force else ".")
+        )
+        notes.append(
+            "probability: of each candidate among all and nothing, alike before; gain: log-likelihood over "
+            "the healthy model; " + ("figures fitted since the change." if state else "figures linearized.")
+        )
+    every = 1e5 / monitor.false_alarms
+    notes.append(
+        f"Stated: at most {monitor.false_alarms:g} false alarms in 100 000 healthy samples, one in "
+        f"{_duration(every * monitor.dt)}."
+    )
+    return Table(["candidate", "coefficient", "probability", "gain"], rows, title, notes)
 
-    Parameters
-    ----------
-    monitor : Monitor
-        Monitor past its learning phase.
-    ax : array of Axes, shape (3, 1), optional
-        Where to draw.
-    label : str or sequence of str, optional
-        Labels of the probabilities shown.
-    title : str, optional
-        Title.
-    legend_loc, show_legend, rcParams
-        As in python-control's plots.
 
-    Returns
-    -------
-    ControlPlot
-        Three rows.
+def _duration(seconds: float) -> str:
+    for size, word in ((86400 * 365, "years"), (86400, "days"), (3600, "hours"), (60, "minutes")):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.3g} {word}"
+    return f"{seconds:.3g} s"
 
-    Raises
-    ------
-    DataError
-        If there is nothing to draw yet.
-    """
+
+@draws(Monitor)
+def plot_monitor(monitor: Monitor, frame: Frame) -> ct.ControlPlot:
+    """Statistic over its threshold, probabilities, the named coefficient; see `Monitor.plot`."""
     t, p = monitor.timepts, monitor.probability
     if t.size == 0:
         raise DataError(
@@ -63,18 +78,15 @@ def monitor_plot(
     peak = p[1:].max(axis=1)
     shown = [int(i) for i in np.argsort(-peak)[:_MOST] if peak[i] > 0.1]
     names = ["nothing", *(monitor.candidates[i].label for i in shown)]
-    labels = curve_labels(label, names)
+    labels = frame.labels(names)
     alarms = [*monitor.past_alarms, *([monitor.alarm] if monitor.alarm else [])]
-    with settings(rcParams):
-        figure, axes = make_axes(ax, [1.2, 1.6, 1.2], 1)
-        lines = np.empty((3, 1), dtype=object)
+    with frame.axes([1.2, 1.6, 1.2], 1) as (axes, lines):
         top, middle, bottom = axes[:, 0]
         pen = style(0)
         lines[0, 0] = top.plot(t, monitor.statistic, color=pen.color, linewidth=1.0, label="statistic")
         top.axhline(1.0, color="0.3", linestyle="--", linewidth=1.0, label="threshold")
         top.set_yscale("log")
         top.set_ylabel("statistic /\nthreshold")
-        lines[1, 0] = []
         for k, (row, name) in enumerate(zip([0, *(i + 1 for i in shown)], labels, strict=True)):
             pen = style(k)
             color = "0.6" if k == 0 else pen.color
@@ -92,22 +104,14 @@ def monitor_plot(
         bottom.set_xlabel("time [s]")
         for axis in (top, middle, bottom):
             axis.grid(True, alpha=0.35)
-            for number, alarm in enumerate(alarms):
-                word = "alarm" if number == 0 else None
+            for k, alarm in enumerate(alarms):
+                word = "alarm" if k == 0 else None
                 axis.axvline(alarm.time, color="#b5400a", linewidth=1.0, label=word if axis is top else None)
                 until = alarm.ended if alarm.ended is not None else t[-1]
                 axis.axvspan(alarm.since, max(until, alarm.since), color="#b5400a", alpha=0.07, linewidth=0)
         middle.axvspan(0.0, monitor.learn * monitor.dt, color="0.5", alpha=0.12, linewidth=0)
         middle.set_xlim(0.0, max(float(t[-1]), monitor.dt))
-        return finish(
-            figure,
-            axes,
-            lines,
-            title=_title(monitor, alarms) if title is None else title,
-            legends=[top, middle],
-            legend_loc=legend_loc,
-            show_legend=show_legend,
-        )
+        return frame.finish(axes, lines, [top, middle], _title(monitor, alarms))
 
 
 def _coefficient_name(monitor: Monitor, alarms: list[Any]) -> str:

@@ -1,46 +1,45 @@
-"""Pictures of residuals: their correlations, and their size against the prediction horizon."""
+"""Tests and pictures of residuals: their correlations, and their size against the prediction horizon."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import control as ct
 import numpy as np
 
-from .figures import BAND, MEASURED, curve_labels, finish, make_axes, picture, settings, style, unit_text
+from ..comparison.horizon import horizon_error
+from ..comparison.residual_tests import TestTable, correlogram
+from ..comparison.result import Comparison
+from .figures import BAND, MEASURED, Frame, style, unit_text
+from .tables import Table, number, tabulates
 
-if TYPE_CHECKING:
-    from ..comparison.result import Comparison
-
-__all__ = ["plot_horizon", "plot_residual"]
+__all__ = ["plot_horizon", "plot_residual", "tests_table"]
 
 _LAGS = 25
 
 
-@picture
-def plot_residual(
-    result: Comparison,
-    *,
-    ax: Any = None,
-    label: str | Sequence[str] | None = None,
-    title: str | None = None,
-    legend_loc: str | bool | None = None,
-    rcParams: dict[str, Any] | None = None,
-    show_legend: bool | None = None,
-) -> ct.ControlPlot:
-    """Autocorrelation of residuals and their correlation with the inputs; see `Comparison.plot`."""
-    from ..comparison.residual_tests import correlogram
+@tabulates(TestTable)
+def tests_table(tests: TestTable) -> Table:
+    """One row per test and signal."""
+    rows = [[r.test, r.signal, number(r.statistic), str(r.dof), f"{r.p_value:.2g}"] for r in tests.rows]
+    bad = tests.failed()
+    verdict = (
+        "No row fails at 1 %, their number allowed for."
+        if not bad
+        else f"Fails at 1 %: {', '.join(dict.fromkeys(r.test for r in bad))}."
+    )
+    return Table(["test", "signal", "statistic", "dof", "p-value"], rows, notes=[verdict, tests.note], left=2)
 
+
+def plot_residual(result: Comparison, frame: Frame) -> ct.ControlPlot:
+    """Autocorrelation of residuals and their correlation with the inputs; see `Comparison.plot`."""
     data = result.data
-    names = curve_labels(label, result.names)
+    names = frame.labels(result.names)
     residual = data.outputs[None] - result.runs
     lags = min(_LAGS, data.n_samples // 4)
-    with settings(rcParams):
-        figure, axes = make_axes(ax, [1.5] * data.n_outputs, 1 + data.n_inputs)
-        lines = np.empty(axes.shape, dtype=object)
+    with frame.axes([1.5] * data.n_outputs, 1 + data.n_inputs) as (axes, lines):
         for i, j in np.ndindex(axes.shape):
-            axis, lines[i, j] = axes[i, j], []
+            axis = axes[i, j]
             wide = 0.0
             for m, name in enumerate(names):
                 e = residual[m, i]
@@ -68,35 +67,17 @@ def plot_residual(
             axis.grid(True, alpha=0.3)
         for axis in axes[-1]:
             axis.set_xlabel("Lag [samples]")
-        return finish(
-            figure, axes, lines,
-            title=f"Residuals on record {data.name}" if title is None and ax is None else title,
-            legends=[axes[0, 0]], legend_loc=legend_loc, show_legend=show_legend,
-        )  # fmt: skip
+        return frame.finish(axes, lines, [axes[0, 0]], f"Residuals on record {data.name}")
 
 
-@picture
-def plot_horizon(
-    result: Comparison,
-    *,
-    ax: Any = None,
-    label: str | Sequence[str] | None = None,
-    title: str | None = None,
-    legend_loc: str | bool | None = None,
-    rcParams: dict[str, Any] | None = None,
-    show_legend: bool | None = None,
-) -> ct.ControlPlot:
+def plot_horizon(result: Comparison, frame: Frame) -> ct.ControlPlot:
     """Error against how far ahead is predicted; see `Comparison.plot`."""
-    from ..comparison.horizon import horizon_error
-
     found = horizon_error(result)
     data = result.data
-    names = curve_labels(label, result.names)
-    with settings(rcParams):
-        figure, axes = make_axes(ax, [2.2] * data.n_outputs, 1)
-        lines = np.empty(axes.shape, dtype=object)
+    names = frame.labels(result.names)
+    with frame.axes([2.2] * data.n_outputs, 1) as (axes, lines):
         for i in range(data.n_outputs):
-            axis, lines[i, 0] = axes[i, 0], []
+            axis = axes[i, 0]
             for m, name in enumerate(names):
                 look: dict[str, Any] = dict(style(m)._asdict(), label=name, zorder=3)
                 lines[i, 0] += axis.plot(found.seconds, found.rmse[m, i], marker=".", **look)
@@ -109,10 +90,5 @@ def plot_horizon(
             axis.set_ylabel(unit_text(f"RMSE of {data.output_labels[i]}", data.output_units[i]))
             axis.grid(True, which="both", alpha=0.25)
         axes[-1, 0].set_xlabel("Predicted ahead [s]")
-        return finish(
-            figure, axes, lines,
-            title=f"Error against prediction horizon, record {data.name}"
-            if title is None and ax is None
-            else title,
-            legends=[axes[0, 0]], legend_loc=legend_loc, show_legend=show_legend,
-        )  # fmt: skip
+        title = f"Error against prediction horizon, record {data.name}"
+        return frame.finish(axes, lines, [axes[0, 0]], title)

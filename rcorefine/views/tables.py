@@ -4,10 +4,27 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from html import escape
+from typing import Any, TypeVar
 
-__all__ = ["WIDTH", "clip", "html_table", "number", "text_table"]
+from ..results import shows
+
+__all__ = [
+    "WIDTH",
+    "Table",
+    "Told",
+    "clip",
+    "html_table",
+    "number",
+    "tabulates",
+    "tells",
+    "text_table",
+    "wrapped",
+]
+
+_Cells = TypeVar("_Cells", bound=Callable[..., Any])
 
 WIDTH = 80
 
@@ -138,3 +155,61 @@ def html_table(
         f'<div class="rcorefine"><table>{caption}<thead><tr>{head}</tr></thead>'
         f"<tbody>{body}</tbody></table>{below}</div>"
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Cells as text, with what they mean below; the fields are the arguments of `text_table`."""
+
+    headers: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    title: str | None = None
+    notes: Sequence[str] = ()
+    left: int = 1
+
+    def text(self) -> str:
+        """Plain text of at most 80 columns."""
+        return text_table(self.headers, self.rows, title=self.title, notes=self.notes, left=self.left)
+
+    def html(self) -> str:
+        """The same in HTML."""
+        return html_table(self.headers, self.rows, title=self.title, notes=self.notes, left=self.left)
+
+
+def tabulates(kind: type) -> Callable[[_Cells], _Cells]:
+    """Enter the `Table` that results of this class are, as text and as HTML."""
+
+    def enter(table: _Cells) -> _Cells:
+        shows(kind, "text")(lambda result: table(result).text())
+        shows(kind, "html")(lambda result: table(result).html())
+        return table
+
+    return enter
+
+
+#: Sentences, a table, sentences.
+Told = tuple[Sequence[str], Table, Sequence[str]]
+
+
+def tells(kind: type) -> Callable[[_Cells], _Cells]:
+    """Enter sentences above, a `Table`, and sentences below: the text of results of this class.
+
+    In HTML it is the table, which has a title and notes for that.
+    """
+
+    def enter(parts: _Cells) -> _Cells:
+        def text(result: Any) -> str:
+            above, table, below = parts(result)
+            cells = text_table(table.headers, table.rows, left=table.left)
+            return "\n".join([*wrapped(above), *([cells] if table.rows else []), *wrapped(below)])
+
+        shows(kind, "text")(text)
+        shows(kind, "html")(lambda result: parts(result)[1].html())
+        return parts
+
+    return enter
+
+
+def wrapped(sentences: Sequence[str]) -> list[str]:
+    """Lines of at most 80 columns."""
+    return [line for sentence in sentences for line in textwrap.wrap(sentence, WIDTH)]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import stats
 
+from ...results import Result
 from ...systems.linear import Array
 from .amplitude import input_laws, level_dependence
 from .distortion import distortions
@@ -83,7 +84,7 @@ class Failure:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FailureMap:
+class FailureMap(Result):
     """Where one model fails on a record, most telling row first.
 
     Behaves as a sequence of its rows; empty where nothing is significant.
@@ -119,16 +120,6 @@ class FailureMap:
 
     def __bool__(self) -> bool:
         return bool(self.rows)
-
-    def __str__(self) -> str:
-        from ...views.failure_map import failure_text
-
-        return failure_text(self)
-
-    def _repr_html_(self) -> str:
-        from ...views.failure_map import failure_html
-
-        return failure_html(self)
 
 
 def failure_map(comparison: Comparison, index: int) -> FailureMap:

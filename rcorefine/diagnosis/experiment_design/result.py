@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import textwrap
 from dataclasses import dataclass
-from typing import Any
+from typing import Unpack
 
 import control as ct
 
+from ...results import Options, Result, picture, show
 from ...systems.linear import Array
 
 __all__ = ["ExperimentAdvice", "ExperimentOption"]
@@ -57,7 +57,7 @@ class ExperimentOption:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ExperimentAdvice:
+class ExperimentAdvice(Result):
     """What to measure next.
 
     Attributes
@@ -100,45 +100,8 @@ class ExperimentAdvice:
             )
         return [*lines, *self.notes]
 
-    def _rows(self) -> list[list[str]]:
-        return [
-            [
-                ("> " if option is self.chosen else "  ") + option.name,
-                f"{option.cost:.3g}",
-                "-" if option.failed else f"{option.probability:.2f}",
-                "-" if option.failed else f"{option.distance:.3g}",
-                "-" if option.failed else f"{option.reach:.2g}",
-            ]
-            for option in self.options
-        ]
-
-    def __str__(self) -> str:
-        from ...views.tables import text_table
-
-        parts = ["Experiment: " + (self.chosen.name if self.chosen else "nothing to separate")]
-        parts += textwrap.wrap(self.message, 80)
-        if self.options:
-            parts.append(text_table(_HEADER, self._rows()))
-        for sentence in self.sentences()[1:]:
-            parts += textwrap.wrap(sentence, 80)
-        return "\n".join(parts)
-
-    def _repr_html_(self) -> str:
-        from ...views.tables import html_table
-
-        title = "Experiment: " + (self.chosen.name if self.chosen else "nothing to separate")
-        return html_table(_HEADER, self._rows(), title=title, notes=self.sentences())
-
-    def plot(
-        self,
-        *,
-        ax: Any = None,
-        label: str | None = None,
-        title: str | None = None,
-        legend_loc: str | bool | None = None,
-        rcParams: dict[str, Any] | None = None,
-        show_legend: bool | None = None,
-    ) -> ct.ControlPlot:
+    @picture
+    def plot(self, **options: Unpack[Options]) -> ct.ControlPlot:
         """Probability of every option over its cost, the chosen one marked.
 
         Parameters
@@ -147,30 +110,9 @@ class ExperimentAdvice:
             Where to draw.
         label : str, optional
             Label of the options.
-        title : str, optional
-            Title.
-        legend_loc : str or bool, optional
-            Place of the legend, False for none.
-        rcParams : dict, optional
-            Matplotlib settings for this plot.
-        show_legend : bool, optional
-            Whether to show a legend.
 
         Returns
         -------
         ControlPlot
         """
-        from ...views.experiment import experiment_plot
-
-        return experiment_plot(
-            self,
-            ax=ax,
-            label=label,
-            title=title,
-            legend_loc=legend_loc,
-            rcParams=rcParams,
-            show_legend=show_legend,
-        )
-
-
-_HEADER = ["experiment", "cost", "probability", "distance", "reach"]
+        return show(self, "plot", **options)

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import textwrap
 from dataclasses import dataclass
-from os import PathLike
-from pathlib import Path
-from typing import Any
+from typing import Unpack
 
 import control as ct
-import numpy as np
 
-from ...data.measurement import Measurement
 from ...effects.effect import Effect
 from ...inference.refinement import Refinement
+from ...results import Options, ReportedModel, picture, show
 from ...systems.linear import Array
 
 __all__ = ["Improvement", "Step"]
@@ -61,7 +57,7 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Improvement:
+class Improvement(ReportedModel):
     """The ladder from the initial model to the improved one.
 
     Attributes
@@ -130,46 +126,8 @@ class Improvement:
             "Linear parameters, model | alone -> with the effects: " + "; ".join(parts) + "." if parts else ""
         )
 
-    def _rows(self) -> list[list[str]]:
-        rows = []
-        for i, step in enumerate(self.steps):
-            value = ""
-            if step.coefficients:
-                key = next(iter(step.coefficients))
-                value = f"{step.coefficients[key]:.3g} +/- {step.std[key]:.1g}"
-            rows.append(
-                [
-                    f"{i} {step.name}"[:40],
-                    value,
-                    *(_size(v) for v in (step.train_rmse, step.choice_rmse, step.validation_rmse)),
-                ]
-            )
-        return rows
-
-    def __str__(self) -> str:
-        from ...views.tables import text_table
-
-        parts = [f"Improvement in {len(self.steps) - 1} step(s): {self.verdict.upper()}"]
-        parts.append(text_table(_HEADER, self._rows()))
-        for sentence in self.sentences():
-            parts += textwrap.wrap(sentence, 80)
-        return "\n".join(parts)
-
-    def _repr_html_(self) -> str:
-        from ...views.tables import html_table
-
-        return html_table(_HEADER, self._rows(), title=f"Improvement: {self.verdict}", notes=self.sentences())
-
-    def plot(
-        self,
-        *,
-        ax: Any = None,
-        label: str | None = None,
-        title: str | None = None,
-        legend_loc: str | bool | None = "upper right",
-        rcParams: dict[str, Any] | None = None,
-        show_legend: bool | None = None,
-    ) -> ct.ControlPlot:
+    @picture
+    def plot(self, **options: Unpack[Options]) -> ct.ControlPlot:
         """The staircase of held-out error, the effect's name on each step.
 
         Parameters
@@ -178,75 +136,11 @@ class Improvement:
             Where to draw.
         label : str, optional
             Label of the held-out line.
-        title : str, optional
-            Title.
-        legend_loc : str, optional
-            Place of the legend.
-        rcParams : dict, optional
-            Matplotlib settings for this plot.
-        show_legend : bool, optional
-            Whether to show a legend; default True.
+        legend_loc : str or False, optional
+            Place of the legend, by default "upper right"; False for none.
 
         Returns
         -------
         ControlPlot
         """
-        from ...views.improvement import staircase_plot
-
-        return staircase_plot(
-            self,
-            ax=ax,
-            label=label,
-            title=title,
-            legend_loc=legend_loc,
-            rcParams=rcParams,
-            show_legend=show_legend,
-        )
-
-    def report(
-        self,
-        path: str | PathLike[str],
-        *,
-        data: Measurement | None = None,
-        title: str | None = None,
-        code: str | None = None,
-        overwrite: bool = False,
-    ) -> Path:
-        """Write what was found as one HTML file: answer, pictures, tables, code, versions.
-
-        Parameters
-        ----------
-        path : str or path
-            File to write; an older report there is replaced.
-        data : Measurement, optional
-            Record to show the models beside; the result keeps none.
-        title : str, optional
-            Heading.
-        code : str, optional
-            Code or command that made the result, printed above the generated code.
-        overwrite : bool
-            Replace a file there that is no report, too.
-
-        Returns
-        -------
-        Path
-            The file.
-
-        Raises
-        ------
-        FileNotFoundError
-            If the folder does not exist.
-        FileExistsError
-            If another file is there.
-        """
-        from ...views.pages.models import report_improvement
-
-        return report_improvement(self, path, data=data, title=title, code=code, overwrite=overwrite)
-
-
-_HEADER = ["step", "coefficient", "fitted", "chosen on", "held out"]
-
-
-def _size(values: Array) -> str:
-    """Root mean square error, one output or the mean over several."""
-    return f"{float(np.sqrt(np.mean(np.asarray(values) ** 2))):.4g}"
+        return show(self, "plot", **options)

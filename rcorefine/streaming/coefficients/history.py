@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Unpack
 
 import control as ct
 import numpy as np
 from numpy.typing import NDArray
 
+from ...results import Options, picture, show
 from ...systems.linear import Array
-from ..rcmr.history import draw_poles
 
 __all__ = ["CoefficientHistory"]
 
@@ -62,16 +61,8 @@ class CoefficientHistory:
         """Number of samples taken."""
         return int(self.timepts.size)
 
-    def plot(
-        self,
-        *,
-        ax: Any = None,
-        label: str | Sequence[str] | None = None,
-        title: str | None = None,
-        legend_loc: str | bool | None = None,
-        rcParams: dict[str, Any] | None = None,
-        show_legend: bool | None = None,
-    ) -> ct.ControlPlot:
+    @picture
+    def plot(self, **options: Unpack[Options]) -> ct.ControlPlot:
         """Plot the performance of both stages over time, the coefficients and the refined poles.
 
         Parameters
@@ -80,59 +71,10 @@ class CoefficientHistory:
             Axes to draw in, shape (n_y + 2, 1).
         label : list of str, optional
             Labels of the coefficients.
-        title : str, optional
-            Title of the figure.
-        legend_loc : str or False, optional
-            Place of the legend, as in matplotlib; False for none.
-        rcParams : dict, optional
-            Matplotlib settings on top of `control.rcParams`.
-        show_legend : bool, optional
-            Force the legend on or off.
 
         Returns
         -------
         ControlPlot
             Lines, axes, figure.
         """
-        from ...views.figures import curve_labels, finish, make_axes, settings, style, unit_text
-
-        names = curve_labels(list(label) if isinstance(label, tuple) else label, list(self.names))
-        n_y = self.z2.shape[0]
-        with settings(rcParams):
-            figure, axes = make_axes(ax, [1.6] * n_y + [2.0, 1.6], 1)
-            lines = np.empty(axes.shape, dtype=object)
-            for row, output in enumerate(self.output_labels):
-                axis = axes[row, 0]
-                lines[row, 0] = []
-                for index, z, text in (
-                    (0, self.z1, "stage 1"),
-                    (1, self.z2, "static stage, one sample ahead"),
-                ):
-                    if np.isfinite(z[row]).any():
-                        look = {"color": style(index).color, "linewidth": 0.8, "label": text}
-                        lines[row, 0] += axis.plot(self.timepts, z[row], **look)
-                usual = np.nanmax(
-                    np.abs(self.z2[row]), initial=0.0
-                )  # a stage 1 that diverged must not hide the rest
-                if usual > 0:
-                    axis.set_ylim(-1.1 * usual, 1.1 * usual)
-                axis.set_ylabel(unit_text(f"predicted - measured\n{output}", ""))
-                axis.grid(True, alpha=0.35)
-            axis = axes[n_y, 0]
-            size = np.nanmax(np.abs(self.coefficients), axis=1, initial=0.0)[:, None]
-            shown = self.coefficients / np.where(size > 0, size, 1.0)
-            lines[n_y, 0] = axis.plot(self.timepts, shown.T, linewidth=1.0)
-            for line, text in zip(lines[n_y, 0], names, strict=True):
-                line.set_label(unit_text(text, ""))
-            axis.set_ylabel("coefficients\nover their largest")
-            axis.grid(True, alpha=0.35)
-            lines[n_y + 1, 0] = draw_poles(axes[n_y + 1, 0], self.pole_timepts, self.poles)
-            return finish(
-                figure,
-                axes,
-                lines,
-                title=title,
-                legends=[axes[0, 0], axis],
-                legend_loc=legend_loc,
-                show_legend=show_legend,
-            )
+        return show(self, "plot", **options)

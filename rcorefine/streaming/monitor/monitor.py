@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Unpack
 
 import control as ct
 import numpy as np
@@ -19,15 +19,15 @@ from ...data.measurement import Measurement
 from ...effects.effect import Effect, as_effects
 from ...exceptions import DataError, ModelError
 from ...models.library import effect_library
+from ...results import Options, Result, picture, show
 from ...systems.discretization import check_sampling_time
 from ...systems.linear import Array
-from ...views.tables import html_table, text_table
 from ..checks import as_size
 from ..gaps import Block, as_missing, block_with_gaps, whole_block
 from ..persistence import read_file, write_file
 from ..restoring import damaged
 from ..samples import checked_block
-from .alarm import Alarm, MonitorRow, summary
+from .alarm import Alarm, MonitorRow
 from .bank import UNSEEN, build_bank
 from .baseline import learn as learn_from
 from .course import Course
@@ -49,7 +49,7 @@ _BLOCKS = 256
 _SLOW = 16  # periods of the mean that is taken off
 
 
-class Monitor:
+class Monitor(Result):
     """Watch a structure on a stream: is it still healthy, and if not, what has changed since when.
 
     A steady observer of the healthy model follows the samples. What it does not explain is
@@ -425,16 +425,8 @@ class Monitor:
         return tuple(linear_rows(self._stream))
 
     # ------------------------------------------------------------------ pictures, text, files
-    def plot(
-        self,
-        *,
-        ax: Any = None,
-        label: str | Sequence[str] | None = None,
-        title: str | None = None,
-        legend_loc: str | bool | None = None,
-        rcParams: dict[str, Any] | None = None,
-        show_legend: bool | None = None,
-    ) -> ct.ControlPlot:
+    @picture
+    def plot(self, **options: Unpack[Options]) -> ct.ControlPlot:
         """Draw statistic, probabilities and the coefficient of the named effect over time.
 
         Parameters
@@ -443,10 +435,6 @@ class Monitor:
             Where to draw.
         label : str or sequence of str, optional
             Labels of the probabilities shown, "nothing" first.
-        title : str, optional
-            Title; by default what the alarm says.
-        legend_loc, show_legend, rcParams
-            As in python-control's plots.
 
         Returns
         -------
@@ -458,17 +446,7 @@ class Monitor:
         DataError
             During the learning phase, when there is nothing to draw yet.
         """
-        from ...views.monitor import monitor_plot
-
-        return monitor_plot(
-            self,
-            ax=ax,
-            label=label,
-            title=title,
-            legend_loc=legend_loc,
-            rcParams=rcParams,
-            show_legend=show_legend,
-        )
+        return show(self, "plot", **options)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the monitor to a file, to go on later exactly where it stood.
@@ -505,12 +483,6 @@ class Monitor:
         """
         with damaged(path):
             return restored(cls, read_file(path, laws, "monitor"))
-
-    def __str__(self) -> str:
-        return text_table(**summary(self))
-
-    def _repr_html_(self) -> str:
-        return html_table(**summary(self))
 
     def __repr__(self) -> str:
         state = "alarm" if self.alarm else ("learning" if self._stream is None else "no alarm")

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Unpack
 
 import control as ct
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from ...results import Options, picture, show
 from ...systems.linear import Array, LinearModel
 
-__all__ = ["History", "draw_poles", "pole_samples", "poles_of"]
+__all__ = ["History", "pole_samples", "poles_of"]
 
 _POINTS = 200  # at which poles are given over time
 
@@ -86,16 +87,8 @@ class History:
         first, second = (np.sqrt(np.mean(z[:, part] ** 2, axis=1)) / size for z in (self.z1, self.z2))
         return first, second
 
-    def plot(
-        self,
-        *,
-        ax: Any = None,
-        label: str | list[str] | None = None,
-        title: str | None = None,
-        legend_loc: str | bool | None = None,
-        rcParams: dict[str, Any] | None = None,
-        show_legend: bool | None = None,
-    ) -> ct.ControlPlot:
+    @picture
+    def plot(self, **options: Unpack[Options]) -> ct.ControlPlot:
         """Plot the performance of both stages over time, the static coefficients and the refined poles.
 
         Parameters
@@ -104,68 +97,13 @@ class History:
             Axes to draw in, shape (n_y + 2, 1).
         label : list of str, optional
             Labels of the two stages.
-        title : str, optional
-            Title of the figure.
-        legend_loc : str or False, optional
-            Place of the legend, as in matplotlib; False for none.
-        rcParams : dict, optional
-            Matplotlib settings on top of `control.rcParams`.
-        show_legend : bool, optional
-            Force the legend on or off.
 
         Returns
         -------
         ControlPlot
             Lines, axes, figure.
         """
-        from ...views.figures import curve_labels, finish, make_axes, settings, style, unit_text
-
-        names = curve_labels(label, ["stage 1", "stage 2"])
-        n_y = self.z1.shape[0]
-        with settings(rcParams):
-            figure, axes = make_axes(ax, [1.6] * (n_y + 2), 1)
-            lines = np.empty(axes.shape, dtype=object)
-            for row, output in enumerate(self.output_labels):
-                axis = axes[row, 0]
-                lines[row, 0] = []
-                for index, z in ((1, self.z2), (0, self.z1)):
-                    look = style(index)
-                    lines[row, 0] += axis.plot(
-                        self.timepts,
-                        z[row],
-                        color=look.color,
-                        linestyle="-",
-                        linewidth=0.8,
-                        label=names[index],
-                    )
-                axis.set_ylabel(unit_text(f"simulated - measured\n{output}", ""))
-                axis.grid(True, alpha=0.35)
-            axis = axes[n_y, 0]
-            lines[n_y, 0] = axis.plot(
-                self.timepts, self.theta2.reshape(-1, self.timepts.size).T, linewidth=1.0
-            )
-            for line, text in zip(lines[n_y, 0], self._coefficients(), strict=False):
-                line.set_label(unit_text(text, ""))
-            axis.set_ylabel("static coefficients")
-            axis.grid(True, alpha=0.35)
-            lines[n_y + 1, 0] = draw_poles(axes[n_y + 1, 0], self.pole_timepts, self.poles)
-            return finish(
-                figure,
-                axes,
-                lines,
-                title=title,
-                legends=[axes[0, 0], axis],
-                legend_loc=legend_loc,
-                show_legend=show_legend,
-            )
-
-    def _coefficients(self) -> list[str]:
-        """Signal of each static coefficient, where the static stage has no memory."""
-        names = [*self.state_labels, *self.input_labels]
-        l_u, q = self.theta2.shape[:2]
-        if q != len(names):
-            return []
-        return [f"{name} (u{c})" if l_u > 1 else name for c in range(l_u) for name in names]
+        return show(self, "plot", **options)
 
 
 def pole_samples(n_samples: int) -> NDArray[np.int64]:
@@ -187,26 +125,3 @@ def poles_of(models: Sequence[LinearModel], dt: float | None) -> NDArray[np.comp
             poles = poles[columns[np.argsort(rows)]]
         found.append(poles)
     return np.array(found).T if found else np.zeros((0, 0), complex)
-
-
-def draw_poles(axis: Any, timepts: Array, poles: NDArray[np.complex128]) -> list[Any]:
-    """Size of the refined poles over time: dashed where a pole is complex."""
-    lines: list[Any] = []
-    with np.errstate(invalid="ignore"):
-        for pole in poles:
-            size, oscillates = np.abs(pole), np.abs(pole.imag) > 1e-6 * np.abs(pole)
-            for part, line, name in ((~oscillates, "-", "real"), (oscillates, "--", "complex")):
-                if part.any():
-                    drawn = axis.plot(
-                        timepts, np.where(part, size, np.nan), line, linewidth=1.0, color="tab:purple"
-                    )
-                    drawn[0].set_label(name if all(one.get_label() != name for one in lines) else f"_{name}")
-                    lines += drawn
-    positive = np.abs(poles)[np.isfinite(poles) & (np.abs(poles) > 0)]
-    if positive.size and positive.max() > 30 * positive.min():
-        axis.set_yscale("log")
-        axis.set_ylim(max(0.5 * positive.min(), 1e-6 * positive.max()), 2.0 * positive.max())
-    axis.set_ylabel("refined poles\n|s| [rad/s]")
-    axis.set_xlabel("Time [s]")
-    axis.grid(True, alpha=0.35)
-    return lines

@@ -3,34 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...comparison.adequacy import failures_of
+from ...comparison.failure_map.search import Failure
+from ...comparison.responses import FrequencyComparison
+from ...comparison.result import KINDS, Comparison
+from ...engine.simulation import simulate
 from ...systems.linear import LinearModel
-from ..comparison import _cells, _without_empty_unit
-from ..tables import number
+from ..comparison import comparison_table
+from ..responses import responses_table
+from ..tables import Table, number
 from .answers import comparison_answer, response_answer
 from .code import model_code, record_code, response_code, script
 from .origin import response_facts, version_facts
-from .page import Facts, Page, Paragraphs, Section, Table, check_target, write_page
-from .parts import Parts, Target, Wanted, chance, code_section, origin_section, pictures
-
-if TYPE_CHECKING:
-    from ...comparison.failure_map.search import Failure
-    from ...comparison.responses import FrequencyComparison
-    from ...comparison.result import Comparison
+from .page import Facts, Page, Paragraphs, Section, reports
+from .parts import Parts, Wanted, chance, code_section, origin_section, pictures
 
 __all__ = ["comparison_tables", "fits_in_words", "report_comparison", "report_responses", "time_words"]
 
 
-def report_comparison(
-    result: Comparison, path: Target, *, title: str | None, code: str | None, overwrite: bool
-) -> Path:
-    """Write the report of a comparison; see `Comparison.report`."""
-    target = check_target(path, title=title, code=code, overwrite=overwrite)
+@reports(Comparison)
+def report_comparison(result: Comparison, *, title: str | None, code: str | None) -> Page:
+    """The report of a comparison; see `Comparison.report`."""
     answer, fine = comparison_answer(result)
     sections = [
         Section(
@@ -43,17 +39,14 @@ def report_comparison(
     ]
     heading = title or f"{' and '.join(result.names[:3])}: comparison with {result.data.name}"
     about = f"{len(result.names)} model(s), {result.data.n_samples} samples, {number(result.data.duration)} s"
-    return write_page(Page(heading, about, answer, fine, sections), target, overwrite=overwrite)
+    return Page(heading, about, answer, fine, sections)
 
 
-def report_responses(
-    result: FrequencyComparison, path: Target, *, title: str | None, code: str | None, overwrite: bool
-) -> Path:
-    """Write the report of a comparison with a measured response; see `FrequencyComparison.report`."""
-    target = check_target(path, title=title, code=code, overwrite=overwrite)
+@reports(FrequencyComparison)
+def report_responses(result: FrequencyComparison, *, title: str | None, code: str | None) -> Page:
+    """The report of a comparison with a measured response; see `FrequencyComparison.report`."""
     measured = result.measured
     answer, fine = response_answer(result)
-    headers, rows, above, notes = result._cells()
     magnitudes = ", ".join(result.names)
     drawn = (
         "bode",
@@ -67,13 +60,13 @@ def report_responses(
     own = script(*models, response_code(measured), [call, "print(result)", "result.plot()"])
     sections = [
         Section("Pictures", pictures([drawn])),
-        Section("Tables", [Table(headers, rows, title=above, notes=notes, left=3)]),
+        Section("Tables", [responses_table(result)]),
         code_section(own, code),
         Section("Response and versions", [Facts(response_facts(measured)), Facts(version_facts())]),
     ]
     heading = title or f"{' and '.join(result.names[:3])}: comparison with {measured.name}"
     about = f"{len(result.names)} model(s), {measured.omega.size} frequencies"
-    return write_page(Page(heading, about, answer, fine, sections), target, overwrite=overwrite)
+    return Page(heading, about, answer, fine, sections)
 
 
 def _comparison_picture(result: Comparison, kind: str) -> Wanted:
@@ -83,9 +76,7 @@ def _comparison_picture(result: Comparison, kind: str) -> Wanted:
 
 def _kinds_of(result: Comparison) -> list[str]:
     """Pictures that a comparison offers, the one that answers first."""
-    from ...comparison import result as module
-
-    return [kind for kind in _WORDS if kind in module._KINDS]
+    return [kind for kind in _WORDS if kind in KINDS]
 
 
 def fits_in_words(result: Comparison) -> str:
@@ -126,9 +117,7 @@ _WORDS: dict[str, Callable[[str, str], tuple[str, str]]] = {
 
 def comparison_tables(result: Comparison) -> Parts:
     """Failures, where there are any, and the table of fits."""
-    headers, rows, title, notes = _cells(result)
-    headers, rows = _without_empty_unit(headers, rows)
-    parts: Parts = [Table(headers, rows, title=title, notes=notes, left=len(headers) - 5)]
+    parts: Parts = [comparison_table(result)]
     maps = [failures_of(result, index) for index in range(len(result.names))]
     first: Parts = []
     for found in maps:
@@ -165,13 +154,11 @@ def _failure_row(row: Failure) -> list[str]:
 
 def _comparison_code(result: Comparison) -> str:
     """Models and record as code; nonlinear effects are not in a comparison, and it says so."""
-    from ...engine.simulation import simulate
-
     blocks: list[Sequence[str]] = []
     for index, model in enumerate(result.models):
         name = "model" if len(result.models) == 1 else f"model{index + 1}"
         lines = model_code(model, name)
-        if len(result.starts) == 1 and not _reproduces(model, result, index, simulate):
+        if len(result.starts) == 1 and not _reproduces(model, result, index):
             lines = [
                 f"# {name} holds effects that are not linear; below is its linear part only. "
                 "Put the Refinement here.",
@@ -198,7 +185,7 @@ def _comparison_code(result: Comparison) -> str:
     return script(*blocks, record_code([result.data]), call)
 
 
-def _reproduces(model: LinearModel, result: Comparison, index: int, simulate: Callable[..., Any]) -> bool:
+def _reproduces(model: LinearModel, result: Comparison, index: int) -> bool:
     """Whether the linear model alone gives the run that was compared."""
     run = simulate(
         model.to_statespace(), result.data, result.initial_states[index][0][: model.n_states]

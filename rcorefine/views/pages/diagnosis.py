@@ -3,29 +3,22 @@
 from __future__ import annotations
 
 import inspect
-from pathlib import Path
-from typing import TYPE_CHECKING
 
-from ..tables import number
+from ...diagnosis.diagnose import diagnose
+from ...diagnosis.result import Diagnosis
+from ...inference.refinement import Refinement
+from ..tables import Table, number
 from .answers import diagnosis_answer
 from .code import call_options, effects_code, model_code, record_code, refinement_code, script
-from .page import Page, Paragraphs, Section, Table, check_target, write_page
-from .parts import Parts, Target, chance, code_section, origin_section, parameter_table, pictures
-
-if TYPE_CHECKING:
-    from ...diagnosis.result import Diagnosis
-    from ...inference.refinement import Refinement
+from .page import Page, Paragraphs, Section, reports
+from .parts import Parts, chance, code_section, origin_section, parameter_table, pictures
 
 __all__ = ["report_diagnosis"]
 
 
-def report_diagnosis(
-    found: Diagnosis, path: Target, *, title: str | None, code: str | None, overwrite: bool
-) -> Path:
-    """Write the report of a diagnosis; see `Diagnosis.report`."""
-    from ...diagnosis.diagnose import diagnose
-
-    target = check_target(path, title=title, code=code, overwrite=overwrite)
+@reports(Diagnosis)
+def report_diagnosis(found: Diagnosis, *, title: str | None, code: str | None) -> Page:
+    """The report of a diagnosis; see `Diagnosis.report`."""
     answer, fine = diagnosis_answer(found)
     shown = ", ".join(f"{row.effect.label} {row.probability:.2f}" for row in found.ranking[:4]) or "nothing"
     drawn = pictures(
@@ -113,7 +106,7 @@ def report_diagnosis(
     samples = sum(r.n_samples for r in found.records)
     about = f"model {linear.name}, {len(found.records)} record(s), {samples} samples"
     page = Page(title or f"Diagnosis of {linear.name}: {found.verdict}", about, answer, fine, sections)
-    return write_page(page, target, overwrite=overwrite)
+    return page
 
 
 def _ranking_rows(found: Diagnosis) -> list[list[str]]:

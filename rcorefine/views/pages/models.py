@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from ...comparison.compare import compare
+from ...data.levels import stretches_by_level
 from ...data.measurement import Measurement
-from ..level_bode import stretches_by_level
-from ..tables import number
+from ...diagnosis.stepwise.improvement import Improvement
+from ...inference.refinement import Refinement
+from ..tables import Table, number
 from .answers import improvement_answer, refinement_answer
 from .code import model_code, record_code, refinement_code, script
 from .comparison import comparison_tables, time_words
-from .page import Page, Paragraphs, Section, Table, check_target, write_page
+from .page import Page, Paragraphs, Section, reports
 from .parts import (
     Parts,
-    Target,
     Wanted,
     code_section,
     estimates,
@@ -28,24 +29,18 @@ from .parts import (
     root_mean_square,
 )
 
-if TYPE_CHECKING:
-    from ...diagnosis.stepwise.improvement import Improvement
-    from ...inference.refinement import Refinement
-
 __all__ = ["report_improvement", "report_refinement"]
 
 
+@reports(Improvement)
 def report_improvement(
     ladder: Improvement,
-    path: Target,
     *,
     data: Measurement | None,
     title: str | None,
     code: str | None,
-    overwrite: bool,
-) -> Path:
-    """Write the report of an improvement; see `Improvement.report`."""
-    target = check_target(path, title=title, code=code, overwrite=overwrite)
+) -> Page:
+    """The report of an improvement; see `Improvement.report`."""
     answer, fine = improvement_answer(ladder)
     last = ladder.refinement
     errors = ", ".join(f"{float(np.sqrt(np.mean(s.validation_rmse**2))):.3g}" for s in ladder.steps)
@@ -76,7 +71,6 @@ def report_improvement(
         Paragraphs(ladder.sentences()),
     ]
     return _report_model(
-        target,
         title or f"Improvement of {last.physical_model.linear.name}: {ladder.verdict}",
         (answer, fine),
         wanted,
@@ -84,27 +78,23 @@ def report_improvement(
         (ladder.steps[0].refinement, last),
         data,
         code,
-        overwrite,
     )
 
 
+@reports(Refinement)
 def report_refinement(
     refinement: Refinement,
-    path: Target,
     *,
     data: Measurement | None,
     title: str | None,
     code: str | None,
-    overwrite: bool,
-) -> Path:
-    """Write the report of a refinement; see `Refinement.report`."""
-    target = check_target(path, title=title, code=code, overwrite=overwrite)
+) -> Page:
+    """The report of a refinement; see `Refinement.report`."""
     tables: Parts = [
         parameter_table(refinement, "Parameters"),
         Paragraphs([refinement.message, *refinement.warnings]),
     ]
     return _report_model(
-        target,
         title or f"Refinement of {refinement.physical_model.linear.name}",
         refinement_answer(refinement),
         [],
@@ -112,12 +102,10 @@ def report_refinement(
         (None, refinement),
         data,
         code,
-        overwrite,
     )
 
 
 def _report_model(
-    target: Path,
     title: str,
     answer: tuple[list[str], bool],
     wanted: list[Wanted],
@@ -125,8 +113,7 @@ def _report_model(
     models: tuple[Refinement | None, Refinement],
     data: Measurement | None,
     code: str | None,
-    overwrite: bool,
-) -> Path:
+) -> Page:
     """A refined model beside the one it came from, and beside a record where there is one."""
     first, last = models
     linear = last.physical_model.linear
@@ -140,8 +127,6 @@ def _report_model(
             Paragraphs(["The result keeps no record; report(..., data=...) shows the models beside one."])
         )
     else:
-        from ...comparison.compare import compare
-
         before: Any = last.physical_model if first is None else first
         beside = replace(compare([before, last], data), names=("initial", "refined"))
         words = time_words(beside)
@@ -173,7 +158,7 @@ def _report_model(
         origin_section(records),
     ]
     sentences, fine = answer
-    return write_page(Page(title, about, sentences, fine, sections), target, overwrite=overwrite)
+    return Page(title, about, sentences, fine, sections)
 
 
 def _bode_picture(refinement: Refinement, data: Measurement | None) -> Wanted:

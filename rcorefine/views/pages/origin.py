@@ -11,7 +11,9 @@ import numpy as np
 
 from ...data.frequency_response import FrequencyResponse
 from ...data.measurement import Measurement
+from ...jit import NUMBA
 from ...systems.linear import Array
+from ...version import __version__
 from ..tables import number
 
 __all__ = ["fingerprint", "record_facts", "response_facts", "version_facts"]
@@ -96,9 +98,6 @@ def version_facts() -> list[tuple[str, str]]:
     -------
     list of (str, str)
     """
-    from ... import __version__
-    from ...jit import NUMBA
-
     rows = [("rcorefine", __version__), ("Python", f"{platform.python_version()} on {platform.system()}")]
     for package in _PACKAGES:
         if package == "numba" and not NUMBA:

@@ -2,45 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from html import escape
 from os import PathLike
 from pathlib import Path
+from typing import Any, TypeVar
 
 from ...arguments import as_flag, as_path, as_text
+from ...results import shows
+from ...version import __version__
 from ...writing import replacing
-from ..tables import html_table
+from ..tables import Table, html_table
 from .pictures import Picture
 from .style import STYLE
 
-__all__ = ["Facts", "Listing", "Page", "Paragraphs", "Section", "Table", "check_target", "write_page"]
+__all__ = ["Facts", "Listing", "Page", "Paragraphs", "Section", "check_target", "reports", "write_page"]
 
 _GENERATOR = '<meta name="generator" content="rcorefine'
 # the browser itself refuses whatever would leave the page
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
 
-@dataclass(frozen=True, slots=True)
-class Table:
-    """Cells as text, with what they mean below."""
-
-    headers: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    title: str = ""
-    notes: Sequence[str] = ()
-    left: int = 1
-
-    def html(self) -> str:
-        """The table in a box of its own, which scrolls where the window is too narrow."""
-        table = html_table(self.headers, self.rows, title=self.title or None, left=self.left)
-        notes = "".join(f"<p>{escape(note)}</p>" for note in self.notes)
-        label = escape(self.title or "Table", quote=True)
-        return (
-            f'<div class="scroll" role="region" tabindex="0" aria-label="{label}">{table}</div>'
-            f'<div class="notes">{notes}</div>'
-        )
+_Make = TypeVar("_Make", bound="Callable[..., Page]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,9 +70,19 @@ class Section:
 
     def html(self) -> str:
         """The section, empty parts left out."""
-        return (
-            f"<section><h2>{escape(self.title)}</h2>{''.join(part.html() for part in self.parts)}</section>"
-        )
+        parts = "".join(_boxed(part) if isinstance(part, Table) else part.html() for part in self.parts)
+        return f"<section><h2>{escape(self.title)}</h2>{parts}</section>"
+
+
+def _boxed(table: Table) -> str:
+    """A table in a box of its own, which scrolls where the window is too narrow."""
+    inner = html_table(table.headers, table.rows, title=table.title, left=table.left)
+    notes = "".join(f"<p>{escape(note)}</p>" for note in table.notes)
+    label = escape(table.title or "Table", quote=True)
+    return (
+        f'<div class="scroll" role="region" tabindex="0" aria-label="{label}">{inner}</div>'
+        f'<div class="notes">{notes}</div>'
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,8 +117,6 @@ class Page:
         str
             HTML 5, self-contained.
         """
-        from ... import __version__
-
         answer = "".join(f"<p>{escape(sentence)}</p>" for sentence in self.answer)
         body = "".join(section.html() for section in self.sections if section.parts)
         when = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
@@ -229,3 +222,19 @@ def _home(path: Path) -> Path:
         return path.expanduser()
     except RuntimeError:  # a tilde that is nobody's home is a name like any other
         return path
+
+
+def reports(kind: type) -> Callable[[_Make], _Make]:
+    """Enter the page that results of this class are; it is written where the file may be written."""
+
+    def enter(make: _Make) -> _Make:
+        def report(
+            result: Any, path: Any, *, title: str | None, code: str | None, overwrite: bool, **more: Any
+        ) -> Path:
+            target = check_target(path, title=title, code=code, overwrite=overwrite)
+            return write_page(make(result, title=title, code=code, **more), target, overwrite=overwrite)
+
+        shows(kind, "report")(report)
+        return make
+
+    return enter

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from os import PathLike
-from typing import TYPE_CHECKING
 
 import control as ct
 import numpy as np
 
 from ...data.measurement import Measurement
+from ...inference.refinement import EstimatedParameter, Refinement
 from ...systems.linear import Array
+from ..figures import Frame, unit_text
+from ..tables import Table
 from .origin import record_facts, version_facts
-from .page import Facts, Listing, Paragraphs, Section, Table
+from .page import Facts, Listing, Paragraphs, Section
 from .pictures import Picture, draw
-
-if TYPE_CHECKING:
-    from ...inference.refinement import EstimatedParameter, Refinement
 
 __all__ = [
     "Parts",
@@ -79,11 +78,9 @@ def estimates(refinement: Refinement) -> list[EstimatedParameter]:
 
 def parameter_plot(refinement: Refinement) -> ct.ControlPlot:
     """Estimates with intervals, one row each, relative to the initial model."""
-    from ..figures import finish, make_axes, settings, unit_text
-
     rows = estimates(refinement)
-    with settings(None):
-        figure, axes = make_axes(None, [max(1.0, 0.3 * len(rows))], 1)
+    frame = Frame()
+    with frame.axes([max(1.0, 0.3 * len(rows))], 1) as (axes, lines):
         axis = axes[0, 0]
         names = []
         for i, row in enumerate(rows):
@@ -101,9 +98,8 @@ def parameter_plot(refinement: Refinement) -> ct.ControlPlot:
         axis.margins(x=0.08)
         axis.set_xlabel("Estimate over initial value")
         axis.grid(True, axis="x", alpha=0.3)
-        lines = np.empty((1, 1), dtype=object)
         lines[0, 0] = list(axis.lines)
-        return finish(figure, axes, lines, title=None, legends=[], legend_loc=False, show_legend=False)
+        return frame.finish(axes, lines, [])
 
 
 def chance(p_value: float) -> str:

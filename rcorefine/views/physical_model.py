@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import html
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from .physical_model import PhysicalModel
+from ..models.physical_model import PhysicalModel
+from ..results import shows
 
 __all__ = ["model_html", "model_text"]
 
 _SHOWN = 12  # parameters in the text
 
 
+@shows(PhysicalModel, "text")
 def model_text(model: PhysicalModel) -> str:
     """Signals, places and nominal parameters in at most 80 columns.
 
@@ -52,6 +52,7 @@ def model_text(model: PhysicalModel) -> str:
     return "\n".join(line.rstrip() for line in lines)
 
 
+@shows(PhysicalModel, "html")
 def model_html(model: PhysicalModel) -> str:
     """Places and nominal parameters for a notebook.
 

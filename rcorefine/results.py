@@ -1,0 +1,221 @@
+"""Results show themselves: as text, HTML, pictures, reports. Who draws them is looked up, never imported.
+
+The views enter themselves into a register when they are loaded, which happens when first asked for.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ParamSpec, TypedDict, TypeVar
+
+if TYPE_CHECKING:
+    from .data.measurement import Measurement
+
+__all__ = ["OPTIONS", "Look", "Options", "Reported", "ReportedModel", "Result", "picture", "show", "shows"]
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+_views: dict[tuple[type, str], Callable[..., Any]] = {}
+#: How the views are loaded; the package's face says it.
+loaders: list[Callable[[], None]] = []
+
+
+def shows(kind: type, what: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
+    """Enter a view: the function that shows results of this class as "text", "html", "plot", ..."""
+
+    def enter(view: Callable[P, T]) -> Callable[P, T]:
+        _views[kind, what] = view
+        return view
+
+    return enter
+
+
+def show(result: object, what: str, *args: Any, **options: Any) -> Any:
+    """Show a result by the view that was entered for its class.
+
+    Parameters
+    ----------
+    result : object
+        Result.
+    what : str
+        "text", "html", or the name of the method that asks.
+    *args, **options
+        For the view.
+
+    Raises
+    ------
+    TypeError
+        If an option does not exist.
+    """
+    method = getattr(type(result), what, None)
+    unknown = [] if method is None else [name for name in options if name not in _parameters(method)]
+    if unknown:
+        raise TypeError(f"{type(result).__name__}.{what}() got an unexpected keyword argument {unknown[0]!r}")
+    return _view(type(result), what)(result, *args, **options)
+
+
+def _view(kind: type, what: str) -> Callable[..., Any]:
+    """View of a class or of one that it extends; the views are loaded where there is none yet."""
+    for load in (None, *loaders):
+        if load is not None:
+            load()
+        for base in kind.__mro__:
+            if (base, what) in _views:
+                return _views[base, what]
+    raise TypeError(f"nothing shows a {kind.__name__} as {what!r}")
+
+
+class Result:
+    """What a computation found; it shows itself as text and, in a notebook, as HTML."""
+
+    __slots__ = ()
+
+    def __str__(self) -> str:
+        return str(show(self, "text"))
+
+    def _repr_html_(self) -> str:
+        return str(show(self, "html"))
+
+
+class Reported(Result):
+    """A result that writes a report."""
+
+    __slots__ = ()
+
+    def report(
+        self,
+        path: str | PathLike[str],
+        *,
+        title: str | None = None,
+        code: str | None = None,
+        overwrite: bool = False,
+    ) -> Path:
+        """Write what was found as one HTML file: answer, pictures, tables, code, versions.
+
+        Parameters
+        ----------
+        path : str or path
+            File to write; an older report there is replaced.
+        title : str, optional
+            Heading.
+        code : str, optional
+            Code or command that made the result, printed above the generated code.
+        overwrite : bool
+            Replace a file there that is no report, too.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the folder does not exist.
+        FileExistsError
+            If another file is there.
+        """
+        return Path(show(self, "report", path, title=title, code=code, overwrite=overwrite))
+
+
+class ReportedModel(Result):
+    """A refined model that writes a report, beside a record where one is given."""
+
+    __slots__ = ()
+
+    def report(
+        self,
+        path: str | PathLike[str],
+        *,
+        data: Measurement | None = None,
+        title: str | None = None,
+        code: str | None = None,
+        overwrite: bool = False,
+    ) -> Path:
+        """Write what was found as one HTML file: answer, pictures, tables, code, versions.
+
+        Parameters
+        ----------
+        path : str or path
+            File to write; an older report there is replaced.
+        data : Measurement, optional
+            Record to show the models beside; the result keeps none.
+        title : str, optional
+            Heading.
+        code : str, optional
+            Code or command that made the result, printed above the generated code.
+        overwrite : bool
+            Replace a file there that is no report, too.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the folder does not exist.
+        FileExistsError
+            If another file is there.
+        """
+        return Path(show(self, "report", path, data=data, title=title, code=code, overwrite=overwrite))
+
+
+class Look(TypedDict, total=False):
+    """How a picture looks; every picture takes these, as python-control's do."""
+
+    title: str | None
+    legend_loc: str | bool | None
+    rcParams: Mapping[str, Any] | None
+    show_legend: bool | None
+
+
+class Options(Look, total=False):
+    """... and where it is drawn, and what its curves are called."""
+
+    ax: Any
+    label: str | Sequence[str] | None
+
+
+OPTIONS = ("ax", "label", "title", "legend_loc", "rcParams", "show_legend")
+
+_TEXTS = {
+    "title": "str, optional\n    Title of the figure.",
+    "legend_loc": "str or False, optional\n    Place of the legend, as in matplotlib; False for none.",
+    "rcParams": "dict, optional\n    Matplotlib settings on top of `control.rcParams`.",
+    "show_legend": "bool, optional\n    Force the legend on or off.",
+}
+
+
+def picture(draw: Callable[P, T]) -> Callable[P, T]:
+    """Spell out the options that all pictures share, in the signature and in the docstring.
+
+    The function takes them as ``**options: Unpack[Options]`` (or `Look`), and documents `ax` and `label`.
+    """
+    own = inspect.signature(draw)
+    *named, options = own.parameters.values()
+    hints = Options.__annotations__ if "Options" in str(options.annotation) else Look.__annotations__
+    shared = [
+        inspect.Parameter(
+            name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=hints[name].__forward_arg__
+        )
+        for name in OPTIONS
+        if name in hints
+    ]
+    draw.__dict__["__signature__"] = own.replace(parameters=[*named, *shared])
+    doc = inspect.cleandoc(draw.__doc__ or "")
+    texts = [f"{name} : {text}\n" for name, text in _TEXTS.items() if f"\n{name} : " not in doc]
+    above, returns, below = doc.partition("\nReturns\n-------\n")
+    if "\nParameters\n" not in above:
+        above += "\nParameters\n----------\n"
+    draw.__doc__ = above + "".join(texts) + returns + below
+    return draw
+
+
+def _parameters(method: Any) -> Mapping[str, inspect.Parameter]:
+    return inspect.signature(method).parameters

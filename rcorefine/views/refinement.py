@@ -1,0 +1,60 @@
+"""Table and Bode plot of a `Refinement`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import control as ct
+from numpy.typing import ArrayLike
+
+from ..data.measurement import Measurement
+from ..inference.refinement import Refinement
+from .bode import bode
+from .figures import Frame, draws
+from .level_bode import level_bode
+from .tables import Table, Told, tells
+
+__all__ = ["plot_bode", "refinement_told"]
+
+
+@tells(Refinement)
+def refinement_told(found: Refinement) -> Told:
+    """The parameters, and what the figures mean."""
+    headers = ["parameter", "effect", "place", "initial", "value", "std", "unit"]
+    rows = [
+        [
+            row.name,
+            row.kind if row.name != row.kind else "",
+            row.place,
+            f"{row.initial:.5g}",
+            f"{row.value:.5g}",
+            f"{row.std:.2g}",
+            row.unit,
+        ]
+        for row in found.parameters
+    ]
+    title = f"Refinement of {found.physical_model.linear.name}"
+    return (
+        [f"Refinement of {found.physical_model.linear.name!r}"],
+        Table(headers, rows, title, found.sentences()),
+        found.sentences(),
+    )
+
+
+@draws(Refinement, "bode_plot")
+def plot_bode(
+    found: Refinement,
+    frame: Frame,
+    measured: Any = None,
+    omega: ArrayLike | None = None,
+    *,
+    levels: Sequence[float] | None = None,
+) -> ct.ControlPlot:
+    """Initial and refined model beside the measured response; see `Refinement.bode_plot`."""
+    if levels is not None:
+        return level_bode(found, levels, measured, omega, frame)
+    if isinstance(measured, Measurement):
+        measured = measured.frequency_response()
+    systems = [("initial", found.physical_model.system), ("refined", found.system)]
+    return bode(systems, measured, omega, frame)
