@@ -119,6 +119,8 @@ def plot_confirmation(confirmation: Confirmation, frame: Frame) -> ct.ControlPlo
     """Coefficients of each record alone, with 95 % intervals, one panel per coefficient."""
     count = len(confirmation.names)
     (name,) = frame.labels(["95 % interval"])
+    if frame.ax is not None and (given := np.asarray(frame.ax, dtype=object).size) != count:
+        raise ct.ControlDimension(f"ax holds {given} axes; there are {count} coefficients")
     with frame.axes([1.0], count, figsize=(2.2 + 2.8 * count, 3.2)) as (axes, lines):
         names = [
             f"{e.name}, {e.level:.2g} x input\nresidual p = {e.residual:.2g}" for e in confirmation.estimates

@@ -105,8 +105,7 @@ def report_diagnosis(found: Diagnosis, *, title: str | None, code: str | None) -
     ]
     samples = sum(r.n_samples for r in found.records)
     about = f"model {linear.name}, {len(found.records)} record(s), {samples} samples"
-    page = Page(title or f"Diagnosis of {linear.name}: {found.verdict}", about, answer, fine, sections)
-    return page
+    return Page(title or f"Diagnosis of {linear.name}: {found.verdict}", about, answer, fine, sections)
 
 
 def _ranking_rows(found: Diagnosis) -> list[list[str]]:
