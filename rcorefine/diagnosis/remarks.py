@@ -23,7 +23,7 @@ _OTHER_AMPLITUDE = 1.3  # rms of the inputs over that of another record
 _LAWS_OF_DIRECTION = frozenset({"coulomb_friction", "asymmetric_friction", "stribeck_friction", "hysteresis"})
 
 
-def amplitude_test(race: Race) -> tuple[float, str]:
+def amplitude_test(race: Race, level: float) -> tuple[float, str]:
     """Whether records of different amplitude agree on the coefficients of the winner.
 
     A law that only mimics the true one needs other coefficients at another amplitude.
@@ -32,6 +32,8 @@ def amplitude_test(race: Race) -> tuple[float, str]:
     ----------
     race : Race
         Race on several records.
+    level : float
+        p-value below which they are said to disagree.
 
     Returns
     -------
@@ -57,7 +59,7 @@ def amplitude_test(race: Race) -> tuple[float, str]:
     name = race.rivals[0].effect.label
     sentence = (
         f"Fitted alone at the smallest and the largest amplitude, {name} is {values} "
-        f"({'they disagree' if p_value < 0.005 else 'they agree'}, p = {p_value:.2g})."
+        f"({'they disagree' if p_value < level else 'they agree'}, p = {p_value:.2g})."
     )
     return p_value, sentence
 

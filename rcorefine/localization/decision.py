@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
+from ..inference.levels import levels
 from ..systems.linear import Array
 from .estimate import Joint
 
@@ -16,7 +17,6 @@ __all__ = ["Candidate", "Decision", "collinear_groups", "decide", "two_sided"]
 _COLLINEAR = 0.01  # eigenvalue of the unit-diagonal information below which a direction is one group
 _BLURRED = 0.05  # joint standard deviation over nominal above which a member cannot be told apart
 _MEMBER = 0.3  # share of such a direction above which a candidate belongs to it
-_RIVAL = 9.2  # twice the log-likelihood: odds of 100 to 1
 _APART = 15.0  # deviates by which a swap would worsen the fit, to first order, above which it is not tried
 
 
@@ -113,7 +113,7 @@ def decide(joint: Joint, candidates: list[Candidate], significance: float) -> De
     if len(kept) > 1 and joint.sparser(active, len(kept)) is not None:
         # the same response with fewer changes: decide there
         reached = joint.problem.cost(joint.point)
-        elsewhere = 2.0 * (level - reached) < _RIVAL * 2.0 * reached / joint.problem.n_points
+        elsewhere = 2.0 * (level - reached) < levels().rival * 2.0 * reached / joint.problem.n_points
         active[:] = True
         joint.fit(active, reweigh=True)
         dense = joint.point.copy()
@@ -286,7 +286,7 @@ def _swap(
                 joint.point[where[i]] = 0.0
                 cost = joint.fit(trial)
                 gain = 2.0 * (level - cost) / scale
-                if gain > -_RIVAL:
+                if gain > -levels().rival:
                     rivals[i].append(j)
                 if gain > 1e-6 and (better is None or gain > better[0]):
                     better = (gain, i, j, joint.point.copy())

@@ -15,6 +15,7 @@ from ...engine.observer import observer_gain
 from ...engine.structure import Structure
 from ...exceptions import DivergenceError
 from ...inference.fitted import evaluated
+from ...inference.levels import levels
 from ...inference.problem import Problem
 from ...inference.refinement import Refinement
 from ...inference.whitening import Whitener
@@ -24,7 +25,6 @@ from .sensors import with_sensor
 
 __all__ = ["Contender", "Plan", "Separation", "separation"]
 
-_DECIDED = 9.2  # twice the log-likelihood at which `diagnose` calls rivals separate
 _REFITS = 6  # Gauss-Newton steps of a rival towards what it is to imitate
 _PLAIN = 100.0  # squared distance at which rivals are separate beyond doubt
 _DRAWS = 4000
@@ -160,6 +160,7 @@ def separation(contenders: Sequence[Contender], plan: Plan, ratio: float = 0.0) 
     right = wrong = 0.0
     samples = plan.record.n_samples * sides[0].structure.n_outputs
     price = np.log(samples) if not plan.joined else np.log1p(samples / max(plan.before, 1))
+    decided = levels().rival
     for i, truth in enumerate(sides):
         if contenders[i].weight == 0:
             continue
@@ -177,8 +178,8 @@ def separation(contenders: Sequence[Contender], plan: Plan, ratio: float = 0.0) 
             lead = np.array([contenders[i].twice_log - contenders[j].twice_log for j in others])
         lead = lead + price * np.array([contenders[j].surplus - contenders[i].surplus for j in others])
         margins = _margins(own, fits) + lead
-        right += contenders[i].weight * float(np.mean((margins > _DECIDED).all(axis=1)))
-        wrong += contenders[i].weight * float(np.mean((margins < -_DECIDED).any(axis=1)))
+        right += contenders[i].weight * float(np.mean((margins > decided).all(axis=1)))
+        wrong += contenders[i].weight * float(np.mean((margins < -decided).any(axis=1)))
     return Separation(right, wrong, distances)
 
 

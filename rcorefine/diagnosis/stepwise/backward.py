@@ -8,11 +8,10 @@ import numpy as np
 
 from ...effects.effect import Effect
 from ...inference.refinement import Refinement
-from .selection import GAIN, WORSE, Ladder, coefficients_of, determined, same
+from .selection import Ladder, coefficients_of, determined, same
 
 __all__ = ["drop_needless", "drop_undetermined", "return_trust", "shorten", "swap_better"]
 
-_BETTER = 4.6  # log-likelihood by which a rival must win to be swapped in
 
 Cost = Callable[[Effect, Refinement], float]
 
@@ -38,9 +37,9 @@ def drop_needless(ladder: Ladder, choices: int, by_error: bool) -> bool:
 
     def in_error(effect: Effect, without: Refinement) -> float:
         fit, choose = ladder.parts.fit, ladder.parts.choose
-        return max(ladder.rise(without, choose), ladder.rise(without, fit, choose)) - GAIN * len(
-            effect.coefficients
-        )
+        return max(
+            ladder.rise(without, choose), ladder.rise(without, fit, choose)
+        ) - ladder.levels.earned * len(effect.coefficients)
 
     def in_likelihood(effect: Effect, without: Refinement) -> float:
         return 2 * ladder.gain(ladder.current, without) - ladder.price(choices) * len(effect.coefficients)
@@ -88,9 +87,9 @@ def swap_better(ladder: Ladder, library: list[Effect]) -> bool:
             continue
         row = found.ranking[0]
         after = [*(e for e in ladder.effects if e is not effect), row.effect]
-        if ladder.is_new(after) and ladder.gain(row.refinement, ladder.current) > _BETTER:
+        if ladder.is_new(after) and ladder.gain(row.refinement, ladder.current) > ladder.levels.swap:
             settled = ladder.refit(row.refinement)
-            if determined(after, settled) and ladder.share([row.effect], settled) > -WORSE:
+            if determined(after, settled) and ladder.share([row.effect], settled) > -ladder.levels.spoiled:
                 ladder.swap(effect, row.effect, settled, found.verdict)
                 swapped = True
     return swapped
@@ -106,7 +105,7 @@ def return_trust(ladder: Ladder) -> None:
     """
 
     def cost(effect: Effect, without: Refinement) -> float:
-        return ladder.rise(without, ladder.parts.choose) - GAIN * len(effect.coefficients)
+        return ladder.rise(without, ladder.parts.choose) - ladder.levels.earned * len(effect.coefficients)
 
     while ladder.on_trust:
         lost, effect, without = _cheapest(ladder, ladder.on_trust, cost)

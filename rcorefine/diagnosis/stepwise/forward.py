@@ -8,7 +8,7 @@ from ...effects.effect import Effect
 from ...inference.refinement import Refinement
 from ..candidate_fits import Race
 from ..result import Diagnosis
-from .selection import GAIN, WORSE, Choice, Ladder, coefficients_of, determined, same
+from .selection import Choice, Ladder, coefficients_of, determined, same
 
 __all__ = ["climb"]
 
@@ -67,13 +67,15 @@ def _one(ladder: Ladder, found: Diagnosis, race: Race, choices: int) -> Choice |
             if settled is None:
                 continue
             saved, alone = ladder.share((row.effect,), settled), found.verdict == "effect"
-            if saved > (-np.inf if alone else -WORSE):
-                return Choice((row.effect,), settled, not alone and saved < GAIN, found.ambiguous)
+            if saved > (-np.inf if alone else -ladder.levels.spoiled):
+                return Choice(
+                    (row.effect,), settled, not alone and saved < ladder.levels.earned, found.ambiguous
+                )
     for effect, refinement, ties in _by_error(ladder, race):
-        if ladder.share((effect,), refinement) < GAIN:
+        if ladder.share((effect,), refinement) < ladder.levels.earned:
             continue
         settled = _settled(ladder, (effect,), refinement)
-        if settled is not None and ladder.share((effect,), settled) >= GAIN:
+        if settled is not None and ladder.share((effect,), settled) >= ladder.levels.earned:
             ladder.by_error = True
             return Choice((effect,), settled, ties=ties)
     if found.verdict == "adequate":
@@ -81,7 +83,7 @@ def _one(ladder: Ladder, found: Diagnosis, race: Race, choices: int) -> Choice |
     top = found.ranking[0]
     if 2 * ladder.gain(top.refinement, ladder.current) > ladder.price(choices) * len(top.coefficients):
         settled = _settled(ladder, (top.effect,), top.refinement)
-        if settled is not None and ladder.share((top.effect,), settled) > -WORSE:
+        if settled is not None and ladder.share((top.effect,), settled) > -ladder.levels.spoiled:
             return Choice((top.effect,), settled, True, found.ambiguous)
     return None
 
@@ -95,8 +97,8 @@ def _pair(ladder: Ladder, race: Race, rest: list[Effect]) -> Choice | None:
         for two, both in second.in_free_run(_TRIED) if second is not None else []:
             found.append((ladder.share((one, two), both), (one, two), both))
     for saved, pair, both in sorted(found, key=lambda row: -row[0])[:_REFITTED]:
-        settled = _settled(ladder, pair, both) if saved >= GAIN else None
-        if settled is not None and ladder.share(pair, settled) >= GAIN:
+        settled = _settled(ladder, pair, both) if saved >= ladder.levels.earned else None
+        if settled is not None and ladder.share(pair, settled) >= ladder.levels.earned:
             ladder.by_error = True
             return Choice(pair, settled)
     return None
@@ -123,7 +125,7 @@ def _by_error(ladder: Ladder, race: Race) -> list[tuple[Effect, Refinement, tupl
     for effect, refinement in race.in_free_run(_TRIED):
         size = max(len(coefficients_of(effect, refinement)), 1)
         saved = -ladder.rise(refinement, parts.fit, parts.choose) / size
-        if saved > GAIN and ladder.is_new([*ladder.effects, effect]):
+        if saved > ladder.levels.earned and ladder.is_new([*ladder.effects, effect]):
             rows.append((saved, effect, refinement))
     rows = sorted(rows, key=lambda row: -row[0])[: 2 * _REFITTED]
     if not rows:

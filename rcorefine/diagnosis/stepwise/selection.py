@@ -14,6 +14,7 @@ from ...data.measurement import Measurement
 from ...effects.effect import Effect
 from ...exceptions import DataError, DivergenceError
 from ...inference.fitted import fitted_from
+from ...inference.levels import levels
 from ...inference.refinement import Refinement
 from ...inference.whitening import Whitener
 from ...inference.windows import windows
@@ -28,10 +29,8 @@ from ..result import Diagnosis
 from .improvement import Step
 from .parts import Parts
 
-__all__ = ["GAIN", "WORSE", "Choice", "Ladder", "coefficients_of", "determined", "same"]
+__all__ = ["Choice", "Ladder", "coefficients_of", "determined", "same"]
 
-GAIN = 0.05  # log of the error on the choosing part that each coefficient must earn
-WORSE = 0.02  # the same that a step for the sake of likelihood may cost there
 
 Key = frozenset[tuple[str, str]]
 
@@ -94,6 +93,7 @@ class Ladder:
     ) -> None:
         self.parts, self.free, self.settings = parts, free, settings
         self.significance, self.progress = significance, progress
+        self.levels = levels()
         with progress.step("model as it is"):
             start = refine(model, parts.fit, free=free, **settings)
         still = no_motion(parts.fit)

@@ -1,0 +1,153 @@
+"""The winner of the candidate fits before the tests, and what may be wrong where it fails them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..exceptions import ModelError
+from ..inference.sensitivities import Candidate, candidate_columns
+from ..inference.starts import Motion
+from ..inference.whitening import FTest
+from .candidate_fits import Race, run_race
+from .case import OBSERVERS, Case, not_held
+from .residual_tests import Battery, run_battery
+from .unmeasured_force import likely_forces
+from .verdict import overall
+
+__all__ = ["Judged", "beside_force", "judge", "outweighs", "pair_hint", "second_chance"]
+
+_PAIRS = 3  # seconds that are tried for a hint
+
+
+@dataclass(eq=False)
+class Judged:
+    """Candidate fits, and the tests of the winner's residual.
+
+    Attributes
+    ----------
+    race : Race
+        The fits.
+    tests : list of FTest
+        Tests of the winner's residual; none where they could not be done.
+    passed : bool
+        Whether that residual is noise.
+    """
+
+    race: Race
+    tests: list[FTest]
+    passed: bool
+
+
+def judge(case: Case, race: Race) -> Judged:
+    """The winner's residual through the tests that the model itself went through."""
+    fitted = race.model()
+    rest = not_held(case.library, fitted.structure.effects)
+    moved = [Motion(fitted.structure, fitted.theta, motion.data) for motion in case.motions]
+    try:
+        scored = candidate_columns(fitted, rest, moved[0], (race.ratio,))
+        tests = run_battery(Battery(fitted, race.ratio), scored, moved)
+    except ModelError:  # its linear model runs away within one sample: what cannot be tested has not passed
+        return Judged(race, [], False)
+    return Judged(race, tests, case.passes(tests, fitted))
+
+
+def outweighs(judged: Judged, forced: Battery, price: float) -> bool:
+    """Whether a winner that passes is likelier than an unmeasured force alone."""
+    if not judged.passed:
+        return False
+    own = Battery(judged.race.model(), judged.race.ratio).log_likelihood
+    return own >= forced.log_likelihood + price
+
+
+def beside_force(case: Case, first: Judged) -> Judged | None:
+    """The candidates with an unmeasured force beside them, where the winner then passes."""
+    race, levels = first.race, case.levels
+    winner = race.model()
+    if case.excess(winner) > levels.noise_excess:
+        return None
+    likely = likely_forces(winner, Battery(winner), levels.force_beside, levels)[:2]
+    moved = [Motion(winner.structure, winner.theta, m.data) for m in case.motions] if likely else []
+    for led in likely:
+        if overall(run_battery(led, [], moved)) < levels.hopeless:
+            continue  # no refit mends that, and all candidates take long
+        again = run_race(race.fitted.forced(led.fitted.force_at), [], led.ratio, entered=race.rivals)
+        if again is not None:
+            judged = judge(case, again)
+            if judged.passed:
+                return judged
+    return None
+
+
+def second_chance(case: Case, first: Judged, scored: Sequence[Candidate], chosen: Sequence[int]) -> Judged:
+    """What may be wrong when the winner fails: an unmeasured force, a stuck fit, a name left out.
+
+    Parameters
+    ----------
+    case : Case
+        What is asked.
+    first : Judged
+        The winner that failed.
+    scored : sequence of Candidate
+        All candidates.
+    chosen : sequence of int
+        Those that were fitted.
+
+    Returns
+    -------
+    Judged
+        One that passes, or the last that failed.
+    """
+    beside = beside_force(case, first)
+    if beside is not None:
+        return beside
+    race, fitted = first.race, first.race.fitted
+    rest = [c for i, c in enumerate(scored) if i not in set(chosen)]
+    again = run_race(fitted, rest, entered=race.rivals, progress=case.progress)
+    if again is not None and _ahead(again, race):
+        judged = judge(case, again)
+        if judged.passed:
+            return judged
+        first, race = judged, again
+    if not case.thorough:
+        return Judged(again, first.tests, False) if again is not None else first
+    # what the winner's own residual points at counts among those that may be stuck
+    pointed = [c for c in scored if any(t.name == f"library (most: {c.effect.label})" for t in first.tests)]
+    stuck = list(dict.fromkeys([*(r.candidate for r in race.rivals[:3]), *pointed]))
+    again = run_race(fitted, stuck, entered=race.rivals, thorough=True, progress=case.progress)
+    if again is not None and _ahead(again, race):
+        judged = judge(case, again)
+        if judged.passed:
+            return judged
+    return first
+
+
+def pair_hint(case: Case, judged: Judged, scored: Sequence[Candidate]) -> list[str]:
+    """Whether the winner and one effect more would pass: flexible, so a hint and no verdict."""
+    race = judged.race
+    fitted = race.model()
+    first = race.rivals[0].effect
+    rest = not_held([c.effect for c in scored], [first])
+    if not rest:
+        return []
+    second = candidate_columns(fitted, rest, case.motions[0], (0.0, *OBSERVERS))
+    tests = Battery(fitted).each(second)
+    order = np.argsort([t.p_value for t in tests], kind="stable")[:_PAIRS]
+    pair = run_race(fitted, [second[i] for i in order], race.ratio)
+    if pair is None or not judge(case, pair).passed:
+        return []
+    return [
+        f"A pair would pass every test: {first.label} with {pair.rivals[0].effect.label}. Pairs are flexible "
+        "enough to mimic what they are not; a record at another amplitude would tell."
+    ]
+
+
+def _ahead(again: Race, before: Race) -> bool:
+    """Whether candidate fits ended elsewhere than before: another winner, or the same one higher."""
+    if again.rivals[0].effect != before.rivals[0].effect:
+        return True
+    # each has a filter of its own, so their levels are what compares
+    scales = np.log(before.whitener.scales) - np.log(again.whitener.scales)
+    return float(again.fitted.problem.n_points * np.mean(scales)) > 1.0

@@ -1,0 +1,84 @@
+"""The figures of a diagnosis: a row for each candidate, and what an adequate model would have shown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from ..comparison.compare import compare
+from ..data.measurement import Measurement
+from ..inference.levels import Levels
+from ..inference.refinement import Refinement
+from ..inference.sensitivities import Candidate
+from ..inference.whitening import project
+from .candidate_fits import Race
+from .residual_tests import Battery
+from .result import Detectable, RankedEffect
+
+__all__ = ["detectable", "ranking"]
+
+
+def ranking(
+    race: Race,
+    p_values: Sequence[float],
+    probabilities: Any,
+    base: Refinement,
+    validation: Measurement | None,
+    horizon: float | None,
+) -> tuple[RankedEffect, ...]:
+    """A row for each candidate, in the order of the fits."""
+    before = _validated(base, validation, horizon)
+    rows = []
+    for i, (rival, p, probability) in enumerate(zip(race.rivals, p_values, probabilities, strict=True)):
+        refinement = race.model(i).refinement
+        own = [
+            row
+            for row in refinement.parameters
+            if row.kind == rival.effect.kind and row.place == rival.effect.place
+        ]
+        names = [name for name in rival.effect.coefficients if name not in rival.effect.fixed]
+        rows.append(
+            RankedEffect(
+                effect=rival.effect,
+                coefficients={n: row.coefficient for n, row in zip(names, own, strict=True)},
+                std={n: row.std for n, row in zip(names, own, strict=True)},
+                fit_before=before,
+                fit_after=_validated(refinement, validation if i < 8 else None, horizon),
+                p_value=float(p),
+                probability=float(probability),
+                log_likelihood_gain=rival.log_likelihood - race.base_log_likelihood,
+                refinement=refinement,
+            )
+        )
+    return tuple(rows)
+
+
+def _validated(refinement: Refinement, validation: Measurement | None, horizon: float | None) -> float:
+    """Mean fit on the validation record, or on the fitted one where there is none."""
+    if validation is None:
+        return float(np.mean(refinement.fit))
+    return float(np.mean(compare(refinement, validation, horizon=horizon).fit))
+
+
+def detectable(
+    battery: Battery, scored: Sequence[Candidate], significance: float, levels: Levels
+) -> tuple[Detectable, ...]:
+    """Smallest coefficient of each one-coefficient candidate that the library test would have shown."""
+    level = stats.norm.isf(significance / (2 * 6 * max(len(scored), 1))) + levels.power
+    found = []
+    for candidate in scored:
+        if len(candidate.effect.coefficients) != 1 or len(candidate.starts) != 1:
+            continue
+        white = battery.whiten(candidate.columns[battery.ratio])
+        column = project(white[:, 0], battery.basis)
+        size = float(np.linalg.norm(column))
+        if size > 1e-9 * max(float(np.linalg.norm(white[:, :1])), 1e-300):
+            parameter = candidate.problem.structure.parameters[-1]
+            unit = candidate.problem.structure.unit(parameter)
+            # more where the column is large on samples that are noisier than the rest
+            spread = max(1.0, float(np.linalg.norm(column * battery.left)) / size)
+            found.append(Detectable(candidate.effect, parameter.name, level * spread / size, unit))
+    return tuple(found)

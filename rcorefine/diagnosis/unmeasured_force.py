@@ -1,0 +1,96 @@
+"""A force that nobody measured, of unknown size, at the inputs or everywhere, as the cause of a residual."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..inference.fitted import Fitted
+from ..inference.levels import Levels
+from ..inference.sensitivities import Candidate, candidate_columns
+from ..inference.whitening import FTest
+from .case import Case
+from .residual_tests import Battery, run_battery
+from .verdict import overall
+
+__all__ = ["Explained", "explaining_force", "likely_forces"]
+
+_SIZES = (0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.128)  # over the measured force
+_AT = ("everywhere", "inputs")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Explained:
+    """A residual that an unmeasured force explains.
+
+    Attributes
+    ----------
+    battery : Battery
+        The residual led by the force.
+    scored : list of Candidate
+        Columns of the candidates on it.
+    tests : list of FTest
+        What it passed.
+    """
+
+    battery: Battery
+    scored: list[Candidate]
+    tests: list[FTest]
+
+
+def likely_forces(fitted: Fitted, free_run: Battery, least: float, levels: Levels) -> list[Battery]:
+    """The residual led by each unmeasured force that it may speak of, the likeliest first.
+
+    Parameters
+    ----------
+    fitted : Fitted
+        Model at its minimum.
+    free_run : Battery
+        Its residual without such a force.
+    least : float
+        Log-likelihood that the force must earn.
+    levels : Levels
+        Of the size.
+
+    Returns
+    -------
+    list of Battery
+        Empty where none earns as much.
+    """
+    found: list[Battery] = []
+    for at in _AT:
+        top = -np.inf
+        for ratio in _SIZES:
+            try:
+                led = Battery(fitted.forced(at), ratio)
+            except (np.linalg.LinAlgError, ValueError):
+                continue
+            if np.isfinite(led.log_likelihood):
+                found.append(led)
+                top = max(top, led.log_likelihood)
+            if not led.log_likelihood >= top - 3 * levels.force_size:
+                break  # it only falls from here
+    best = max((led.log_likelihood for led in found), default=-np.inf)
+    if best <= free_run.log_likelihood + least:
+        return []
+    near = [led for led in found if led.log_likelihood >= best - levels.force_size]
+    return sorted(near, key=lambda led: -led.log_likelihood)
+
+
+def explaining_force(case: Case, free_run: Battery) -> Explained | None:
+    """The likeliest unmeasured force beside which every test passes, if one does.
+
+    How strong it is, and where, is not known: it explains the residual if one likely force does.
+    """
+    if case.excess(case.fitted) > case.levels.noise_excess:
+        return None
+    likely = likely_forces(case.fitted, free_run, case.levels.force, case.levels)
+    for led in case.progress.over(likely, "unmeasured force"):
+        if overall(run_battery(led, [], case.motions)) < case.significance:
+            continue  # the library cannot mend what fails without it
+        scored = candidate_columns(led.fitted, case.library, case.motions[0], (led.ratio,))
+        tests = run_battery(led, scored, case.motions)
+        if overall(tests) >= case.significance:
+            return Explained(led, scored, tests)
+    return None

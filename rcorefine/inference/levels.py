@@ -1,0 +1,99 @@
+"""The levels of every decision, each with its statistic, what that is by chance, and what follows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import control as ct
+
+__all__ = ["Levels", "levels"]
+
+
+@dataclass(frozen=True, slots=True)
+class Levels:
+    """Levels at which tests and likelihoods decide.
+
+    Each may be changed for a session: ``control.config.defaults["rcorefine.rival"] = 6.0``.
+    The level of the tests themselves is the argument `significance` of `diagnose` and `improve`.
+
+    Attributes
+    ----------
+    noise_excess : float
+        Residual over the declared noise, 1 by chance. Beyond it no color of the noise excuses
+        the residual: the model is not adequate.
+    rival : float
+        Twice the log-likelihood between two candidates, chi-squared of one degree of freedom by
+        chance. Within it they are tied; 9.2 are odds of 100 to 1.
+    disagree : float
+        p-value of Wald's test that two amplitudes ask for the same coefficients, uniform by
+        chance. Below it the law only mimics the true one: unexplained.
+    power : float
+        Standard deviations, normal by chance, that an effect must have beyond the test's own
+        level to be promised as visible; 1.645 are 95 %.
+    force : float
+        Log-likelihood that an unmeasured force must earn over none, or an effect over such a
+        force. Below it the simpler one stands.
+    force_beside : float
+        The same beside an effect that fails without it, where the tests decide.
+    force_size : float
+        Log-likelihood within which another size of that force is as good.
+    hopeless : float
+        p-value of a model beside an unmeasured force, uniform by chance. Below it no fit of
+        the candidates beside that force is tried.
+    swap : float
+        Log-likelihood by which a candidate must win to take another one's place in a model;
+        4.6 are odds of 100 to 1.
+    earned : float
+        Log of the error on the choosing part, about 0 by chance, that each coefficient must
+        save to be added by `improve`.
+    spoiled : float
+        The same that a step for the sake of likelihood may cost there.
+    """
+
+    noise_excess: float = 1.2
+    rival: float = 9.2
+    disagree: float = 0.005
+    power: float = 1.645
+    force: float = 15.0
+    force_beside: float = 3.0
+    force_size: float = 6.0
+    hopeless: float = 1e-9
+    swap: float = 4.6
+    earned: float = 0.05
+    spoiled: float = 0.02
+
+
+def levels() -> Levels:
+    """The levels in force: the defaults, and what ``control.config`` says otherwise.
+
+    Returns
+    -------
+    Levels
+
+    Raises
+    ------
+    ControlArgument
+        If ``control.config`` holds a level that there is none of, or that is no positive number.
+
+    Examples
+    --------
+    >>> import control as ct
+    >>> from rcorefine.inference.levels import levels
+    >>> levels().rival
+    9.2
+    >>> ct.config.defaults["rcorefine.rival"] = 6.0
+    >>> levels().rival
+    6.0
+    >>> del ct.config.defaults["rcorefine.rival"]
+    """
+    prefix = "rcorefine."
+    given = {k.removeprefix(prefix): v for k, v in ct.config.defaults.items() if k.startswith(prefix)}
+    known = [field.name for field in fields(Levels)]
+    for name, value in given.items():
+        if name not in known:
+            raise ct.ControlArgument(f"control.config holds rcorefine.{name}; there is {', '.join(known)}")
+        if not isinstance(value, (int, float)) or isinstance(value, bool) or not value > 0:
+            raise ct.ControlArgument(
+                f"rcorefine.{name} in control.config is {value!r}; give a positive number"
+            )
+    return Levels(**given)

@@ -1,0 +1,71 @@
+"""The verdict as a function of tests, likelihoods and levels."""
+
+from __future__ import annotations
+
+import control as ct
+import numpy as np
+import pytest
+from scipy import stats
+
+from rcorefine.diagnosis.verdict import overall, passes, probabilities, tied, verdict
+from rcorefine.inference.levels import Levels, levels
+from rcorefine.inference.whitening import FTest
+
+
+def f_tests(*p_values: float, equal: float = 1.0) -> list[FTest]:
+    return [FTest("x", 1.0, 1, p, 1.0, equal) for p in p_values]
+
+
+def test_the_smallest_of_several_tests_counts_as_often_as_there_are_tests() -> None:
+    assert overall(f_tests(0.2, 0.01, 0.5)) == pytest.approx(0.03)
+    assert overall(f_tests(0.9, 0.8)) == 1.0
+    assert overall([*f_tests(0.2), FTest("nothing to test", 0.0, 0, 1e-9, 0.0, 1.0)]) == pytest.approx(0.2)
+    assert overall([]) == 1.0
+    assert overall(f_tests(0.9, 0.8, equal=1e-4), equal=True) == pytest.approx(2e-4)
+
+
+def test_chance_fails_as_often_as_the_level_says() -> None:
+    rng = np.random.default_rng(1)
+    failed = sum(not passes(f_tests(*rng.random(6)), 0.0, 0.05, Levels()) for _ in range(2000))
+    assert failed <= stats.binom.ppf(0.999, 2000, 0.05)
+
+
+def test_a_residual_beyond_the_declared_noise_is_no_noise() -> None:
+    assert passes(f_tests(0.5), 1.19, 0.01, Levels())
+    assert not passes(f_tests(0.5), 1.21, 0.01, Levels())
+
+
+def test_odds_of_a_hundred_to_one_end_a_tie() -> None:
+    values = [0.0, -np.log(99.0), -np.log(101.0), -np.log(101.0)]
+    assert tied(values, [0.0, 0.0, 0.0, 0.1], Levels()) == [0, 1, 3]  # the last is not at its minimum
+    assert probabilities(values[:2]) == pytest.approx([0.99, 0.01])
+
+
+@pytest.mark.parametrize(
+    ("passed", "agreement", "ties", "word"),
+    [
+        (True, 1.0, 1, "effect"),
+        (True, 1.0, 2, "ambiguous"),
+        (False, 1.0, 1, "unexplained"),
+        (True, 0.004, 1, "unexplained"),
+        (True, 0.006, 1, "effect"),
+    ],
+)
+def test_what_follows(passed: bool, agreement: float, ties: int, word: str) -> None:
+    assert verdict(passed, agreement, ties, Levels()) == word
+
+
+def test_levels_of_a_session() -> None:
+    ct.config.defaults["rcorefine.rival"] = 6.0
+    try:
+        assert levels().rival == 6.0
+        ct.config.defaults["rcorefine.rivals"] = 6.0
+        with pytest.raises(ct.ControlArgument, match="rcorefine.rivals; there is noise_excess"):
+            levels()
+        ct.config.defaults.pop("rcorefine.rivals")
+        ct.config.defaults["rcorefine.rival"] = "much"
+        with pytest.raises(ct.ControlArgument, match="positive number"):
+            levels()
+    finally:
+        for name in ("rcorefine.rival", "rcorefine.rivals"):
+            ct.config.defaults.pop(name, None)
