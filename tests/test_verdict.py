@@ -20,7 +20,7 @@ def test_the_smallest_of_several_tests_counts_as_often_as_there_are_tests() -> N
     assert overall(f_tests(0.2, 0.01, 0.5)) == pytest.approx(0.03)
     assert overall(f_tests(0.9, 0.8)) == 1.0
     assert overall([*f_tests(0.2), FTest("nothing to test", 0.0, 0, 1e-9, 0.0, 1.0)]) == pytest.approx(0.2)
-    assert overall([]) == 1.0
+    assert overall([]) == 0.0  # what was not tested has not passed
     assert overall(f_tests(0.9, 0.8, equal=1e-4), equal=True) == pytest.approx(2e-4)
 
 

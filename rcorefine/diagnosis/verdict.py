@@ -25,9 +25,10 @@ def overall(tests: Sequence[FTest], equal: bool = False) -> float:
     Returns
     -------
     float
+        0 where nothing could be tested: what was not tested has not passed.
     """
     valid = [t.p_equal if equal else t.p_value for t in tests if t.dof]
-    return min(1.0, min(valid, default=1.0) * len(valid))
+    return min(1.0, min(valid) * len(valid)) if valid else 0.0
 
 
 def passes(tests: Sequence[FTest], excess: float, significance: float, levels: Levels) -> bool:
