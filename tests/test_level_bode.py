@@ -461,7 +461,7 @@ def test_level_bode_keywords(refined):
 @pytest.mark.parametrize("kind", ["coulomb_friction", "clearance", "stribeck_friction", "hysteresis"])
 def test_kernels_are_the_same_compiled_or_not(kind):
     """One source; and a whole turn of Dahl's law leaves the inner state where it began."""
-    from rcorefine.effects.kernel import CODES
+    from rcorefine.effects.law import KINDS
     from rcorefine.engine.periods import dahl_over_period, law_over_period
 
     turn = 2 * np.pi * np.arange(64) / 64
@@ -470,23 +470,23 @@ def test_kernels_are_the_same_compiled_or_not(kind):
     if kind == "hysteresis":
         plain = getattr(dahl_over_period, "py_func", dahl_over_period)
         for one, two in zip(
-            dahl_over_period(CODES[kind], d, p, 0.3, np.zeros(64)),
-            plain(CODES[kind], d, p, 0.3, np.zeros(64)),
+            dahl_over_period(KINDS[kind].number, d, p, 0.3, np.zeros(64)),
+            plain(KINDS[kind].number, d, p, 0.3, np.zeros(64)),
             strict=True,
         ):
             assert np.allclose(one, two, rtol=1e-12, atol=1e-14)
-        f, by, end, _, left = plain(CODES[kind], d, p, 0.0, np.zeros(64))
+        f, by, end, _, left = plain(KINDS[kind].number, d, p, 0.0, np.zeros(64))
         start = end / (1 - left)
-        assert plain(CODES[kind], d, p, start, np.zeros(64))[2] == pytest.approx(start, rel=1e-10)
+        assert plain(KINDS[kind].number, d, p, start, np.zeros(64))[2] == pytest.approx(start, rel=1e-10)
         step = np.zeros(64)
         step[20] = 1e-7
-        moved = plain(CODES[kind], d + step, p, 0.0, np.zeros(64))[0]
+        moved = plain(KINDS[kind].number, d + step, p, 0.0, np.zeros(64))[0]
         assert (moved - f) / 1e-7 == pytest.approx(by[:, 20], rel=1e-4, abs=1e-4)
     else:
         plain = getattr(law_over_period, "py_func", law_over_period)
         assert np.allclose(
-            law_over_period(CODES[kind], d, v, p, 0.01),
-            plain(CODES[kind], d, v, p, 0.01),
+            law_over_period(KINDS[kind].number, d, v, p, 0.01),
+            plain(KINDS[kind].number, d, v, p, 0.01),
             rtol=1e-12,
             atol=1e-14,
         )

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..effects.effect import Effect
-from ..effects.kernel import JUMPING
 from ..inference.fitted import Fitted
 from ..inference.gauss_newton import descend, lacking
 from ..inference.refinement import Refinement
@@ -44,7 +43,6 @@ _POLISHED = (60.0, 0.02)  # twice the log-likelihood behind the best, plus that 
 _NEAR = 60.0  # twice the log-likelihood behind the leader within which rivals get its substeps
 _STEP_SHARE = 0.25  # of a standard deviation that halving the substep may shift a coefficient
 _MOST_HALVINGS = 4
-_TURNING = JUMPING | {"hysteresis"}
 
 
 @dataclass(eq=False)
@@ -248,7 +246,7 @@ def _settle_widths(
 ) -> Whitener:
     """Where friction leads, the width over which each law of friction there turns over."""
     leader = min(polished, key=lambda r: r.descent.cost)
-    if leader.effect.kind not in _TURNING:
+    if not leader.effect.spec.turns:
         return whitener
     for rival in rivals:
         if rival.effect.place == leader.effect.place:

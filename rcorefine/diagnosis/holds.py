@@ -10,6 +10,7 @@ import numpy as np
 
 from ..data.measurement import HOLDS, Measurement
 from ..effects.effect import Effect
+from ..effects.input_path import InputDelay, InputLag
 from ..engine.structure import Structure
 from ..exceptions import DivergenceError
 from ..inference.assembly import assemble, unfold
@@ -86,10 +87,10 @@ def floating_error(
     physical, kept = unfold(model)
     dt, tolerance = records[0].dt, settings.get("tolerance", 0.0) or _TRUST
     slow = [
-        Effect(kind, place, start={name: share * dt})
+        Effect(law.name, place, start={law.coefficients[0].name: share * dt})
         for place in physical.linear.input_labels
-        for kind, name, share in (("input_delay", "delay", _DELAY), ("input_lag", "time_constant", _LAG))
-        if late and not any((e.kind, e.place) == (kind, place) for e, _ in kept)
+        for law, share in ((InputDelay, _DELAY), (InputLag, _LAG))
+        if late and not any((e.kind, e.place) == (law.name, place) for e, _ in kept)
     ]
     chosen = assemble(physical, kept, slow, "linear", tolerance, [])
     structure = Structure(replace(physical, hold=hold), [e for e, _ in chosen], constants=model.constants)

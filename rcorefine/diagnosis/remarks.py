@@ -20,7 +20,6 @@ __all__ = ["amplitude_test", "fit_remarks", "remarks"]
 
 _SHOWN = 8  # rows of the ranking that are printed
 _OTHER_AMPLITUDE = 1.3  # rms of the inputs over that of another record
-_LAWS_OF_DIRECTION = frozenset({"coulomb_friction", "asymmetric_friction", "stribeck_friction", "hysteresis"})
 
 
 def amplitude_test(race: Race, level: float) -> tuple[float, str]:
@@ -126,7 +125,7 @@ def remarks(race: Race, scored: Sequence[Candidate], batteries: Sequence[Battery
     best = race.rivals[0].effect
     fitted = race.model()
     ports = {port.name for port in fitted.structure.model.ports}
-    if best.kind in _LAWS_OF_DIRECTION and best.place in ports:
+    if best.spec.turns and best.place in ports:
         v = np.concatenate([fitted.port(best.place, 0.0, i)[1] for i in range(len(fitted.problem.records))])
         if v.min() >= 0 or v.max() <= 0:
             said.append(

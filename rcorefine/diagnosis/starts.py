@@ -176,7 +176,7 @@ def imitated(giver: Candidate, point: Array, taker: Candidate) -> list[Array]:
     list of ndarray
         The best imitation, empty where either is no force at a port or nothing moves.
     """
-    problem, kind = giver.problem, taker.effect.kind
+    problem = giver.problem
     names = {port.name for port in problem.structure.model.ports}
     if taker.effect.place != giver.effect.place or taker.effect.place not in names:
         return []
@@ -190,8 +190,11 @@ def imitated(giver: Candidate, point: Array, taker: Candidate) -> list[Array]:
         x, w = run.states[: port.act.size], engine.data.inputs
         ds.append(port.position @ x + port.position_input @ w)
         vs.append(port.velocity @ x + port.velocity_input @ w)
-        if giver.effect.kind in ("stiffness", "damping"):
-            forces.append(theta[-1] * (ds if giver.effect.kind == "stiffness" else vs)[-1])
+        if giver.effect.spec.is_element:
+            unit = unit_forces(giver.effect, ds[-1], vs[-1], [])
+            if unit is None:
+                return []
+            forces.append(theta[-1] * unit[0])
         elif (
             problem.structure.port_effects
             and problem.structure.port_effects[-1] == len(problem.structure.effects) - 1
@@ -208,13 +211,7 @@ def imitated(giver: Candidate, point: Array, taker: Candidate) -> list[Array]:
     full[:, :n] = starts[:, :n]
     best: tuple[float, Array] | None = None
     for shape in _shapes(taker, float(np.sqrt(np.mean(d**2)))):
-        columns = (
-            [d]
-            if kind == "stiffness"
-            else [v]
-            if kind == "damping"
-            else unit_forces(taker.effect, d, v, [shape])
-        )
+        columns = unit_forces(taker.effect, d, v, [shape])
         if columns is None:
             return []
         free = [name for name in taker.effect.free if name not in shape]
@@ -235,7 +232,7 @@ def _shapes(taker: Candidate, rms: float) -> Iterator[dict[str, float]]:
     problem = taker.problem
     p = taker.fitted.problem.n_theta
     own = [q.name for q in problem.structure.parameters[p:]]
-    shaping = [name for name in own if name in ("gap", "displacement", "velocity", "threshold")]
+    shaping = [name for name in own if name in taker.effect.spec.shaping]
     for start in taker.starts:
         yield {name: float(start[p + own.index(name)]) for name in shaping}
     for name in shaping:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..effects.kernel import JUMPING
 from ..inference.gauss_newton import Descent, descend
 from ..inference.sensitivities import Candidate
 from ..inference.whitening import Whitener
@@ -43,7 +42,7 @@ def settled_width(
     run : Descent
     """
     effect = candidate.effect
-    if effect.kind not in JUMPING or "width" in effect.fixed:
+    if not effect.spec.jumps or "width" in effect.fixed:
         return candidate, run
 
     def polished(other: Candidate, point: Array) -> Descent:

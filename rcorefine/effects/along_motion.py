@@ -43,6 +43,8 @@ def unit_forces(effect: Effect, d: Array, v: Array, shapes: list[dict[str, float
 
 
 _SIMPLE = {
+    "stiffness": lambda d, v: [d],
+    "damping": lambda d, v: [v],
     "cubic_stiffness": lambda d, v: [d**3],
     "quadratic_stiffness": lambda d, v: [d * d],
     "bilinear_stiffness": lambda d, v: [np.maximum(d, 0.0)],

@@ -10,7 +10,7 @@ import control as ct
 
 from ..arguments import as_choice, as_list, as_mapping, as_number, as_text, shown
 from ..exceptions import ModelError
-from .law import KINDS, Kind
+from .law import KINDS, Law
 
 __all__ = ["Effect", "as_effects", "describe_effects"]
 
@@ -154,8 +154,8 @@ class Effect:
             )
 
     @property
-    def spec(self) -> Kind:
-        """Entry of the catalogue `KINDS`."""
+    def spec(self) -> Law:
+        """Law of the catalogue `KINDS`."""
         return KINDS[self.kind]
 
     @property

@@ -14,30 +14,9 @@ from typing import Final
 
 from ..jit import compiled
 
-__all__ = ["CODES", "JUMPING", "MAX_COEFFICIENTS", "NEEDS_WIDTH", "evaluate_law"]
+__all__ = ["MAX_COEFFICIENTS", "evaluate_law"]
 
 MAX_COEFFICIENTS: Final = 4
-
-CODES: Final = {
-    "custom": 0,
-    "cubic_stiffness": 1,
-    "quadratic_stiffness": 2,
-    "bilinear_stiffness": 3,
-    "clearance": 4,
-    "coulomb_friction": 5,
-    "asymmetric_friction": 6,
-    "asymmetric_damping": 7,
-    "stribeck_friction": 8,
-    "quadratic_damping": 9,
-    "cubic_damping": 10,
-    "hysteresis": 11,
-    "sqrt_flow": 12,
-    "threshold_flow": 13,
-}
-
-# Laws that need a small scale of their own: sgn(v), and the slope of sqrt at zero.
-JUMPING: Final = frozenset({"coulomb_friction", "asymmetric_friction", "stribeck_friction"})
-NEEDS_WIDTH: Final = JUMPING | {"sqrt_flow"}
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""The catalogue of effects: laws, coefficients, units, bounds, words.
+"""What a law is: its words, its coefficients, and all that the rest of the package asks of it.
 
 Sign convention at a port: f is the resisting force, so a positive
 coefficient means more resistance (stiffness, damping, friction), and damage is
@@ -7,12 +7,32 @@ negative.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
 from types import MappingProxyType
+from typing import Any, ClassVar, Protocol, TypeVar
 
-__all__ = ["KINDS", "Coefficient", "Kind"]
+from numpy.typing import NDArray
+
+from ..systems.linear import Array
+
+__all__ = [
+    "KINDS",
+    "AbsorbedLaw",
+    "Assembly",
+    "Coefficient",
+    "InputLaw",
+    "Law",
+    "OutputLaw",
+    "PortLaw",
+    "Seen",
+    "Site",
+    "nominal_is_left",
+    "register",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +54,8 @@ class Coefficient:
         several valleys.
     explanation : str
         What the number means.
+    shapes : bool
+        Whether it gives the law its shape (a gap, a limit) rather than its strength.
     """
 
     name: str
@@ -42,20 +64,103 @@ class Coefficient:
     upper: float = inf
     default_start: float | None = 0.0
     explanation: str = ""
+    shapes: bool = False
+
+
+class Seen(Protocol):
+    """What a record tells about a place, for the starts of a law's coefficients."""
+
+    dt: float
+
+    @property
+    def signal(self) -> Array:
+        """Record of the channel, shape (N,)."""
+
+    @property
+    def d(self) -> Array:
+        """Displacement at the port."""
+
+    @property
+    def v(self) -> Array:
+        """Velocity at the port."""
+
+    @property
+    def residual(self) -> Array:
+        """What the model leaves of the outputs, shape (n_y, N)."""
+
+    @property
+    def pull(self) -> float:
+        """Rms force that accelerates the port, 1 where it moves nothing."""
+
+    @property
+    def mobility(self) -> float:
+        """Largest acceleration per force at the port."""
+
+
+@dataclass(slots=True, eq=False)
+class Assembly:
+    """Matrices of the model while the linear effects enter them.
+
+    Attributes
+    ----------
+    A, Bu, inertia, constant : ndarray
+        dx/dt = inertia^-1 (A x + Bu r + constant), with r what the inputs become.
+    Uw : ndarray, shape (n_w, n_w + 1)
+        r = Uw [w; 1].
+    output_gain, output_offset : ndarray, shape (n_y,)
+    input_lags, output_lags : list of (channel, state, time constant)
+    """
+
+    A: NDArray[Any]
+    Bu: NDArray[Any]
+    inertia: NDArray[Any]
+    constant: NDArray[Any]
+    Uw: NDArray[Any]
+    output_gain: NDArray[Any]
+    output_offset: NDArray[Any]
+    input_lags: list[tuple[int, int, Any]]
+    output_lags: list[tuple[int, int, Any]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Kind:
+class Site:
+    """Where an effect sits, in the states of the model with all effects.
+
+    Attributes
+    ----------
+    act, position, velocity : ndarray, shape (n,)
+        Of the port.
+    position_input, velocity_input, acceleration_input : ndarray, shape (n_w,)
+        What it senses of the inputs.
+    channel : int
+        Of the input or output, -1 elsewhere.
+    entry : tuple of int
+        Row and column of an entry of A.
+    state : int
+        First of the states that the effect adds.
+    """
+
+    act: Array
+    position: Array
+    velocity: Array
+    position_input: Array
+    velocity_input: Array
+    acceleration_input: Array
+    channel: int
+    entry: tuple[int, int]
+    state: int
+
+
+class Law(ABC):
     """A law that can be missing from a model.
 
-    Parameters
+    Attributes
     ----------
     name : str
-        Name, as in ``Effect("coulomb_friction", "link2")``.
+        Name, as in ``Effect("coulomb_friction", "link2")``: that of the class.
     where : frozenset of str
         Kinds of places: ``"mechanical"``, ``"first_order"`` (ports),
-        ``"input"``, ``"output"`` (channels), ``"any"`` (an entry of A for
-        `coefficient`, any port for `custom`).
+        ``"input"``, ``"output"`` (channels), ``"any"`` (an entry of A, or any port).
     coefficients : tuple of Coefficient
         Numbers to estimate.
     constants : mapping
@@ -71,28 +176,103 @@ class Kind:
         The same at a first-order port, if it reads differently.
     needs : frozenset of str
         What the port must sense: ``"position"``, ``"velocity"``.
+    senses : frozenset of str
+        What it feels of the port, if that is more: ``"acceleration"`` too.
     inner_states : int
         Number of states that the effect itself has.
     order : tuple of (str, str)
         Pairs of coefficients of which the first is never below the second.
+    belongs_to : str
+        Parameter beside which the law is at home: ``"stiffness"``, ``"damping"``, ``"mass"``.
+    is_parameter : bool
+        Whether it changes a number that linear models have: stiffness, damping, mass, an entry.
+    may_wear : bool
+        Whether damage changes it first.
+    relative : bool
+        Whether its coefficient is a share of what the model has.
+    inertial : bool
+        Whether it adds to what the port moves.
+    holds_constant : bool
+        Whether it can hold a constant offset.
+    covers : tuple of str
+        Laws that it contains.
+    with_offset : str
+        Law that it equals together with a constant offset at the place.
+    jumps : bool
+        Whether the force jumps with the sign of the velocity.
+    turns : bool
+        Whether the force depends on the direction of the motion.
+    width_share : float or None
+        Width over which a jump or a root is smoothed, as a share of the rms velocity; None for none.
+    secant : bool
+        Whether its effect is a difference from where it starts: it has no value at which it is absent.
+    along_motion : bool
+        Whether it is a force (or a change of a signal) along a known motion.
+    delays : bool
+        Whether it shifts its signal in time.
+    signal : str
+        What its coefficient multiplies, where the law is linear in it: ``"displacement"``,
+        ``"velocity"``, ``"acceleration"``, ``"value"``, ``"constant"``, ``"rate"``; or what it takes
+        from a signal: ``"deadzone"``, ``"saturation"``, ``"rectification"``.
+    number : int
+        Number of the law in the compiled kernels, 0 for none.
     """
 
-    name: str
-    where: frozenset[str]
+    name: ClassVar[str]
+    where: ClassVar[frozenset[str]]
     coefficients: tuple[Coefficient, ...]
-    constants: Mapping[str, float | None]
-    linear: bool
-    formula: str
-    explanation: str
-    explanation_first_order: str = ""
-    needs: frozenset[str] = frozenset()
-    inner_states: int = 0
-    order: tuple[tuple[str, str], ...] = ()
+    constants: ClassVar[Mapping[str, float | None]] = MappingProxyType({})
+    linear: ClassVar[bool] = False
+    formula: ClassVar[str]
+    explanation: ClassVar[str]
+    explanation_first_order: ClassVar[str] = ""
+    needs: ClassVar[frozenset[str]] = frozenset()
+    senses: ClassVar[frozenset[str]] = frozenset()
+    inner_states: ClassVar[int] = 0
+    order: ClassVar[tuple[tuple[str, str], ...]] = ()
+    belongs_to: ClassVar[str] = "damping"
+    is_parameter: ClassVar[bool] = False
+    may_wear: ClassVar[bool] = False
+    relative: ClassVar[bool] = False
+    inertial: ClassVar[bool] = False
+    holds_constant: ClassVar[bool] = False
+    covers: ClassVar[tuple[str, ...]] = ()
+    with_offset: ClassVar[str] = ""
+    jumps: ClassVar[bool] = False
+    turns: ClassVar[bool] = False
+    width_share: ClassVar[float | None] = None
+    secant: ClassVar[bool] = False
+    along_motion: ClassVar[bool] = True
+    delays: ClassVar[bool] = False
+    signal: ClassVar[str] = ""
+    number: ClassVar[int] = 0
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        if "name" not in vars(cls):
+            cls.name = re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
+        if "senses" not in vars(cls):
+            cls.senses = cls.needs
 
     @property
     def coefficient_names(self) -> tuple[str, ...]:
         """Names of the coefficients, in order."""
         return tuple(coefficient.name for coefficient in self.coefficients)
+
+    @property
+    def is_element(self) -> bool:
+        """Whether it changes a spring, a damper or a mass of the model."""
+        return self.is_parameter and "mechanical" in self.where
+
+    @property
+    def at_channel(self) -> bool:
+        """Whether it sits at an input or an output."""
+        return bool(self.where & {"input", "output"})
+
+    @property
+    def shaping(self) -> frozenset[str]:
+        """Names of the coefficients that shape the law."""
+        return frozenset(coefficient.name for coefficient in self.coefficients if coefficient.shapes)
 
     def coefficient(self, name: str) -> Coefficient:
         """Coefficient of the given name (KeyError if there is none)."""
@@ -101,310 +281,150 @@ class Kind:
                 return coefficient
         raise KeyError(f"kind {self.name!r} has no coefficient {name!r}, only {self.coefficient_names}")
 
+    def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
+        """Values worth trying for what the record alone tells, the likeliest first.
+
+        Parameters
+        ----------
+        seen : Seen
+            The record at the place.
+
+        Returns
+        -------
+        sequence of dict
+            Coefficients by name; empty where nothing needs a start.
+        """
+        return []
+
+    def bounds_in(self, structure: Any, place: str) -> tuple[float, float]:
+        """Bounds of the coefficients that the model sets at a place."""
+        return -inf, inf
+
+    def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
+        """Whether people would look for it at a first-order port.
+
+        Parameters
+        ----------
+        one_way : bool
+            Whether the port joins two stores and senses one of them alone.
+        between : bool
+            Whether what it senses is a difference.
+        known_mass : bool
+            Whether the model knows the size of the store.
+        """
+        return True
+
+    def push(self, linear: Any, place: str, act: Array | None) -> Array | None:
+        """Direction (n,) in which a constant unit of it drives the states, None where it does not.
+
+        Parameters
+        ----------
+        linear : LinearModel
+            Model, for the column of an input.
+        place : str
+            Where it sits.
+        act : ndarray, shape (n,), or None
+            Of the port.
+        """
+        return None
+
     def __reduce__(self) -> tuple[object, tuple[str]]:
-        # the catalogue is fixed, so a name says it all (mapping proxies do not pickle)
-        return (_kind, (self.name,))
+        # the catalogue is fixed, so a name says it all
+        return (_law, (self.name,))
 
 
-def _kind(name: str) -> Kind:
-    return KINDS[name]
+class AbsorbedLaw(Law):
+    """A law that enters the matrices of the model.
+
+    Attributes
+    ----------
+    states : tuple of str
+        What the states that it adds are called.
+    """
+
+    states: ClassVar[tuple[str, ...]] = ()
+
+    @abstractmethod
+    def absorb(self, into: Assembly, site: Site, *values: Any) -> None:
+        """Add it to the matrices.
+
+        Parameters
+        ----------
+        into : Assembly
+            Matrices, changed in place.
+        site : Site
+            Where it sits.
+        *values : complex or float
+            Coefficients in their order; complex for derivatives.
+        """
 
 
-def _make(
-    name: str,
-    where: str,
-    coefficients: tuple[Coefficient, ...],
-    formula: str,
-    explanation: str,
-    *,
-    first_order: str = "",
-    linear: bool = False,
-    needs: str = "",
-    inner_states: int = 0,
-    constants: Mapping[str, float | None] | None = None,
-    order: tuple[tuple[str, str], ...] = (),
-) -> Kind:
-    return Kind(
-        name=name,
-        where=frozenset(where.split()),
-        coefficients=coefficients,
-        constants=MappingProxyType(dict(constants or {})),
-        linear=linear,
-        formula=formula,
-        explanation=explanation,
-        explanation_first_order=first_order,
-        needs=frozenset(needs.split()),
-        inner_states=inner_states,
-        order=order,
-    )
+class PortLaw(Law):
+    """A nonlinear force at a port."""
 
 
-# the width over which sign(v) is smoothed: fixed, because a free one only fits noise
-_WIDTH = {"width": None}
-_C = Coefficient
+class InputLaw(Law):
+    """What happens to an input before it acts."""
 
-_STIFFNESS = (
-    _make(
-        "stiffness", "mechanical", (_C("stiffness", "force/position", explanation="change of stiffness"),),
-        "f = t d",
-        "The spring at {place} is stiffer than the model says (softer, as by a crack, if negative).",
-        linear=True, needs="position",
-    ),
-    _make(
-        "cubic_stiffness", "mechanical",
-        (_C("cubic_stiffness", "force/position^3", explanation="force per cubed displacement"),),
-        "f = t d^3",
-        "The spring at {place} hardens as it is pushed either way (softens, if negative).",
-        needs="position",
-    ),
-    _make(
-        "quadratic_stiffness", "mechanical",
-        (_C("quadratic_stiffness", "force/position^2", explanation="force per squared displacement"),),
-        "f = t d^2",
-        "The spring at {place} is stiffer on one side than on the other, more so the further it is moved.",
-        needs="position",
-    ),
-    _make(
-        "bilinear_stiffness", "mechanical",
-        (_C("bilinear_stiffness", "force/position", explanation="stiffness added where d > 0"),),
-        "f = t max(d, 0)",
-        "The spring at {place} has another stiffness in one direction, like a crack that opens and closes.",
-        needs="position",
-    ),
-    _make(
-        "clearance", "mechanical",
-        (
-            _C("stiffness", "force/position", explanation="stiffness of the contact"),
-            _C("gap", "position", lower=0.0, default_start=None, explanation="play on either side"),
-        ),
-        "f = t sgn(d) max(|d| - gap, 0)",
-        "There is play at {place}: a stop is hit once the displacement exceeds a gap.",
-        needs="position",
-    ),
-)  # fmt: skip
+    where = frozenset({"input"})
 
-_DAMPING = (
-    _make(
-        "damping", "mechanical first_order",
-        (_C("damping", "force/velocity", explanation="change of damping"),),
-        "f = t v",
-        "The damping at {place} is larger than the model says (smaller, if negative).",
-        first_order="The loss or flow in proportion to the state at {place} is larger than the model says "
-        "(smaller, if negative).",
-        linear=True, needs="velocity",
-    ),
-    _make(
-        "coulomb_friction", "mechanical first_order",
-        (_C("force", "force", explanation="friction force, whatever the speed"),),
-        "f = t sgn(v)",
-        "Dry friction acts at {place}: a force of constant size that opposes the motion.",
-        first_order="A loss of constant size acts at {place}, with the sign of the state, like dry friction.",
-        needs="velocity", constants=_WIDTH,
-    ),
-    _make(
-        "asymmetric_friction", "mechanical",
-        (
-            _C("force_plus", "force", explanation="friction force where v > 0"),
-            _C("force_minus", "force", explanation="friction force where v < 0 (positive = resistance)"),
-        ),
-        "f = t+ where v > 0, -t- where v < 0",
-        "Dry friction at {place} differs between the two directions of motion, like a worn screw.",
-        needs="velocity", constants=_WIDTH,
-    ),
-    _make(
-        "asymmetric_damping", "mechanical",
-        (
-            _C("damping_plus", "force/velocity", explanation="damping where v > 0"),
-            _C("damping_minus", "force/velocity", explanation="damping where v < 0"),
-        ),
-        "f = t+ v where v > 0, t- v where v < 0",
-        "The damping at {place} differs between the two directions of motion, like a car's shock absorber.",
-        needs="velocity",
-    ),
-    _make(
-        "stribeck_friction", "mechanical",
-        (
-            _C("coulomb_force", "force", lower=0.0, explanation="friction force at high speed"),
-            _C("static_force", "force", lower=0.0, explanation="friction force at breakaway"),
-            _C("velocity", "velocity", lower=0.0, default_start=None,
-               explanation="speed at which the static part has faded"),
-        ),
-        "f = sgn(v) (Fc + (Fs - Fc) exp(-(v/vs)^2))",
-        "Dry friction at {place} is at least as high at breakaway as in motion; any excess fades with speed "
-        "(stick and slip).",
-        needs="velocity", constants=_WIDTH, order=(("static_force", "coulomb_force"),),
-    ),
-    _make(
-        "quadratic_damping", "mechanical first_order",
-        (_C("quadratic_damping", "force/velocity^2", explanation="force per squared velocity"),),
-        "f = t v |v|",
-        "A drag that grows with the square of the speed acts at {place}, as in air, water or a valve.",
-        first_order="A loss that grows with the square of the state acts at {place}.",
-        needs="velocity",
-    ),
-    _make(
-        "cubic_damping", "mechanical first_order",
-        (_C("cubic_damping", "force/velocity^3", explanation="force per cubed velocity"),),
-        "f = t v^3",
-        "The damping at {place} grows with the cube of the speed.",
-        first_order="A loss that grows with the cube of the state acts at {place}.",
-        needs="velocity",
-    ),
-    _make(
-        "hysteresis", "mechanical",
-        (
-            _C("force", "force", explanation="force that the hysteresis saturates at"),
-            _C("displacement", "position", lower=0.0, default_start=None,
-               explanation="presliding displacement: how far it gives before it slips"),
-        ),
-        "f = t z/D, dz/dt = v - |v| z/D (Dahl)",
-        "The force at {place} depends on the path taken: a joint that gives a little before it slips.",
-        needs="position velocity", inner_states=1,
-    ),
-)  # fmt: skip
+    def through(self, w: Array, *values: float) -> tuple[Array, Array, Array]:
+        """What the input becomes, its slope, and its derivative by the coefficient, each (N,)."""
+        raise NotImplementedError(f"{self.name} has no static law")
 
-_OTHER = (
-    _make(
-        "mass", "mechanical first_order",
-        (_C("mass", "force s/velocity", explanation="added mass"),),
-        "f = t dv/dt",
-        "The moving mass at {place} is larger than the model says (smaller, if negative).",
-        first_order="The storage (capacity, area) at {place} is larger than the model says "
-        "(smaller, if negative).",
-        linear=True, needs="velocity",
-    ),
-    _make(
-        "hidden_mode", "mechanical",
-        (
-            _C("mass", "force s/velocity", lower=0.0, default_start=None, explanation="attached mass"),
-            _C("damping", "force/velocity", lower=0.0, default_start=None, explanation="its damper"),
-            _C("stiffness", "force/position", lower=0.0, default_start=None, explanation="its spring"),
-        ),
-        "m z'' = f = c (v - z') + k (d - z)",
-        "Something is attached at {place} and vibrates on its own spring: "
-        "a mass, spring and damper that the model lacks.",
-        linear=True, needs="velocity", inner_states=2,
-    ),
-    _make(
-        "constant_force", "mechanical first_order",
-        (_C("force", "force", explanation="constant resisting force"),),
-        "f = t",
-        "A constant force acts at {place}: weight, preload or a tilted base.",
-        first_order="A constant loss (a gain, if negative) acts at {place}: a leak, a heater or an offset.",
-    ),
-    _make(
-        "sqrt_flow", "first_order",
-        (_C("flow", "force/velocity^0.5", explanation="flow per root of the state"),),
-        "f = t sqrt(max(x, 0))",
-        "The outflow at {place} follows the square root of the level, as through an orifice (Torricelli).",
-        needs="velocity",
-    ),
-    _make(
-        "threshold_flow", "first_order",
-        (
-            _C("flow", "force/velocity", explanation="flow per unit above the threshold"),
-            _C("threshold", "velocity", default_start=None, explanation="level at which it starts"),
-        ),
-        "f = t max(x - threshold, 0)",
-        "Beyond a certain level something spills over at {place}.",
-        needs="velocity",
-    ),
-    _make(
-        "coefficient", "any",
-        (_C("value", "entry", explanation="change of the entry"),),
-        "dx_i/dt = ... + t x_j",
-        "The entry {place} of the state matrix differs from the model's.",
-        linear=True,
-    ),
-)  # fmt: skip
 
-_INPUT = (
-    _make(
-        "input_gain", "input", (_C("gain", "1", explanation="relative change of the gain"),),
-        "w -> (1 + t) w",
-        "The input {place} acts more strongly than the model says (less, if negative).",
-        linear=True,
-    ),
-    _make(
-        "input_offset", "input", (_C("offset", "signal", explanation="constant added to the input"),),
-        "w -> w + t",
-        "The input {place} has an offset: a constant is added before it acts.",
-    ),
-    _make(
-        "input_delay", "input",
-        (_C("delay", "s", lower=0.0, default_start=None, explanation="dead time"),),
-        "w(t) -> w(t - delay)",
-        "The input {place} acts later than the record says: a dead time.",
-        linear=True,
-    ),
-    _make(
-        "input_lag", "input",
-        (_C("time_constant", "s", lower=0.0, default_start=None, explanation="time constant"),),
-        "T dr/dt + r = w, w -> r",
-        "The input {place} does not act at once but catches up with a lag, like a slow actuator.",
-        linear=True, inner_states=1,
-    ),
-    _make(
-        "input_deadzone", "input",
-        (_C("threshold", "signal", lower=0.0, default_start=None, explanation="input that is lost"),),
-        "w -> sgn(w) max(|w| - threshold, 0)",
-        "The input {place} has a dead zone: small values do nothing, and larger ones lose that much.",
-    ),
-    _make(
-        "input_saturation", "input",
-        (_C("limit", "signal", lower=0.0, default_start=None, explanation="largest size that acts"),),
-        "w -> min(max(w, -limit), limit)",
-        "The input {place} saturates: it cannot exceed a limit in either direction.",
-    ),
-)  # fmt: skip
+class OutputLaw(Law):
+    """What happens to an output before it is recorded."""
 
-_OUTPUT = (
-    _make(
-        "output_gain", "output", (_C("gain", "1", explanation="relative change of the gain"),),
-        "y -> (1 + t) y",
-        "The sensor {place} reads larger than the model says (smaller, if negative).",
-        linear=True,
-    ),
-    _make(
-        "output_offset", "output", (_C("offset", "signal", explanation="constant added to the output"),),
-        "y -> y + t",
-        "The sensor {place} has an offset: a constant is added to what it measures.",
-    ),
-    _make(
-        "output_delay", "output",
-        (_C("delay", "s", lower=0.0, default_start=None, explanation="dead time"),),
-        "y(t) -> y(t - delay)",
-        "The sensor {place} reports late: a dead time.",
-        linear=True,
-    ),
-    _make(
-        "output_lag", "output",
-        (_C("time_constant", "s", lower=0.0, default_start=None, explanation="time constant"),),
-        "T dr/dt + r = y, y -> r",
-        "The sensor {place} is slow: it follows what it measures with a lag, like a filter.",
-        linear=True, inner_states=1,
-    ),
-    _make(
-        "output_saturation", "output",
-        (_C("limit", "signal", lower=0.0, default_start=None, explanation="largest size it can show"),),
-        "y -> min(max(y, -limit), limit)",
-        "The sensor {place} is capped: beyond a limit it shows the limit.",
-    ),
-    _make(
-        "output_rectification", "output",
-        (_C("fraction", "1", lower=0.0, upper=1.0, default_start=None, explanation="rectified share"),),
-        "y -> (1 - t) y + t |y|",
-        "The sensor {place} loses the sign: it shows the size, in whole (1) or in part.",
-    ),
-)  # fmt: skip
+    where = frozenset({"output"})
 
-_CUSTOM = _make(
-    "custom", "mechanical first_order any", (_C("scale", "force", explanation="scale of the law"),),
-    "f = t law(d, v)",
-    "A law of your own acts at {place}.",
-)  # fmt: skip
+    def through(self, y: Array, *values: float) -> Array:
+        """What is recorded."""
+        raise NotImplementedError(f"{self.name} has no static law")
 
-KINDS: Mapping[str, Kind] = MappingProxyType(
-    {kind.name: kind for kind in (*_STIFFNESS, *_DAMPING, *_OTHER, *_INPUT, *_OUTPUT, _CUSTOM)}
-)
-"""All kinds of effect by name, in the order in which they are listed to people."""
+
+_LAWS: dict[str, Law] = {}
+
+KINDS: Mapping[str, Law] = MappingProxyType(_LAWS)
+"""All laws by name, in the order in which they are listed to people."""
+
+_Class = TypeVar("_Class", bound=type[Law])
+
+
+def register(law: _Class) -> _Class:
+    """Enter a law into the catalogue.
+
+    Parameters
+    ----------
+    law : subclass of Law
+        Law; its name must be new.
+
+    Returns
+    -------
+    subclass of Law
+        The same.
+
+    Raises
+    ------
+    ValueError
+        If another law has the name.
+    """
+    held = _LAWS.get(law.name)
+    if held is not None and f"{type(held).__module__}.{type(held).__qualname__}" != (
+        f"{law.__module__}.{law.__qualname__}"
+    ):
+        raise ValueError(
+            f"there is a law {law.name!r} already: {type(held).__module__}; give it another name"
+        )
+    _LAWS[law.name] = law()
+    return law
+
+
+def nominal_is_left(kind: str, structure: Any, place: str) -> tuple[float, float]:
+    """Bounds of a change that leaves the parameter of the model positive."""
+    values = [q.value for q in structure.model.parameters if (q.kind, q.place) == (kind, place)]
+    return max((-value for value in values if value > 0), default=-inf), inf
+
+
+def _law(name: str) -> Law:
+    return _LAWS[name]

@@ -17,6 +17,7 @@ from scipy.interpolate import CubicSpline
 
 from ..data.measurement import Measurement
 from ..effects.kernel import evaluate_law
+from ..effects.law import InputLaw
 from ..exceptions import DivergenceError
 from ..systems.linear import Array
 from . import kernels
@@ -159,7 +160,7 @@ class Engine:
         outvalues = np.zeros(ny)
         outcolumns = np.full(ny, -1, dtype=np.int64)
         for index, channel, code in s.output_statics:
-            name = "limit" if code == 1 else "fraction"
+            name = s.effects[index].coefficients[0]
             outcodes[channel] = code
             outvalues[channel] = s.value(theta, index, name)
             outcolumns[channel] = s.position(index, name) if sensitivity else -1
@@ -219,11 +220,11 @@ class Engine:
         if self._known_start:
             return lost
         for index, effect in enumerate(s.effects):
-            if effect.kind not in ("input_delay", "output_delay"):
+            if not effect.spec.delays:
                 continue
             delay = float(s.value(theta, index, "delay")) / self.data.dt
             here = int(np.ceil(np.clip(delay - _WHOLE, 0.0, self.data.n_samples // 2)))
-            if effect.kind == "input_delay":
+            if isinstance(effect.spec, InputLaw):
                 lost = np.maximum(lost, here)
             else:
                 channel = s.linear_model.output_labels.index(effect.place)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..effects.kernel import CODES, JUMPING
+from ..effects.law import InputLaw, OutputLaw
 from ..systems.exponential import exponential
 from ..systems.linear import Array
 from .periods import dahl_over_period, law_over_period
@@ -21,8 +21,6 @@ from .structure import Structure
 __all__ = ["Balance", "SteadyState"]
 
 _LEAK = 1e-7  # of the frequency: an integrator leaks that much, so that its mean is defined
-_JUMP_CODES = frozenset(CODES[kind] for kind in JUMPING)
-_HYSTERESIS = CODES["hysteresis"]
 _TIMES_FOR_JUMPS = 512
 _SAMPLES_PER_JUMP = 1.5  # a jumping force is spread over as many samples, so that its slope is seen
 _ITERATIONS = 40
@@ -78,7 +76,8 @@ class Balance:
         self.structure, self.theta, self.channel, self.harmonics = structure, theta, channel, harmonics
         self.matrices = structure.matrices(theta.astype(float))
         self.codes, self.values, _, self.widths = structure.laws(theta)
-        fewest = _TIMES_FOR_JUMPS if any(code in _JUMP_CODES for code in self.codes) else 8 * harmonics + 8
+        self.laws = [structure.effects[index].spec for index in structure.port_effects]
+        fewest = _TIMES_FOR_JUMPS if structure.jumps else 8 * harmonics + 8
         self.n_times = 1 << int(np.ceil(np.log2(max(fewest, 8 * harmonics + 8))))
         turn = 2 * np.pi * np.arange(self.n_times) / self.n_times
         order = np.arange(1, harmonics + 1)
@@ -143,7 +142,7 @@ class Balance:
     def _growth(self, omega: float, sensed: Complex) -> float:
         """Size of the largest Floquet multiplier of the motion at the ports."""
         m, n = self.structure.n_ports, self.structure.n_states
-        if any(code == _HYSTERESIS for code in self.codes):
+        if any(law.inner_states for law in self.laws):
             return 0.0
         self._spread, self._strength = 1.0, 1.0
         times = _coded(sensed) @ self.basis.T
@@ -174,29 +173,24 @@ class Balance:
         for index, channel in self.structure.input_statics:
             if channel != self.channel:
                 continue
-            kind = self.structure.effects[index].kind
-            if kind == "input_delay":
-                delay = float(self.structure.value(self.theta, index, "delay"))
-            elif kind == "input_deadzone":
-                level = float(self.structure.value(self.theta, index, "threshold"))
-                signal = np.sign(signal) * np.maximum(np.abs(signal) - level, 0.0)
+            law = self.structure.effects[index].spec
+            assert isinstance(law, InputLaw)
+            value = float(self.structure.value(self.theta, index, law.coefficient_names[0]))
+            if law.delays:
+                delay = value
             else:
-                level = float(self.structure.value(self.theta, index, "limit"))
-                signal = np.clip(signal, -level, level)
+                signal = law.through(signal, value)[0]
         order = np.arange(self.harmonics + 1)
         w[self.channel] = _phasors(signal @ self.analysis.T) * np.exp(-1j * order * omega * delay)
         return w
 
     def _sensors(self, Y: Complex, omega: float) -> Complex:
         """Outputs behind the static laws and the delays of their sensors."""
-        for index, channel, code in self.structure.output_statics:
-            y = self.basis @ _coded(Y[channel])
-            if code == 1:
-                limit = float(self.structure.value(self.theta, index, "limit"))
-                y = np.clip(y, -limit, limit)
-            else:
-                share = float(self.structure.value(self.theta, index, "fraction"))
-                y = (1 - share) * y + share * np.abs(y)
+        for index, channel, _ in self.structure.output_statics:
+            law = self.structure.effects[index].spec
+            assert isinstance(law, OutputLaw)
+            value = float(self.structure.value(self.theta, index, law.coefficient_names[0]))
+            y = law.through(self.basis @ _coded(Y[channel]), value)
             Y[channel] = _phasors(y @ self.analysis.T)
         for index, channel in self.structure.output_delays:
             delay = float(self.structure.value(self.theta, index, "delay"))
@@ -273,10 +267,10 @@ class Balance:
         code, p = int(self.codes[j]), self.values[j]
         if code < 0:
             return self._custom(-code - 1, p, d, v)
-        if code == _HYSTERESIS:
-            return *self._memory(p, d), None
+        if self.laws[j].inner_states:
+            return *self._memory(code, p, d), None
         width = float(self.widths[j])
-        if code in _JUMP_CODES:
+        if self.laws[j].jumps:
             rate = float(np.ptp(v)) * np.pi / self.n_times
             width = max(width, _SAMPLES_PER_JUMP * rate) * self._spread
         f, by_d, by_v = law_over_period(code, d, v, p, width)
@@ -296,13 +290,13 @@ class Balance:
         by_v = (force(d, v + steps[1]) - force(d, v - steps[1])) / (2 * steps[1])
         return force(d, v), by_d, by_v
 
-    def _memory(self, p: Array, d: Array) -> tuple[Array, Array]:
-        """Dahl's law over a period: its inner state returns to where it began."""
+    def _memory(self, code: int, p: Array, d: Array) -> tuple[Array, Array]:
+        """A law with memory over a period: its inner state returns to where it began."""
         # after a turn the inner state is affine in its start: here is where it returns to itself
-        _, _, end, slope, left = dahl_over_period(_HYSTERESIS, d, p, 0.0, np.zeros(d.size))
+        _, _, end, slope, left = dahl_over_period(code, d, p, 0.0, np.zeros(d.size))
         lost = 1.0 - left
         start, slope = (end / lost, slope / lost) if lost > 1e-12 else (0.0, np.zeros(d.size))
-        f, by, *_ = dahl_over_period(_HYSTERESIS, d, p, start, slope)
+        f, by, *_ = dahl_over_period(code, d, p, start, slope)
         return f, by
 
 

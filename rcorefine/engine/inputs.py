@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import firwin, upfirdn
 
+from ..effects.law import InputLaw
 from ..systems.linear import Array
 
 if TYPE_CHECKING:
@@ -170,35 +171,29 @@ def _refine(w: Array, factor: int) -> Array:
 def _statics(
     structure: Structure, theta: Array, effects: list[int], signal: Array
 ) -> tuple[Array, dict[int, Array]]:
-    """Dead zone, then saturation, and the derivative by each free coefficient."""
+    """The static laws in turn, and the derivative by each free coefficient."""
     slopes: dict[int, Array] = {}
     value = signal
     for index in effects:
-        kind = structure.effects[index].kind
-        if kind == "input_delay":
+        law = structure.effects[index].spec
+        if law.delays or not isinstance(law, InputLaw):
             continue
-        name = "threshold" if kind == "input_deadzone" else "limit"
-        level = float(structure.value(theta, index, name))
+        (name,) = law.coefficient_names
+        value, slope, own = law.through(value, float(structure.value(theta, index, name)))
+        slopes = {key: before * slope for key, before in slopes.items()}
         column = structure.position(index, name)
-        beyond = np.abs(value) > level
-        side = np.sign(value)
-        if kind == "input_deadzone":
-            passed, own = beyond, -side * beyond
-            value = side * np.maximum(np.abs(value) - level, 0.0)
-        else:
-            passed, own = ~beyond, side * beyond
-            value = np.clip(value, -level, level)
-        slopes = {key: slope * passed for key, slope in slopes.items()}
         if column >= 0:
-            slopes[column] = own.astype(float)
+            slopes[column] = own
     return value, slopes
 
 
 def _delay(structure: Structure, theta: Array, effects: list[int]) -> tuple[float, int]:
     """Total delay of the channel in seconds, and its column in theta."""
     for index in effects:
-        if structure.effects[index].kind == "input_delay":
-            return float(structure.value(theta, index, "delay")), structure.position(index, "delay")
+        law = structure.effects[index].spec
+        if law.delays:
+            (name,) = law.coefficient_names
+            return float(structure.value(theta, index, name)), structure.position(index, name)
     return 0.0, -1
 
 

@@ -7,15 +7,14 @@ from typing import Any
 import control as ct
 import numpy as np
 
-from ..effects.kernel import CODES, evaluate_law
+from ..effects.kernel import evaluate_law
+from ..effects.law import InputLaw, OutputLaw
 from ..exceptions import ModelError
 from ..systems.linear import Array
 from .engine import _custom
 from .structure import Structure
 
 __all__ = ["nonlinear_system"]
-
-_HYSTERESIS = CODES["hysteresis"]
 
 
 def nonlinear_system(structure: Structure, theta: Array, name: str | None = None) -> ct.NonlinearIOSystem:
@@ -45,7 +44,7 @@ def nonlinear_system(structure: Structure, theta: Array, name: str | None = None
     `control.input_output_response` interpolates inputs linearly: it agrees with
     rcorefine for records with ``hold="foh"``.
     """
-    delays = [e.label for e in structure.effects if e.kind in ("input_delay", "output_delay")]
+    delays = [e.label for e in structure.effects if e.spec.delays]
     if delays:
         raise ModelError(
             f"{delays[0]} has no state equation; simulate with Refinement.simulate, or replace the delay "
@@ -53,7 +52,8 @@ def nonlinear_system(structure: Structure, theta: Array, name: str | None = None
         )
     matrices = structure.matrices(theta.astype(float))
     codes, values, _, widths = structure.laws(theta)
-    memory = [i for i, code in enumerate(codes) if code == _HYSTERESIS]
+    laws = [structure.effects[index].spec for index in structure.port_effects]
+    memory = [i for i, law in enumerate(laws) if law.inner_states]
     customs = structure.custom_laws
     evaluate: Any = evaluate_law
     n, m = structure.n_states, structure.n_ports
@@ -62,7 +62,7 @@ def nonlinear_system(structure: Structure, theta: Array, name: str | None = None
         if codes[i] < 0:
             law, names = customs[-codes[i] - 1]
             return float(_custom(law, len(names), d, v, tuple(values[i]))[0])
-        if codes[i] == _HYSTERESIS:
+        if laws[i].inner_states:
             return float(values[i, 0] * z)
         return float(evaluate(codes[i], d, v, d, z, *values[i], widths[i])[0])
 
@@ -70,11 +70,9 @@ def nonlinear_system(structure: Structure, theta: Array, name: str | None = None
         w = np.append(np.atleast_1d(np.asarray(u, dtype=float)), 1.0)
         for index, channel in structure.input_statics:
             effect = structure.effects[index]
-            level = structure.value(theta, index, "threshold" if effect.kind == "input_deadzone" else "limit")
-            if effect.kind == "input_deadzone":
-                w[channel] = np.sign(w[channel]) * max(abs(w[channel]) - level, 0.0)
-            else:
-                w[channel] = np.clip(w[channel], -level, level)
+            level = structure.value(theta, index, effect.coefficients[0])
+            assert isinstance(effect.spec, InputLaw)
+            w[channel] = effect.spec.through(w[channel], level)[0]
         return w
 
     def forces(x: Array, w: Array) -> tuple[Array, Array]:
@@ -96,13 +94,12 @@ def nonlinear_system(structure: Structure, theta: Array, name: str | None = None
         x, w = np.asarray(x, dtype=float), drive(u)
         f, _ = forces(x, w)
         y = matrices.C @ x[:n] + matrices.D @ w + matrices.G @ f
-        for index, channel, code in structure.output_statics:
-            if code == 1:
-                limit = structure.value(theta, index, "limit")
-                y[channel] = np.clip(y[channel], -limit, limit)
-            else:
-                part = structure.value(theta, index, "fraction")
-                y[channel] = (1 - part) * y[channel] + part * abs(y[channel])
+        for index, channel, _ in structure.output_statics:
+            effect = structure.effects[index]
+            assert isinstance(effect.spec, OutputLaw)
+            y[channel] = effect.spec.through(
+                y[channel], structure.value(theta, index, effect.coefficients[0])
+            )
         return np.asarray(y)
 
     linear = structure.linear_model

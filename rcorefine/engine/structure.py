@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..effects.effect import Effect
-from ..effects.kernel import CODES, JUMPING, MAX_COEFFICIENTS
+from ..effects.kernel import MAX_COEFFICIENTS
+from ..effects.law import AbsorbedLaw, Assembly, InputLaw, OutputLaw, Site
 from ..models.conversion import as_physical
 from ..models.physical_model import PhysicalModel
 from ..systems.discretization import power_of_two
@@ -25,8 +26,6 @@ from ..systems.linear import Array, LinearModel
 
 __all__ = ["Discrete", "Matrices", "Parameter", "Structure"]
 
-_STATIC_INPUT = ("input_deadzone", "input_saturation", "input_delay")
-_STATIC_OUTPUT = {"output_saturation": 1, "output_rectification": 2}
 _TINY_STEP = 1e-30
 _SLOWEST = 3.0  # widths of sgn(v), where it has turned over
 _FASTEST = 1e5  # widths of sgn(v), some hundred times the motion
@@ -112,41 +111,33 @@ class Structure:
             self._register(index, effect)
         self.n_states = base.n_states + len(self._extra)
         self.n_ports = len(self._port_effects)
+        self._sites = {
+            index: self._site(index)
+            for index, effect in enumerate(self.effects)
+            if isinstance(effect.spec, AbsorbedLaw)
+        }
 
     # ------------------------------------------------------------- registration
     def _register(self, index: int, effect: Effect) -> None:
         self.model.check(effect)
         for name in effect.coefficients:
             self._add_parameter(index, effect, name)
-        if effect.kind == "hidden_mode":
-            self._extra += [(index, "stretch"), (index, "velocity")]
-        elif effect.kind in ("input_lag", "output_lag"):
-            self._extra.append((index, "lag"))
-        elif effect.kind in _STATIC_INPUT:
+        law = effect.spec
+        if isinstance(law, AbsorbedLaw):
+            self._extra += [(index, what) for what in law.states]
+        elif isinstance(law, InputLaw):
             self._input_statics.append(index)
-        elif effect.kind in _STATIC_OUTPUT:
-            self._output_statics.append(index)
-        elif effect.kind == "output_delay":
-            self._delayed_outputs.append(index)
-        elif effect.kind in CODES:
+        elif isinstance(law, OutputLaw):
+            (self._delayed_outputs if law.delays else self._output_statics).append(index)
+        else:
             self._port_effects.append(index)
 
     def _add_parameter(self, index: int, effect: Effect, name: str) -> None:
         if name in effect.fixed:
             return
         low, high = effect.bounds(name)
-        for nominal in self.model.parameters:
-            same = nominal.kind == effect.kind and nominal.place == effect.place
-            if same and effect.kind in ("stiffness", "damping") and nominal.value > 0:
-                # what is left of the parameter stays positive
-                low = max(low, -nominal.value)
-        if effect.kind == "coefficient":
-            row, column = self.model.entry(effect.place)
-            rate = self.linear_model.A[row, column]
-            if row == column and rate < 0:
-                high = min(high, -float(rate))  # a decay does not turn into growth
-        if effect.kind == "mass":
-            low = max(low, -self.inertia(effect.place) * (1 - 1e-9))
+        least, most = effect.spec.bounds_in(self, effect.place)
+        low, high = max(low, least), min(high, most)
         for larger, smaller in effect.spec.order:
             if name == larger and smaller in effect.fixed:
                 low = max(low, effect.fixed[smaller])
@@ -202,12 +193,31 @@ class Structure:
         for where, parameter in enumerate(self.parameters):
             effect = self.effects[parameter.effect]
             given = effect.start.get(parameter.name)
-            if given is None and effect.kind != "custom":
+            if given is None:
                 given = effect.start_of(parameter.name)
             theta[where] = 0.0 if given is None else given
         return theta
 
     # ----------------------------------------------------------------- matrices
+    def _site(self, index: int) -> Site:
+        """Where an absorbed effect sits."""
+        effect, base, n = self.effects[index], self.linear_model, self.n_states
+        where = effect.spec.where
+        rows, inputs = [np.zeros(n)] * 3, [np.zeros(self.n_inputs)] * 3
+        channel, entry = -1, (0, 0)
+        if "input" in where:
+            channel = base.input_labels.index(effect.place)
+        elif "output" in where:
+            channel = base.output_labels.index(effect.place)
+        elif "any" in where:
+            entry = self.model.entry(effect.place)
+        else:
+            port = self.model.port(effect.place)
+            rows = [np.pad(row, (0, n - row.size)) for row in (port.act, port.position, port.velocity)]
+            inputs = [port.position_input, port.velocity_input, port.acceleration_input]
+        states = [base.n_states + i for i, (owner, _) in enumerate(self._extra) if owner == index]
+        return Site(*rows, *inputs, channel=channel, entry=entry, state=states[0] if states else -1)
+
     def matrices(self, theta: NDArray[Any]) -> Matrices:
         """Continuous-time matrices at `theta` (real, or complex for derivatives)."""
         model, base = self.model, self.linear_model
@@ -223,84 +233,22 @@ class Structure:
         P = np.zeros((2 * m, n + nw), kind_of)
         Ux = np.zeros((nw, n), kind_of)
         Uw = np.hstack([np.eye(nw, dtype=kind_of), np.zeros((nw, 1), kind_of)])
-        output_gain = np.ones(ny, kind_of)
-        output_offset = np.zeros(ny, kind_of)
-        output_lags: list[tuple[int, int, Any]] = []
-        input_lags: list[tuple[int, int, Any]] = []
-
+        into = Assembly(A, Bu, inertia, constant, Uw, np.ones(ny, kind_of), np.zeros(ny, kind_of), [], [])
         port_row = 0
         for index, effect in enumerate(self.effects):
-            kind = effect.kind
-            if kind == "coefficient":
-                i, j = self.model.entry(effect.place)
-                A[i, j] += self.value(theta, index, "value")
-            elif kind in ("input_gain", "input_offset"):
-                i = base.input_labels.index(effect.place)
-                if kind == "input_gain":
-                    Uw[i, i] += self.value(theta, index, "gain")
-                else:
-                    Uw[i, nw] += self.value(theta, index, "offset")
-            elif kind == "input_lag":
-                i = base.input_labels.index(effect.place)
-                state = n0 + self._extra.index((index, "lag"))
-                input_lags.append((i, state, self.value(theta, index, "time_constant")))
-            elif kind == "output_gain":
-                output_gain[base.output_labels.index(effect.place)] += self.value(theta, index, "gain")
-            elif kind == "output_offset":
-                output_offset[base.output_labels.index(effect.place)] += self.value(theta, index, "offset")
-            elif kind == "output_lag":
-                state = n0 + self._extra.index((index, "lag"))
-                i = base.output_labels.index(effect.place)
-                output_lags.append((i, state, self.value(theta, index, "time_constant")))
-            elif kind in _STATIC_INPUT or kind in _STATIC_OUTPUT or kind == "output_delay":
-                continue
-            else:
+            law = effect.spec
+            if isinstance(law, AbsorbedLaw):
+                values = [self.value(theta, index, name) for name in effect.coefficients]
+                law.absorb(into, self._sites[index], *values)
+            elif index in self._port_effects:
                 port = model.port(effect.place)
-                act = np.zeros(n)
-                act[:n0] = port.act
-                velocity = np.zeros(n)
-                velocity[:n0] = port.velocity
-                position = np.zeros(n)
-                position[:n0] = port.position
-                if kind == "stiffness":
-                    k = self.value(theta, index, "stiffness")
-                    A += k * np.outer(act, position)
-                    Bu += k * np.outer(act, port.position_input)
-                elif kind == "damping":
-                    c = self.value(theta, index, "damping")
-                    A += c * np.outer(act, velocity)
-                    Bu += c * np.outer(act, port.velocity_input)
-                elif kind == "mass":
-                    t = self.value(theta, index, "mass")
-                    inertia -= t * np.outer(act, velocity)
-                    Bu += t * np.outer(act, port.acceleration_input)
-                elif kind == "constant_force":
-                    constant += self.value(theta, index, "force") * act
-                elif kind == "hidden_mode":
-                    mass, c, k = (self.value(theta, index, key) for key in ("mass", "damping", "stiffness"))
-                    stretch = n0 + self._extra.index((index, "stretch"))
-                    speed = stretch + 1
-                    pull = np.zeros(n, kind_of)  # k u + c (v - s)
-                    pull[stretch] += k
-                    pull[speed] -= c
-                    pull += c * velocity
-                    A += np.outer(act, pull)
-                    Bu += c * np.outer(act, port.velocity_input)
-                    A[stretch] += velocity
-                    A[stretch, speed] -= 1.0
-                    Bu[stretch] += port.velocity_input
-                    A[speed] += pull / mass
-                    Bu[speed] += c / mass * port.velocity_input
-                else:
-                    E[:, port_row] = act
-                    P[port_row, :n] = position
-                    P[port_row, n:] = port.position_input
-                    P[m + port_row, :n] = velocity
-                    P[m + port_row, n:] = port.velocity_input
-                    port_row += 1
+                E[:n0, port_row] = port.act
+                P[port_row, :n0], P[port_row, n:] = port.position, port.position_input
+                P[m + port_row, :n0], P[m + port_row, n:] = port.velocity, port.velocity_input
+                port_row += 1
 
         lag_drive = []
-        for i, state, lag in input_lags:
+        for i, state, lag in into.input_lags:
             Ux[i, state] = 1.0
             A[state, state] = -1.0 / lag
             lag_drive.append((state, Uw[i] / lag))
@@ -322,17 +270,17 @@ class Structure:
         C = Co + model.output_input @ Ux + Ca @ A
         D = model.output_input @ Uw + Ca @ B
         G = Ca @ E
-        for i, state, lag in output_lags:
+        for i, state, lag in into.output_lags:
             A[state] = C[i] / lag
             A[state, state] -= 1.0 / lag
             B[state] = D[i] / lag
             E[state] = G[i] / lag
             C[i], D[i], G[i] = 0.0, 0.0, 0.0
             C[i, state] = 1.0
-        C = C * output_gain[:, None]
-        D = D * output_gain[:, None]
-        G = G * output_gain[:, None]
-        D[:, nw] += output_offset
+        C = C * into.output_gain[:, None]
+        D = D * into.output_gain[:, None]
+        G = G * into.output_gain[:, None]
+        D[:, nw] += into.output_offset
         sense = np.hstack([P[:, :n] + P[:, n:] @ Ux, P[:, n:] @ Uw])
         return Matrices(A, B, E, C, D, G, sense)
 
@@ -342,7 +290,7 @@ class Structure:
 
     @property
     def _has_mass(self) -> bool:
-        return any(effect.kind == "mass" for effect in self.effects)
+        return any(effect.spec.inertial for effect in self.effects)
 
     @property
     def absorbed(self) -> NDArray[np.int64]:
@@ -422,8 +370,8 @@ class Structure:
         customs = 0
         for row, index in enumerate(self._port_effects):
             effect = self.effects[index]
-            codes[row] = CODES[effect.kind]
-            if effect.kind == "custom":
+            codes[row] = effect.spec.number
+            if effect.law is not None:
                 codes[row] = -1 - customs
                 customs += 1
             for c, name in enumerate(effect.coefficients):
@@ -440,7 +388,7 @@ class Structure:
     @property
     def jumps(self) -> bool:
         """Whether a force jumps with the sign of a velocity."""
-        return any(self.effects[index].kind in JUMPING for index in self._port_effects)
+        return any(self.effects[index].spec.jumps for index in self._port_effects)
 
     @property
     def port_columns(self) -> NDArray[np.int64]:
@@ -454,7 +402,7 @@ class Structure:
         found = []
         for index in self._port_effects:
             effect = self.effects[index]
-            if effect.kind == "custom":
+            if effect.law is not None:
                 names = tuple(effect.coefficients)
                 found.append((effect.law, () if names == ("scale",) else names))
         return found
@@ -470,7 +418,7 @@ class Structure:
         """(effect, channel, code) of the sensors' static laws."""
         labels = self.linear_model.output_labels
         return [
-            (index, labels.index(self.effects[index].place), _STATIC_OUTPUT[self.effects[index].kind])
+            (index, labels.index(self.effects[index].place), self.effects[index].spec.number)
             for index in self._output_statics
         ]
 

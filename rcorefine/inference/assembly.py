@@ -11,6 +11,9 @@ import numpy as np
 from ..arguments import as_flag, as_list, as_noise, as_number, shown
 from ..data.measurement import Measurement
 from ..effects.effect import Effect, as_effects
+from ..effects.input_path import InputOffset
+from ..effects.law import KINDS
+from ..effects.output_path import OutputOffset
 from ..engine.free_runs import checked_horizon, integrates
 from ..engine.structure import Structure
 from ..exceptions import ModelError
@@ -81,8 +84,7 @@ def assemble(
         if not any(_covers(same, effect) for same, _ in chosen):
             chosen.append((effect, "linear"))
     if not any(role == "offset" for _, role in chosen):
-        constant = ("input_offset", "output_offset", "constant_force", "asymmetric_friction")
-        if not any(same.kind in constant for same, _ in chosen):
+        if not any(same.spec.holds_constant for same, _ in chosen):
             chosen += [(effect, "offset") for effect in offsets]
     return chosen
 
@@ -91,13 +93,13 @@ def _covers(chosen: Effect, linear: Effect) -> bool:
     """Whether an effect already holds everything that a linear parameter could change."""
     if chosen.place != linear.place:
         return False
-    return chosen.kind == linear.kind or (chosen.kind, linear.kind) == ("asymmetric_damping", "damping")
+    return chosen.kind == linear.kind or linear.kind in chosen.spec.covers
 
 
 def _floats(parameter: Any, physical: PhysicalModel) -> bool:
     """Whether a parameter floats: a mass does not where an input gain does, they rescale each other."""
-    gains = any(q.kind == "input_gain" for q in physical.parameters)
-    return parameter.kind != "mass" or not gains
+    gains = any(KINDS[q.kind].relative for q in physical.parameters)
+    return not (KINDS[parameter.kind].inertial and gains)
 
 
 def _linear_effects(physical: PhysicalModel, free: Any, tolerance: float) -> list[Effect]:
@@ -133,8 +135,8 @@ def offset_variants(physical: PhysicalModel, record: Measurement, offset: bool) 
     if not as_flag(offset, "offset"):
         return [[]]
     linear = physical.linear
-    at_inputs = [Effect("input_offset", label) for label in linear.input_labels]
-    at_outputs = [Effect("output_offset", label) for label in linear.output_labels]
+    at_inputs = [Effect(InputOffset.name, label) for label in linear.input_labels]
+    at_outputs = [Effect(OutputOffset.name, label) for label in linear.output_labels]
     if integrates(linear, record):
         return [at_inputs]
     reach = linear.D - linear.C @ np.linalg.pinv(linear.A) @ linear.B
@@ -158,11 +160,11 @@ def priors(structure: Structure, roles: Sequence[str], tolerance: float) -> tupl
             sd[i] = effect.prior[parameter.name]
             mean[i] = (effect.start or {}).get(parameter.name, 0.0)
         elif roles[parameter.effect] == "linear" and tolerance > 0:
-            size = 1.0 if effect.kind == "input_gain" else abs(nominal.get((effect.kind, effect.place), 0.0))
+            size = 1.0 if effect.spec.relative else abs(nominal.get((effect.kind, effect.place), 0.0))
             if size > 0:
                 sd[i] = tolerance * size
         elif roles[parameter.effect] == "linear":
             # only to settle what the record cannot: scales that cancel stay near the model's
-            size = 1.0 if effect.kind == "input_gain" else abs(nominal.get((effect.kind, effect.place), 0.0))
+            size = 1.0 if effect.spec.relative else abs(nominal.get((effect.kind, effect.place), 0.0))
             sd[i] = _LOOSE * size if size > 0 else np.inf
     return mean, sd

@@ -97,7 +97,7 @@ def _rows(
         role = roles[parameter.effect]
         base, name = (known.value, known.name) if known is not None else (0.0, parameter.name)
         if (
-            effect.kind == "mass"
+            effect.spec.inertial
             and known is None
             and np.count_nonzero(structure.model.port(effect.place).velocity) == 1
         ):

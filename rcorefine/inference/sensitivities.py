@@ -27,10 +27,6 @@ __all__ = [
     "slow_forces",
 ]
 
-# Kinds whose start is not "absent": their effect is the difference that they make there.
-_SECANT = frozenset({"hidden_mode", "input_saturation", "output_saturation", "input_lag", "output_lag"})
-_LINEAR = frozenset({"stiffness", "damping", "mass", "coefficient"})  # ride along in one simulation
-_SHAPING = frozenset({"gap", "threshold", "velocity", "displacement"})
 _DIVERGED = 1e100  # of the noise: its squares would be no numbers
 
 
@@ -121,11 +117,11 @@ def candidate_columns(
     riders: list[int] = []
     laws: list[tuple[int, list[dict[str, float]]]] = []
     for i, candidate in enumerate(found):
-        effect = candidate.effect
-        if effect.kind in _SECANT or effect.kind.startswith(("input_", "output_")):
+        law = candidate.effect.spec
+        if law.secant or law.at_channel:
             for ratio in ratios:
                 candidate.columns[ratio] = _own_columns(candidate, ratio)
-        elif effect.kind in _LINEAR:
+        elif law.is_parameter:  # they ride along in one simulation
             riders.append(i)
         else:
             laws.append((i, _shapes(candidate)))
@@ -181,7 +177,11 @@ def _shapes(candidate: Candidate) -> list[dict[str, float]]:
     structure = Structure(candidate.fitted.structure.model, [effect])
     sets: list[dict[str, float]] = []
     for theta in shape_starts(structure, structure.start(), candidate.motion):
-        shape = {q.name: float(theta[i]) for i, q in enumerate(structure.parameters) if q.name in _SHAPING}
+        shape = {
+            q.name: float(theta[i])
+            for i, q in enumerate(structure.parameters)
+            if q.name in effect.spec.shaping
+        }
         if shape not in sets:
             sets.append(shape)
     return sets
@@ -227,7 +227,7 @@ def _own_columns(candidate: Candidate, ratio: float) -> list[Array]:
     K = None if gain is None else np.pad(gain, ((0, problem.n_states - gain.shape[0]), (0, 0)))
     wide: list[list[Array]] = [[] for _ in problem.records]
     for start in candidate.starts:
-        if candidate.effect.kind in _SECANT:  # a difference: no derivatives, which take most of the time
+        if candidate.effect.spec.secant:  # a difference: no derivatives, which take most of the time
             theta, states = problem.unpack(start)
             judged = fitted.problem.judged(fitted.theta)
             for i, engine in enumerate(problem.engines):

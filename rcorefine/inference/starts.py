@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
-from scipy.signal import find_peaks, welch
 
 from ..data.measurement import Measurement
-from ..effects.kernel import NEEDS_WIDTH
 from ..engine.engine import Engine
 from ..engine.observer import observer_gain
 from ..engine.structure import Structure
@@ -18,18 +16,8 @@ from .problem import Problem
 
 __all__ = ["Motion", "estimated_motion", "far_starts", "law_widths", "shape_starts"]
 
-_SIGN_WIDTH = 0.005  # of the rms velocity
-_ROOT_WIDTH = 1e-3  # of the rms level
 _AT_REST = 0.01  # of the largest rms velocity among several records
 _MOST_STARTS = 24
-_SHAPED = (
-    "asymmetric_friction",
-    "clearance",
-    "hidden_mode",
-    "hysteresis",
-    "stribeck_friction",
-    "threshold_flow",
-)  # laws at ports whose start needs the motion there
 
 
 class Motion:
@@ -92,9 +80,9 @@ def law_widths(structure: Structure, motion: Motion) -> dict[int, float]:
     motions = [motion, *motion.companions]
     for index in structure.port_effects:
         effect = structure.effects[index]
-        if effect.kind in NEEDS_WIDTH:
+        share = effect.spec.width_share
+        if share is not None:
             given = (effect.fixed or {}).get("width")
-            share = _ROOT_WIDTH if effect.kind == "sqrt_flow" else _SIGN_WIDTH
             speeds = np.array([np.sqrt(np.mean(m.port(effect.place)[1] ** 2)) for m in motions])
             # sharp enough for the quietest record that moves at all
             rms = float(speeds[speeds >= _AT_REST * speeds.max()].min())
@@ -127,7 +115,7 @@ def shape_starts(structure: Structure, theta: Array, motion: Motion) -> list[Arr
             for name in effect.coefficients
             if structure.position(index, name) >= 0 and name not in given
         }
-        options = _options(structure, index, motion)
+        options = effect.spec.starts(_Seen(structure, index, motion))
         rows = []
         for option in options:
             row = [(wanted[name], value) for name, value in option.items() if name in wanted]
@@ -144,83 +132,44 @@ def shape_starts(structure: Structure, theta: Array, motion: Motion) -> list[Arr
     return starts or [theta.copy()]
 
 
-def _options(structure: Structure, index: int, motion: Motion) -> Sequence[dict[str, float]]:
-    effect, data = structure.effects[index], motion.data
-    kind = effect.kind
-    if kind.startswith("input_"):
-        w = data.inputs[structure.linear_model.input_labels.index(effect.place)]
-        if kind == "input_deadzone":
-            levels = np.quantile(np.abs(w[w != 0]), [0.05, 0.2, 0.4, 0.6]) if (w != 0).any() else [0.1]
-            return [{"threshold": float(q)} for q in levels]
-        if kind == "input_saturation":
-            return [{"limit": float(q)} for q in np.quantile(np.abs(w), [0.97, 0.85, 0.6])]
-        if kind == "input_delay":
-            return [{"delay": q * data.dt} for q in (0.5, 2.5, 6.0)]
-        if kind == "input_lag":
-            return [{"time_constant": q * data.dt} for q in (1.0, 5.0, 25.0)]
-        return []
-    if kind.startswith("output_"):
-        y = data.outputs[structure.linear_model.output_labels.index(effect.place)]
-        if kind == "output_saturation":
-            top = float(np.abs(y).max())
-            return [{"limit": q * top} for q in (0.995, 0.9)]
-        if kind == "output_rectification":
-            return [{"fraction": q} for q in (0.9, 0.2)]
-        if kind == "output_delay":
-            return [{"delay": q * data.dt} for q in (0.5, 2.5, 6.0)]
-        if kind == "output_lag":
-            return [{"time_constant": q * data.dt} for q in (1.0, 5.0, 25.0)]
-        return []
-    if kind in (
-        "clearance",
-        "asymmetric_friction",
-        "stribeck_friction",
-        "hysteresis",
-        "threshold_flow",
-        "hidden_mode",
-    ):
-        d, v = motion.port(effect.place)
-        rms_d, rms_v = float(np.sqrt(np.mean(d**2))), float(np.sqrt(np.mean(v**2)))
-        if kind == "clearance":
-            return [{"gap": float(q)} for q in np.quantile(np.abs(d), [0.4, 0.7, 0.9, 0.1])]
-        inertia = structure.inertia(effect.place)
-        pull = inertia * float(np.std(np.gradient(v, data.dt))) if np.isfinite(inertia) else 1.0
-        if kind == "asymmetric_friction":
-            # equal levels too: from zero, a push one way and a brake the other can look as good
-            return [{"force_plus": q * pull, "force_minus": q * pull} for q in (0.0, 0.05, 0.2)]
-        if kind == "stribeck_friction":
-            # a level to begin with: at zero force the fading speed has no gradient
-            return [
-                {"velocity": q * rms_v, "coulomb_force": share * pull, "static_force": 2 * share * pull}
-                for share in (0.05, 0.2)
-                for q in (0.3, 0.1, 1.0)
-            ]
-        if kind == "hysteresis":
-            return [{"displacement": q * rms_d} for q in (0.3, 0.05, 1.0)]
-        if kind == "threshold_flow":
-            return [{"threshold": float(q)} for q in np.quantile(v, [0.7, 0.9, 0.5])]
-        return _mode_options(structure, index, motion)
-    return []
+class _Seen:
+    """What a record tells about the place of an effect, looked at when asked for: see `Seen`."""
 
+    def __init__(self, structure: Structure, index: int, motion: Motion) -> None:
+        self._structure, self._motion = structure, motion
+        self._place, self._law = structure.effects[index].place, structure.effects[index].spec
+        self.dt = motion.data.dt
+        self.residual = motion.residual
 
-def _mode_options(structure: Structure, index: int, motion: Motion) -> list[dict[str, float]]:
-    """An attached mode, seeded at the peaks of the residual."""
-    data = motion.data
-    residual = motion.residual - motion.residual.mean(axis=1, keepdims=True)
-    segment = min(1024, data.n_samples)
-    frequency, power = welch(residual, fs=1.0 / data.dt, nperseg=segment)
-    level = np.log(power.mean(axis=0) + 1e-300)[1:]
-    peaks, info = find_peaks(level, prominence=0.5)
-    order = np.argsort(info["prominences"])[::-1][:3]
-    places = list(frequency[1:][peaks[order]]) or [0.05 / data.dt]
-    act = structure.model.port(structure.effects[index].place).act
-    inverse = float(np.abs(act).max()) or 1.0
-    options = []
-    for f in places:
-        mass = 0.03 / inverse
-        omega = 2 * np.pi * f
-        options.append({"mass": mass, "damping": 0.06 * mass * omega, "stiffness": mass * omega**2})
-    return options
+    @property
+    def signal(self) -> Array:
+        data, linear = self._motion.data, self._structure.linear_model
+        labels, rows = linear.output_labels, data.outputs
+        if "input" in self._law.where:
+            labels, rows = linear.input_labels, data.inputs
+        row: Array = rows[labels.index(self._place)]
+        return row
+
+    @cached_property
+    def _port(self) -> tuple[Array, Array]:
+        return self._motion.port(self._place)
+
+    @property
+    def d(self) -> Array:
+        return self._port[0]
+
+    @property
+    def v(self) -> Array:
+        return self._port[1]
+
+    @property
+    def pull(self) -> float:
+        inertia = self._structure.inertia(self._place)
+        return inertia * float(np.std(np.gradient(self.v, self.dt))) if np.isfinite(inertia) else 1.0
+
+    @property
+    def mobility(self) -> float:
+        return float(np.abs(self._structure.model.port(self._place).act).max())
 
 
 def far_starts(problem: Problem, structure: Structure, theta: Array) -> list[Array]:
@@ -248,9 +197,9 @@ def far_starts(problem: Problem, structure: Structure, theta: Array) -> list[Arr
     for i, parameter in enumerate(structure.parameters):
         effect = structure.effects[parameter.effect]
         size = nominal.get((effect.kind, effect.place), 0.0)
-        if effect.kind == "mass":
+        if effect.spec.inertial:
             size = structure.inertia(effect.place)
-        if effect.kind in ("stiffness", "damping", "mass") and 0 < size < np.inf:
+        if effect.spec.is_element and 0 < size < np.inf:
             columns.append((i, size))
     if not columns:
         return []

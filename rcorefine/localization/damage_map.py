@@ -9,6 +9,7 @@ import control as ct
 
 from ..arguments import as_text
 from ..effects.effect import Effect
+from ..effects.springs import Stiffness
 from ..exceptions import ModelError
 from ..inference.whitening import FTest
 from ..results import Options, Result, picture, show
@@ -216,7 +217,7 @@ class DamageMap(Result):
         """The named changes as effects, to go on with in `refine` or `compare`."""
         return tuple(Effect(row.kind, row.place, start={row.kind: row.change}) for row in self.named)
 
-    def row(self, place: str, kind: str = "stiffness") -> DamageRow:
+    def row(self, place: str, kind: str = Stiffness.name) -> DamageRow:
         """Row of one place.
 
         Parameters

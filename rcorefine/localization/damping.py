@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..effects.bodies import ConstantForce
 from ..effects.effect import Effect
 from ..engine.structure import Parameter, Structure
 from ..exceptions import ModelError
@@ -117,7 +118,7 @@ class RatioStructure(Structure):
                 "damping='ratio' needs displacements and velocities as states; use damping='links' or 'fixed'"
             )
         # the two numbers belong to an effect that does nothing
-        carrier = Effect("constant_force", carriers[0], fixed={"force": 0.0}, name=RATIO_NAMES[0])
+        carrier = Effect(ConstantForce.name, carriers[0], fixed={"force": 0.0}, name=RATIO_NAMES[0])
         super().__init__(model, [*effects, carrier], constants=constants)
         self._rows = velocities
         self._stiff = np.ix_(velocities, displacements)
@@ -165,7 +166,7 @@ def _start_of(structure: Structure, count: int) -> Array:
     for where, parameter in enumerate(structure.parameters[:count]):
         effect = structure.effects[parameter.effect]
         given = effect.start.get(parameter.name)
-        if given is None and effect.kind != "custom":
+        if given is None:
             given = effect.start_of(parameter.name)
         theta[where] = 0.0 if given is None else given
     return theta

@@ -12,6 +12,7 @@ import numpy as np
 from ..arguments import as_list, as_mapping
 from ..data.measurement import Measurement
 from ..effects.effect import Effect
+from ..effects.springs import Stiffness
 from ..engine.structure import Structure
 from ..inference.fit import Fit
 from ..inference.problem import residual_blocks
@@ -132,7 +133,7 @@ def _as_effect(entry: Any) -> Effect:
     if isinstance(entry, Effect):
         return entry
     if isinstance(entry, str):
-        return Effect("stiffness", entry)
+        return Effect(Stiffness.name, entry)
     raise ct.ControlArgument(
         f"a hypothesis holds Effect objects or names of places, not {type(entry).__name__}"
     )

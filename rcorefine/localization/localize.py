@@ -14,7 +14,10 @@ from ..arguments import as_choice, as_list, as_number, as_share, as_state
 from ..arithmetic import own_arithmetic
 from ..data.channels import match_channels, record_for
 from ..data.measurement import Measurement
+from ..effects.dampers import Damping
 from ..effects.effect import Effect
+from ..effects.output_path import OutputGain
+from ..effects.springs import Stiffness
 from ..engine.simulation import check_channels
 from ..engine.structure import Structure
 from ..exceptions import IdentifiabilityWarning, ModelError
@@ -181,9 +184,9 @@ def localize_damage(
         nuisances = [
             (e, role)
             for e, role in chosen[len(effects) :]
-            if not (role == "linear" and e.kind == "damping" and rule == "ratio")
+            if not (role == "linear" and e.kind == Damping.name and rule == "ratio")
         ]
-        gains = [Effect("output_gain", label) for label in physical.linear.output_labels]
+        gains = [Effect(OutputGain.name, label) for label in physical.linear.output_labels]
         nuisances += [(gain, "gain") for gain in gains if gain not in base]
         setting = Setting(
             physical,
@@ -235,7 +238,7 @@ def _nominal(model: Any, physical: PhysicalModel) -> dict[tuple[str, str], float
 
 
 def _default_rule(physical: PhysicalModel, nominal: Mapping[tuple[str, str], float]) -> str:
-    if any(kind == "damping" and value != 0 for (kind, _), value in nominal.items()):
+    if any(kind == Damping.name and value != 0 for (kind, _), value in nominal.items()):
         return "links"
     try:
         RatioStructure(physical)
@@ -254,9 +257,9 @@ def _candidates(
         entries = (
             [given] if isinstance(given, str | Effect) else as_list(given, "candidates", "effects or places")
         )
-        effects = [Effect("stiffness", e) if isinstance(e, str) else e for e in entries]
+        effects = [Effect(Stiffness.name, e) if isinstance(e, str) else e for e in entries]
         for effect in effects:
-            if not isinstance(effect, Effect) or effect.kind not in ("stiffness", "damping", "mass"):
+            if not isinstance(effect, Effect) or not effect.spec.is_element:
                 raise ct.ControlArgument(
                     f"candidates are stiffness, damping or mass effects or places, not {effect!r}; "
                     "other kinds belong to hypotheses="
@@ -265,11 +268,11 @@ def _candidates(
         if len(set(effects)) < len(effects):
             raise ct.ControlArgument("candidates holds an effect twice; give each once")
     else:
-        springs = [q.place for q in physical.parameters if q.kind == "stiffness" and q.value != 0]
-        effects = [Effect("stiffness", place) for place in springs]
+        springs = [q.place for q in physical.parameters if q.kind == Stiffness.name and q.value != 0]
+        effects = [Effect(Stiffness.name, place) for place in springs]
         if rule == "links":
-            dampers = [q.place for q in physical.parameters if q.kind == "damping" and q.value != 0]
-            effects += [Effect("damping", place) for place in dampers or springs]
+            dampers = [q.place for q in physical.parameters if q.kind == Damping.name and q.value != 0]
+            effects += [Effect(Damping.name, place) for place in dampers or springs]
     if not effects:
         raise ModelError(
             f"model {physical.name!r} has no stiffness at any link: use a builder such as "
@@ -282,7 +285,7 @@ def _spread(effect: Effect, role: str, nominal: Mapping[tuple[str, str], float],
     """Prior standard deviation of a nuisance."""
     if role != "linear":
         return _CALIBRATION if role == "gain" else np.inf
-    size = 1.0 if effect.kind == "input_gain" else abs(nominal.get((effect.kind, effect.place), 0.0))
+    size = 1.0 if effect.spec.relative else abs(nominal.get((effect.kind, effect.place), 0.0))
     return tolerance * size if size > 0 else np.inf
 
 

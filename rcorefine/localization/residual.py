@@ -25,7 +25,6 @@ from .estimate import Joint
 __all__ = ["overall", "residual_tests"]
 
 _SHORTEST = 200  # samples of a record that can be tested
-_CHANGES = ("stiffness", "damping")
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,8 +80,9 @@ def _plain(structure: Structure, theta: Array) -> tuple[PhysicalModel, tuple[Eff
     """The same model without the rule of damping, which goes into its state matrix as it stands."""
     if not isinstance(structure, RatioStructure):
         return structure.model, tuple(structure.effects), theta
-    changes = [structure.effects[q.effect].kind in _CHANGES for q in structure.parameters]
-    masses = [structure.effects[q.effect].kind == "mass" for q in structure.parameters]
+    changes = [structure.effects[q.effect].spec.is_element for q in structure.parameters]
+    masses = [structure.effects[q.effect].spec.inertial for q in structure.parameters]
+    changes = [change and not mass for change, mass in zip(changes, masses, strict=True)]
     model = structure.model
     A = structure.matrices(np.where(masses, 0.0, theta)).A.real
     C, D = model.output_state + model.output_rate @ A, model.linear.D

@@ -9,6 +9,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import least_squares
 
 from ..data.measurement import Measurement
+from ..effects.springs import Stiffness
 from ..engine.structure import Structure
 from ..exceptions import DataError
 from ..systems.linear import Array
@@ -204,7 +205,7 @@ def _spectrum(structure: Structure, theta: Array, record: Measurement) -> _Spect
     for i, parameter in enumerate(structure.parameters):
         effect = structure.effects[parameter.effect]
         size = nominal.get((effect.kind, effect.place), 0.0)
-        if effect.kind == "stiffness" and parameter.name == "stiffness" and size > 0:
+        if effect.kind == Stiffness.name and size > 0:
             columns.append((i, size))
     if not columns or not structure.is_linear:
         return None

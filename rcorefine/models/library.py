@@ -9,8 +9,12 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_texts
+from ..effects.bodies import Mass
+from ..effects.custom import Custom
 from ..effects.effect import Effect
-from ..effects.law import KINDS
+from ..effects.entries import Entry
+from ..effects.law import KINDS, Law
+from ..effects.springs import Stiffness
 from ..exceptions import ModelError
 from ..systems.linear import Array
 from .conversion import as_physical
@@ -19,12 +23,6 @@ from .ports import Port
 
 __all__ = ["effect_library"]
 
-_SPRINGS = frozenset(
-    {"stiffness", "cubic_stiffness", "quadratic_stiffness", "bilinear_stiffness", "clearance"}
-)
-_JOINTS = frozenset({"hysteresis"})
-# what belongs to one mass or store rather than to what joins two
-_BODIES = frozenset({"mass", "hidden_mode", "constant_force"})
 _MOST_ENTRIES = 20
 
 
@@ -86,7 +84,7 @@ def effect_library(
     for kind in asked or ():
         if kind not in KINDS:
             raise ct.ControlArgument(f"unknown kind of effect {kind!r}; the kinds are {', '.join(KINDS)}")
-    if asked is not None and "custom" in asked:
+    if asked is not None and Custom.name in asked:
         raise ct.ControlArgument(
             "a custom effect needs its law; make it with Effect('custom', place, law=...)"
         )
@@ -128,15 +126,15 @@ def _check_entry(physical: PhysicalModel, place: str) -> None:
 def _at_ports(physical: PhysicalModel, asked: tuple[str, ...] | None) -> list[Effect]:
     candidates: list[tuple[Port, str]] = []
     for port in physical.ports:
-        for kind in KINDS.values():
-            if port.kind not in kind.where or kind.name == "custom":
+        for law in KINDS.values():
+            if port.kind not in law.where or law.name == Custom.name:
                 continue
-            if "position" in kind.needs and not port.has_position:
+            if "position" in law.needs and not port.has_position:
                 continue
-            if "velocity" in kind.needs and not port.has_velocity:
+            if "velocity" in law.needs and not port.has_velocity:
                 continue
-            if kind.name in asked if asked is not None else _plausible(physical, port, kind.name):
-                candidates.append((port, kind.name))
+            if law.name in asked if asked is not None else _plausible(physical, port, law):
+                candidates.append((port, law.name))
     best: dict[Any, tuple[int, Port, str]] = {}
     for port, name in candidates:  # one of those that act alike, the one with the parameter
         rank = _affinity(physical, port, name)
@@ -149,29 +147,26 @@ def _at_ports(physical: PhysicalModel, asked: tuple[str, ...] | None) -> list[Ef
     ]
 
 
-def _plausible(physical: PhysicalModel, port: Port, kind: str) -> bool:
-    """Whether people would look for this kind at this port first."""
+def _plausible(physical: PhysicalModel, port: Port, law: Law) -> bool:
+    """Whether people would look for this law at this port first."""
     joined = _joins(port)
-    if kind in _BODIES and (joined or _body_elsewhere(physical, port)):
+    # a body is one mass or store rather than what joins two
+    if law.belongs_to == Mass.name and (joined or _body_elsewhere(physical, port)):
         return False
     if port.kind == "first_order":
-        if kind == "mass":  # only where a builder knows the store; else it rescales a row of A
-            return _has_parameter(physical, port, {"mass"})
-        one_way = joined and not _opposed(port.velocity)
-        if kind in ("cubic_damping", "coulomb_friction"):
-            return not one_way
-        # a level has a root and a rim, the difference of two temperatures has not
-        return kind not in ("sqrt_flow", "threshold_flow") or not _opposed(
-            np.concatenate([port.velocity, port.velocity_input])
+        return law.plausible_in_store(
+            one_way=joined and not _opposed(port.velocity),
+            between=_opposed(np.concatenate([port.velocity, port.velocity_input])),
+            known_mass=_has_parameter(physical, port, Mass.name),
         )
-    if kind in _SPRINGS | _JOINTS and not joined:
+    if law.belongs_to == Stiffness.name and not joined:
         # a spring to the ground at a mass that hangs on others is far-fetched
         alone = not any(
-            _joins(other) or _has_parameter(physical, other, {"stiffness"})
+            _joins(other) or _has_parameter(physical, other, Stiffness.name)
             for other in physical.ports
             if other is not port and other.kind == "mechanical" and _shares_mass(other, port)
         )
-        return alone or _has_parameter(physical, port, {"stiffness"})
+        return alone or _has_parameter(physical, port, Stiffness.name)
     return True
 
 
@@ -186,8 +181,8 @@ def _opposed(row: Array) -> bool:
 
 def _body_elsewhere(physical: PhysicalModel, port: Port) -> bool:
     """Whether another port is the body that this one only holds (wheel and tire)."""
-    return not _has_parameter(physical, port, {"mass"}) and any(
-        np.array_equal(other.act, port.act) and _has_parameter(physical, other, {"mass"})
+    return not _has_parameter(physical, port, Mass.name) and any(
+        np.array_equal(other.act, port.act) and _has_parameter(physical, other, Mass.name)
         for other in physical.ports
     )
 
@@ -196,30 +191,24 @@ def _shares_mass(one: Port, two: Port) -> bool:
     return bool(np.any((one.act != 0) & (two.act != 0)))
 
 
-def _has_parameter(physical: PhysicalModel, port: Port, kinds: set[str]) -> bool:
-    return any(item.place == port.name and item.kind in kinds for item in physical.parameters)
+def _has_parameter(physical: PhysicalModel, port: Port, kind: str) -> bool:
+    return any(item.place == port.name and item.kind == kind for item in physical.parameters)
 
 
 def _affinity(physical: PhysicalModel, port: Port, kind: str) -> int:
     """How well a kind fits a port among ports that are the same direction."""
-    if kind in _SPRINGS | _JOINTS:
-        own = {"stiffness"}
-    elif kind in _BODIES:
-        own = {"mass"}
-    else:
-        own = {"damping"}
-    return int(_has_parameter(physical, port, own))
+    return int(_has_parameter(physical, port, KINDS[kind].belongs_to))
 
 
 def _action(port: Port, kind: str) -> tuple[Any, ...]:
     """Key that is equal for effects that act exactly alike, up to the sense of the port."""
-    spec = KINDS[kind]
+    senses = KINDS[kind].senses
     arrays = [port.act]
-    if "position" in spec.needs or kind in ("hidden_mode", "hysteresis"):
+    if "position" in senses:
         arrays += [port.position, port.position_input]
-    if "velocity" in spec.needs:
+    if "velocity" in senses:
         arrays += [port.velocity, port.velocity_input]
-    if kind in ("mass", "hidden_mode"):
+    if "acceleration" in senses:
         arrays += [port.acceleration_input]
     return (kind, *(tuple((array + 0.0).tolist()) for array in arrays))  # no negative zeros
 
@@ -242,13 +231,13 @@ def _at_entries(
 ) -> list[Effect]:
     """Entries of A: those named, or those that are left over when the ports are taken off."""
     named = [place for place in wanted or () if place not in physical.places]
-    if asked is not None and "coefficient" not in asked:
+    if asked is not None and Entry.name not in asked:
         return []
     if named:
-        return [Effect("coefficient", place) for place in named]
+        return [Effect(Entry.name, place) for place in named]
     if wanted is not None:
         return []
-    listed = [item.place for item in physical.parameters if item.kind == "coefficient"]
+    listed = [item.place for item in physical.parameters if item.kind == Entry.name]
     if asked is None:
         own = {int(np.flatnonzero(port.act)[0]) for port in physical.ports if not _joins(port)}
         # the damping of a first-order state is its diagonal entry already
@@ -258,7 +247,7 @@ def _at_entries(
     elif not listed:
         n = physical.linear.n_states
         listed = [f"A[{i},{j}]" for i in range(n) for j in range(n) if physical.linear.A[i, j]]
-    return [Effect("coefficient", place) for place in listed]
+    return [Effect(Entry.name, place) for place in listed]
 
 
 def _diagonal(physical: PhysicalModel, place: str, states: set[int]) -> bool:

@@ -11,6 +11,7 @@ import control as ct
 from ..arguments import as_choice, as_text, shown
 from ..data.measurement import HOLDS, Measurement
 from ..effects.effect import Effect
+from ..effects.entries import Entry
 from ..exceptions import ModelError
 from ..results import Result
 from ..systems.discretization import check_sampling_time
@@ -304,7 +305,7 @@ class PhysicalModel(Result):
         """
         _check_type(effect)
         where = effect.spec.where
-        if effect.kind == "coefficient":
+        if effect.kind == Entry.name:
             self.entry(effect.place)
             return effect
         for channel, labels in (("input", self.linear.input_labels), ("output", self.linear.output_labels)):
@@ -350,7 +351,7 @@ class PhysicalModel(Result):
             return ""  # a custom law's own
         rule = effect.spec.coefficient(coefficient).unit_rule
         where = effect.spec.where
-        if effect.kind == "coefficient":
+        if effect.kind == Entry.name:
             row, column = self.entry(effect.place)
             states = {"row": self.state_units[row], "column": self.state_units[column]}
             return combine_units("row/(column s)", states)

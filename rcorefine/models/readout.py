@@ -6,6 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ..effects.dampers import Damping
+from ..effects.entries import Entry
+from ..effects.input_path import InputGain
+from ..effects.springs import Stiffness
 from ..systems.linear import Array, LinearModel
 from .displacements import Displacement, find_displacements, significant
 from .masses import MassScale
@@ -58,50 +62,50 @@ def read_parameters(
 
     def take(port: Port, kind: str, row: int, column: int) -> None:
         """Find the coefficient that explains what is left of an entry, and take all its part off."""
-        sensed = port.position if kind == "stiffness" else port.velocity
+        sensed = port.position if kind == Stiffness.name else port.velocity
         if abs(left[row, column]) > _LEFT * scale[row, column]:
             value = float(left[row, column] / (port.act[row] * sensed[column]))
-            name = f"{'k' if kind == 'stiffness' else 'c'}[{port.name}]"
+            name = f"{'k' if kind == Stiffness.name else 'c'}[{port.name}]"
             found.append(NominalParameter(name, value, "", kind, port.name, False))
             left[:] -= value * np.outer(port.act, sensed)
             left[np.abs(left) <= _LEFT * scale] = 0.0
 
     for (one, two), port in between.items():
         if one.moving is not None and two.moving is not None:
-            take(port, "stiffness", one.moving, two.state)
-            take(port, "damping", one.moving, two.moving)
+            take(port, Stiffness.name, one.moving, two.state)
+            take(port, Damping.name, one.moving, two.moving)
     for item in displacements:
         if not item.absolute:
             port = by_state[item.state]
             end = item.moving if item.moving is not None else item.other
             assert end is not None
-            take(port, "stiffness", end, item.state)
+            take(port, Stiffness.name, end, item.state)
             if item.moving is not None and item.other is not None:
-                take(port, "damping", end, item.other)
+                take(port, Damping.name, end, item.other)
             else:  # the other end is an input: its damper shows in B
                 column = int(np.argmax(np.abs(port.velocity_input)))
                 value = linear.B[end, column] / (port.act[end] * port.velocity_input[column])
                 if abs(linear.B[end, column]) > tolerance * np.abs(linear.B[:, column]).max():
                     found.append(
-                        NominalParameter(f"c[{port.name}]", float(value), "", "damping", port.name, False)
+                        NominalParameter(f"c[{port.name}]", float(value), "", Damping.name, port.name, False)
                     )
                     left[:] -= value * np.outer(port.act, port.velocity)
                     left[np.abs(left) <= _LEFT * scale] = 0.0
     for item in displacements:
         if item.absolute and item.moving is not None:
-            take(by_state[item.state], "stiffness", item.moving, item.state)
-            take(by_state[item.state], "damping", item.moving, item.moving)
+            take(by_state[item.state], Stiffness.name, item.moving, item.state)
+            take(by_state[item.state], Damping.name, item.moving, item.moving)
     for state, port in by_state.items():
         if port.kind == "mechanical" and not port.has_position:
-            take(port, "damping", state, state)
+            take(port, Damping.name, state, state)
 
     kinematic = {item.state for item in displacements}
     for i, j in np.argwhere(left):
         if int(i) not in kinematic:
             place = f"A[{i},{j}]"
-            found.append(NominalParameter(place, float(linear.A[i, j]), "", "coefficient", place, False))
+            found.append(NominalParameter(place, float(linear.A[i, j]), "", Entry.name, place, False))
     found.extend(
-        NominalParameter(f"gain[{label}]", 1.0, "1", "input_gain", label, False)
+        NominalParameter(f"gain[{label}]", 1.0, "1", InputGain.name, label, False)
         for label, base, column in zip(linear.input_labels, masses.base_acceleration, linear.B.T, strict=True)
         if column.any() and not base
     )

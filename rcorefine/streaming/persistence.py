@@ -13,6 +13,7 @@ import numpy as np
 
 from ..archives import read_archive
 from ..arguments import as_mapping, as_path
+from ..effects.custom import Custom
 from ..effects.effect import Effect
 from ..exceptions import DataError, ModelError
 from ..models.parameters import NominalParameter
@@ -137,8 +138,8 @@ def _decoded(tree: Any, arrays: dict[str, Any], laws: Mapping[str, Callable[...,
         return _decoded(tree["statespace"], arrays, laws).to_statespace()
     if "effect" in tree:
         arguments = _decoded(tree["effect"], arrays, laws)
-        if arguments["kind"] == "custom":
-            label = arguments["name"] or f"custom at {arguments['place']}"
+        if arguments["kind"] == Custom.name:
+            label = arguments["name"] or f"{Custom.name} at {arguments['place']}"
             if label not in laws:
                 raise ModelError(
                     f"the law of {label!r} is a function, which no file holds; "

@@ -20,16 +20,6 @@ from .tables import Table, Told, tells
 __all__ = ["diagnosis_told", "plot_diagnosis"]
 
 _SHOWN = 8
-_ALONG_D = frozenset(
-    {
-        "stiffness",
-        "cubic_stiffness",
-        "quadratic_stiffness",
-        "bilinear_stiffness",
-        "clearance",
-        "hysteresis",
-    }
-)
 
 
 @tells(Diagnosis)
@@ -133,7 +123,7 @@ def _force(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
     force, states = estimated_force(found.base, best.refinement.rmse, port, record)
     d = port.position @ states + port.position_input @ record.inputs
     v = port.velocity @ states + port.velocity_input @ record.inputs
-    along_d = best.effect.kind in _ALONG_D
+    along_d = "position" in best.effect.spec.needs
     motion = d if along_d else v
     unit = port.position_unit if along_d else port.velocity_unit
     what = "displacement" if along_d else "motion" if port.kind == "first_order" else "velocity"
@@ -178,19 +168,15 @@ def _law(found: Diagnosis, d: Array, v: Array, motion: Array) -> tuple[Array, Ar
     assert found.best is not None
     effect, values = found.best.effect, dict(found.best.coefficients)
     order = np.argsort(motion, kind="stable")
-    if effect.kind in ("stiffness", "damping"):
-        return motion[order], values[effect.kind] * motion[order]
     shape = {**values, **effect.fixed}
     columns = unit_forces(effect, d, v, [shape])
     levels = [
-        values.get(n, effect.fixed.get(n, 0.0))
-        for n in effect.coefficients
-        if n not in ("gap", "threshold", "velocity", "displacement")
+        values.get(n, effect.fixed.get(n, 0.0)) for n in effect.coefficients if n not in effect.spec.shaping
     ]
     if columns is None or len(columns) != len(levels):
         return None
     force = np.sum([level * column for level, column in zip(levels, columns, strict=True)], axis=0)
-    if effect.kind == "hysteresis":
+    if effect.spec.inner_states:
         return motion, force
     return motion[order], force[order]
 

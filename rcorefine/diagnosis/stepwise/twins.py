@@ -40,22 +40,18 @@ def with_other_names(steps: Sequence[Step]) -> tuple[list[Step], list[str]]:
 
 
 def _other_name(step: Step) -> Effect | None:
-    """Asymmetric friction for Coulomb friction where a constant offset acts at the same place."""
+    """The law that this one is by another name, where a constant offset acts at the same place."""
     effect, held = step.effect, step.refinement
-    if effect is None or effect.kind != "coulomb_friction" or step.action == "drop":
+    if effect is None or not effect.spec.with_offset or step.action == "drop":
         return None
     linear = held.physical_model.linear
     act = held.physical_model.port(effect.place).act
     for offset, role in zip(held.effects, held.roles, strict=True):
         if role != "offset":
             continue
-        if offset.kind == "input_offset":
-            push = np.asarray(linear.B)[:, linear.input_labels.index(offset.place)]
-        elif offset.kind == "constant_force":
-            push = held.physical_model.port(offset.place).act
-        else:
-            continue
-        if abs(push @ act) > (1 - 1e-9) * np.linalg.norm(push) * np.linalg.norm(act):
-            other = Effect("asymmetric_friction", effect.place)
+        port = next((p for p in held.physical_model.ports if p.name == offset.place), None)
+        push = offset.spec.push(linear, offset.place, None if port is None else port.act)
+        if push is not None and abs(push @ act) > (1 - 1e-9) * np.linalg.norm(push) * np.linalg.norm(act):
+            other = Effect(effect.spec.with_offset, effect.place)
             return None if any(same(other, e) for e in (*held.effects, *step.rivals)) else other
     return None

@@ -223,11 +223,10 @@ def _filled(memory: CoefficientMemory) -> Array:
 
 
 def _widths(setup: EffectsSetup, memory: CoefficientMemory) -> Array:
-    from ...effects.kernel import NEEDS_WIDTH
     from ...inference.starts import law_widths
 
     widths = np.full(len(setup.effects), np.nan)
-    if any(effect.kind in NEEDS_WIDTH for effect in setup.effects):
+    if any(effect.spec.width_share is not None for effect in setup.effects):
         for index, width in law_widths(setup.bare, _motion(setup, memory)).items():
             widths[index] = width
     return widths

@@ -13,6 +13,7 @@ import numpy as np
 
 from ...arguments import as_whole
 from ...effects.effect import Effect, as_effects
+from ...effects.law import OutputLaw
 from ...engine.engine import _kernel
 from ...engine.structure import Structure
 from ...exceptions import ModelError
@@ -29,11 +30,6 @@ __all__ = ["EffectsSetup", "make_effects_setup"]
 _LAG = 64  # samples that input delays look back on
 _FIRST = 50  # samples of the first stretch, at least
 _MARGIN = 1e-3  # of a bound that an estimate keeps off it
-_STATIC_CODES = {
-    "input_deadzone": (0, "threshold"),
-    "input_saturation": (1, "limit"),
-    "input_delay": (2, "delay"),
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +62,7 @@ class EffectsSetup(Setup):
     def layout(self) -> Layout:
         """Sizes of the packed memory."""
         s = self.bare
-        delays = any(effect.kind == "input_delay" for effect in self.effects)
+        delays = any(effect.spec.delays for effect in self.effects)
         lag = 0 if self.fast else (_LAG if delays else 3)
         return Layout(s.n_states, s.n_parameters, s.n_inputs + 1, s.n_outputs, s.n_ports, lag)
 
@@ -130,7 +126,7 @@ class EffectsSetup(Setup):
         lower = np.array([q.lower for q in s.parameters])
         upper = np.array([q.upper for q in s.parameters])
         for i, q in enumerate(s.parameters):
-            if s.effects[q.effect].kind == "input_delay":
+            if s.effects[q.effect].spec.delays:
                 upper[i] = min(upper[i], (_LAG - 4) * self.settings.dt)
         with np.errstate(invalid="ignore"):
             lower = np.where(np.isfinite(lower), lower + _MARGIN * np.abs(lower), lower)
@@ -148,7 +144,7 @@ class EffectsSetup(Setup):
         """Whether a coefficient has no value at which its effect is absent, so that data tell a start."""
         q = self.bare.parameters[column]
         effect = self.effects[q.effect]
-        return effect.kind != "custom" and effect.start_of(q.name) is None
+        return effect.start_of(q.name) is None
 
     @cached_property
     def nominal(self) -> Array:
@@ -159,9 +155,9 @@ class EffectsSetup(Setup):
         for q in s.parameters:
             effect = s.effects[q.effect]
             size = known.get((effect.kind, effect.place), 0.0)
-            if effect.kind == "mass":
+            if effect.spec.inertial:
                 size = s.inertia(effect.place)
-            if effect.kind in ("input_gain", "output_gain"):
+            if effect.spec.relative:
                 size = 1.0
             found.append(size if np.isfinite(size) else 0.0)
         return np.array(found)
@@ -198,13 +194,13 @@ def compile_kernel(setup: EffectsSetup, memory: CoefficientMemory) -> Kernel:
     outcodes, outvalues = np.zeros(lay.ny, dtype=np.int64), np.zeros(lay.ny)
     outcolumns = np.full(lay.ny, -1, dtype=np.int64)
     for index, channel, code in s.output_statics:
-        name = "limit" if code == 1 else "fraction"
+        name = s.effects[index].coefficients[0]
         outcodes[channel], outvalues[channel] = code, s.value(memory.centre, index, name)
         outcolumns[channel] = s.position(index, name)
     statics, levels = [], []
     for index, channel in s.input_statics:
-        code, name = _STATIC_CODES[s.effects[index].kind]
-        statics.append((code, channel, s.position(index, name)))
+        name = s.effects[index].coefficients[0]
+        statics.append((s.effects[index].spec.number, channel, s.position(index, name)))
         levels.append(float(s.value(memory.centre, index, name)))
     rest = (
         np.stack([disc.M, fine.M]), np.stack([disc.dM, fine.dM]), pieces, disc.linear, disc.O, disc.dO,
@@ -261,7 +257,7 @@ def make_effects_setup(
     """Check what `RCORefiner` was given for the physical stage."""
     effects = as_effects(effects, "effects")
     for effect in effects:
-        if effect.kind == "output_delay":
+        if effect.spec.delays and isinstance(effect.spec, OutputLaw):
             raise ModelError(
                 f"{effect.label}: a delay at an output needs the future and cannot be estimated on a stream; "
                 "use an input_delay, an output_lag, or refine() on a record"

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ...effects.entries import Entry
 from ...systems.exponential import exponential
 from ...systems.linear import Array, LinearModel
 from .kernel import advance
@@ -131,7 +132,7 @@ class EntriesSetup(Setup):
 
         return tuple(
             EstimatedParameter(
-                name=name, kind="coefficient", place=name, initial=float(value), value=float(value + change),
+                name=name, kind=Entry.name, place=name, initial=float(value), value=float(value + change),
                 coefficient=float(change), std=float(std), unit="", role="coefficient",
             )
             for name, value, change, std in zip(self.names, self.value, theta, spread, strict=True)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from ...data.measurement import Measurement
 from ...effects.effect import Effect
-from ...effects.kernel import CODES as LAWS
 from ...engine.engine import Engine
 from ...engine.structure import Structure
 from ...inference.starts import Motion, law_widths, shape_starts
@@ -19,16 +18,8 @@ from ...systems.discretization import discretize
 from ...systems.linear import Array
 from .kernels import CODES, forces
 
-__all__ = ["SHAPING", "UNSEEN", "Bank", "build_bank"]
+__all__ = ["Bank", "build_bank"]
 
-#: Kinds that are no force along a known motion.
-UNSEEN = frozenset({"hidden_mode"})
-#: Coefficients that give a law its shape rather than its strength.
-SHAPING = frozenset({"gap", "threshold", "velocity", "displacement", "limit"})
-_DIRECT = {
-    "gain": "damping", "offset": "constant", "delay": "delay", "lag": "delay",
-    "rectification": "rectification",
-}  # fmt: skip
 _MOST_SHAPES = 3  # of a law with a gap, a limit or a fading speed
 
 
@@ -204,24 +195,23 @@ def _columns(
         return _Column(owner, name, code, d, v, *place, **law)
 
     first = effect.coefficients[0]
-    kind = effect.kind
-    if kind == "coefficient":
+    law = effect.spec
+    if "any" in law.where and law.is_parameter:
         row, column = structure.model.entry(effect.place)
         act = np.eye(n)[row]
-        return [at((act, rate @ act), zero, np.eye(n + nw)[column], first, CODES["damping"])]
-    if kind.startswith(("input_", "output_")):
-        what = kind.split("_", 1)[1]
-        if kind.startswith("input_"):
+        return [at((act, rate @ act), zero, np.eye(n + nw)[column], first, CODES[law.signal])]
+    if law.at_channel:
+        if "input" in law.where:
             i = structure.linear_model.input_labels.index(effect.place)
             place, sense, hold = (B[:, i], D[:, i]), np.eye(n + nw)[n + i], "input"
         else:
             i = structure.linear_model.output_labels.index(effect.place)
             place, sense, hold = (np.zeros(n), np.eye(ny)[i]), np.concatenate([C[i], D[i]]), "foh"
-        if what in _DIRECT:
-            return [at(place, zero, sense, first, CODES[_DIRECT[what]], hold=hold)]
+        if not law.shaping:
+            return [at(place, zero, sense, first, CODES[law.signal], hold=hold)]
         shapes = _shapes(structure, theta, effect, motion)
         return [
-            at(place, zero, sense, first, CODES[what], hold=hold, values=(0.0, shape[first]))
+            at(place, zero, sense, first, CODES[law.signal], hold=hold, values=(0.0, shape[first]))
             for shape in shapes
         ]
     port = structure.model.port(effect.place)
@@ -230,15 +220,13 @@ def _columns(
     place = act, rate @ act
     d = np.concatenate([port.position, np.zeros(pad), port.position_input])
     v = np.concatenate([port.velocity, np.zeros(pad), port.velocity_input])
-    if kind == "mass":
+    if law.inertial:
         full = np.pad(port.velocity, (0, pad))
         a = np.concatenate([full @ A, full @ B + port.acceleration_input])
-        return [at(place, zero, a, first, CODES["damping"])]
-    if kind == "constant_force":
-        return [at(place, zero, zero, first, CODES["constant"])]
-    if kind in ("stiffness", "damping"):
-        return [at(place, d, v, first, CODES[kind])]
-    if kind == "custom":
+        return [at(place, zero, a, first, CODES[law.signal])]
+    if law.signal:
+        return [at(place, d, v, first, CODES[law.signal])]
+    if effect.law is not None:
         return [at(place, d, v, first, 0)]
     probe = Structure(structure.model, [effect])
     width = law_widths(probe, motion).get(0, 1.0)
@@ -246,9 +234,9 @@ def _columns(
     for shape in _shapes(structure, theta, effect, motion):
         values = tuple(shape.get(name, 0.0) for name in effect.coefficients)
         found += [
-            at(place, d, v, name, LAWS[kind], values=values, width=width, pick=c)
+            at(place, d, v, name, law.number, values=values, width=width, pick=c)
             for c, name in enumerate(effect.coefficients)
-            if name not in SHAPING and name not in effect.fixed
+            if name not in law.shaping and name not in effect.fixed
         ]
     return found
 
@@ -260,8 +248,7 @@ def _shapes(structure: Structure, theta: Array, effect: Effect, motion: Motion) 
     for point in shape_starts(probe, probe.start(), motion):
         shape = dict(effect.fixed)
         for i, q in enumerate(probe.parameters):
-            shapes = q.name in SHAPING or effect.kind in ("hysteresis", "stribeck_friction")
-            shape[q.name] = float(point[i]) if shapes and q.name != "force" else 0.0
+            shape[q.name] = float(point[i]) if q.name in effect.spec.shaping else 0.0
         if shape not in sets:
             sets.append(shape)
     return sets[:_MOST_SHAPES]

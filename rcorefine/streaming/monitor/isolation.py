@@ -17,7 +17,6 @@ from ...engine.structure import Structure
 from ...inference.sizes import natural_sizes
 from ...inference.starts import Motion, law_widths, shape_starts
 from ...systems.linear import Array
-from .bank import SHAPING
 
 __all__ = ["Fit", "Stretch", "fit_candidate"]
 
@@ -170,7 +169,9 @@ def fit_candidate(
     for start in points or [np.zeros(0)]:
         low, high = lower.copy(), upper.copy()
         for i, q in enumerate(structure.parameters[p0:]):
-            if q.name in SHAPING:  # far off its motion a law turns into another one
+            if (
+                q.name in structure.effects[q.effect].spec.shaping
+            ):  # far off its motion a law turns into another one
                 low[i] = max(low[i], start[i] / _REACH)
                 high[i] = min(high[i], start[i] * _REACH)
         found = _descend(stretch, engine, gain, x0, np.clip(start, low, high), low, high, effect, worst)

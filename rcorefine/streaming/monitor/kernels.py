@@ -17,13 +17,15 @@ __all__ = ["CODES", "forces", "scores"]
 
 #: Signals of the candidates that are not laws of `effects.kernel`; d and v are what the rows sense.
 CODES = {
-    "stiffness": 101,  # d
-    "damping": 102,  # v
+    "displacement": 101,
+    "velocity": 102,
+    "acceleration": 102,  # where the rows for v sense it
+    "value": 102,  # of a signal that the rows for v sense
     "constant": 103,  # 1
     "deadzone": 104,  # what a dead zone of half width p1 takes away
     "saturation": 105,  # what a limit p1 cuts off
     "rectification": 106,  # |v| - v
-    "delay": 107,  # minus the rate of v
+    "rate": 107,  # minus the rate of v
 }
 LEARNED = 200.0  # samples that the noise level of the learning phase is worth
 BORROWED = 10.0  # independent values that the scatter in the next shorter window is worth

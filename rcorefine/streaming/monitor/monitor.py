@@ -28,7 +28,7 @@ from ..persistence import read_file, write_file
 from ..restoring import damaged
 from ..samples import checked_block
 from .alarm import Alarm, MonitorRow
-from .bank import UNSEEN, build_bank
+from .bank import build_bank
 from .baseline import learn as learn_from
 from .course import Course
 from .observer import Observer, as_base, pace_of
@@ -497,18 +497,18 @@ class Monitor(Result):
 
 def _candidates(model: Any, given: Sequence[Effect] | None) -> tuple[Effect, ...]:
     if given is None:
-        return tuple(e for e in effect_library(model) if e.kind not in UNSEEN)
+        return tuple(e for e in effect_library(model) if e.spec.along_motion)
     effects = tuple(as_effects(given, "candidates"))
     if not effects:
         raise ModelError("candidates is empty: name at least one Effect, or leave candidates out")
     for effect in effects:
         model.check(effect)
-        if effect.kind in UNSEEN:
+        if not effect.spec.along_motion:
             raise ModelError(
                 f"{effect.label} cannot be watched for: it is no force along the model's motion; "
                 "use diagnose() on a record"
             )
-        if effect.kind == "custom" and effect.coefficients != ("scale",):
+        if effect.law is not None and len(effect.coefficients) > 1:
             raise ModelError(f"{effect.label} can be watched for with one coefficient only, its scale")
     if len(set(effects)) < len(effects):
         raise ModelError("a candidate is named twice; give each effect once")

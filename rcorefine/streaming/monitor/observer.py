@@ -113,12 +113,12 @@ class Observer:
         outcodes, outvalues = np.zeros(ny, dtype=np.int64), np.zeros(ny)
         for index, channel, code in s.output_statics:
             outcodes[channel] = code
-            outvalues[channel] = s.value(theta, index, "limit" if code == 1 else "fraction")
+            outvalues[channel] = s.value(theta, index, s.effects[index].coefficients[0])
         self._out = outcodes, outvalues, np.full(ny, -1, dtype=np.int64)
         delays = [
-            float(s.value(theta, i, "delay"))
+            float(s.value(theta, i, s.effects[i].coefficients[0]))
             for i, _ in s.input_statics
-            if s.effects[i].kind == "input_delay"
+            if s.effects[i].spec.delays
         ]
         self.lag = 1 + (math.ceil(sum(delays) / dt) + 2 if delays else 0)
 

@@ -12,7 +12,6 @@ from ...effects.effect import Effect
 from ...inference.starts import Motion
 from ...systems.linear import Array
 from .alarm import MonitorRow
-from .bank import SHAPING
 from .isolation import Fit, Stretch, fit_candidate
 from .stream import Stream
 
@@ -33,7 +32,6 @@ _LEADERS = 3  # candidates with which the time of the change is settled
 _MOVES = 4
 _PLACES = 3  # leading fits whose places are searched through
 _HOPELESS = 100.0  # sum of squares by which a fit may lie behind before it is given up
-_ALWAYS = frozenset({"stiffness", "damping", "coefficient"})  # what damage changes first
 
 
 def standing(stream: Stream) -> tuple[float, Array]:
@@ -206,7 +204,7 @@ def fit_all(
     estimates, _, gains = linear_estimates(stream, since)
     order = np.argsort(-_by_candidate(stream, gains))
     chosen = [int(i) for i in order[:_SHORTLIST]]
-    always = (lambda effect: effect in before) if before else (lambda effect: effect.kind in _ALWAYS)
+    always = (lambda effect: effect in before) if before else (lambda effect: effect.spec.may_wear)
     chosen += [int(i) for i in order[_SHORTLIST:] if always(effects[i])]
 
     def fits_from(start: int, which: Sequence[int], known: Mapping[Effect, Array]) -> list[tuple[Fit, float]]:
@@ -285,5 +283,5 @@ def fit_one(stream: Stream, index: int, start: int, mean: Array, before: Array) 
     motion = Motion(stretch.structure, stretch.theta, stretch.data)
     effect = stream.bank.effects[index]
     nothing = fit_candidate(stretch, None, motion)
-    starts = [before, np.where([name in SHAPING for name in effect.free], before, 0.0)]
+    starts = [before, np.where([name in effect.spec.shaping for name in effect.free], before, 0.0)]
     return fit_candidate(stretch, effect, motion, starts, alone=True), nothing

@@ -106,7 +106,7 @@ def comment(text: str) -> str:
 
 
 def _effect(effect: Effect) -> str:
-    if effect.kind == "custom":
+    if effect.law is not None:
         raise TypeError(f"the law of {effect.label} is a function of yours")
     given = {"start": effect.start, "fixed": effect.fixed, "prior": effect.prior, "name": effect.name}
     parts = [literal(effect.kind), literal(effect.place)]

@@ -1,0 +1,59 @@
+"""Flows out of a store, by its level."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .law import Coefficient, PortLaw, Seen, register
+
+ROOT_WIDTH = 1e-3  # of the rms level: a root has no slope at zero
+
+
+@register
+class SqrtFlow(PortLaw):
+    """Orifice."""
+
+    where = frozenset(["first_order"])
+    coefficients = (Coefficient("flow", "force/velocity^0.5", explanation="flow per root of the state"),)
+    formula = "f = t sqrt(max(x, 0))"
+    explanation = (
+        "The outflow at {place} follows the square root of the level, as through an orifice (Torricelli)."
+    )
+    needs = frozenset(["velocity"])
+    width_share = ROOT_WIDTH
+    number = 12
+
+    def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
+        """A level has a root, the difference of two temperatures has not."""
+        return not between
+
+
+@register
+class ThresholdFlow(PortLaw):
+    """Overflow."""
+
+    where = frozenset(["first_order"])
+    coefficients = (
+        Coefficient("flow", "force/velocity", explanation="flow per unit above the threshold"),
+        Coefficient(
+            "threshold",
+            "velocity",
+            default_start=None,
+            shapes=True,
+            explanation="level at which it starts",
+        ),
+    )
+    formula = "f = t max(x - threshold, 0)"
+    explanation = "Beyond a certain level something spills over at {place}."
+    needs = frozenset(["velocity"])
+    number = 13
+
+    def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
+        """A level has a rim, the difference of two temperatures has not."""
+        return not between
+
+    def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
+        """Rims that the level reaches."""
+        return [{"threshold": float(q)} for q in np.quantile(seen.v, [0.7, 0.9, 0.5])]

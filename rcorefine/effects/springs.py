@@ -1,0 +1,116 @@
+"""Springs: forces along the displacement of a port."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from .law import AbsorbedLaw, Assembly, Coefficient, PortLaw, Seen, Site, nominal_is_left, register
+
+
+@register
+class Stiffness(AbsorbedLaw):
+    """Change of a spring."""
+
+    where = frozenset(["mechanical"])
+    coefficients = (Coefficient("stiffness", "force/position", explanation="change of stiffness"),)
+    formula = "f = t d"
+    explanation = "The spring at {place} is stiffer than the model says (softer, as by a crack, if negative)."
+    linear = True
+    needs = frozenset(["position"])
+    belongs_to = "stiffness"
+    is_parameter = True
+    may_wear = True
+    signal = "displacement"
+
+    def absorb(self, into: Assembly, site: Site, *values: Any) -> None:
+        """Add t d to the force at the port."""
+        (t,) = values
+        into.A += t * np.outer(site.act, site.position)
+        into.Bu += t * np.outer(site.act, site.position_input)
+
+    def bounds_in(self, structure: Any, place: str) -> tuple[float, float]:
+        """What is left of the spring stays positive."""
+        return nominal_is_left(self.name, structure, place)
+
+
+@register
+class CubicStiffness(PortLaw):
+    """Spring that hardens."""
+
+    where = frozenset(["mechanical"])
+    coefficients = (
+        Coefficient("cubic_stiffness", "force/position^3", explanation="force per cubed displacement"),
+    )
+    formula = "f = t d^3"
+    explanation = "The spring at {place} hardens as it is pushed either way (softens, if negative)."
+    needs = frozenset(["position"])
+    belongs_to = "stiffness"
+    number = 1
+
+
+@register
+class QuadraticStiffness(PortLaw):
+    """Spring that is stiffer on one side, gradually."""
+
+    where = frozenset(["mechanical"])
+    coefficients = (
+        Coefficient(
+            "quadratic_stiffness",
+            "force/position^2",
+            explanation="force per squared displacement",
+        ),
+    )
+    formula = "f = t d^2"
+    explanation = (
+        "The spring at {place} is stiffer on one side than on the other, more so the further it is moved."
+    )
+    needs = frozenset(["position"])
+    belongs_to = "stiffness"
+    number = 2
+
+
+@register
+class BilinearStiffness(PortLaw):
+    """Spring with a kink at rest."""
+
+    where = frozenset(["mechanical"])
+    coefficients = (
+        Coefficient("bilinear_stiffness", "force/position", explanation="stiffness added where d > 0"),
+    )
+    formula = "f = t max(d, 0)"
+    explanation = (
+        "The spring at {place} has another stiffness in one direction, like a crack that opens and closes."
+    )
+    needs = frozenset(["position"])
+    belongs_to = "stiffness"
+    number = 3
+
+
+@register
+class Clearance(PortLaw):
+    """Stop behind a gap."""
+
+    where = frozenset(["mechanical"])
+    coefficients = (
+        Coefficient("stiffness", "force/position", explanation="stiffness of the contact"),
+        Coefficient(
+            "gap",
+            "position",
+            lower=0.0,
+            default_start=None,
+            shapes=True,
+            explanation="play on either side",
+        ),
+    )
+    formula = "f = t sgn(d) max(|d| - gap, 0)"
+    explanation = "There is play at {place}: a stop is hit once the displacement exceeds a gap."
+    needs = frozenset(["position"])
+    belongs_to = "stiffness"
+    number = 4
+
+    def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
+        """Gaps that the motion reaches now and then."""
+        return [{"gap": float(q)} for q in np.quantile(np.abs(seen.d), [0.4, 0.7, 0.9, 0.1])]
