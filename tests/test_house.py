@@ -13,6 +13,7 @@ import pytest
 
 import rcorefine as rco
 from rcorefine import results
+from rcorefine.effects.law import KINDS
 
 PACKAGE = Path(rco.__file__).parent
 #: Each may import those before it, and none after it.
@@ -93,6 +94,38 @@ def test_no_module_imports_itself_by_a_detour():
 
     for module in below:
         visit(module, ())
+
+
+#: Words that are the name of an effect too, where they mean something else: a heading, an argument.
+_HOMONYMS = {
+    "coefficient": {
+        "diagnosis/stepwise/backward.py", "diagnosis/stepwise/selection.py", "models/physical_model.py",
+        "streaming/coefficients/entries.py", "views/diagnosis.py", "views/experiment.py",
+        "views/improvement.py", "views/monitor.py", "views/pages/diagnosis.py",
+    },
+    "damping": {"localization/localize.py"},
+    "mass": {"models/detection.py"},
+}  # fmt: skip
+
+
+def test_no_kind_of_effect_is_named_where_laws_do_not_live():
+    """Others ask a law for its attributes, or import its class: a new law needs no other file."""
+    free = ("effects/", "models/builders/", "examples/", "commands/")
+    named = []
+    for path in sorted(PACKAGE.rglob("*.py")):
+        file = path.relative_to(PACKAGE).as_posix()
+        if file.startswith(free):
+            continue
+        words = [
+            node.value
+            for node in ast.walk(ast.parse(path.read_text()))
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value in KINDS
+        ]
+        meant = [word for word in set(words) if file in _HOMONYMS.get(word, ())]
+        for word in meant:  # once each
+            words.remove(word)
+        named += [f"{file}: {word}" for word in words]
+    assert named == []
 
 
 def test_every_result_shows_itself():

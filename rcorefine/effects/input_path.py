@@ -113,12 +113,12 @@ class InputDeadzone(InputLaw):
         "The input {place} has a dead zone: small values do nothing, and larger ones lose that much."
     )
 
-    def through(self, w: Array, *values: float) -> tuple[Array, Array, Array]:
+    def through(self, w: Array, *values: float) -> tuple[Any, Any, Any]:
         """Value, slope, derivative by the threshold."""
         (level,) = values
-        side: Array = np.sign(w)
+        side = np.sign(w)
         passed = 1.0 * (np.abs(w) > level)
-        left: Array = side * np.maximum(np.abs(w) - level, 0.0)
+        left = side * np.maximum(np.abs(w) - level, 0.0)
         return left, passed, -side * passed
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
@@ -149,12 +149,12 @@ class InputSaturation(InputLaw):
     explanation = "The input {place} saturates: it cannot exceed a limit in either direction."
     secant = True
 
-    def through(self, w: Array, *values: float) -> tuple[Array, Array, Array]:
+    def through(self, w: Array, *values: float) -> tuple[Any, Any, Any]:
         """Value, slope, derivative by the limit."""
         (level,) = values
         beyond = 1.0 * (np.abs(w) > level)
-        clipped: Array = np.clip(w, -level, level)
-        side: Array = np.sign(w)
+        clipped = np.clip(w, -level, level)
+        side = np.sign(w)
         return clipped, 1.0 - beyond, side * beyond
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:

@@ -368,7 +368,7 @@ class InputLaw(Law):
 
     where = frozenset({"input"})
 
-    def through(self, w: Array, *values: float) -> tuple[Array, Array, Array]:
+    def through(self, w: Array, *values: float) -> tuple[Any, Any, Any]:
         """What the input becomes, its slope, and its derivative by the coefficient, each (N,)."""
         raise NotImplementedError(f"{self.name} has no static law")
 

@@ -216,7 +216,9 @@ class Structure:
             rows = [np.pad(row, (0, n - row.size)) for row in (port.act, port.position, port.velocity)]
             inputs = [port.position_input, port.velocity_input, port.acceleration_input]
         states = [base.n_states + i for i, (owner, _) in enumerate(self._extra) if owner == index]
-        return Site(*rows, *inputs, channel=channel, entry=entry, state=states[0] if states else -1)
+        (act, position, velocity), (d_w, v_w, a_w) = rows, inputs
+        state = states[0] if states else -1
+        return Site(act, position, velocity, d_w, v_w, a_w, channel, entry, state)
 
     def matrices(self, theta: NDArray[Any]) -> Matrices:
         """Continuous-time matrices at `theta` (real, or complex for derivatives)."""
