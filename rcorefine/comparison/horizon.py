@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, solve_discrete_are
 
+from ..engine.observer import steady_filter
 from ..jit import compiled
 from ..systems.linear import Array
 from .failure_map.record import Scene
@@ -117,15 +117,8 @@ def _gain(Phi: Array, drive: Array, C: Array, residual: Array, scene: Scene) -> 
     for level in _LEVELS:
         Q = level**2 * (moved @ moved.T) + (1e-3 * level) ** 2 * np.diag(size**2)
         R = _NOISE**2 * np.eye(ny)
-        try:
-            scaled = solve_discrete_are(
-                (Phi * size / size[:, None]).T, (C * size).T, Q / np.outer(size, size), R
-            )
-        except (LinAlgError, ValueError):
-            continue
-        P = scaled * np.outer(size, size)
-        S = C @ P @ C.T + R
-        K = np.linalg.solve(S, C @ P).T
+        scaled = steady_filter(Phi * size / size[:, None], C * size, Q / np.outer(size, size), R)
+        K = scaled.gain * size[:, None]
         if not np.isfinite(K).all():
             continue
         total, count = np.zeros((1, ny)), np.zeros(1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.linalg import LinAlgError, solve_discrete_are
 
@@ -10,7 +12,7 @@ from ..systems.exponential import exponential
 from ..systems.linear import Array
 from .structure import Structure
 
-__all__ = ["observer_gain"]
+__all__ = ["SteadyFilter", "observer_gain", "steady_filter"]
 
 
 def observer_gain(
@@ -81,22 +83,69 @@ def observer_gain(
     size = np.sqrt(np.maximum(np.diag(Q), 1e-12 * np.trace(Q) / n + 1e-300))
     A = Phi * size / size[:, None]  # unit-size states keep the Riccati equation well scaled
     C = m.C * size / spread[:, None]
-    Qs = Q / np.outer(size, size)
-    Qs = 0.5 * (Qs + Qs.T) + 1e-12 * np.eye(n)
-    try:  # unit sizes already, and scipy balances entries that are rounding beyond all bounds
-        S = solve_discrete_are(A.T, C.T, Qs, R, balanced=False)
-        if not np.isfinite(S).all():
+    return np.asarray(steady_filter(A, C, Q / np.outer(size, size), R).gain * size[:, None] / spread)
+
+
+class SteadyFilter(NamedTuple):
+    """Kalman filter of a time-invariant system, long after its start."""
+
+    gain: Array  #: (n, n_y), of ``x = x + K (y - H x)`` at each sample
+    predicted: Array  #: (n, n), covariance of the state before the sample's measurement
+    innovation: Array  #: (n_y, n_y), covariance of the innovation
+
+    @property
+    def filtered(self) -> Array:
+        """Covariance of the state after the sample's measurement, shape (n, n)."""
+        return self.predicted - self.gain @ (self.innovation @ self.gain.T)
+
+
+def steady_filter(F: Array, H: Array, Q: Array, R: Array) -> SteadyFilter:
+    """Solve the filter's Riccati equation.
+
+    Parameters
+    ----------
+    F : ndarray, shape (n, n)
+        Transition of the state over one sample.
+    H : ndarray, shape (n_y, n)
+        Outputs by the state.
+    Q : ndarray, shape (n, n)
+        Covariance of what is added to the state in one sample. Bring states to sizes near 1 first.
+    R : ndarray, shape (n_y, n_y)
+        Covariance of the sensor noise.
+
+    Returns
+    -------
+    SteadyFilter
+        Where there is no steady filter, the one after a few hundred samples: its gain may not be
+        finite.
+
+    Examples
+    --------
+    A random walk seen in noise of its own size has the golden ratio as gain.
+
+    >>> one = np.eye(1)
+    >>> print(steady_filter(one, one, one, one).gain.round(4))
+    [[0.618]]
+    """
+    n = F.shape[0]
+    if n == 0:
+        return SteadyFilter(np.zeros((0, H.shape[0])), np.zeros((0, 0)), R)
+    Q = 0.5 * (Q + Q.T) + 1e-12 * np.trace(Q) / n * np.eye(n)
+    try:  # scipy balances entries that are rounding beyond all bounds
+        P = solve_discrete_are(F.T, H.T, Q, R, balanced=False)
+        if not np.isfinite(P).all():
             raise LinAlgError
     except (LinAlgError, ValueError):
-        S = _riccati(A, C, Qs, R)  # a state that the outputs cannot see: the finite horizon has a gain
-    K = S @ C.T @ np.linalg.inv(C @ S @ C.T + R)
-    return np.asarray(K * size[:, None] / spread)
+        P = _finite_horizon(F, H, Q, R)  # a state that the outputs cannot see has no steady covariance
+    S = H @ P @ H.T + R
+    return SteadyFilter(P @ H.T @ np.linalg.inv(S), P, S)
 
 
-def _riccati(A: Array, C: Array, Q: Array, R: Array, steps: int = 300) -> Array:
-    S = Q.copy()
-    for _ in range(steps):
-        K = S @ C.T @ np.linalg.inv(C @ S @ C.T + R)
-        S = A @ (S - K @ C @ S) @ A.T + Q
-        S = 0.5 * (S + S.T)
-    return S
+def _finite_horizon(F: Array, H: Array, Q: Array, R: Array, steps: int = 300) -> Array:
+    P = Q.copy()
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(steps):
+            K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+            P = F @ (P - K @ H @ P) @ F.T + Q
+            P = 0.5 * (P + P.T)
+    return P
