@@ -18,7 +18,6 @@ from scipy.stats import binom, poisson
 
 import rcorefine as rco
 from rcorefine.streaming.gaps import whole_block
-from rcorefine.streaming.monitor.baseline import burg
 from rcorefine.streaming.monitor.thresholds import crossing_rate, threshold
 
 SHORT = 3000  # healthy samples before a change
@@ -122,16 +121,6 @@ def test_thresholds_share_out_the_stated_rate():
     )
     assert (np.diff(levels) < 0).all()
     assert (threshold(1e-8, keep, 32) > levels).all()
-
-
-def test_burg_finds_a_sharp_peak(rng):
-    true = np.poly([0.99 * np.exp(0.3j), 0.99 * np.exp(-0.3j)]).real
-    errors = []
-    for _ in range(30):
-        a, variance = burg(lfilter([1.0], true, rng.standard_normal(3000))[500:], np.ones(2500, dtype=bool))
-        assert a.size >= 3
-        errors.append(variance)
-    assert abs(np.mean(errors) - 1) < 4 * np.sqrt(2 / 2500 / 30) + 0.01
 
 
 # --------------------------------------------------------------------- what it says

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 from ..exceptions import DataError
-from ..inference.autoregression import whitened
+from ..inference.autoregression import autoregression
+from ..inference.whitening import whitened
 from ..results import Result
 from ..systems.linear import Array
 
@@ -320,7 +321,8 @@ def _portmanteau(
     if np.ptp(x) == 0.0 or np.ptp(y) == 0.0:
         return ResidualTest(test, signal, 0.0, len(lags), 1.0)  # a constant has nothing to correlate
     a, b = (x - x.mean(), y - y.mean()) if white else (whitened(x), whitened(y))
-    n, q = a.size, 0.0
+    n, q = min(a.size, b.size), 0.0
+    a, b = a[-n:], b[-n:]  # each filter has its own past
     for lag in lags:
         products = a[: n - lag] * b[lag:] if lag >= 0 else a[-lag:] * b[: n + lag]
         q += float(products.sum() ** 2 / np.sum(products**2))
@@ -477,12 +479,8 @@ def free_run_tests(
 
 def _mean(name: str, e: Array) -> ResidualTest:
     """Mean against its standard error, the color of the residual allowed for."""
-    from ..inference.autoregression import ar_order, autoregressive_filter
-
-    order = ar_order(e.size)
-    a = autoregressive_filter(e, order)
-    innovation = whitened(e, order)
-    long_run = innovation.std() / abs(a.sum())
+    a, variance = autoregression(e)
+    long_run = np.sqrt(variance) / abs(a.sum())
     z = float(e.mean() / (long_run / np.sqrt(e.size)))
     return ResidualTest("mean", name, z**2, 1, float(stats.chi2.sf(z**2, 1)))
 

@@ -104,8 +104,7 @@ class Battery:
     @property
     def log_likelihood(self) -> float:
         """Gaussian log-likelihood of the innovations, up to a constant."""
-        counts = [sum(r.shape[1] for r in self.fitted.residuals(self.ratio))] * self.whitener.scales.size
-        return -float(np.dot(counts, np.log(self.whitener.scales)))
+        return self.whitener.log_likelihood(sum(r.shape[1] for r in self.fitted.residuals(self.ratio)))
 
 
 def run_battery(battery: Battery, candidates: Sequence[Candidate], motions: Sequence[Motion]) -> list[FTest]:

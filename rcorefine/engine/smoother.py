@@ -27,7 +27,7 @@ class Smoothed(NamedTuple):
     def log_likelihood(self) -> float:
         """Of the outputs, up to a constant."""
         N, ny = self.innovations.shape
-        return -0.5 * N * (float(np.linalg.slogdet(self.spread)[1]) + ny * self.power)
+        return float(-0.5 * N * (np.linalg.slogdet(self.spread)[1] + ny * self.power))
 
 
 def smooth(

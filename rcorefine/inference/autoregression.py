@@ -1,78 +1,86 @@
-"""Autoregressive filters that take the color out of a signal."""
+"""Autoregressive model of a signal: the only one, so that all parts agree on what is white."""
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import solve_toeplitz
-from scipy.signal import lfilter
-from scipy.signal.windows import tukey
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+from scipy.linalg import cholesky, solve_triangular
 
 from ..systems.linear import Array
 
-__all__ = ["ar_order", "autoregressive_filter", "whitened"]
+__all__ = ["MAX_ORDER", "autoregression", "highest_order", "stable_model"]
+
+MAX_ORDER = 20
+_RIDGE = 1e-13  # of the signal's power: rounding of the sums of products stays below it
 
 
-def ar_order(n_samples: int) -> int:
-    """Order that whitens ordinary noise in a record of this length, 8 to 60.
-
-    Examples
-    --------
-    >>> ar_order(500), ar_order(4000)
-    (13, 25)
-    """
-    return int(np.clip(round(1.6 * n_samples ** (1 / 3)), 8, max(8, min(60, n_samples // 12))))
+def highest_order(n_samples: int) -> int:
+    """Largest order that a record of this length is asked for: 20 samples per coefficient."""
+    return min(MAX_ORDER, n_samples // 20)
 
 
-def autoregressive_filter(signal: Array, order: int) -> Array:
-    """Whitening filter of a signal by the Yule-Walker equations.
-
-    A light taper keeps a strong resonance or a slow drift from leaking into
-    the rest of the spectrum.
+def autoregression(
+    signal: Array, *, order: int | None = None, known: NDArray[np.bool_] | None = None
+) -> tuple[Array, float]:
+    """Autoregressive model of a signal, order by Akaike's criterion.
 
     Parameters
     ----------
-    signal : ndarray of shape (N,)
+    signal : ndarray, shape (N,)
         Signal; its mean is taken out.
-    order : int
-        Number of coefficients.
+    order : int, optional
+        Given rather than chosen, where likelihoods of several signals are compared.
+    known : ndarray of bool, shape (N,), optional
+        Samples that count; by default all.
 
     Returns
     -------
-    ndarray of shape (order + 1,)
-        ``a`` with ``a[0] = 1``; ``sum_i a[i] signal[k - i]`` is white.
+    a : ndarray, shape (order + 1,)
+        Whitening filter: ``a[0] = 1``, innovation = ``sum a[i] signal(k - i)``.
+    variance : float
+        Variance of the innovation.
+
+    Notes
+    -----
+    Least squares on the samples with a whole past, and not the sample covariances of Yule and
+    Walker: their bias leaves drift and sharp resonances in the innovation. All orders are fitted
+    to the same samples, from one factorization. The model may be unstable: see `stable_model`.
 
     Examples
     --------
     >>> from scipy.signal import lfilter
     >>> e = np.random.default_rng(0).standard_normal(20000)
-    >>> print(autoregressive_filter(lfilter([1], [1, -0.8], e), 1).round(1))
-    [ 1.  -0.8]
+    >>> a, variance = autoregression(lfilter([1], [1, -0.8], e), order=1)
+    >>> print(a.round(1), round(variance, 1))
+    [ 1.  -0.8] 1.0
     """
-    x = (signal - signal.mean()) * tukey(signal.size, 0.1)
-    size = 1 << int(2 * x.size - 1).bit_length()
-    covariance = np.fft.irfft(np.abs(np.fft.rfft(x, size)) ** 2, size)[: order + 1] / x.size
-    if not np.isfinite(covariance).all() or covariance[0] <= 1e-300:
-        return np.concatenate([[1.0], np.zeros(order)])
-    covariance[0] *= 1.0 + 1e-9  # keeps a nearly noise-free residual solvable
-    coefficients = solve_toeplitz(covariance[:order], covariance[1:])
-    return np.concatenate([[1.0], -coefficients])
+    whole = np.ones(signal.size, dtype=bool) if known is None else known
+    r = signal - (signal[whole].mean() if whole.any() else 0.0)
+    most = highest_order(int(whole.sum())) if order is None else order
+    windows, judged = sliding_window_view(r, most + 1), sliding_window_view(whole, most + 1).all(axis=1)
+    rows = windows if judged.all() else windows[judged]
+    products = (rows.T @ rows)[::-1, ::-1]  # the sample itself first, then its past
+    power, n = float(products[0, 0]), len(rows)
+    if most == 0 or not 0.0 < power < np.inf:
+        return np.eye(1, 1 + (order or 0))[0], power / max(n, 1)
+    ridge = _RIDGE * np.trace(products) / (most + 1) * np.eye(most)
+    lower = cholesky(products[1:, 1:] + ridge, lower=True)
+    along = solve_triangular(lower, products[1:, 0], lower=True)
+    rest = np.maximum(power - np.concatenate([[0.0], np.cumsum(along**2)]), 1e-14 * power)
+    best = int(np.argmin(n * np.log(rest) + 2 * np.arange(rest.size))) if order is None else order
+    past = solve_triangular(lower[:best, :best], along[:best], lower=True, trans="T")
+    return np.concatenate([[1.0], -past]), float(rest[best]) / n
 
 
-def whitened(signal: Array, order: int | None = None) -> Array:
-    """Innovations of a signal under its own autoregressive model, mean taken out.
-
-    Parameters
-    ----------
-    signal : ndarray of shape (N,)
-        Signal.
-    order : int, optional
-        Order of the model; default `ar_order` of its length.
-
-    Returns
-    -------
-    ndarray of shape (N - order,)
-        The samples for which the filter has its whole past.
-    """
-    p = ar_order(signal.size) if order is None else order
-    a = autoregressive_filter(signal, p)
-    return np.asarray(lfilter(a, [1.0], signal - signal.mean())[p:])
+def stable_model(a: Array, variance: float) -> tuple[Array, float]:
+    """The same spectrum with every pole inside the unit circle: least squares may put one outside."""
+    if a.size == 1:
+        return a, variance
+    roots = np.roots(a)
+    outside = np.abs(roots) > 1.0
+    if not outside.any():
+        return a, variance
+    size = np.abs(roots[outside])
+    roots[outside] = 1.0 / roots[outside].conj()
+    return np.real(np.poly(roots)), variance / float(np.prod(size**2))

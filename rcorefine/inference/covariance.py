@@ -9,49 +9,11 @@ import numpy as np
 from scipy.signal import lfilter
 
 from ..systems.linear import Array
+from .autoregression import autoregression, stable_model
 
-__all__ = ["Uncertainty", "autoregression", "parameter_uncertainty", "stable_model", "unseen_combinations"]
+__all__ = ["Uncertainty", "parameter_uncertainty", "unseen_combinations"]
 
-_MAX_ORDER = 20
 _UNSEEN = 1e-7  # singular value of the unit-column Jacobian below which a direction is not seen
-
-
-def autoregression(residual: Array, max_order: int = _MAX_ORDER) -> tuple[Array, float]:
-    """Autoregressive model of a residual, order by Akaike's criterion.
-
-    Parameters
-    ----------
-    residual : ndarray, shape (N,)
-        Residual.
-    max_order : int
-        Largest order.
-
-    Returns
-    -------
-    a : ndarray, shape (order + 1,)
-        Whitening filter: ``a[0] = 1``, innovation = ``sum a[i] r(k - i)``.
-    variance : float
-        Variance of the innovation.
-    """
-    r = residual - residual.mean()
-    n = r.size
-    most = min(max_order, n // 20)
-    variance = float(r @ r) / n
-    if variance <= 0 or most < 1:
-        return np.ones(1), variance
-    # least squares and not the sample covariances: their bias leaves drift and sharp
-    # resonances in the innovation. All orders on the same samples, from one factorization.
-    past = np.column_stack([r[most - lag : n - lag] for lag in range(1, most + 1)])
-    now = r[most:]
-    Q, R = np.linalg.qr(past)
-    pivots = np.abs(np.diag(R))
-    regular = int(np.argmin(np.append(pivots > 1e-7 * pivots[0], False)))
-    along = Q.T @ now
-    rest = float(now @ now) - np.concatenate([[0.0], np.cumsum(along[:regular] ** 2)])
-    rest = np.maximum(rest, 1e-14 * float(now @ now))
-    order = int(np.argmin(now.size * np.log(rest) + 2 * np.arange(rest.size)))
-    coefficients = np.linalg.solve(R[:order, :order], along[:order])
-    return np.concatenate([[1.0], -coefficients]), float(rest[order]) / now.size
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,19 +39,6 @@ class Uncertainty:
     noise: Array
     condition: float
     unseen: Array
-
-
-def stable_model(a: Array, variance: float) -> tuple[Array, float]:
-    """The same spectrum with every pole inside the unit circle: least squares may put one outside."""
-    if a.size == 1:
-        return a, variance
-    roots = np.roots(a)
-    outside = np.abs(roots) > 1.0
-    if not outside.any():
-        return a, variance
-    size = np.abs(roots[outside])
-    roots[outside] = 1.0 / roots[outside].conj()
-    return np.real(np.poly(roots)), variance / float(np.prod(size**2))
 
 
 def parameter_uncertainty(

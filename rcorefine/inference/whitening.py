@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from ..exceptions import DataError
 from ..systems.linear import Array
-from .covariance import autoregression
+from .autoregression import autoregression
 
 __all__ = [
     "FTest",
@@ -20,15 +20,28 @@ __all__ = [
     "f_test",
     "huber_weights",
     "in_own_units",
+    "innovations",
     "project",
     "projected_test",
     "rank_basis",
     "unequal_variances",
+    "whitened",
 ]
 
 _RANK = 3e-7  # singular value, relative, below which a direction is none
 _HUBER = 1.345  # times the standard deviation; of normal noise 95 % of the efficiency is kept
 _HEAVY = 5.0  # excess kurtosis, in its standard deviations, from which samples count as unequally noisy
+
+
+def innovations(a: Array, signal: Array) -> Array:
+    """What a filter leaves of a signal, shape (N,) or (N, k), that was zero before its first sample."""
+    return signal if a.size == 1 else np.asarray(lfilter(a, [1.0], signal, axis=0))
+
+
+def whitened(signal: Array) -> Array:
+    """Innovations of a signal (N,) under its own model, mean taken out, from where the past is whole."""
+    a, _ = autoregression(signal)
+    return innovations(a, signal - signal.mean())[a.size - 1 :]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,15 +60,21 @@ class Whitener:
     scales: Array
 
     @classmethod
-    def fit(cls, residuals: Sequence[Array]) -> Whitener:
-        """Filters from residuals, each of shape (n_y, N); order by Akaike's criterion."""
-        outputs = residuals[0].shape[0]
-        filters, scales = [], []
-        for i in range(outputs):
-            a, variance = autoregression(np.concatenate([r[i] for r in residuals]))
-            filters.append(a)
-            scales.append(np.sqrt(variance) if variance > 0 else 1.0)
-        return cls(tuple(filters), np.array(scales))
+    def fit(cls, residuals: Sequence[Array], *, order: int | None = None, floor: float = 0.0) -> Whitener:
+        """Filters from residuals, each of shape (n_y, N).
+
+        Parameters
+        ----------
+        residuals : sequence of ndarray
+            One for each record.
+        order : int, optional
+            As of `autoregression`.
+        floor : float
+            Standard deviation below which an innovation is rounding.
+        """
+        models = [autoregression(row, order=order) for row in np.concatenate(residuals, axis=1)]
+        scales = np.sqrt([variance + floor**2 for _, variance in models])
+        return cls(tuple(a for a, _ in models), np.where(scales > 0, scales, 1.0))
 
     @property
     def orders(self) -> tuple[int, ...]:
@@ -75,8 +94,7 @@ class Whitener:
         rows = []
         for block in blocks:
             for i, a in enumerate(self.filters):
-                white = lfilter(a, [1.0], block[i], axis=0) / self.scales[i]
-                rows.append(white[a.size - 1 :])
+                rows.append(innovations(a, block[i])[a.size - 1 :] / self.scales[i])
         white = np.concatenate(rows, axis=0)
         if not len(white):
             raise DataError(
@@ -84,6 +102,10 @@ class Whitener:
                 "noise is correlated for longer; give a longer horizon, or a longer record"
             )
         return white
+
+    def log_likelihood(self, n_samples: int) -> float:
+        """Of so many samples of the residual that it was fitted to, up to a constant."""
+        return -n_samples * float(np.sum(np.log(self.scales)))
 
     def outputs(self, blocks: Sequence[Array]) -> NDArray[np.intp]:
         """Output that each row of `apply` belongs to."""

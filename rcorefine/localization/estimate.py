@@ -12,11 +12,12 @@ from scipy.signal import lfilter
 from ..data.measurement import Measurement
 from ..engine.observer import observer_gain
 from ..engine.structure import Structure
-from ..inference.covariance import autoregression, stable_model
+from ..inference.autoregression import autoregression, stable_model
 from ..inference.outcome import output_weights
 from ..inference.problem import Problem, residual_blocks
 from ..inference.search import starting_states
 from ..inference.starts import far_starts
+from ..inference.whitening import Whitener
 from ..systems.linear import Array
 from .spectrum import sparse_starts, spectral_starts
 
@@ -286,7 +287,7 @@ class Joint:
     @property
     def orders(self) -> tuple[int, ...]:
         """Order of the autoregressive model of each output's residual (0: white)."""
-        return tuple(autoregression(row)[0].size - 1 for row in self.residual)
+        return Whitener.fit([self.residual]).orders
 
 
 def log_likelihood(residual: Array) -> tuple[float, int]:
@@ -304,12 +305,8 @@ def log_likelihood(residual: Array) -> tuple[float, int]:
     count : int
         Coefficients that the autoregressions took.
     """
-    value, count = 0.0, 0
-    for row in residual:
-        a, variance = autoregression(row)
-        value -= 0.5 * row.size * np.log(max(variance, 1e-300))
-        count += a.size - 1
-    return value, count
+    whitener = Whitener.fit([residual], floor=1e-150)
+    return whitener.log_likelihood(residual.shape[1]), sum(whitener.orders)
 
 
 def _gradient_covariance(residuals: Sequence[Array], jacobians: Sequence[Array], precision: Array) -> Array:

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize_scalar
 
-from ...inference.autoregression import ar_order, autoregressive_filter
+from ...inference.autoregression import highest_order
+from ...inference.whitening import Whitener
 from ...systems.linear import Array
 
 __all__ = ["Evidence", "Explanation"]
@@ -72,7 +73,7 @@ class Evidence:
                 rows = np.moveaxis(initial[:length], 0, 1).reshape(self.n_outputs * length, -1)
                 u, s, _ = np.linalg.svd(rows, full_matrices=False)
                 self._bases[length] = u[:, s > 1e-8 * s.max(initial=0.0)]
-        self.order = ar_order(self.n_samples)
+        self.order = highest_order(self.n_samples)
         self.constants = [
             self._initial_out(np.eye(self.n_outputs)[i][:, None] * np.ones(self.n_samples))
             for i in range(self.n_outputs)
@@ -135,31 +136,24 @@ class Evidence:
     # ------------------------------------------------------------------ noise
     def use(self, remainder: Array) -> None:
         """Take the noise model from this remainder."""
-        self.filters, self.scales = self._noise(remainder)
+        self.whitener = self._noise(remainder)
         self._white = self._filtered(self.residual)
 
     def use_white(self) -> None:
         """Weigh all frequencies alike: right where a failure stands far above the noise."""
-        nothing = np.zeros(self.order + 1)
-        nothing[0] = 1.0
-        self.filters, self.scales = [nothing] * self.n_outputs, np.ones(self.n_outputs)
+        self.whitener = Whitener((np.ones(1),) * self.n_outputs, np.ones(self.n_outputs))
         self._white = self._filtered(self.residual)
 
-    def _noise(self, remainder: Array) -> tuple[list[Array], Array]:
-        filters = [autoregressive_filter(row, self.order) for row in remainder]
-        left = [np.convolve(row, a, "valid") for a, row in zip(filters, remainder, strict=True)]
-        return filters, np.sqrt([float(np.mean(e**2)) + _FLOOR**2 for e in left])
+    def _noise(self, remainder: Array) -> Whitener:
+        """One order for all remainders: their likelihoods are compared."""
+        return Whitener.fit([remainder], order=self.order, floor=_FLOOR)
 
     def log_likelihood(self, remainder: Array) -> float:
         """Log-likelihood of a remainder under its own noise model, up to a constant."""
-        return float(-(self.n_samples - self.order) * np.log(self._noise(remainder)[1]).sum())
+        return self._noise(remainder).log_likelihood(self.n_samples - self.order)
 
     def _filtered(self, signals: Array) -> Array:
-        rows = [
-            np.convolve(row, a / s, "valid")
-            for a, s, row in zip(self.filters, self.scales, signals, strict=True)
-        ]
-        return np.concatenate(rows)
+        return self.whitener.apply([signals])
 
     def white(self, columns: Sequence[Array]) -> tuple[Array, Array]:
         """Whitened columns (rows, k) and residual (rows,), nuisances taken out of both."""

@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
-from scipy.signal import lfilter
 
 from ...data.range_ends import cut_off
-from ...inference.autoregression import autoregressive_filter
+from ...inference.autoregression import autoregression
+from ...inference.whitening import innovations
 from ...systems.linear import Array
 from .likelihood import Explanation
 from .record import Finding, Scene
@@ -47,7 +47,7 @@ def _stretch(scene: Scene, i: int, masked: NDArray[np.bool_]) -> Finding | None:
     N, order = scene.n_samples, scene.evidence.order
     r = scene.residual[i]
     best: tuple[float, int, int, Array] | None = None
-    for energy in (r**2, lfilter(scene.evidence.filters[i], [1.0], r) ** 2):
+    for energy in (r**2, innovations(scene.evidence.whitener.filters[i], r) ** 2):
         a0, b0 = _loudest(np.where(masked, np.nan, energy))
         for _ in range(3):
             inside = np.zeros((scene.n_outputs, N), dtype=bool)
@@ -55,8 +55,8 @@ def _stretch(scene: Scene, i: int, masked: NDArray[np.bool_]) -> Finding | None:
             inside[i, a0:b0] = True
             # what happened there must not bend the initial state, nor the noise model
             left = scene.evidence.outside(inside)[i]
-            own = autoregressive_filter(np.where(inside[i], 0.0, left), order)
-            edges = _edges(np.where(masked, np.nan, _innovations(own, left)), a0, b0)
+            own, _ = autoregression(np.where(inside[i], 0.0, left), order=order)
+            edges = _edges(np.where(masked, np.nan, _both_ways(own, left)), a0, b0)
             if edges == (a0, b0):
                 break
             a0, b0 = edges
@@ -100,9 +100,9 @@ def _stretch(scene: Scene, i: int, masked: NDArray[np.bool_]) -> Finding | None:
     )
 
 
-def _innovations(own: Array, left: Array) -> Array:
+def _both_ways(own: Array, left: Array) -> Array:
     """Squared innovations, forwards or backwards in time: the memory of neither reaches over both edges."""
-    forwards, backwards = lfilter(own, [1.0], left), lfilter(own, [1.0], left[::-1])[::-1]
+    forwards, backwards = innovations(own, left), innovations(own, left[::-1])[::-1]
     return np.asarray(np.minimum(forwards**2, backwards**2))
 
 
@@ -165,18 +165,19 @@ def _worth(r: Array, left: Array, masked: NDArray[np.bool_], a: int, b: int, ord
     """Twice the log-likelihood that a level of its own within a..b adds, heavy tails bounded."""
     inside = np.zeros(r.size, dtype=bool)
     inside[a:b] = True
-    own = autoregressive_filter(np.where(inside | masked, 0.0, left), order)
-    e = lfilter(own, [1.0], np.where(masked, 0.0, left))
+    own, _ = autoregression(np.where(inside | masked, 0.0, left), order=order)
+    e = innovations(own, np.where(masked, 0.0, left))
     keep = np.arange(r.size) >= order
     keep[b : b + order] = False  # there the filter still remembers the stretch
     if (keep & inside & ~masked).sum() < 4 or (keep & ~inside).sum() < 4 * order:
         return -np.inf
     quiet, loud = e[keep & ~inside & ~masked], e[keep & inside & ~masked]
     # single outliers must not make a stretch: the loud level is taken from its middle too
-    level = min(np.mean(loud**2), 3.0 * np.median(loud**2) / 0.455)
+    level = min(float(np.mean(loud**2)), 3.0 * float(np.median(loud**2)) / 0.455)
     own_levels = quiet.size * np.log(np.mean(quiet**2) + 1e-300) + loud.size * np.log(max(level, 1e-300))
     rest = np.where(masked, 0.0, r)
-    total = lfilter(autoregressive_filter(rest, order), [1.0], rest)[keep & ~masked]
+    whole, _ = autoregression(rest, order=order)
+    total = innovations(whole, rest)[keep & ~masked]
     return float(total.size * np.log(np.mean(total**2) + 1e-300) - own_levels)
 
 

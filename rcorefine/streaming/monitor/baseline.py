@@ -16,16 +16,17 @@ from ...engine.engine import Engine
 from ...engine.observer import observer_gain
 from ...engine.structure import Structure
 from ...exceptions import DataError
+from ...inference.autoregression import autoregression
+from ...inference.whitening import innovations
 from ...systems.linear import Array
 
-__all__ = ["MAX_ORDER", "Healthy", "burg", "learn"]
+__all__ = ["Healthy", "learn"]
 
 #: Unknown force over the measured input, relative to sensor noise of 3 %: observer gains that are tried.
 RATIOS = (0.0, *(float(r) for r in np.geomspace(2**-11, 2, 13)))
 _FREE = 0.9999  # spectral radius up to which the model may run free
 _WORTH = 3.0  # log-likelihood that another gain has to earn
 _MOST_MISSING = 0.2
-MAX_ORDER = 40
 _STANDS_OUT = 8.0  # standard deviations at which a sample is left out of what is learned
 _MOST_ALONE = 0.05  # share of samples up to which they are outliers, not the noise itself
 _PASSES = 3
@@ -198,13 +199,13 @@ def _evaluated(
     rows, orders, white = [], [], []
     cost = 0.0
     for i in range(e.shape[0]):
-        a, variance = burg(e[i], flags[i])
+        a, variance = autoregression(e[i], known=flags[i])
         floor = max(1e-24 * spread[i] ** 2, 1e-300)  # a record without noise
         n = int(flags[i].sum())
         cost += 0.5 * n * math.log(max(variance, floor)) + 0.5 * math.log(n) * (a.size - 1)
         rows.append(a[1:])
         orders.append(a.size - 1)
-        white.append(np.convolve(e[i], a)[: e.shape[1]])
+        white.append(innovations(a, e[i]))
     q = max(orders)
     filters = np.zeros((len(rows), q))
     for i, row in enumerate(rows):
@@ -220,55 +221,3 @@ def _evaluated(
     mix = np.linalg.inv(lower)
     healthy = Healthy(ratio, gain, x0, filters, np.tril(mix), settle, tuple(orders), mean)
     return cost, healthy, np.array(white)
-
-
-def burg(signal: Array, known: NDArray[np.bool_], max_order: int = MAX_ORDER) -> tuple[Array, float]:
-    """Autoregressive model by Burg's recursion, order by the Bayesian criterion.
-
-    Parameters
-    ----------
-    signal : ndarray, shape (N,)
-        Stationary signal of zero mean.
-    known : ndarray of bool, shape (N,)
-        Samples that count.
-    max_order : int
-        Largest order.
-
-    Returns
-    -------
-    a : ndarray, shape (order + 1,)
-        Whitening polynomial, leading coefficient 1.
-    variance : float
-        Variance of what is left.
-
-    Notes
-    -----
-    Sharp peaks, as lightly damped modes make them, are found where the
-    Yule-Walker estimate smears them.
-
-    References
-    ----------
-    J. P. Burg, Maximum entropy spectral analysis, Stanford 1975.
-    """
-    whole = known.copy()
-    n = int(whole.sum())
-    variance = float(np.mean(signal[whole] ** 2))
-    a = np.ones(1)
-    best, best_a, best_v = n * math.log(max(variance, 1e-300)), a, variance
-    ahead, behind = signal[1:].copy(), signal[:-1].copy()
-    pairs = whole[1:] & whole[:-1]
-    for order in range(1, min(max_order, n // 20) + 1):
-        f, b = ahead[pairs], behind[pairs]
-        power = float(f @ f + b @ b)
-        if power <= 0 or variance <= 0:
-            break
-        k = -2 * float(f @ b) / power
-        a = np.append(a, 0.0) + k * np.append(0.0, a[::-1])
-        variance *= 1 - k * k
-        criterion = n * math.log(max(variance, 1e-300)) + math.log(n) * order
-        if criterion < best - 1e-9:
-            best, best_a, best_v = criterion, a, variance
-        ahead, behind = (ahead + k * behind)[1:], (behind + k * ahead)[:-1]
-        whole = whole[:-1] & whole[1:]
-        pairs = pairs[1:] & pairs[:-1]
-    return best_a, best_v

@@ -9,8 +9,8 @@ import numpy as np
 
 from ...effects.law import KINDS, PortLaw
 from ...exceptions import DataError
+from ...inference.autoregression import MAX_ORDER
 from ..restoring import check_like, check_range
-from .baseline import MAX_ORDER
 from .course import ROWS
 from .kernels import ALONE, CODES
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from ...data.measurement import Measurement
 from ...effects.effect import Effect
@@ -16,6 +15,7 @@ from ...engine.engine import Engine
 from ...engine.structure import Structure
 from ...inference.sizes import natural_sizes
 from ...inference.starts import Motion, law_widths, shape_starts
+from ...inference.whitening import innovations
 from ...systems.linear import Array
 
 __all__ = ["Fit", "Stretch", "fit_candidate"]
@@ -80,7 +80,7 @@ class Stretch:
         flags = self.use.T > 0
         shape = flags.reshape(ny, N, *([1] * (errors.ndim - 2)))
         filled = np.where(shape, errors, 0.0)
-        white = np.array([lfilter(np.r_[1.0, self.filters[i]], [1.0], filled[i], axis=0) for i in range(ny)])
+        white = np.array([innovations(np.r_[1.0, self.filters[i]], filled[i]) for i in range(ny)])
         mixed = np.tensordot(self.mix, white, axes=(1, 0))[:, there]
         return np.asarray(mixed.reshape(-1, *errors.shape[2:]))
 
