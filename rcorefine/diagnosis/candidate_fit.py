@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..effects.effect import Effect
+from ..inference.covariance import covariance, standard_deviations
 from ..inference.fitted import Fitted, evaluated
 from ..inference.gauss_newton import Descent, descend
 from ..inference.outcome import _fit, _rows
@@ -121,19 +122,10 @@ def fitted_model(fitted: Fitted, rival: Rival, whitener: Whitener, ratio: float)
     blocks = _blocks(rival)
     white = whitener.apply([r for r, _ in blocks])
     J = whitener.apply([j for _, j in blocks])
-    held = np.isfinite(problem.prior_sd) & (problem.prior_sd > 0)
-    prior = np.zeros(problem.size)
-    prior[: problem.n_theta][held] = problem.prior_sd[held] ** -2.0
-    size = np.linalg.norm(J, axis=0)
-    unfelt = np.flatnonzero(size <= 1e-100 * size.max())
-    size[unfelt] = 1.0
-    information = (J / size).T @ (J / size) + np.diag(prior / size**2)
-    freedom = max(white.size - problem.size, 1)
-    scale = float(white @ white) / freedom
-    covariance = scale * np.linalg.pinv(information, rcond=1e-12, hermitian=True) / np.outer(size, size)
-    covariance[unfelt, unfelt] = np.inf
+    scale = float(white @ white) / max(white.size - problem.size, 1)
+    C = scale * covariance(J.T @ J + np.diag(problem.precision))
     p = problem.n_theta
-    spread = np.sqrt(np.maximum(np.diag(covariance)[:p], 0.0))
+    spread = standard_deviations(C)[:p]
     old = fitted.refinement
     theta, starts = problem.unpack(point)
     free = [r for r, _ in (blocks if ratio == 0 else evaluated(problem, point))]
@@ -147,7 +139,7 @@ def fitted_model(fitted: Fitted, rival: Rival, whitener: Whitener, ratio: float)
         constants=dict(problem.structure.constants),
         theta=theta.copy(),
         parameters=_rows(problem.structure, roles, theta, spread),
-        covariance=covariance[:p, :p],
+        covariance=C[:p, :p],
         fit=_fit(measured, error),
         rmse=np.sqrt(np.mean(error**2, axis=1)),
         initial_states=starts.copy(),

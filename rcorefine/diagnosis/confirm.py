@@ -8,7 +8,6 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from scipy import stats
 
 from ..arguments import as_number, as_share
 from ..data.channels import match_channels, record_for
@@ -17,6 +16,7 @@ from ..effects.effect import Effect, as_effects
 from ..engine.observer import observer_gain
 from ..engine.simulation import check_channels
 from ..inference.assembly import check_settings, priors
+from ..inference.covariance import covariance, standard_deviations, wald
 from ..inference.fitted import Fitted, evaluated
 from ..inference.gauss_newton import descend
 from ..inference.outcome import output_weights
@@ -130,19 +130,19 @@ def confirm(
     ]
     block = np.ix_(own, own)
     estimates = []
-    for i, (fitted, covariance) in enumerate(alone):
+    for i, (fitted, C) in enumerate(alone):
         tests = _battery(fitted, rest, ratios[i])
         valid = [t.p_value for t in tests if t.dof]
         agreement = 1.0
         if i:
             difference = fitted.theta[own] - alone[0][0].theta[own]
-            agreement = _wald(difference, alone[0][1][block] + covariance[block])
+            agreement = wald(difference, alone[0][1][block] + C[block])
         estimates.append(
             RecordEstimate(
                 name=records[i].name if len({r.name for r in records}) > 1 else f"record {i + 1}",
                 level=levels[i] / levels[0],
                 coefficients=fitted.theta[own],
-                std=np.sqrt(np.maximum(np.diag(covariance)[own], 0.0)),
+                std=standard_deviations(C)[own],
                 agreement=agreement,
                 tests=tuple(tests),
                 residual=min(1.0, min(valid, default=1.0) * len(valid)),
@@ -213,24 +213,14 @@ def _alone(
     blocks = evaluated(made, point, gain)
     whitener = Whitener.fit([r for r, _ in blocks])
     J = whitener.apply([j for _, j in blocks])
-    prior = np.zeros(made.size)
-    prior[: sd.size][np.isfinite(sd)] = sd[np.isfinite(sd)] ** -2.0
-    size = np.linalg.norm(J, axis=0)
-    size[size == 0] = 1.0
-    information = (J / size).T @ (J / size) + np.diag(prior / size**2)
-    covariance = np.linalg.pinv(information, rcond=1e-12, hermitian=True) / np.outer(size, size)
+    C = covariance(J.T @ J + np.diag(made.precision))
     fitted = Fitted(replace(model, substeps=made.substeps), made, point, tolerance)
     if gain is not None:
         fitted._gains[ratio] = gain
-    return fitted, covariance[: theta.size, : theta.size]
+    return fitted, C[: theta.size, : theta.size]
 
 
 def _battery(fitted: Fitted, rest: Sequence[Effect], ratio: float) -> list[FTest]:
     motions = [Motion(fitted.structure, fitted.theta, record) for record in fitted.problem.records]
     scored = candidate_columns(fitted, rest, motions[0], (ratio,))
     return run_battery(Battery(fitted, ratio), scored, motions)
-
-
-def _wald(difference: Array, covariance: Array) -> float:
-    statistic = float(difference @ np.linalg.pinv(covariance, hermitian=True) @ difference)
-    return float(stats.chi2.sf(statistic, difference.size))

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import stats
 
+from ..inference.covariance import covariance, wald
 from ..inference.fitted import Fitted
 from ..inference.gauss_newton import descend
 from ..inference.problem import Problem
@@ -51,9 +51,7 @@ def amplitude_test(race: Race, level: float) -> tuple[float, str]:
     estimates = [_alone(fitted, i) for i in (low, high)]
     own = slice(p, fitted.structure.n_parameters)
     difference = estimates[0][0][own] - estimates[1][0][own]
-    covariance = estimates[0][1][own, own] + estimates[1][1][own, own]
-    statistic = float(difference @ np.linalg.pinv(covariance, hermitian=True) @ difference)
-    p_value = float(stats.chi2.sf(statistic, difference.size))
+    p_value = wald(difference, estimates[0][1][own, own] + estimates[1][1][own, own])
     values = " and ".join(f"{e[0][p]:.4g} +/- {np.sqrt(e[1][p, p]):.2g}" for e in estimates)
     name = race.rivals[0].effect.label
     sentence = (
@@ -85,15 +83,9 @@ def _alone(fitted: Fitted, record: int) -> tuple[Array, Array]:
         tolerance=1e-8,
     )
     J = whitener.apply([j for _, j in run.blocks(problem)])
-    prior = np.zeros(problem.size)
-    held = np.isfinite(problem.prior_sd) & (problem.prior_sd > 0)
-    prior[: problem.n_theta][held] = problem.prior_sd[held] ** -2.0
-    size = np.linalg.norm(J, axis=0)
-    size[size == 0] = 1.0
-    information = (J / size).T @ (J / size) + np.diag(prior / size**2)
-    covariance = np.linalg.pinv(information, rcond=1e-12, hermitian=True) / np.outer(size, size)
+    C = covariance(J.T @ J + np.diag(problem.precision))
     p = problem.n_theta
-    return problem.unpack(run.point)[0].copy(), covariance[:p, :p]
+    return problem.unpack(run.point)[0].copy(), C[:p, :p]
 
 
 def fit_remarks(race: Race) -> list[str]:

@@ -1,4 +1,4 @@
-"""How sure the estimate is: covariance under coloured residuals, and what the data cannot see."""
+"""How sure the estimate is: covariance under colored residuals, and what the data cannot see."""
 
 from __future__ import annotations
 
@@ -6,12 +6,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 from scipy.signal import lfilter
 
 from ..systems.linear import Array
 from .autoregression import autoregression, stable_model
 
-__all__ = ["Uncertainty", "parameter_uncertainty", "unseen_combinations"]
+__all__ = [
+    "Uncertainty",
+    "colored",
+    "covariance",
+    "parameter_uncertainty",
+    "pseudo_inverse",
+    "standard_deviations",
+    "unseen_combinations",
+    "wald",
+]
 
 _UNSEEN = 1e-7  # singular value of the unit-column Jacobian below which a direction is not seen
 
@@ -24,8 +34,6 @@ class Uncertainty:
     ----------
     covariance : ndarray, shape (p, p)
         Covariance; infinite variance where the data see nothing.
-    orders : tuple of int
-        Order of the autoregressive model of the residual of each output (0: white).
     noise : ndarray, shape (n_y,)
         Residual standard deviation of each output.
     condition : float
@@ -35,21 +43,94 @@ class Uncertainty:
     """
 
     covariance: Array
-    orders: tuple[int, ...]
     noise: Array
     condition: float
     unseen: Array
 
 
-def parameter_uncertainty(
-    residuals: Sequence[Array], jacobians: Sequence[Array], prior_precision: Array
-) -> Uncertainty:
-    """Covariance of a least-squares estimate whose residual may be coloured.
+def pseudo_inverse(normal: Array) -> tuple[Array, Array, float]:
+    """Inverse of an information matrix on what the data see.
 
-    The estimate minimizes the plain sum of squares; its covariance is
-    ``B^-1 (J' R J) B^-1`` with ``B = J'J`` and R the covariance of the residual as an
-    autoregressive model per output sees it. For white residuals it is the Cramer-Rao
-    bound ``sigma^2 (J'J)^-1``.
+    Parameters
+    ----------
+    normal : ndarray, shape (p, p)
+        J'J with the priors; unknowns in any units.
+
+    Returns
+    -------
+    inverse : ndarray, shape (p, p)
+        Zero along what is not seen.
+    lost : ndarray, shape (r, p)
+        Directions that are not seen, for unknowns in units of their own; an entry is zero where
+        the unknown takes no part.
+    condition : float
+        Condition number of the Jacobian with unit columns.
+
+    Examples
+    --------
+    Two coefficients of which the data see only the sum:
+
+    >>> inverse, lost, _ = pseudo_inverse(np.ones((2, 2)))
+    >>> print(inverse.round(2), np.abs(lost).round(2))
+    [[0.25 0.25]
+     [0.25 0.25]] [[0.71 0.71]]
+    """
+    size = np.sqrt(np.diag(normal))
+    size = np.where(size <= 1e-100 * size.max(initial=0.0), 1.0, size)  # not felt: its squares would overflow
+    values, vectors = np.linalg.eigh(normal / np.outer(size, size))
+    top = values.max(initial=0.0)
+    seen = values > _UNSEEN**2 * top
+    inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T / np.outer(size, size)
+    lost = vectors[:, ~seen].T
+    lost = np.where(np.abs(lost) > 1e-3, lost, 0.0)  # no rounding beside what is truly lost
+    return inverse, lost / size, float(np.sqrt(top / max(values.min(initial=top), 1e-300)))
+
+
+def covariance(normal: Array, middle: Array | None = None) -> Array:
+    """Covariance of a least-squares estimate.
+
+    Parameters
+    ----------
+    normal : ndarray, shape (p, p)
+        J'J with the priors.
+    middle : ndarray, shape (p, p), optional
+        Covariance of the gradient J'r; by default `normal`, right for white residuals of unit variance.
+
+    Returns
+    -------
+    ndarray, shape (p, p)
+        ``B^-1 M B^-1`` with B = normal and M = middle; infinite variance where the data see nothing.
+    """
+    inverse, lost, _ = pseudo_inverse(normal)
+    found = inverse if middle is None else inverse @ middle @ inverse
+    blind = np.flatnonzero(np.any(lost, axis=0))
+    found[blind, blind] = np.inf
+    return np.asarray(found)
+
+
+def standard_deviations(covariance: Array) -> Array:
+    """Of each unknown, shape (p,)."""
+    return np.sqrt(np.maximum(np.diag(covariance), 0.0))
+
+
+def wald(difference: Array, covariance: Array) -> float:
+    """Probability of a difference by chance; what the data do not see says nothing.
+
+    Parameters
+    ----------
+    difference : ndarray, shape (p,)
+        Of two estimates, or of one from what it should be.
+    covariance : ndarray, shape (p, p)
+        Its covariance.
+    """
+    seen = np.isfinite(np.diag(covariance)) & np.isfinite(difference)
+    d, C = difference[seen], covariance[np.ix_(seen, seen)]
+    inverse, _, _ = pseudo_inverse(C)
+    return float(stats.chi2.sf(d @ inverse @ d, d.size)) if d.size else 1.0
+
+
+def colored(residuals: Sequence[Array], jacobians: Sequence[Array], precision: Array) -> tuple[Array, Array]:
+    """Information and covariance of the gradient of a plain sum of squares, for colored residuals.
 
     Parameters
     ----------
@@ -57,45 +138,41 @@ def parameter_uncertainty(
         Residuals per record, in units of the noise.
     jacobians : sequence of ndarray, each of shape (n_y, N, p)
         Jacobians of the same.
-    prior_precision : ndarray, shape (p,)
+    precision : ndarray, shape (p,)
         One over the prior variance (0 for none).
 
     Returns
     -------
-    Uncertainty
+    normal, middle : ndarray, shape (p, p)
+        J'J and J'RJ with the priors, R the covariance of the residual as an autoregressive model
+        per output sees it.
     """
-    p = jacobians[0].shape[2]
-    outputs = residuals[0].shape[0]
-    joined = [np.concatenate([r[i] for r in residuals]) for i in range(outputs)]
-    filters = [stable_model(*autoregression(joined[i])) for i in range(outputs)]
-    n_points = sum(r.size for r in residuals)
-    correction = n_points / max(n_points - p, 1)
-    B = np.diag(prior_precision.astype(float))
-    middle = np.diag(prior_precision.astype(float))
-    for jacobian in jacobians:
-        for i in range(outputs):
-            a, variance = filters[i]
+    joined = np.concatenate(residuals, axis=1)
+    correction = joined.size / max(joined.size - precision.size, 1)
+    normal, middle = np.diag(precision.astype(float)), np.diag(precision.astype(float))
+    for i, row in enumerate(joined):
+        a, variance = stable_model(*autoregression(row))
+        for jacobian in jacobians:
             J = jacobian[i]
-            B += J.T @ J
-            if a.size == 1:
-                middle += variance * correction * (J.T @ J)
-            else:
-                coloured = lfilter([1.0], a, J[::-1], axis=0)
-                middle += variance * correction * (coloured.T @ coloured)
-    size = np.sqrt(np.diag(B))
-    size[size <= 1e-100 * size.max(initial=0.0)] = 1.0  # not felt at all: its squares would overflow
-    values, vectors = np.linalg.eigh(B / np.outer(size, size))
-    seen = values > _UNSEEN**2 * values[-1]
-    inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
-    covariance = inverse @ (middle / np.outer(size, size)) @ inverse / np.outer(size, size)
-    lost = vectors[:, ~seen].T
-    lost = np.where(np.abs(lost) > 1e-3, lost, 0.0)  # no rounding beside what is truly lost
-    for i in range(p):
-        if np.any(lost[:, i]):
-            covariance[i, i] = np.inf
-    condition = float(np.sqrt(values[-1] / max(values[0], 1e-300)))
-    noise = np.array([np.sqrt(np.mean(r**2) * correction) for r in joined])
-    return Uncertainty(covariance, tuple(a.size - 1 for a, _ in filters), noise, condition, lost / size)
+            backwards = J if a.size == 1 else lfilter([1.0], a, J[::-1], axis=0)
+            normal += J.T @ J
+            middle += variance * correction * (backwards.T @ backwards)
+    return normal, middle
+
+
+def parameter_uncertainty(
+    residuals: Sequence[Array], jacobians: Sequence[Array], precision: Array
+) -> Uncertainty:
+    """Covariance of a plain least-squares estimate whose residual may be colored.
+
+    For white residuals it is the Cramer-Rao bound ``sigma^2 (J'J)^-1``. Parameters are those of
+    `colored`.
+    """
+    normal, middle = colored(residuals, jacobians, precision)
+    _, lost, condition = pseudo_inverse(normal)
+    joined = np.concatenate(residuals, axis=1)
+    noise = np.sqrt(np.mean(joined**2, axis=1) * joined.size / max(joined.size - precision.size, 1))
+    return Uncertainty(covariance(normal, middle), noise, condition, lost)
 
 
 def unseen_combinations(
@@ -134,16 +211,16 @@ def unseen_combinations(
             found.append(
                 f"the record does not see the combination {' '.join(terms)}: only the rest is determined"
             )
-    covariance = uncertainty.covariance[:p, :p]
-    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    C = uncertainty.covariance[:p, :p]
+    sd = standard_deviations(C)
     for i in range(p):
         for j in range(i):
             if not (np.isfinite(sd[i]) and np.isfinite(sd[j]) and sd[i] > 0 and sd[j] > 0):
                 continue
-            rho = covariance[i, j] / (sd[i] * sd[j])
+            rho = C[i, j] / (sd[i] * sd[j])
             loose = abs(theta[i]) < 2 * spread[i] and abs(theta[j]) < 2 * spread[j]
             if abs(rho) > 0.995 and loose:
-                slope = covariance[i, j] / covariance[j, j]
+                slope = C[i, j] / C[j, j]
                 found.append(
                     f"{names[j]} and {names[i]} cannot be told apart (correlation {rho:+.4f}): the record "
                     f"determines {names[i]} {-slope:+.3g} x {names[j]}"

@@ -14,6 +14,7 @@ from ..data.measurement import Measurement
 from ..engine.simulation import simulate
 from ..exceptions import IdentifiabilityWarning
 from ..systems.linear import Array, LinearModel
+from .covariance import pseudo_inverse
 from .refinement import Refinement
 
 __all__ = ["doubted", "explains_nothing", "stands_still"]
@@ -185,11 +186,8 @@ def _undetermined(found: Refinement, fit: Any) -> str:
     if not fit.structure.is_linear:
         return ""
     jacobian = problem.evaluate(point).jacobian
-    size = np.linalg.norm(jacobian, axis=0)
-    size[size == 0] = 1.0
     bounds = problem.at_bound(point, jacobian)
-    normal = (jacobian / size).T @ (jacobian / size)
-    inverse = np.linalg.pinv(normal, rcond=1e-13, hermitian=True) / np.outer(size, size)
+    inverse, _, _ = pseudo_inverse(jacobian.T @ jacobian)
     noise = 2.0 * problem.cost(point) / problem.n_points
     least = problem.cost(point)
     bent = []

@@ -16,10 +16,11 @@ from ..engine.structure import Structure
 from ..exceptions import IdentifiabilityWarning
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
-from .covariance import parameter_uncertainty, unseen_combinations
+from .covariance import parameter_uncertainty, standard_deviations, unseen_combinations
 from .doubts import stands_still
 from .problem import Problem, residual_blocks
 from .refinement import EstimatedParameter, Refinement
+from .whitening import Whitener
 
 __all__ = ["output_weights", "package"]
 
@@ -47,13 +48,12 @@ def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
     point = result.x
     theta, starts = problem.unpack(point)
     blocks = residual_blocks(problem, point)
-    precision = np.zeros(problem.size)
-    held = np.isfinite(problem.prior_sd) & ~fit.loose
-    precision[: problem.n_theta][held] = 1.0 / problem.prior_sd[held] ** 2
+    precision = problem.precision
+    precision[: problem.n_theta][fit.loose] = 0.0
     unsure = parameter_uncertainty([r for r, _ in blocks], [j for _, j in blocks], precision)
     p = structure.n_parameters
     covariance = unsure.covariance[:p, :p]
-    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    spread = standard_deviations(covariance)
     names = [q.label for q in structure.parameters]
     found = tuple(unseen_combinations(unsure, theta, names, spread))
     for sentence in found:
@@ -79,7 +79,7 @@ def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
         initial_fit=_initial_fit(Structure(physical), problem.records),
         initial_states=starts,
         substeps=fit.steps,
-        residual_orders=unsure.orders,
+        residual_orders=Whitener.fit([r for r, _ in blocks]).orders,
         success=bool(result.status > 0 and np.isfinite(result.cost)),
         message=" ".join(part for part in (message, note) if part),
         warnings=found,

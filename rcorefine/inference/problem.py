@@ -75,6 +75,14 @@ class Problem:
         self.n_points = sum(record.outputs.size for record in self.records)
 
     @property
+    def precision(self) -> Array:
+        """One over the prior variance of each unknown, 0 for none."""
+        found = np.zeros(self.size)
+        held = np.isfinite(self.prior_sd) & (self.prior_sd > 0)
+        found[: self.n_theta][held] = self.prior_sd[held] ** -2.0
+        return found
+
+    @property
     def size(self) -> int:
         """Number of unknowns."""
         return self.n_theta + (len(self.records) * self.n_states if self.free_start else 0)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from ..inference.levels import levels
+from ..inference.covariance import pseudo_inverse, standard_deviations
 from ..systems.linear import Array
 from .estimate import Joint
 
@@ -193,7 +194,7 @@ def _estimates(
     covariance = joint.information().covariance(columns)
     rows = np.array([int(np.flatnonzero(columns == c)[0]) for c in where], dtype=np.int64)
     part = covariance[np.ix_(rows, rows)]
-    return joint.theta[where], np.sqrt(np.maximum(np.diag(part), 0.0)), part
+    return joint.theta[where], standard_deviations(part), part
 
 
 def _beside(joint: Joint, column: int, active: NDArray[np.bool_]) -> tuple[float, float]:
@@ -218,10 +219,8 @@ def _hold(joint: Joint, column: int, active: NDArray[np.bool_]) -> float:
     columns = joint.columns(active)
     normal = joint.information().normal
     block = normal[np.ix_(columns, columns)]
-    size = np.sqrt(np.diag(block))
-    size[size == 0] = 1.0
-    unit = block / np.outer(size, size) + 1e-12 * np.eye(columns.size)
-    point[columns] -= np.linalg.solve(unit, normal[columns, column] * step / size) / size
+    inverse, _, _ = pseudo_inverse(block)
+    point[columns] -= inverse @ normal[columns, column] * step
     point[column] = 0.0
     plain = joint.point.copy()
     plain[column] = 0.0
@@ -314,14 +313,9 @@ def _projected(joint: Joint, where: NDArray[np.int64]) -> Array:
     rest = np.setdiff1d(np.arange(normal.shape[0]), where)
     inner = normal[np.ix_(where, where)]
     if rest.size:
-        block = normal[np.ix_(rest, rest)]
-        size = np.sqrt(np.diag(block))
-        size[size == 0] = 1.0
-        cross = normal[np.ix_(rest, where)] / size[:, None]
-        inner = (
-            inner
-            - cross.T @ np.linalg.pinv(block / np.outer(size, size), rcond=1e-12, hermitian=True) @ cross
-        )
+        inverse, _, _ = pseudo_inverse(normal[np.ix_(rest, rest)])
+        cross = normal[np.ix_(rest, where)]
+        inner = inner - cross.T @ inverse @ cross
     size = np.sqrt(np.maximum(np.diag(inner), 0.0))
     size[size <= 1e-9 * np.sqrt(np.diag(normal)[where])] = np.inf
     unit = inner / np.outer(size, size)

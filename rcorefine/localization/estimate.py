@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from ..data.measurement import Measurement
 from ..engine.observer import observer_gain
 from ..engine.structure import Structure
-from ..inference.autoregression import autoregression, stable_model
+from ..inference.autoregression import autoregression
+from ..inference.covariance import colored, covariance, pseudo_inverse
 from ..inference.outcome import output_weights
 from ..inference.problem import Problem, residual_blocks
 from ..inference.search import starting_states
@@ -53,26 +53,13 @@ class Information:
 
     def covariance(self, columns: NDArray[np.int64]) -> Array:
         """Covariance of an estimate of these columns; infinite where nothing is seen."""
-        B, middle = self.normal[np.ix_(columns, columns)], self.middle[np.ix_(columns, columns)]
-        size = np.sqrt(np.diag(B))
-        size[size == 0] = 1.0
-        values, vectors = np.linalg.eigh(B / np.outer(size, size))
-        seen = values > 1e-12 * values[-1]
-        inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
-        covariance = inverse @ (middle / np.outer(size, size)) @ inverse / np.outer(size, size)
-        lost = np.any(np.abs(vectors[:, ~seen]) > 1e-3, axis=1)
-        covariance[lost, lost] = np.inf
-        return np.asarray(covariance)
+        block = np.ix_(columns, columns)
+        return covariance(self.normal[block], self.middle[block])
 
     def step(self, columns: NDArray[np.int64]) -> Array:
         """Gauss-Newton step in these columns."""
-        B = self.normal[np.ix_(columns, columns)]
-        size = np.sqrt(np.diag(B))
-        size[size == 0] = 1.0
-        values, vectors = np.linalg.eigh(B / np.outer(size, size))
-        seen = values > 1e-12 * values[-1]
-        inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
-        return np.asarray(-inverse @ (self.gradient[columns] / size) / size)
+        inverse, _, _ = pseudo_inverse(self.normal[np.ix_(columns, columns)])
+        return np.asarray(-inverse @ self.gradient[columns])
 
 
 class Joint:
@@ -265,17 +252,10 @@ class Joint:
         """What the record knows at the present point about every coefficient."""
         if self._information is None:
             blocks = residual_blocks(self.problem, self.point)
-            residuals, jacobians = [r for r, _ in blocks], [j for _, j in blocks]
-            held = np.isfinite(self.prior_sd)
-            precision = np.zeros(self.problem.size)
-            precision[: self.problem.n_theta][held] = 1.0 / self.prior_sd[held] ** 2
+            normal, middle = colored([r for r, _ in blocks], [j for _, j in blocks], self.problem.precision)
             evaluation = self.problem.evaluate(self.point)
-            normal = evaluation.jacobian.T @ evaluation.jacobian
-            self._information = Information(
-                evaluation.jacobian.T @ evaluation.residual,
-                normal,
-                _gradient_covariance(residuals, jacobians, precision),
-            )
+            gradient = evaluation.jacobian.T @ evaluation.residual
+            self._information = Information(gradient, normal, middle)
         return self._information
 
     @property
@@ -307,18 +287,6 @@ def log_likelihood(residual: Array) -> tuple[float, int]:
     """
     whitener = Whitener.fit([residual], floor=1e-150)
     return whitener.log_likelihood(residual.shape[1]), sum(whitener.orders)
-
-
-def _gradient_covariance(residuals: Sequence[Array], jacobians: Sequence[Array], precision: Array) -> Array:
-    """Covariance of J' r, the residual of each output coloured as an autoregression sees it."""
-    middle = np.diag(precision)
-    for i in range(residuals[0].shape[0]):
-        a, variance = stable_model(*autoregression(np.concatenate([r[i] for r in residuals])))
-        for jacobian in jacobians:
-            J = jacobian[i]
-            coloured = J if a.size == 1 else lfilter([1.0], a, J[::-1], axis=0)
-            middle = middle + variance * (coloured.T @ coloured)
-    return np.asarray(middle)
 
 
 def _descend(

@@ -14,6 +14,7 @@ from ..data.measurement import Measurement
 from ..effects.effect import Effect
 from ..effects.springs import Stiffness
 from ..engine.structure import Structure
+from ..inference.covariance import standard_deviations
 from ..inference.fit import Fit
 from ..inference.problem import residual_blocks
 from ..inference.starts import Motion, law_widths
@@ -187,7 +188,7 @@ def _fitted(setting: Setting, name: str, effects: tuple[Effect, ...]) -> Hypothe
     residual = joint.residual
     value, colours = log_likelihood(residual)
     columns = joint.columns(np.ones(structure.n_parameters, dtype=bool))
-    spread = np.sqrt(np.maximum(np.diag(joint.information().covariance(columns)), 0.0))
+    spread = standard_deviations(joint.information().covariance(columns))
     changes, std, percent = {}, {}, {}
     theta = joint.theta
     for i, parameter in enumerate(structure.parameters):

@@ -22,6 +22,7 @@ from ..engine.simulation import check_channels
 from ..engine.structure import Structure
 from ..exceptions import IdentifiabilityWarning, ModelError
 from ..inference.assembly import assemble, check_settings, offset_variants
+from ..inference.covariance import standard_deviations
 from ..inference.outcome import _initial_fit
 from ..inference.refinement import Refinement
 from ..inference.starts import estimated_motion
@@ -416,7 +417,7 @@ def _nuisances(joint: Joint, candidates: Sequence[Candidate]) -> tuple[NuisanceR
     active[[c.column for c in candidates]] = False
     active[named] = True
     columns = joint.columns(active)
-    spread = np.sqrt(np.maximum(np.diag(joint.information().covariance(columns)), 0.0))
+    spread = standard_deviations(joint.information().covariance(columns))
     rows = []
     for i, parameter in enumerate(structure.parameters):
         if i in taken:

@@ -13,6 +13,7 @@ from ...data.measurement import Measurement
 from ...effects.effect import Effect
 from ...engine.engine import Engine
 from ...engine.structure import Structure
+from ...inference.covariance import covariance, standard_deviations
 from ...inference.sizes import natural_sizes
 from ...inference.starts import Motion, law_widths, shape_starts
 from ...inference.whitening import innovations
@@ -247,9 +248,5 @@ def _descend(
             break
     std = np.full(p, np.inf)
     if p and math.isfinite(cost):
-        size = np.linalg.norm(J, axis=0)
-        scale = np.where(size * sizes > 1e-9 * (size * sizes).max(initial=0.0), size, np.inf)
-        unit = np.where(np.isfinite(scale), J / scale, 0.0)
-        spread = np.sqrt(np.maximum(np.diag(np.linalg.pinv(unit.T @ unit, rcond=1e-12)), 0.0))
-        std = np.where(np.isfinite(scale), spread / scale, np.inf)[:p]
+        std = standard_deviations(covariance(J.T @ J))[:p]
     return Fit(effect, point[:p], std, cost, r.size, x0 + point[p:] if free else x0)
