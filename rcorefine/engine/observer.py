@@ -83,7 +83,8 @@ def observer_gain(
     size = np.sqrt(np.maximum(np.diag(Q), 1e-12 * np.trace(Q) / n + 1e-300))
     A = Phi * size / size[:, None]  # unit-size states keep the Riccati equation well scaled
     C = m.C * size / spread[:, None]
-    return np.asarray(steady_filter(A, C, Q / np.outer(size, size), R).gain * size[:, None] / spread)
+    Qs = Q / np.outer(size, size) + 1e-12 * np.eye(n)
+    return np.asarray(steady_filter(A, C, Qs, R).gain * size[:, None] / spread)
 
 
 class SteadyFilter(NamedTuple):
@@ -130,7 +131,7 @@ def steady_filter(F: Array, H: Array, Q: Array, R: Array) -> SteadyFilter:
     n = F.shape[0]
     if n == 0:
         return SteadyFilter(np.zeros((0, H.shape[0])), np.zeros((0, 0)), R)
-    Q = 0.5 * (Q + Q.T) + 1e-12 * np.trace(Q) / n * np.eye(n)
+    Q = 0.5 * (Q + Q.T)
     try:  # scipy balances entries that are rounding beyond all bounds
         P = solve_discrete_are(F.T, H.T, Q, R, balanced=False)
         if not np.isfinite(P).all():

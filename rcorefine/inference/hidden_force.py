@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
-from scipy.linalg import solve_discrete_are
 
 from ..data.measurement import Measurement
+from ..engine.smoother import Smoothed, smooth
 from ..models.ports import Port
 from ..systems.discretization import discretize
 from ..systems.linear import Array, LinearModel
@@ -61,52 +63,38 @@ def estimated_force(model: Refinement, noise: Array, port: Port, record: Measure
         A = np.zeros((n + 1, n + 1))
         A[:n, :n], A[:n, n], A[n, n] = linear.A, act, -1.0 / (memory * record.dt)
         F, G0, G1 = discretize(A, B, record.dt, hold)
-        drive = G0 @ w[:, :-1] + G1 @ w[:, 1:]
+        drive = (G0 @ w + G1 @ np.hstack([w[:, 1:], w[:, -1:]])).T
         # a force that moves the output by its own size within a sample: the scale of the walk
         reach = np.linalg.norm(C @ F[:, -1]) + np.linalg.norm(C[:, -1]) + 1e-300
         unit = float(np.linalg.norm(y.std(axis=1))) / reach
-        short = min(_TRIED_ON, y.shape[1])
-        for share in _LEVELS:
-            try:
-                run = _smoother(F, C, drive[:, : short - 1], y[:, :short], R, share * unit)
-            except (np.linalg.LinAlgError, ValueError):
-                continue  # no stationary filter at this level; the next one may have
-            runs.append((run[0], F, drive, share * unit))
-    if not runs:
+        runs += [_Walk(F, C, R, y.T, drive, share * unit) for share in _LEVELS]
+    likelihoods = [run.smoothed(_TRIED_ON).log_likelihood for run in runs]
+    if not np.isfinite(likelihoods).any():
         return np.zeros(record.n_samples), np.zeros((n, record.n_samples))
-    _, F, drive, walk = max(runs, key=lambda run: run[0])
-    smooth = _smoother(F, C, drive, y, R, walk)[1]
-    return smooth[n], smooth[:n]
+    best = runs[int(np.nanargmax(likelihoods))]
+    states = (best.smoothed().states * best.size).T
+    return states[n], states[:n]
 
 
-def _smoother(F: Array, C: Array, drive: Array, y: Array, R: Array, walk: float) -> tuple[float, Array]:
-    """Stationary Kalman filter forth, Rauch-Tung-Striebel back: log-likelihood and states."""
-    n, N = F.shape[0], y.shape[1]
-    Q = np.zeros((n, n))
-    Q[-1, -1] = walk**2
-    size = np.ones(n)
-    size[-1] = walk
-    Fs, Cs, Qs = F * size / size[:, None], C * size, Q / np.outer(size, size)
-    Qs = Qs + 1e-12 * np.eye(n) * np.mean(np.diag(R))
-    P = solve_discrete_are(Fs.T, Cs.T, Qs, R)
-    S = Cs @ P @ Cs.T + R
-    K = P @ Cs.T @ np.linalg.inv(S)
-    after = P - K @ Cs @ P
-    J = np.linalg.solve(P.T, (after @ Fs.T).T).T
-    steer = drive / size[:, None]
-    before_all, after_all = np.zeros((n, N)), np.zeros((n, N))
-    x = np.zeros(n)
-    errors = np.zeros_like(y)
-    for k in range(N):
-        before_all[:, k] = x
-        errors[:, k] = y[:, k] - Cs @ x
-        z = x + K @ errors[:, k]
-        after_all[:, k] = z
-        if k + 1 < N:
-            x = Fs @ z + steer[:, k]
-    smooth = np.zeros((n, N))
-    smooth[:, -1] = after_all[:, -1]
-    for k in range(N - 2, -1, -1):
-        smooth[:, k] = after_all[:, k] + J @ (smooth[:, k + 1] - before_all[:, k + 1])
-    likelihood = -0.5 * (N * np.linalg.slogdet(S)[1] + float(np.sum(errors * np.linalg.solve(S, errors))))
-    return likelihood, smooth * size[:, None]
+class _Walk(NamedTuple):
+    """A model whose last state is a force, driven by noise of a certain level."""
+
+    F: Array
+    C: Array
+    R: Array
+    outputs: Array  # (N, n_y)
+    drive: Array  # (N, n + 1)
+    level: float
+
+    @property
+    def size(self) -> Array:
+        """Of each state."""
+        return np.append(np.ones(self.F.shape[0] - 1), self.level)
+
+    def smoothed(self, most: int | None = None) -> Smoothed:
+        """States in their sizes, over the first samples or all."""
+        size = self.size
+        Q = 1e-12 * np.mean(np.diag(self.R)) * np.eye(size.size)  # no direction without any noise
+        Q[-1, -1] += 1.0
+        F, C, drive = self.F * size / size[:, None], self.C * size, self.drive[:most] / size
+        return smooth(F, C, Q, self.R, self.outputs[:most], drive=drive)

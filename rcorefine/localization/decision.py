@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from ..inference.levels import levels
 from ..inference.covariance import pseudo_inverse, standard_deviations
+from ..inference.levels import levels
 from ..systems.linear import Array
 from .estimate import Joint
 

@@ -74,8 +74,9 @@ def estimated_motion(scene: Scene, chosen: Sequence[int] | None = None) -> Motio
     best: tuple[float, Smoothed] | None = None
     R = _NOISE**2 * np.eye(ny)
     for level in _LEVELS:
-        Q = np.zeros((n + m, n + m))
-        Q[n:, n:] = (1 - _MEMORY**2) * level**2 * np.eye(m)
+        force = (1 - _MEMORY**2) * level**2
+        Q = 1e-12 * force * m / (n + m) * np.eye(n + m)  # no direction without any noise
+        Q[n:, n:] += force * np.eye(m)
         one = smooth(F, H, Q, R, scene.evidence.with_offset.T, reset=scene.reset)
         if not np.isfinite(one.power) or one.power <= 0:
             continue
