@@ -19,8 +19,8 @@ PACKAGE = Path(rco.__file__).parent
 #: Each may import those before it, and none after it.
 ORDER = (
     "version", "exceptions", "arithmetic", "jit", "arguments", "progress", "writing", "archives", "results",
-    "systems", "data", "effects", "models", "engine", "inference", "comparison", "refinement", "diagnosis",
-    "localization", "streaming", "examples", "views", "commands", "__main__",
+    "systems", "gauss_newton", "data", "effects", "models", "engine", "inference", "comparison", "refinement",
+    "diagnosis", "localization", "streaming", "examples", "views", "commands", "__main__",
 )  # fmt: skip
 
 
@@ -153,3 +153,27 @@ def test_every_result_shows_itself():
 def test_an_option_that_does_not_exist_is_named():
     with pytest.raises(TypeError, match=r"Measurement\.plot\(\).*'colour'"):
         rco.Measurement([0.0, 1.0, 2.0, 3.0], [0.0, 1.0, 2.0, 3.0], dt=0.1).plot(colour="red")
+
+
+def test_one_of_each():
+    """One Riccati equation, autoregressive model, whitening, smoother, covariance and damped descent."""
+    only = {
+        "solve_discrete_are(": {"engine/observer.py"},
+        "lfilter(a, [1.0]": {"inference/whitening.py"},
+        "np.linalg.pinv(": {
+            # of a map between states and outputs or modes, not of information
+            "comparison/failure_map/frequency.py", "inference/assembly.py",
+            "streaming/coefficients/descent.py", "streaming/coefficients/restart.py",
+        },
+        "solve_toeplitz(": set(),
+        "damping *=": {"streaming/coefficients/descent.py"},  # its steps come from a filter, not from columns
+        "damping = max(": {"gauss_newton.py"},
+        "def autoregression": {"inference/autoregression.py"},
+        "class Whitener": {"inference/whitening.py"},
+        "def smooth(": {"engine/smoother.py"},
+        "def covariance(normal": {"inference/covariance.py"},
+    }  # fmt: skip
+    sources = {str(path.relative_to(PACKAGE)): path.read_text() for path in PACKAGE.rglob("*.py")}
+    for what, where in only.items():
+        found = {name for name, text in sources.items() if what in text}
+        assert found == where, f"{what} in {sorted(found)}"

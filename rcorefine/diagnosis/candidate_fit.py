@@ -8,8 +8,8 @@ import numpy as np
 
 from ..effects.effect import Effect
 from ..inference.covariance import covariance, standard_deviations
+from ..inference.descent import Descent, descend
 from ..inference.fitted import Fitted, evaluated
-from ..inference.gauss_newton import Descent, descend
 from ..inference.outcome import _fit, _rows
 from ..inference.problem import Problem
 from ..inference.refinement import Refinement

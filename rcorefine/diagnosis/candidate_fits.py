@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..effects.effect import Effect
+from ..inference.descent import descend, lacking
 from ..inference.fitted import Fitted
-from ..inference.gauss_newton import descend, lacking
 from ..inference.refinement import Refinement
 from ..inference.search import step_matters
 from ..inference.sensitivities import Candidate

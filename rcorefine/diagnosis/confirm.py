@@ -17,8 +17,8 @@ from ..engine.observer import observer_gain
 from ..engine.simulation import check_channels
 from ..inference.assembly import check_settings, priors
 from ..inference.covariance import covariance, standard_deviations, wald
+from ..inference.descent import descend
 from ..inference.fitted import Fitted, evaluated
-from ..inference.gauss_newton import descend
 from ..inference.outcome import output_weights
 from ..inference.problem import Problem
 from ..inference.refinement import Refinement

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..inference.covariance import covariance, wald
+from ..inference.descent import descend
 from ..inference.fitted import Fitted
-from ..inference.gauss_newton import descend
 from ..inference.problem import Problem
 from ..inference.sensitivities import Candidate
 from ..inference.whitening import Whitener

@@ -8,8 +8,8 @@ import numpy as np
 
 from ..effects.along_motion import unit_forces
 from ..engine.observer import observer_gain
+from ..inference.descent import Descent, descend
 from ..inference.fitted import Fitted
-from ..inference.gauss_newton import Descent, descend
 from ..inference.problem import Problem
 from ..inference.search import starting_states
 from ..inference.sensitivities import Candidate

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..inference.gauss_newton import Descent, descend
+from ..inference.descent import Descent, descend
 from ..inference.sensitivities import Candidate
 from ..inference.whitening import Whitener
 from ..systems.linear import Array

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import control as ct
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arguments import as_state, shown
 from ..data.measurement import Measurement
 from ..exceptions import ModelError
+from ..gauss_newton import Rows, gauss_newton
 from ..systems.linear import Array, LinearModel
 from .engine import Engine
 from .structure import Structure
@@ -61,7 +64,14 @@ def structure_of(model: Any) -> tuple[Structure, Array, int]:
     return Structure(model), np.zeros(0), 1
 
 
-def estimate_initial_state(engine: Engine, theta: Array, weights: Array | None = None) -> Array:
+def estimate_initial_state(
+    engine: Engine,
+    theta: Array,
+    weights: Array | None = None,
+    *,
+    gain: Array | None = None,
+    use: NDArray[np.bool_] | None = None,
+) -> Array:
     """Initial state that brings the free run closest to the record.
 
     Parameters
@@ -72,6 +82,10 @@ def estimate_initial_state(engine: Engine, theta: Array, weights: Array | None =
         Coefficients, held.
     weights : ndarray, shape (n_y,), optional
         Weight of each output, default one over its standard deviation.
+    gain : ndarray, shape (n, n_y), optional
+        Observer gain; the free run without it.
+    use : ndarray of bool, shape (N, n_y), optional
+        Which outputs were measured; by default all.
 
     Returns
     -------
@@ -84,49 +98,23 @@ def estimate_initial_state(engine: Engine, theta: Array, weights: Array | None =
         weights = 1.0 / np.maximum(y.std(axis=1), 1e-300 + 1e-12 * np.abs(y).max(axis=1))
         weights = np.where(np.isfinite(weights), weights, 1.0)
     judged = np.arange(y.shape[1]) >= engine.unjudged(theta)[:, None]
-    weights = weights[:, None] * judged
+    weights = weights[:, None] * (judged if use is None else judged & use.T)
     calm = theta.copy()
     if not engine.structure.is_linear:
         calm[engine.structure.port_columns] = 0.0  # without its nonlinear forces: a safe first guess
-    start = _gauss_newton(engine, calm, np.zeros(engine.structure.n_states), weights, 2)
+
+    def rows(theta: Array, point: Array) -> Rows:
+        run = engine.run(theta, point, sensitivity=False, initial_state=True, gain=gain, use=use, check=False)
+        error = (weights * (run.outputs - engine.data.outputs)).ravel()
+        slopes = (weights[:, :, None] * run.sensitivity).reshape(error.size, -1)
+        sound = run.blew_up < 0 and np.isfinite(slopes).all()
+        return Rows(error if sound else np.full(1, np.inf), slopes)
+
+    x0 = np.zeros(engine.structure.n_states)
+    x0 = gauss_newton(partial(rows, calm), x0, evaluations=3, tolerance=1e-8, damping=0.0).point
     if engine.structure.is_linear:
-        return start
-    return _gauss_newton(engine, theta, start, weights, 12)
-
-
-def _gauss_newton(engine: Engine, theta: Array, x0: Array, weights: Array, iterations: int) -> Array:
-    """Damped Gauss-Newton on the initial state, each sample with a weight (n_y, N)."""
-
-    def errors(point: Array, slope: bool) -> tuple[float, Array, Array]:
-        run = engine.run(theta, point, sensitivity=False, initial_state=slope, check=False)
-        error = (weights * (engine.data.outputs - run.outputs)).ravel()
-        cost = float(error @ error) if run.blew_up < 0 and np.isfinite(error).all() else np.inf
-        return cost, error, (weights[:, :, None] * run.sensitivity).reshape(error.size, -1)
-
-    cost, error, jacobian = errors(x0, True)
-    damping = 0.0
-    for _ in range(iterations):
-        if not (np.isfinite(cost) and np.isfinite(jacobian).all()):
-            break
-        scale = np.linalg.norm(jacobian, axis=0)
-        scale[scale <= 1e-9 * scale.max(initial=0.0)] = np.inf  # not seen: stays where it is
-        unit = jacobian / scale
-        for _ in range(6):
-            rows = np.vstack([unit, np.sqrt(damping) * np.eye(x0.size)])
-            step = np.linalg.lstsq(rows, np.append(error, np.zeros(x0.size)), rcond=1e-10)[0] / scale
-            trial = errors(x0 + step, True)
-            if trial[0] < cost or not step.any():
-                break
-            damping = max(10 * damping, 1e-3)
-        else:
-            break
-        done = trial[0] > cost * (1 - 1e-8)
-        if trial[0] <= cost:
-            x0, (cost, error, jacobian) = x0 + step, trial
-            damping *= 0.1
-        if done:
-            break
-    return x0
+        return x0
+    return gauss_newton(partial(rows, theta), x0, evaluations=20, tolerance=1e-8, damping=0.0).point
 
 
 def simulate(model: Any, data: Measurement, x0: str | Array = "estimate") -> Simulation:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..data.measurement import Measurement
 from ..engine.observer import observer_gain
 from ..engine.structure import Structure
+from ..gauss_newton import Rows, gauss_newton
 from ..inference.autoregression import autoregression
 from ..inference.covariance import colored, covariance, pseudo_inverse
 from ..inference.outcome import output_weights
@@ -29,7 +30,7 @@ _WHITE = 0.6  # innovation over residual power above which a free run has found 
 _ROUNDING = 1e-22  # residual over signal power that is rounding
 _HOPELESS = 0.5  # whiteness against that of the present fit
 _EXACT = 1e-6  # residual over signal power that needs no further search
-_MOST_STEPS = 25
+_MOST_EVALUATIONS = 40
 _SETTLED = 1e-3  # of a standard deviation
 
 
@@ -140,7 +141,7 @@ class Joint:
         best: tuple[float, Array] | None = None
         for theta in self._starts(trial, short):
             free = trial.inside(trial.pack(theta, starting_states(trial, theta)))
-            point, cost, _ = _descend(trial, free, columns, _MOST_STEPS)
+            point, cost, _ = _descend(trial, free, columns, _MOST_EVALUATIONS)
             if best is None or cost < best[0]:
                 best = cost, point
                 if cost < _EXACT * level or _whiteness(trial, point) > _WHITE:
@@ -205,7 +206,7 @@ class Joint:
             few[list(members)] = True
             columns = np.concatenate([np.flatnonzero(few), np.arange(trial.n_theta, trial.size)])
             free = trial.inside(trial.pack(theta, starting_states(trial, theta)))
-            point, _, _ = _descend(trial, free, columns, 12)
+            point, _, _ = _descend(trial, free, columns, 20)
             if _whiteness(trial, point) < _HOPELESS * _whiteness(self.problem, reference):
                 continue
             self.point = self._lengthened(trial, point)
@@ -237,7 +238,7 @@ class Joint:
         """
         columns = self.columns(active)
         for _ in range(3 if reweigh and self.noise is None else 1):
-            self.point, cost, self.converged = _descend(self.problem, self.point, columns, _MOST_STEPS)
+            self.point, cost, self.converged = _descend(self.problem, self.point, columns, _MOST_EVALUATIONS)
             self._information = None
             if not reweigh or self.noise is not None:
                 break
@@ -290,48 +291,35 @@ def log_likelihood(residual: Array) -> tuple[float, int]:
 
 
 def _descend(
-    problem: Problem, point: Array, columns: NDArray[np.int64], iterations: int
+    problem: Problem, point: Array, columns: NDArray[np.int64], evaluations: int
 ) -> tuple[Array, float, bool]:
-    """Levenberg-Marquardt in some columns: normal equations with unit columns."""
-    point = problem.inside(point)
-    lower, upper = problem.bounds()
-    near = 1e-9 * problem.sizes[columns]
-    evaluation = problem.evaluate(point)
-    cost = 0.5 * float(evaluation.residual @ evaluation.residual)
-    damping = 0.0
+    """Lower the cost in some columns; the others stay where they are."""
+    box = problem.to_box(problem.inside(point))
+    low, high = (bound[columns] for bound in problem.box())
+
+    def at(x: Array) -> Array:
+        whole = box.copy()
+        whole[columns] = x
+        return problem.from_box(whole)
+
+    def rows(x: Array) -> Rows:
+        found = problem.evaluate(at(x))
+        J = problem.columns_in_box(found.jacobian)[:, columns]
+        return Rows(found.residual if found.finite else np.full(1, np.inf), J)
+
     level = sum(float(np.sum((problem.weights[:, None] * r.outputs) ** 2)) for r in problem.records)
-    for _ in range(iterations):
-        if cost < _ROUNDING * level:
-            return point, cost, True
-        J = evaluation.jacobian[:, columns]
-        gradient, H = J.T @ evaluation.residual, J.T @ J
-        size = np.sqrt(np.diag(H))
-        size[size == 0] = 1.0
-        unit, slope = H / np.outer(size, size), gradient / size
-        at_bound = ((point[columns] <= lower[columns] + near) & (slope > 0)) | (
-            (point[columns] >= upper[columns] - near) & (slope < 0)
-        )
-        slope = np.where(at_bound, 0.0, slope)
-        noise = 2.0 * cost / problem.n_points
-        for attempt in range(8):
-            step = -np.linalg.solve(unit + max(damping, 1e-13) * np.eye(columns.size), slope)
-            if attempt == 0 and float(step @ unit @ step) < _SETTLED**2 * noise:
-                return point, cost, True
-            trial = point.copy()
-            trial[columns] += step / size
-            trial = problem.inside(trial)
-            after = problem.evaluate(trial)
-            reached = 0.5 * float(after.residual @ after.residual)
-            if after.finite and reached <= cost:
-                break
-            if -float(slope @ step) < 1e-10 * cost:
-                return point, cost, True  # less than rounding is left to gain
-            damping = max(10.0 * damping, 1e-4)
-        else:
-            return point, cost, cost < 1e-16 * level
-        point, cost, evaluation = trial, reached, after
-        damping *= 0.1 if damping > 1e-6 else 0.0
-    return point, cost, False
+    tolerance = max(_SETTLED**2 / problem.n_points, 1e-10)
+    run = gauss_newton(
+        rows,
+        box[columns],
+        lower=low,
+        upper=high,
+        sizes=problem.sizes[columns],
+        evaluations=evaluations,
+        settled=lambda cost, gain: gain <= tolerance * cost or cost < _ROUNDING * level,
+        damping=0.0,
+    )
+    return at(run.point), run.cost, run.converged
 
 
 def _whiteness(problem: Problem, point: Array) -> float:

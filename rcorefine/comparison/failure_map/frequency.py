@@ -207,7 +207,7 @@ def modes_together(scene: Scene, found: Sequence[Shift], single: Sequence[Findin
         np.zeros(sum(s.size for s in used)),
     ]
     start = min(starts, key=lambda point: scene.evidence.misfit(shape(point)))
-    best = scene.evidence.descended(shape, start, iterations=10)
+    best = scene.evidence.descended(shape, start, evaluations=15)
     return [_finding(scene, used, np.split(best.values, cuts), best, 1)]
 
 

@@ -9,9 +9,9 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 from scipy.optimize import minimize_scalar
 
+from ...gauss_newton import Rows, gauss_newton
 from ...inference.autoregression import highest_order
 from ...inference.whitening import Whitener
 from ...systems.linear import Array
@@ -20,6 +20,7 @@ __all__ = ["Evidence", "Explanation"]
 
 # Differences below this share of an output are rounding, not evidence.
 _FLOOR = 1e-7
+_FAR = 2.0  # from the start of a search: shapes beyond are not trusted
 _MASKED = 0.03  # weight of samples that are set aside
 
 
@@ -217,35 +218,21 @@ class Evidence:
         return self._explained(shape(best), np.array([best]))
 
     def descended(
-        self, shape: Callable[[Array], Array], start: Array, *, iterations: int = 8, step: float = 1e-3
+        self, shape: Callable[[Array], Array], start: Array, *, evaluations: int = 12, step: float = 1e-3
     ) -> Explanation:
-        """Damped Gauss-Newton on a shape with several unknowns."""
+        """Best of a family of shapes with several unknowns, relative numbers or logs, near a start."""
 
         def left(point: Array) -> Array:
             return self._white - self._filtered(self.without_nuisance(shape(point)))
 
-        point = np.asarray(start, dtype=float)
-        error, damping = left(point), 1e-3
-        for _ in range(iterations):
-            slopes = np.array([(error - left(point + step * e)) / step for e in np.eye(point.size)]).T
-            size = np.linalg.norm(slopes, axis=0)
-            size[size <= 1e-12] = np.inf
-            normal = (slopes / size).T @ (slopes / size)
-            target = (slopes / size).T @ error
-            for _ in range(6):
-                lower = np.linalg.cholesky(normal + damping * np.eye(point.size))
-                move = solve_triangular(lower.T, solve_triangular(lower, target, lower=True)) / size
-                trial = left(point + np.clip(move, -0.5, 0.5))
-                if trial @ trial < error @ error:
-                    break
-                damping *= 10
-            else:
-                break
-            done = trial @ trial > (1 - 1e-6) * (error @ error)
-            point, error, damping = point + np.clip(move, -0.5, 0.5), trial, damping * 0.2
-            if done:
-                break
-        return self._explained(shape(point), point)
+        def rows(point: Array) -> Rows:
+            here = left(point)
+            slopes = [(left(point + step * e) - here) / step for e in np.eye(point.size)]
+            return Rows(here, np.array(slopes).T)
+
+        near = np.asarray(start, dtype=float)
+        found = gauss_newton(rows, near, lower=near - _FAR, upper=near + _FAR, evaluations=evaluations)
+        return self._explained(shape(found.point), found.point)
 
     def _explained(self, shape: Array, values: Array) -> Explanation:
         fit = self.without_nuisance(shape)

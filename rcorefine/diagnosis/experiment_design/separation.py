@@ -14,6 +14,7 @@ from ...engine.engine import Engine
 from ...engine.observer import observer_gain
 from ...engine.structure import Structure
 from ...exceptions import DivergenceError
+from ...gauss_newton import Rows, gauss_newton
 from ...inference.fitted import evaluated
 from ...inference.levels import levels
 from ...inference.problem import Problem
@@ -271,24 +272,26 @@ class _Fit:
         return float(self.residual @ self.residual)
 
     def imitate(self) -> _Fit:
-        """Damped Gauss-Newton towards the record, as exactly as the decision needs."""
-        damping = 0.0
-        for _ in range(_REFITS):
-            step = _step(self.slopes, self.residual, damping)
-            promised = self.distance - float(np.sum((self.residual + self.slopes @ step) ** 2))
-            left = self.distance - promised
-            if promised < 0.02 + (0.1 if left > _PLAIN else 0.003) * left:
-                break
-            trial = self.problem.inside(self.point + step)
-            residual, slopes = self._rows(trial)
-            new = float(residual @ residual)
-            if np.isfinite(new) and new < self.distance:
-                self.point, self.residual, self.slopes = trial, residual, slopes
-                damping *= 0.1
-            elif damping > 1.0:
-                break
-            else:
-                damping = max(30 * damping, 1e-2)
+        """Fit the record, as exactly as the decision needs."""
+        problem = self.problem
+
+        def rows(box: Array) -> Rows:
+            point = problem.from_box(box)
+            known = np.array_equal(point, self.point)
+            residual, slopes = (self.residual, self.slopes) if known else self._rows(point)
+            return Rows(residual, problem.columns_in_box(slopes), (point, residual, slopes))
+
+        def settled(cost: float, gain: float) -> bool:
+            left = 2.0 * (cost - gain)
+            return 2.0 * gain < 0.02 + (0.1 if left > _PLAIN else 0.003) * left
+
+        low, high = problem.box()
+        run = gauss_newton(
+            rows, problem.to_box(self.point), lower=low, upper=high, sizes=problem.sizes,
+            evaluations=1 + _REFITS, settled=settled, damping=0.0,
+        )  # fmt: skip
+        if np.isfinite(run.cost):
+            self.point, self.residual, self.slopes = run.rows.more
         return self
 
     def basis(self) -> Array:
@@ -298,16 +301,6 @@ class _Fit:
         values, vectors = np.linalg.eigh(unit.T @ unit)
         keep = values > 1e-12 * values.max(initial=0.0)
         return np.asarray((unit @ (vectors[:, keep] / np.sqrt(values[keep])))[: self.n_data])
-
-
-def _step(J: Array, r: Array, damping: float) -> Array:
-    size = np.linalg.norm(J, axis=0)
-    size[size == 0] = np.inf
-    unit = J / size
-    values, vectors = np.linalg.eigh(unit.T @ unit)
-    seen = values > 1e-12 * values.max(initial=0.0)
-    along = vectors[:, seen].T @ (unit.T @ r)
-    return np.asarray(-(vectors[:, seen] @ (along / (values[seen] + damping))) / size)
 
 
 def _margins(own: _Fit, fits: Sequence[_Fit]) -> Array:

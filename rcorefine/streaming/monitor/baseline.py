@@ -14,6 +14,7 @@ from scipy.stats import norm
 from ...data.measurement import Measurement
 from ...engine.engine import Engine
 from ...engine.observer import observer_gain
+from ...engine.simulation import estimate_initial_state
 from ...engine.structure import Structure
 from ...exceptions import DataError
 from ...inference.autoregression import autoregression
@@ -177,19 +178,9 @@ def _evaluated(
 ) -> tuple[float, Healthy, Array] | None:
     """Minus log-likelihood, the observer and what its filter leaves; None where it cannot follow."""
     y, flags = engine.data.outputs, use.T > 0
-    x0 = np.zeros(engine.structure.n_states)
     spread = np.maximum(y.std(axis=1), 1e-300)
-    linear = engine.structure.is_linear
     K = gain if gain.any() else None
-    for _ in range(1 if linear else 6):
-        run = engine.run(theta, x0, initial_state=True, gain=K, use=use > 0, check=False)
-        if run.blew_up >= 0 or not np.isfinite(run.sensitivity).all():
-            break
-        slopes = run.sensitivity[:, :, -x0.size :] / spread[:, None, None]
-        error = (y - run.outputs) / spread[:, None]
-        size = np.linalg.norm(slopes[flags], axis=0)
-        scale = np.where(size > 1e-9 * size.max(initial=0.0), size, np.inf)
-        x0 = x0 + np.linalg.lstsq(slopes[flags] / scale, error[flags], rcond=1e-6)[0] / scale
+    x0 = estimate_initial_state(engine, theta, 1.0 / spread, gain=K, use=use > 0)
     run = engine.run(theta, x0, sensitivity=False, gain=K, use=use > 0, check=False)
     if run.blew_up >= 0 or not np.isfinite(run.outputs).all():
         return None

@@ -13,6 +13,7 @@ from ...data.measurement import Measurement
 from ...effects.effect import Effect
 from ...engine.engine import Engine
 from ...engine.structure import Structure
+from ...gauss_newton import Rows, gauss_newton
 from ...inference.covariance import covariance, standard_deviations
 from ...inference.sizes import natural_sizes
 from ...inference.starts import Motion, law_widths, shape_starts
@@ -21,7 +22,8 @@ from ...systems.linear import Array
 
 __all__ = ["Fit", "Stretch", "fit_candidate"]
 
-_STEPS = 12
+_EVALUATIONS = 20
+_LITTLE = 0.01  # twice the log-likelihood that a last step may still add
 _MOST_STARTS = 2
 _REACH = 8.0
 _HUGE = 1e100  # errors and slopes beyond which the model has blown up
@@ -201,7 +203,9 @@ def _descend(
     slopes = p > 0 or free > 0
     sizes = np.concatenate([natural_sizes(engine.structure, [engine.data])[p0:], np.ones(free)])
 
-    def evaluate(point: Array) -> tuple[float, Array, Array]:
+    nothing = Rows(np.full(1, np.inf), np.zeros((1, p + free)))
+
+    def rows(point: Array) -> Rows:
         theta = np.concatenate([stretch.theta, point[:p]])
         begin = x0 + point[p:] if free else x0
         run = engine.run(
@@ -209,44 +213,33 @@ def _descend(
             use=stretch.use > 0, check=False,
         )  # fmt: skip
         if run.blew_up >= 0 or not np.isfinite(run.outputs).all():
-            return math.inf, np.zeros(0), np.zeros((0, 0))
-        r = stretch.whiten(y - run.outputs)
-        J = stretch.whiten(-run.sensitivity[:, :, p0:]) if slopes else np.zeros((r.size, 0))
-        if not (np.abs(r).max(initial=0.0) < _HUGE and np.abs(J).max(initial=0.0) < _HUGE):
-            return math.inf, np.zeros(0), np.zeros((0, 0))
+            return nothing
+        r = stretch.whiten(run.outputs - y)
+        J = stretch.whiten(run.sensitivity[:, :, p0:]) if slopes else np.zeros((r.size, 0))
+        sound = np.abs(r).max(initial=0.0) < _HUGE and np.abs(J).max(initial=0.0) < _HUGE
         # no more points than unknowns tell nothing
-        return float(r @ r) if r.size > point.size else math.inf, r, J
+        return Rows(r, J) if sound and r.size > point.size else nothing
 
-    point = np.concatenate([start, np.zeros(free)])
-    low = np.concatenate([lower, np.full(free, -np.inf)])
-    high = np.concatenate([upper, np.full(free, np.inf)])
-    cost, r, J = evaluate(point)
-    damping = 1e-6
-    for step in range(_STEPS if point.size else 0):
-        if not math.isfinite(cost):
-            break
-        size = np.linalg.norm(J, axis=0)
-        scale = np.where(size * sizes > 1e-9 * (size * sizes).max(initial=0.0), size, np.inf)
-        unit = J / scale
-        improved = False
-        for _ in range(5):
-            rows = np.vstack([unit, math.sqrt(damping) * np.eye(point.size)])
-            move = np.linalg.lstsq(rows, np.r_[-r, np.zeros(point.size)], rcond=1e-10)[0] / scale
-            trial = np.clip(point + move, low, high)
-            after, r_after, J_after = evaluate(trial)
-            if after < cost:
-                improved = True
-                break
-            damping = max(10 * damping, 1e-3)
-        if not improved:
-            break
-        left = 5 * (cost - after)
-        done = left < 0.05 or (step >= 2 and after - left > worst)
-        point, cost, r, J = trial, after, r_after, J_after
-        damping *= 0.1
-        if done:
-            break
+    steps = 0
+
+    def settled(cost: float, gain: float) -> bool:
+        nonlocal steps
+        steps += 1
+        return 2.0 * gain < _LITTLE or (steps > 3 and 2.0 * (cost - gain) > worst)
+
+    beyond = np.full(free, np.inf)
+    run = gauss_newton(
+        rows,
+        np.concatenate([start, np.zeros(free)]),
+        lower=np.concatenate([lower, -beyond]),
+        upper=np.concatenate([upper, beyond]),
+        sizes=sizes,
+        evaluations=_EVALUATIONS if start.size + free else 1,
+        settled=settled,
+    )
+    point, cost, (r, J, _) = run.point, 2.0 * run.cost, run.rows
     std = np.full(p, np.inf)
     if p and math.isfinite(cost):
         std = standard_deviations(covariance(J.T @ J))[:p]
-    return Fit(effect, point[:p], std, cost, r.size, x0 + point[p:] if free else x0)
+    points = r.size if math.isfinite(cost) else 0
+    return Fit(effect, point[:p], std, cost, points, x0 + point[p:] if free else x0)
