@@ -2,32 +2,67 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..jit import compiled
 from ..systems.linear import Array
-from .observer import steady_filter
+from .observer import SteadyFilter, steady_filter
 
 __all__ = ["Smoothed", "smooth"]
 
 
-class Smoothed(NamedTuple):
-    """States of a record, by the samples up to each one and by all of them."""
+@dataclass(eq=False)
+class Smoothed:
+    """States of a record, by the samples up to each one and by all of them.
 
-    filtered: Array  #: (N, n), by the samples up to this one
-    states: Array  #: (N, n), by all samples
-    innovations: Array  #: (N, n_y), outputs less their prediction
-    spread: Array  #: (n_y, n_y), covariance of the innovations
-    power: float  #: mean square of the innovations in that metric; 1 if the noise levels are right
+    Attributes
+    ----------
+    steady : SteadyFilter
+        What led the states.
+    predicted, filtered : ndarray, shape (N, n)
+        States by the samples before this one, and with it.
+    innovations : ndarray, shape (N, n_y)
+        Outputs less their prediction.
+    """
+
+    F: Array
+    steady: SteadyFilter
+    predicted: Array
+    filtered: Array
+    innovations: Array
+    reset: NDArray[np.uint8]
+
+    @cached_property
+    def states(self) -> Array:
+        """States by all samples, shape (N, n)."""
+        # least squares: a state without process noise has no predicted covariance to divide by
+        after = self.F @ self.steady.filtered.T
+        back = np.linalg.lstsq(self.steady.predicted.T, after, rcond=1e-12)[0].T
+        states = self.filtered.copy()
+        _backwards(np.ascontiguousarray(back), self.predicted, self.reset, states)
+        return states
+
+    @cached_property
+    def power(self) -> float:
+        """Mean square of the innovations in the metric of their covariance; 1 if the levels are right."""
+        e = self.innovations
+        weighed = np.einsum("ki,ij,kj->k", e, np.linalg.inv(self.steady.innovation), e)
+        return float(np.mean(weighed) / e.shape[1])
+
+    @property
+    def log_determinant(self) -> float:
+        """Of the covariance of the innovations."""
+        return float(np.linalg.slogdet(self.steady.innovation)[1])
 
     @property
     def log_likelihood(self) -> float:
         """Of the outputs, up to a constant."""
         N, ny = self.innovations.shape
-        return float(-0.5 * N * (np.linalg.slogdet(self.spread)[1] + ny * self.power))
+        return float(-0.5 * N * (self.log_determinant + ny * self.power))
 
 
 def smooth(
@@ -60,22 +95,13 @@ def smooth(
     """
     N, n = outputs.shape[0], F.shape[0]
     steady = steady_filter(F, H, Q, R)
-    nothing = np.full((N, n), np.nan)
-    if not np.isfinite(steady.gain).all():
-        return Smoothed(nothing, nothing, np.full(outputs.shape, np.nan), steady.innovation, np.nan)
-    predicted, filtered, innovations = np.zeros((N, n)), np.zeros((N, n)), np.zeros(outputs.shape)
-    steer = np.zeros((N, n)) if drive is None else np.ascontiguousarray(drive)
+    predicted, filtered, innovations = (np.full((N, m), np.nan) for m in (n, n, H.shape[0]))
     anew = np.zeros(N, np.uint8) if reset is None else reset
-    F, H, y = (np.ascontiguousarray(array) for array in (F, H, outputs))
-    _forwards(F, H, np.ascontiguousarray(steady.gain), y, steer, anew, predicted, filtered, innovations)
-    # least squares: a state without process noise has no predicted covariance to divide by
-    back = np.linalg.lstsq(steady.predicted.T, F @ steady.filtered.T, rcond=1e-12)[0].T
-    states = filtered.copy()
-    _backwards(np.ascontiguousarray(back), predicted, anew, states)
-    weighed = np.einsum("ki,ij,kj->k", innovations, np.linalg.inv(steady.innovation), innovations)
-    return Smoothed(
-        filtered, states, innovations, steady.innovation, float(np.mean(weighed)) / outputs.shape[1]
-    )
+    if np.isfinite(steady.gain).all():
+        steer = np.zeros((N, n)) if drive is None else drive
+        F, H, K, y, steer = (np.ascontiguousarray(array) for array in (F, H, steady.gain, outputs, steer))
+        _forwards(F, H, K, y, steer, anew, predicted, filtered, innovations)
+    return Smoothed(F, steady, predicted, filtered, innovations, anew)
 
 
 @compiled

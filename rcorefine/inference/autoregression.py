@@ -58,10 +58,14 @@ def autoregression(
     whole = np.ones(signal.size, dtype=bool) if known is None else known
     r = signal - (signal[whole].mean() if whole.any() else 0.0)
     most = highest_order(int(whole.sum())) if order is None else order
-    windows, judged = sliding_window_view(r, most + 1), sliding_window_view(whole, most + 1).all(axis=1)
-    rows = windows if judged.all() else windows[judged]
-    products = (rows.T @ rows)[::-1, ::-1]  # the sample itself first, then its past
-    power, n = float(products[0, 0]), len(rows)
+    n = r.size - most
+    if whole.all():
+        products = _products(r, most)
+    else:
+        judged = sliding_window_view(whole, most + 1).all(axis=1)
+        rows, n = sliding_window_view(r, most + 1)[judged, ::-1], int(judged.sum())
+        products = rows.T @ rows
+    power = float(products[0, 0])
     if most == 0 or not 0.0 < power < np.inf:
         return np.eye(1, 1 + (order or 0))[0], power / max(n, 1)
     ridge = _RIDGE * np.trace(products) / (most + 1) * np.eye(most)
@@ -71,6 +75,18 @@ def autoregression(
     best = int(np.argmin(n * np.log(rest) + 2 * np.arange(rest.size))) if order is None else order
     past = solve_triangular(lower[:best, :best], along[:best], lower=True, trans="T")
     return np.concatenate([[1.0], -past]), float(rest[best]) / n
+
+
+def _products(r: Array, most: int) -> Array:
+    """Sums of r(k - i) r(k - j) over all k with a whole past, shape (most + 1, most + 1)."""
+    n, lags = r.size, np.arange(most + 1)
+    products = np.empty((most + 1, most + 1))
+    products[0] = [r[most:] @ r[most - lag : n - lag] for lag in lags]
+    for i in range(most):  # one sample further back, one enters the sum and one leaves it
+        entered, left = r[most - 1 - i] * r[most - 1 - lags[:-1]], r[n - 1 - i] * r[n - 1 - lags[:-1]]
+        products[i + 1, 1:] = products[i, :-1] + entered - left
+        products[i + 1, 0] = products[0, i + 1]
+    return products
 
 
 def stable_model(a: Array, variance: float) -> tuple[Array, float]:

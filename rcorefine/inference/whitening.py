@@ -35,7 +35,11 @@ _HEAVY = 5.0  # excess kurtosis, in its standard deviations, from which samples 
 
 def innovations(a: Array, signal: Array) -> Array:
     """What a filter leaves of a signal, shape (N,) or (N, k), that was zero before its first sample."""
-    return signal if a.size == 1 else np.asarray(lfilter(a, [1.0], signal, axis=0))
+    if a.size == 1:
+        return signal
+    if signal.ndim == 1:
+        return np.convolve(signal, a)[: signal.size]  # a third of the time that lfilter takes to begin
+    return np.asarray(lfilter(a, [1.0], signal, axis=0))
 
 
 def whitened(signal: Array) -> Array:

@@ -81,7 +81,7 @@ def estimated_motion(scene: Scene, chosen: Sequence[int] | None = None) -> Motio
         if not np.isfinite(one.power) or one.power <= 0:
             continue
         # noise and forces in proportion: their common size is the likeliest one
-        value = -ny * np.log(one.power) - float(np.linalg.slogdet(one.spread)[1])
+        value = -ny * np.log(one.power) - one.log_determinant
         if best is None or value > best[0]:
             best = value, one
     if best is None:
