@@ -11,7 +11,7 @@ import pytest
 from scipy import signal
 
 from rcorefine import DataError, Measurement
-from rcorefine.data.frequency_response import effective_averages
+from rcorefine.data.welch import effective_averages
 
 DT = 0.1
 

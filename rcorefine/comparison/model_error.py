@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from ..data.frequency_response import estimate_frequency_response
 from ..data.measurement import Measurement
+from ..data.welch import estimate_frequency_response
 from ..systems.linear import Array
 from ..systems.response import as_sampled, frequency_response
 

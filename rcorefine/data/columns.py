@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +11,13 @@ import control as ct
 import numpy as np
 
 from ..archives import read_archive
-from ..arguments import as_texts
+from ..arguments import as_choice, as_number, as_text, as_texts
 from ..exceptions import DataError, MissingExtraError
 from ..systems.linear import Array
 from .matlab import Other, read_matlab
+from .signals import HOLDS
 
-__all__ = ["names_of", "read_csv", "read_frame", "read_mat", "read_npz"]
+__all__ = ["names_of", "read_csv", "read_frame", "read_mat", "read_npz", "wanted_columns"]
 
 _DELIMITERS = ",;\t|"
 
@@ -30,6 +31,30 @@ def names_of(values: str | Sequence[str], what: str) -> list[str]:
         if names.count(name) > 1:
             raise DataError(f"{what} must be unique, but names {name!r} twice")
     return list(names)
+
+
+def wanted_columns(
+    inputs: str | Sequence[str],
+    outputs: str | Sequence[str],
+    time: str | None,
+    dt: float | None,
+    options: Mapping[str, Any],
+) -> list[str]:
+    """Names of all columns to read, each once; what else was given is checked before a file is opened."""
+    if dt is not None:
+        as_number(dt, "dt", above=0.0, what="a time in seconds", error=DataError)
+    if options.get("name") is not None:
+        as_text(options["name"], "name", empty=False)
+    if "hold" in options:
+        as_choice(options["hold"], "hold", HOLDS)
+    for key in ("input_labels", "output_labels"):
+        if options.get(key) is not None:
+            names_of(options[key], key)
+    for key in ("input_units", "output_units"):
+        if options.get(key) is not None:
+            as_texts(options[key], key)
+    times = () if time is None else (as_text(time, "time"),)
+    return list(dict.fromkeys((*names_of(inputs, "inputs"), *names_of(outputs, "outputs"), *times)))
 
 
 def read_csv(path: Any, names: Sequence[str], *, delimiter: str | None = None) -> dict[str, Array]:

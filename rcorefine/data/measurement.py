@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any, Unpack
 import control as ct
 import numpy as np
 
-from ..arguments import as_choice, as_labels, as_list, as_number, as_share, as_text, as_texts, as_whole
+from ..arguments import as_choice, as_labels, as_list, as_text, as_texts, as_whole
 from ..exceptions import DataError, ExcitationWarning
 from ..results import Options, Result, picture, show
 from ..systems.linear import Array
+from .parts import RecordParts
 from .reading import RecordReaders
 from .signals import HOLDS, as_signals, as_time_grid, check_finite, default_labels
 
@@ -30,7 +31,7 @@ _ARRAYS = ("inputs", "outputs", "timepts")
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
-class Measurement(Result, RecordReaders):
+class Measurement(Result, RecordReaders, RecordParts):
     """Measured inputs and outputs on a regular time grid.
 
     The record keeps read-only copies: nothing that you do to your arrays
@@ -214,112 +215,6 @@ class Measurement(Result, RecordReaders):
             )
         return still
 
-    def split(self, fraction: float) -> tuple[Measurement, Measurement]:
-        """Cut in two: the first part to learn from, the rest to judge by.
-
-        Parameters
-        ----------
-        fraction : float
-            Share of the samples in the first part, between 0 and 1.
-
-        Returns
-        -------
-        first, second : Measurement
-            Both keep their true times.
-
-        Raises
-        ------
-        DataError
-            If a part would be without samples.
-
-        Examples
-        --------
-        >>> train, test = Measurement(np.zeros(10), np.arange(10.0), dt=1.0).split(0.7)
-        >>> train.n_samples, float(test.timepts[0])
-        (7, 7.0)
-        """
-        cut = round(as_share(fraction, "fraction", error=DataError) * self.n_samples)
-        if not 0 < cut < self.n_samples:
-            raise DataError(
-                f"fraction = {fraction} of {self.n_samples} samples leaves a part empty; "
-                "take one between 0 and 1"
-            )
-        return self._part(slice(0, cut)), self._part(slice(cut, None))
-
-    def segment(self, start: float | None = None, stop: float | None = None) -> Measurement:
-        """Stretch of the record from `start` up to, not including, `stop`.
-
-        Parameters
-        ----------
-        start, stop : float, optional
-            Seconds on the record's own time axis (`timepts`); default its
-            beginning and its end. Adjoining segments do not overlap.
-
-        Returns
-        -------
-        Measurement
-            The samples with start <= t < stop; times are kept.
-
-        Raises
-        ------
-        DataError
-            If no sample lies in between.
-
-        Examples
-        --------
-        >>> data = Measurement(np.zeros(10), np.arange(10.0), dt=0.5)
-        >>> data.segment(1.0, 2.0).timepts
-        array([1. , 1.5])
-        """
-        slack = 1e-6 * self.dt
-        inside = np.ones(self.n_samples, dtype=bool)
-        for name, bound, after in (("start", start, True), ("stop", stop, False)):
-            if bound is None:
-                continue
-            bound = as_number(bound, name, infinite=True, what="a time in seconds", error=DataError)
-            inside &= (self.timepts >= bound - slack) == after
-        found = np.flatnonzero(inside)
-        if found.size == 0:
-            raise DataError(
-                f"no sample lies between start = {start} and stop = {stop} s; "
-                f"the record runs from {self.timepts[0]:g} to {self.timepts[-1]:g} s"
-            )
-        return self._part(slice(int(found[0]), int(found[-1]) + 1))
-
-    def with_hold(self, hold: str) -> Measurement:
-        """The same record with another behaviour of the inputs between samples.
-
-        Parameters
-        ----------
-        hold : {"zoh", "foh", "bandlimited"}
-            Held, linear, or interpolated without content above half the sampling rate.
-
-        Returns
-        -------
-        Measurement
-
-        Examples
-        --------
-        >>> Measurement(np.ones(4), np.arange(4.0), dt=0.5).with_hold("foh").hold
-        'foh'
-        """
-        as_choice(hold, "hold", HOLDS)
-        return self if hold == self.hold else self._part(slice(None), hold)
-
-    def _part(self, where: slice, hold: str | None = None) -> Measurement:
-        return Measurement(
-            self.inputs[:, where],
-            self.outputs[:, where],
-            dt=self.dt,
-            timepts=self.timepts[where],
-            hold=hold or self.hold,
-            input_labels=self.input_labels,
-            output_labels=self.output_labels,
-            input_units=self.input_units,
-            output_units=self.output_units,
-            name=self.name,
-        )
-
     def to_response(self) -> ct.TimeResponseData:
         """The record as `control.TimeResponseData`, labels and times kept.
 
@@ -377,9 +272,9 @@ class Measurement(Result, RecordReaders):
 
         See Also
         --------
-        rcorefine.data.frequency_response.estimate_frequency_response : The formulas.
+        rcorefine.data.welch.estimate_frequency_response : The formulas.
         """
-        from .frequency_response import estimate_frequency_response
+        from .welch import estimate_frequency_response
 
         return estimate_frequency_response(
             self, segment_length=segment_length, overlap=overlap, window=window

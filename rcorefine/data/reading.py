@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any, Self
 import control as ct
 import numpy as np
 
-from ..arguments import as_choice, as_number, as_path, as_text, as_texts, shown
+from ..arguments import as_path, as_text, shown
 from ..exceptions import DataError
-from .columns import names_of, read_csv, read_frame, read_mat, read_npz
-from .signals import HOLDS
+from .columns import names_of, read_csv, read_frame, read_mat, read_npz, wanted_columns
 
 __all__ = ["RecordReaders"]
 
@@ -79,9 +78,9 @@ class RecordReaders:
         """
         if delimiter is not None and len(as_text(delimiter, "delimiter")) != 1:
             raise ct.ControlArgument(f"delimiter must be one character, not {shown(delimiter)}")
-        path, names = as_path(path), _wanted(inputs, outputs, time, dt, options)
+        path, names = as_path(path), wanted_columns(inputs, outputs, time, dt, options)
         columns = read_csv(path, names, delimiter=delimiter)
-        return cls._from_columns(columns, inputs, outputs, time, dt, {"name": _stem(path)} | options)
+        return cls._from_columns(columns, inputs, outputs, time, dt, {"name": Path(path).stem} | options)
 
     @classmethod
     def from_mat(
@@ -129,9 +128,9 @@ class RecordReaders:
         >>> rco.Measurement.from_mat(path, "V1", "V2", dt=0.1).n_samples
         5
         """
-        path, names = as_path(path), _wanted(inputs, outputs, time, dt, options)
+        path, names = as_path(path), wanted_columns(inputs, outputs, time, dt, options)
         columns = read_mat(path, names)
-        return cls._from_columns(columns, inputs, outputs, time, dt, {"name": _stem(path)} | options)
+        return cls._from_columns(columns, inputs, outputs, time, dt, {"name": Path(path).stem} | options)
 
     @classmethod
     def from_npz(
@@ -178,9 +177,9 @@ class RecordReaders:
         >>> rco.Measurement.from_npz(path, "force", "v1", dt=0.1).n_samples
         5
         """
-        path, names = as_path(path), _wanted(inputs, outputs, time, dt, options)
+        path, names = as_path(path), wanted_columns(inputs, outputs, time, dt, options)
         columns = read_npz(path, names)
-        return cls._from_columns(columns, inputs, outputs, time, dt, {"name": _stem(path)} | options)
+        return cls._from_columns(columns, inputs, outputs, time, dt, {"name": Path(path).stem} | options)
 
     @classmethod
     def from_frame(
@@ -228,7 +227,7 @@ class RecordReaders:
         >>> rco.Measurement.from_frame(frame, "u", "y", time="t").dt
         0.1
         """
-        columns = read_frame(frame, _wanted(inputs, outputs, time, dt, options))
+        columns = read_frame(frame, wanted_columns(inputs, outputs, time, dt, options))
         return cls._from_columns(columns, inputs, outputs, time, dt, options)
 
     @classmethod
@@ -328,31 +327,3 @@ class RecordReaders:
             timepts=None if time is None else columns[time],
             **({"input_labels": w_names, "output_labels": y_names} | options),
         )
-
-
-def _wanted(
-    inputs: str | Sequence[str],
-    outputs: str | Sequence[str],
-    time: str | None,
-    dt: float | None,
-    options: Mapping[str, Any],
-) -> list[str]:
-    """Names of all columns to read, each once; what else was given is checked before a file is opened."""
-    if dt is not None:
-        as_number(dt, "dt", above=0.0, what="a time in seconds", error=DataError)
-    if options.get("name") is not None:
-        as_text(options["name"], "name", empty=False)
-    if "hold" in options:
-        as_choice(options["hold"], "hold", HOLDS)
-    for key in ("input_labels", "output_labels"):
-        if options.get(key) is not None:
-            names_of(options[key], key)
-    for key in ("input_units", "output_units"):
-        if options.get(key) is not None:
-            as_texts(options[key], key)
-    times = () if time is None else (as_text(time, "time"),)
-    return list(dict.fromkeys((*names_of(inputs, "inputs"), *names_of(outputs, "outputs"), *times)))
-
-
-def _stem(path: str | PathLike[str]) -> str:
-    return Path(path).stem

@@ -1,0 +1,143 @@
+"""Parts of a `Measurement`: cut in two, a stretch of time, another hold."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from ..arguments import as_choice, as_number, as_share
+from ..exceptions import DataError
+from ..systems.linear import Array
+from .signals import HOLDS
+
+__all__ = ["RecordParts"]
+
+
+class RecordParts:
+    """Methods of `Measurement` that give a part of it, or the same record otherwise held."""
+
+    __slots__ = ()
+
+    if TYPE_CHECKING:
+        inputs: Array
+        outputs: Array
+        dt: float
+        timepts: Array
+        hold: str
+        input_labels: tuple[str, ...]
+        output_labels: tuple[str, ...]
+        input_units: tuple[str, ...]
+        output_units: tuple[str, ...]
+        name: str
+
+        def __init__(self, inputs: Any, outputs: Any, **options: Any) -> None: ...
+
+        @property
+        def n_samples(self) -> int: ...  # noqa: D102
+
+    def split(self, fraction: float) -> tuple[Self, Self]:
+        """Cut in two: the first part to learn from, the rest to judge by.
+
+        Parameters
+        ----------
+        fraction : float
+            Share of the samples in the first part, between 0 and 1.
+
+        Returns
+        -------
+        first, second : Measurement
+            Both keep their true times.
+
+        Raises
+        ------
+        DataError
+            If a part would be without samples.
+
+        Examples
+        --------
+        >>> train, test = rco.Measurement(np.zeros(10), np.arange(10.0), dt=1.0).split(0.7)
+        >>> train.n_samples, float(test.timepts[0])
+        (7, 7.0)
+        """
+        cut = round(as_share(fraction, "fraction", error=DataError) * self.n_samples)
+        if not 0 < cut < self.n_samples:
+            raise DataError(
+                f"fraction = {fraction} of {self.n_samples} samples leaves a part empty; "
+                "take one between 0 and 1"
+            )
+        return self._part(slice(0, cut)), self._part(slice(cut, None))
+
+    def segment(self, start: float | None = None, stop: float | None = None) -> Self:
+        """Stretch of the record from `start` up to, not including, `stop`.
+
+        Parameters
+        ----------
+        start, stop : float, optional
+            Seconds on the record's own time axis (`timepts`); default its
+            beginning and its end. Adjoining segments do not overlap.
+
+        Returns
+        -------
+        Measurement
+            The samples with start <= t < stop; times are kept.
+
+        Raises
+        ------
+        DataError
+            If no sample lies in between.
+
+        Examples
+        --------
+        >>> data = rco.Measurement(np.zeros(10), np.arange(10.0), dt=0.5)
+        >>> data.segment(1.0, 2.0).timepts
+        array([1. , 1.5])
+        """
+        slack = 1e-6 * self.dt
+        inside = np.ones(self.n_samples, dtype=bool)
+        for name, bound, after in (("start", start, True), ("stop", stop, False)):
+            if bound is None:
+                continue
+            bound = as_number(bound, name, infinite=True, what="a time in seconds", error=DataError)
+            inside &= (self.timepts >= bound - slack) == after
+        found = np.flatnonzero(inside)
+        if found.size == 0:
+            raise DataError(
+                f"no sample lies between start = {start} and stop = {stop} s; "
+                f"the record runs from {self.timepts[0]:g} to {self.timepts[-1]:g} s"
+            )
+        return self._part(slice(int(found[0]), int(found[-1]) + 1))
+
+    def with_hold(self, hold: str) -> Self:
+        """The same record with another behaviour of the inputs between samples.
+
+        Parameters
+        ----------
+        hold : {"zoh", "foh", "bandlimited"}
+            Held, linear, or interpolated without content above half the sampling rate.
+
+        Returns
+        -------
+        Measurement
+
+        Examples
+        --------
+        >>> rco.Measurement(np.ones(4), np.arange(4.0), dt=0.5).with_hold("foh").hold
+        'foh'
+        """
+        as_choice(hold, "hold", HOLDS)
+        return self if hold == self.hold else self._part(slice(None), hold)
+
+    def _part(self, where: slice, hold: str | None = None) -> Self:
+        return type(self)(
+            self.inputs[:, where],
+            self.outputs[:, where],
+            dt=self.dt,
+            timepts=self.timepts[where],
+            hold=hold or self.hold,
+            input_labels=self.input_labels,
+            output_labels=self.output_labels,
+            input_units=self.input_units,
+            output_units=self.output_units,
+            name=self.name,
+        )
