@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from .compare import compare
-from .failure_map.search import Failure, FailureMap, ResidualForce, residual_force
+from .correlation import Correlogram, correlogram
+from .failure_map.residual_force import ResidualForce, residual_force
+from .failure_map.search import Failure, FailureMap
 from .horizon import HorizonError, horizon_error
 from .metrics import fit_percent, root_mean_square
 from .model_error import ModelError, model_error
+from .nonlinear_dependence import higher_order_correlation
 from .residual_tests import (
-    Correlogram,
     ResidualTest,
     TestTable,
-    correlogram,
     free_run_tests,
-    higher_order_correlation,
     input_correlation,
     whiteness,
 )

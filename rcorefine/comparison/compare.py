@@ -109,16 +109,7 @@ def compare(
     (True, True)
     """
     responses = isinstance(data, (FrequencyResponse, ct.FrequencyResponseData))
-    if responses and (horizon is not None or not (isinstance(x0, str) and x0 == "estimate")):
-        raise ct.ControlArgument("x0 and horizon belong to records in time; a frequency response has neither")
-    if not responses and not isinstance(data, Measurement):
-        raise ct.ControlArgument(
-            f"data must be a rcorefine.Measurement, not {type(data).__name__}; build one with "
-            "Measurement(inputs, outputs, dt=...) or Measurement.from_response(...)"
-        )
-    if not responses:
-        start = as_state(x0)
-        horizon = checked_horizon(horizon, known_start=start is not None)
+    horizon = _checked(data, responses, x0, horizon)
     several = isinstance(model, (list, tuple))
     models = list(model) if several else [model]
     if not models:
@@ -128,6 +119,39 @@ def compare(
     if responses:
         named = [each.with_arrays(name=name) for each, name in zip(linear, names, strict=True)]
         return compare_responses(named, data, several=several)
+    return _on_record(models, linear, names, data, x0, horizon, several)
+
+
+def _checked(data: Any, responses: bool, x0: Any, horizon: float | None) -> float | None:
+    """The horizon; whether it and the initial state belong to such data."""
+    if responses:
+        if horizon is not None or not _estimated(x0):
+            raise ct.ControlArgument(
+                "x0 and horizon belong to records in time; a frequency response has neither"
+            )
+        return None
+    if not isinstance(data, Measurement):
+        raise ct.ControlArgument(
+            f"data must be a rcorefine.Measurement, not {type(data).__name__}; build one with "
+            "Measurement(inputs, outputs, dt=...) or Measurement.from_response(...)"
+        )
+    return checked_horizon(horizon, known_start=as_state(x0) is not None)
+
+
+def _estimated(x0: Any) -> bool:
+    return isinstance(x0, str) and x0 == "estimate"
+
+
+def _on_record(
+    models: Sequence[Any],
+    linear: Sequence[LinearModel],
+    names: Sequence[str],
+    data: Measurement,
+    x0: Any,
+    horizon: float | None,
+    several: bool,
+) -> Comparison:
+    """The models run freely on one record."""
     channels = [match_channels(each, data) for each in linear]
     holds = [_hold(each) or data.hold for each in models]
     outputs = [i for i in range(data.n_outputs) if all(i in each.outputs for each in channels)]
@@ -143,7 +167,7 @@ def compare(
         for name, hold in zip(names, holds, strict=True)
         if hold != data.hold
     ]
-    data.check_excitation("compare", stacklevel=2)
+    data.check_excitation("compare", stacklevel=3)
     hidden = _hidden(models, channels, data, x0, windows[0].stop)
     runs, starts, states = [], [], []
     for each, flat, places, name in zip(models, linear, channels, names, strict=True):
@@ -187,7 +211,7 @@ def _windows(
     """Windows that cover the record, each long enough to estimate a state in, and why there are any."""
     if isinstance(horizon, (int, float)) and not (np.isfinite(horizon) and horizon > 0):
         raise DataError(f"horizon must be a positive time in seconds, not {horizon}")
-    estimated = isinstance(x0, str) and x0 == "estimate"
+    estimated = _estimated(x0)
     (windows,), note = free_runs(models, [data], horizon, known_start=not estimated)
     n_states = max(each.n_states for each in models)
     if estimated and data.n_samples * n_outputs <= n_states:
@@ -214,7 +238,7 @@ def _hidden(
     models: Sequence[Any], channels: Sequence[Channels], data: Measurement, x0: Any, first: int
 ) -> int:
     """First samples that a delay hides from one of the models where its initial state is estimated."""
-    if not (isinstance(x0, str) and x0 == "estimate"):
+    if not _estimated(x0):
         return 0
     lost = [unjudged_samples(m, record_for(data, places)) for m, places in zip(models, channels, strict=True)]
     return min(max(lost), first // 2)

@@ -8,23 +8,21 @@ from typing import NamedTuple
 
 import control as ct
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import stats
 
-from ..exceptions import DataError
 from ..inference.autoregression import autoregression
 from ..inference.whitening import whitened
 from ..results import Result
 from ..systems.linear import Array
+from .correlation import correlation, lag_count, residual_and_inputs, signal_names, signal_rows, standardized
 
 __all__ = [
-    "Correlogram",
     "ResidualTest",
     "TestTable",
-    "correlogram",
     "free_run_tests",
-    "higher_order_correlation",
     "input_correlation",
+    "portmanteau",
     "whiteness",
 ]
 
@@ -101,51 +99,23 @@ class TestTable(Result):
         return tuple(bad)
 
 
-class Correlogram(NamedTuple):
-    """Correlation by lag and the bound that chance stays within.
+def portmanteau(
+    test: str, signal: str, x: Array, y: Array, lags: Sequence[int] | range, *, white: bool = False
+) -> ResidualTest:
+    """Sum of squared cross-correlations of whitened signals.
 
-    Attributes
-    ----------
-    lags : ndarray of shape (n_lags,)
-        Lags in samples; positive: the second signal follows the first.
-    correlation : ndarray of shape (n_lags,)
-        Correlation coefficients.
-    bound : ndarray of shape (n_lags,)
-        Half-width of the region in which independent signals stay with the
-        given probability, at each lag.
+    Each lag is measured by the spread of its own products, for the size of one signal
+    may go with that of the other where nothing is wrong.
     """
-
-    lags: Array
-    correlation: Array
-    bound: Array
-
-
-def _rows(values: ArrayLike, what: str) -> Array:
-    array = np.atleast_2d(np.asarray(values, dtype=float))
-    if array.ndim != 2 or array.shape[1] < array.shape[0]:
-        raise ct.ControlDimension(f"{what} has shape {array.shape}; give (signals, samples), time last")
-    if not np.isfinite(array).all():
-        i, k = np.argwhere(~np.isfinite(array))[0]
-        raise DataError(f"{what} {i} is not finite at sample {k}; repair or cut it")
-    return array
-
-
-def _lags(lags: int, n_samples: int, least: int = 8) -> int:
-    if isinstance(lags, (bool, np.bool_)) or not isinstance(lags, (int, np.integer)) or lags < 1:
-        raise ct.ControlArgument(f"lags must be a whole number from 1 on, not {lags!r}")
-    if n_samples < 2 * lags + least:
-        raise DataError(f"{n_samples} samples are too few for {lags} lags; give at least {2 * lags + least}")
-    return int(lags)
-
-
-def _correlation(x: Array, y: Array, lags: Sequence[int] | NDArray[np.int_]) -> Array:
-    """Correlation of y(k + lag) with x(k), means taken out, divided by N."""
-    a, b = x - x.mean(), y - y.mean()
-    scale = float(np.sqrt((a @ a) * (b @ b)))
-    n = a.size
-    if scale == 0.0:
-        return np.zeros(len(lags))
-    return np.array([a[: n - k] @ b[k:] if k >= 0 else a[-k:] @ b[: n + k] for k in lags]) / scale
+    if np.ptp(x) == 0.0 or np.ptp(y) == 0.0:
+        return ResidualTest(test, signal, 0.0, len(lags), 1.0)  # a constant has nothing to correlate
+    a, b = (x - x.mean(), y - y.mean()) if white else (whitened(x), whitened(y))
+    n, q = min(a.size, b.size), 0.0
+    a, b = a[-n:], b[-n:]  # each filter has its own past
+    for lag in lags:
+        products = a[: n - lag] * b[lag:] if lag >= 0 else a[-lag:] * b[: n + lag]
+        q += float(products.sum() ** 2 / np.sum(products**2))
+    return ResidualTest(test, signal, q, len(lags), float(stats.chi2.sf(q, len(lags))))
 
 
 def whiteness(
@@ -189,14 +159,14 @@ def whiteness(
     >>> bool(whiteness(e).p_value[0] > 0.01), bool(whiteness(np.cumsum(e)).p_value[0] < 1e-9)
     (True, True)
     """
-    e = _rows(residual, "residual")
-    count = _lags(lags, e.shape[1])
+    e = signal_rows(residual, "residual")
+    count = lag_count(lags, e.shape[1])
     if not 0 <= fitted < count:
         raise ct.ControlArgument(f"fitted = {fitted} must lie between 0 and lags - 1 = {count - 1}")
     n, steps = e.shape[1], np.arange(1, count + 1)
     found = []
-    for name, row in zip(_names(labels, e.shape[0], "e"), e, strict=True):
-        q = float(n * (n + 2) * np.sum(_correlation(row, row, steps) ** 2 / (n - steps)))
+    for name, row in zip(signal_names(labels, e.shape[0], "e"), e, strict=True):
+        q = float(n * (n + 2) * np.sum(correlation(row, row, steps) ** 2 / (n - steps)))
         dof = count - fitted
         found.append(ResidualTest("whiteness", name, q, dof, float(stats.chi2.sf(q, dof))))
     return TestTable(
@@ -204,47 +174,6 @@ def whiteness(
         "A residual that is not white can be predicted from its past. Of one-step predictions that is a "
         "failure; of a free run it may be the color of the noise.",
     )
-
-
-def correlogram(
-    first: ArrayLike, second: ArrayLike, lags: int = 25, *, probability: float = 0.99
-) -> Correlogram:
-    """Cross-correlation of two signals, with the bound of MATLAB's `resid`.
-
-    Parameters
-    ----------
-    first, second : array_like of shape (N,)
-        Say input and residual; the same twice for the autocorrelation.
-    lags : int
-        Largest lag, to both sides.
-    probability : float
-        Probability that independent signals stay within the bound, per lag.
-
-    Returns
-    -------
-    Correlogram
-        The variance is P/N with P the sum over all lags of the product of
-        the two autocorrelations, so that coloured signals have wider bounds
-        (Ljung, System Identification, 1999, sec. 16.6).
-
-    Examples
-    --------
-    >>> u = np.random.default_rng(0).standard_normal(500)
-    >>> found = correlogram(u, np.roll(u, 3), 5)
-    >>> int(found.lags[np.argmax(found.correlation)])
-    3
-    """
-    x, y = (_rows(v, "signal")[0] for v in (first, second))
-    if x.size != y.size:
-        raise ct.ControlDimension(f"signals have {x.size} and {y.size} samples; give both over the same time")
-    count = _lags(lags, x.size)
-    steps = np.arange(-count, count + 1)
-    same = x is y or np.array_equal(x, y)
-    # beyond a quarter of the record an autocorrelation is noise only
-    reach = np.arange(-(x.size // 4), x.size // 4 + 1)
-    spread = 1.0 if same else float(_correlation(x, x, reach) @ _correlation(y, y, reach))
-    bound = float(stats.norm.isf((1 - probability) / 2)) * np.sqrt(max(spread, 1.0 / x.size) / x.size)
-    return Correlogram(steps.astype(float), _correlation(x, y, steps), np.full(steps.size, bound))
 
 
 def input_correlation(
@@ -295,117 +224,18 @@ def input_correlation(
     >>> [bool(p < 0.01) for p in table.p_value]
     [True, False]
     """
-    e, u = _pair(residual, inputs)
-    count, first = _lags(lags, e.shape[1] // 2), 0 if at_once else 1
+    e, u = residual_and_inputs(residual, inputs)
+    count, first = lag_count(lags, e.shape[1] // 2), 0 if at_once else 1
     rows = []
-    for out, row in zip(_names(labels, e.shape[0], "e"), e, strict=True):
-        for source, drive in zip(_names(input_labels, u.shape[0], "u"), u, strict=True):
+    for out, row in zip(signal_names(labels, e.shape[0], "e"), e, strict=True):
+        for source, drive in zip(signal_names(input_labels, u.shape[0], "u"), u, strict=True):
             pair = f"{source} -> {out}"
-            rows.append(_portmanteau("input", pair, drive, row, range(first, count + 1)))
-            rows.append(_portmanteau("feedback", f"{out} -> {source}", drive, row, range(-count, first)))
+            rows.append(portmanteau("input", pair, drive, row, range(first, count + 1)))
+            rows.append(portmanteau("feedback", f"{out} -> {source}", drive, row, range(-count, first)))
     return TestTable(
         tuple(rows),
         "input: the residual follows the input, so the model leaves out linear dynamics. feedback: the input "
         "follows the residual, so the record was taken in closed loop.",
-    )
-
-
-def _portmanteau(
-    test: str, signal: str, x: Array, y: Array, lags: Sequence[int] | range, *, white: bool = False
-) -> ResidualTest:
-    """Sum of squared cross-correlations of whitened signals.
-
-    Each lag is measured by the spread of its own products, for the size of one signal
-    may go with that of the other where nothing is wrong.
-    """
-    if np.ptp(x) == 0.0 or np.ptp(y) == 0.0:
-        return ResidualTest(test, signal, 0.0, len(lags), 1.0)  # a constant has nothing to correlate
-    a, b = (x - x.mean(), y - y.mean()) if white else (whitened(x), whitened(y))
-    n, q = min(a.size, b.size), 0.0
-    a, b = a[-n:], b[-n:]  # each filter has its own past
-    for lag in lags:
-        products = a[: n - lag] * b[lag:] if lag >= 0 else a[-lag:] * b[: n + lag]
-        q += float(products.sum() ** 2 / np.sum(products**2))
-    return ResidualTest(test, signal, q, len(lags), float(stats.chi2.sf(q, len(lags))))
-
-
-def higher_order_correlation(
-    residual: ArrayLike,
-    inputs: ArrayLike,
-    outputs: ArrayLike | None = None,
-    lags: int = 20,
-    *,
-    labels: Sequence[str] | None = None,
-    input_labels: Sequence[str] | None = None,
-) -> TestTable:
-    """Test for nonlinear dependence that linear correlations cannot see.
-
-    Parameters
-    ----------
-    residual : array_like of shape (N,) or (n_y, N)
-        Residuals, time last.
-    inputs : array_like of shape (N,) or (n_w, N)
-        Inputs over the same time.
-    outputs : array_like of shape (N,) or (n_y, N), optional
-        Measured outputs; adds the two tests of Billings and Zhu.
-    lags : int
-        Largest lag.
-    labels, input_labels : sequence of str, optional
-        Names.
-
-    Returns
-    -------
-    TestTable
-        Rows, each with means taken out and both signals whitened:
-        "u^2, e" and "u^2, e^2" (Billings and Voon), "|u|, |e|" and
-        "|e|, |e|" (omnidirectional: Zhang, Zhu and Longden), "y e, e^2"
-        without lag 0 and "y e, u^2" (Billings and Zhu).
-
-    Notes
-    -----
-    e stands for the innovations of the residual: whitened, so that coloured
-    noise passes.
-
-    References
-    ----------
-    Billings and Voon, Int. J. Control 44 (1986) 235; Billings and Zhu, Int.
-    J. Control 62 (1995) 1201; Zhang, Zhu and Longden, Int. J. Control 80 (2007).
-
-    Examples
-    --------
-    >>> rng = np.random.default_rng(1)
-    >>> u, noise = rng.standard_normal((2, 3000))
-    >>> [row.test for row in higher_order_correlation(0.3 * u**2 + noise, u).failed()][0]
-    'u^2, e'
-    """
-    e, u = _pair(residual, inputs)
-    y = None if outputs is None else _rows(outputs, "outputs")
-    if y is not None and y.shape != e.shape:
-        raise ct.ControlDimension(f"outputs have shape {y.shape} and residuals {e.shape}")
-    count = _lags(lags, e.shape[1] // 2)
-    every, both = range(count + 1), range(1, count + 1)
-    rows = []
-    for i, (out, row) in enumerate(zip(_names(labels, e.shape[0], "e"), e, strict=True)):
-        if np.ptp(row) == 0.0:
-            continue
-        innovation = whitened(row)
-        innovation = innovation / innovation.std()
-        size = innovation.size
-        rows.append(_portmanteau("|e|, |e|", out, np.abs(innovation), np.abs(innovation), both, white=True))
-        if y is not None:
-            product = innovation * _unit(y[i][-size:])
-            squared = innovation**2
-            rows.append(_portmanteau("y e, e^2", out, squared, product, both, white=True))
-        for source, drive in zip(_names(input_labels, u.shape[0], "u"), u, strict=True):
-            w, pair = _unit(drive[-size:]), f"{source} -> {out}"
-            rows.append(_portmanteau("u^2, e", pair, w**2, innovation, every))
-            rows.append(_portmanteau("u^2, e^2", pair, w**2, innovation**2, every))
-            rows.append(_portmanteau("|u|, |e|", pair, np.abs(w), np.abs(innovation), every))
-            if y is not None:
-                rows.append(_portmanteau("y e, u^2", pair, w**2, product, every))
-    return TestTable(
-        tuple(rows),
-        "A failure means that the residual depends on input or past in a way that no linear model explains.",
     )
 
 
@@ -458,18 +288,18 @@ def free_run_tests(
     >>> len(free_run_tests(noise, u).failed()), bool(whiteness(noise).p_value[0] < 1e-9)
     (0, True)
     """
-    e, u = _pair(residual, inputs)
-    every = range(0 if at_once else 1, _lags(lags, e.shape[1] // 2) + 1)
+    e, u = residual_and_inputs(residual, inputs)
+    every = range(0 if at_once else 1, lag_count(lags, e.shape[1] // 2) + 1)
     rows = []
-    for out, row in zip(_names(labels, e.shape[0], "e"), e, strict=True):
+    for out, row in zip(signal_names(labels, e.shape[0], "e"), e, strict=True):
         if np.ptp(row) == 0.0:
             continue
         rows += [_mean(out, row), _steadiness(out, row)]
-        for source, drive in zip(_names(input_labels, u.shape[0], "u"), u, strict=True):
+        for source, drive in zip(signal_names(input_labels, u.shape[0], "u"), u, strict=True):
             if np.ptp(drive) == 0.0:
                 continue
             for name, shape in _SHAPES:
-                rows.append(_portmanteau(name, f"{source} -> {out}", shape(_unit(drive)), row, every))
+                rows.append(portmanteau(name, f"{source} -> {out}", shape(standardized(drive)), row, every))
     return TestTable(
         tuple(rows),
         "mean: an offset. input, its size or its cube: the model leaves out what follows from the input. "
@@ -490,26 +320,3 @@ def _steadiness(name: str, e: Array, blocks: int = 8) -> ResidualTest:
     parts = np.array_split(whitened(e), blocks)
     f, p = stats.levene(*parts, center="median")
     return ResidualTest("steadiness", name, float(f * (blocks - 1)), blocks - 1, float(p))
-
-
-def _unit(values: Array) -> Array:
-    spread = float(values.std())
-    return np.asarray((values - values.mean()) / (spread if spread > 0 else 1.0))
-
-
-def _pair(residual: ArrayLike, inputs: ArrayLike) -> tuple[Array, Array]:
-    e, u = _rows(residual, "residual"), _rows(inputs, "inputs")
-    if e.shape[1] != u.shape[1]:
-        raise ct.ControlDimension(
-            f"the residual has {e.shape[1]} samples and the inputs {u.shape[1]}; give both over the same time"
-        )
-    return e, u
-
-
-def _names(given: Sequence[str] | None, count: int, letter: str) -> list[str]:
-    if given is None:
-        return [letter] if count == 1 else [f"{letter}[{i}]" for i in range(count)]
-    names = [given] if isinstance(given, str) else list(given)
-    if len(names) != count:
-        raise ct.ControlDimension(f"{len(names)} labels given for {count} signal(s)")
-    return names

@@ -7,8 +7,9 @@ from typing import Any
 import control as ct
 import numpy as np
 
+from ..comparison.correlation import correlogram
 from ..comparison.horizon import horizon_error
-from ..comparison.residual_tests import TestTable, correlogram
+from ..comparison.residual_tests import TestTable
 from ..comparison.result import Comparison
 from .figures import BAND, MEASURED, Frame, style, unit_text
 from .tables import Table, number, tabulates

@@ -2,100 +2,93 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from scipy.signal import hilbert
 
 from ...systems.linear import Array
-from .frequency import band_columns, frequency_text
+from .bands import band_columns
+from .frequency import frequency_text
 from .likelihood import Explanation
 from .record import Finding, Scene
 
 __all__ = ["input_laws", "level_dependence"]
 
 
+# What an input does beside the model's input where it has a level g, the region and what that means.
+_LEVELS: tuple[tuple[str, Callable[[Array, float], Array], str, str], ...] = (
+    (
+        "dead zone",
+        lambda w, g: -np.clip(w, -g, g),
+        "|{n}| < {g}",
+        "Small values of {n} (below {g}) do less than the model says: a dead zone.",
+    ),
+    (
+        "saturation",
+        lambda w, g: np.clip(w, -g, g) - w,
+        "|{n}| > {g}",
+        "Values of {n} beyond {g} do less than the model says: the actuator saturates.",
+    ),
+)
+# The same without a level; the spread of the input keeps the unit.
+_SHAPES: tuple[tuple[str, Callable[[Array, float], Array], str, str], ...] = (
+    (
+        "asymmetry",
+        lambda w, spread: np.abs(w),
+        "the two signs of {n}",
+        "{n} acts by different factors to the two sides.",
+    ),
+    (
+        "odd distortion",
+        lambda w, spread: w**3 / spread**2,
+        "large |{n}|",
+        "{n} acts by another factor where it is large, alike to both sides.",
+    ),
+    (
+        "even distortion",
+        lambda w, spread: w**2 / spread,
+        "large |{n}|",
+        "{n} has a part in its square: both signs push the same way.",
+    ),
+)
+
+
 def input_laws(scene: Scene) -> list[Finding]:
     """Static laws at each input: dead zone, saturation, unequal sides, odd and even distortion."""
-    found = []
-    for j, w in enumerate(scene.data.inputs):
-        if np.ptp(w) == 0.0:
-            continue
-        name, unit = scene.data.input_labels[j], scene.data.input_units[j]
-        size = np.abs(w)
-        levels = np.unique(np.quantile(size, np.linspace(0.05, 0.98, 24)))
-        levels = levels[levels > 0]
-        spread = float(w.std())
-        plain = scene.evidence.linear(scene.driven([(j, w)]))
-        searches: tuple[tuple[str, Callable[[Array, float], Array], str, str], ...] = (
-            (
-                "dead zone",
-                lambda w, g: -np.clip(w, -g, g),
-                "|{n}| < {g}",
-                "small values of {n} (below {g}) do less than the model says: a dead zone",
-            ),
-            (
-                "saturation",
-                lambda w, g: np.clip(w, -g, g) - w,
-                "|{n}| > {g}",
-                "values of {n} beyond {g} do less than the model says: the actuator saturates",
-            ),
-        )
-        for kind, law, where, sentence in searches:
+    varied = [j for j, w in enumerate(scene.data.inputs) if np.ptp(w) != 0.0]
+    return [finding for j in varied for finding in (*_with_level(scene, j), *_with_shape(scene, j))]
 
-            def shape(
-                g: float, law: Callable[[Array, float], Array] = law, j: int = j, w: Array = w
-            ) -> Array:
-                return scene.driven([(j, law(w, g))])[0]
 
-            if levels.size < 3:
-                continue
-            one = scene.evidence.searched(shape, levels[::2], scaled=True)
-            if one.gain <= plain.gain + np.log(scene.n_samples):
-                continue  # it is but the gain: the level lies where the input hardly comes
-            g = float(one.values[-1])
-            text = {"n": name, "g": f"{g:.3g}{' ' + unit if unit else ''}"}
-            found.append(
-                Finding(
-                    "amplitude",
-                    where.format(**text),
-                    kind,
-                    one,
-                    2,
-                    12,
-                    sentence[0].upper() + sentence[1:].format(**text) + ".",
-                    {"input": name, "level": g, "factor": float(one.values[0]), "kind": kind},
-                )
-            )
-        fixed = (
-            (
-                "asymmetry",
-                np.abs(w),
-                f"the two signs of {name}",
-                f"{name} acts by different factors to the two sides.",
-            ),
-            (
-                "odd distortion",
-                w**3 / spread**2,
-                f"large |{name}|",
-                f"{name} acts by another factor where it is large, alike to both sides.",
-            ),
-            (
-                "even distortion",
-                w**2 / spread,
-                f"large |{name}|",
-                f"{name} has a part in its square: both signs push the same way.",
-            ),
-        )
-        for (kind, _, where, sentence), one in zip(
-            fixed,
-            (scene.evidence.linear([c]) for c in scene.driven([(j, s) for _, s, _, _ in fixed])),
-            strict=True,
-        ):
-            found.append(
-                Finding("amplitude", where, kind, one, 1, 3, sentence, {"input": name, "kind": kind})
-            )
-    return found
+def _with_level(scene: Scene, j: int) -> Iterator[Finding]:
+    w, name, unit = scene.data.inputs[j], scene.data.input_labels[j], scene.data.input_units[j]
+    levels = np.unique(np.quantile(np.abs(w), np.linspace(0.05, 0.98, 24)))
+    levels = levels[levels > 0]
+    if levels.size < 3:
+        return
+    plain = scene.evidence.linear(scene.driven([(j, w)]))
+    for kind, law, where, sentence in _LEVELS:
+
+        def shape(g: float, law: Callable[[Array, float], Array] = law) -> Array:
+            return scene.driven([(j, law(w, g))])[0]
+
+        one = scene.evidence.searched(shape, levels[::2], scaled=True)
+        if one.gain <= plain.gain + np.log(scene.n_samples):
+            continue  # it is but the gain: the level lies where the input hardly comes
+        g = float(one.values[-1])
+        text = {"n": name, "g": f"{g:.3g}{' ' + unit if unit else ''}"}
+        values = {"input": name, "level": g, "factor": float(one.values[0]), "kind": kind}
+        yield Finding("amplitude", where.format(**text), kind, one, 2, 12, sentence.format(**text), values)
+
+
+def _with_shape(scene: Scene, j: int) -> Iterator[Finding]:
+    w, name = scene.data.inputs[j], scene.data.input_labels[j]
+    columns = scene.driven([(j, shape(w, float(w.std()))) for _, shape, _, _ in _SHAPES])
+    for (kind, _, where, sentence), column in zip(_SHAPES, columns, strict=True):
+        yield Finding(
+            "amplitude", where.format(n=name), kind, scene.evidence.linear([column]), 1, 3,
+            sentence.format(n=name), {"input": name, "kind": kind},
+        )  # fmt: skip
 
 
 def level_dependence(scene: Scene) -> list[Finding]:

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -19,9 +19,12 @@ from ...systems.conversion import d2c
 from ...systems.discretization import discretize
 from ...systems.linear import Array, LinearModel
 from .likelihood import Evidence, Explanation
-from .places import Places
+from .places import Places, found_places
 
-__all__ = ["DIMENSIONS", "Finding", "Scene"]
+if TYPE_CHECKING:
+    from ..result import Comparison
+
+__all__ = ["DIMENSIONS", "Finding", "Scene", "scene_of"]
 
 #: In the order in which a tie is settled.
 DIMENSIONS = ("time", "frequency", "amplitude", "state", "place")
@@ -59,6 +62,10 @@ class Finding:
     tried: int
     sentence: str
     values: dict[str, Any] = field(default_factory=dict)
+
+    def net(self, scene: Scene) -> float:
+        """Worth less what the numbers fitted cost (Schwarz)."""
+        return self.explanation.gain - self.dof * float(np.log(scene.n_samples))
 
 
 class Scene:
@@ -302,3 +309,20 @@ def march(  # type: ignore[no-untyped-def]
         out[step] = C @ x + D * F[step]
         if step + 1 < N:
             x = Phi @ x + drive0 * F[step] + drive1 * F[step + 1]
+
+
+def scene_of(comparison: Comparison, index: int) -> tuple[Scene, list[str]]:
+    """A model of a comparison on its record, and notes on what cannot be searched."""
+    notes: list[str] = []
+    model = comparison.models[index]
+    places = comparison.places[index]
+    if places is None:
+        places = found_places(model, comparison.data.dt)
+    if places is None or not places.places:
+        places = None
+        notes.append("State space and place were not searched: no ports were found in this model")
+    scene = Scene(
+        comparison.seen_by(index), model, comparison.runs[index], comparison.states[index], comparison.starts,
+        estimated=comparison.x0 == "estimate", places=places,
+    )  # fmt: skip
+    return scene, notes

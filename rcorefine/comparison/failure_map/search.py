@@ -12,19 +12,19 @@ from scipy import stats
 from ...results import Result
 from ...systems.linear import Array
 from .amplitude import input_laws, level_dependence
+from .bands import bands
 from .distortion import distortions
-from .frequency import bands, modes, modes_together, shifts
+from .frequency import modes, modes_together, shifts
 from .likelihood import Evidence
-from .motion import estimated_motion
-from .places import found_places
-from .record import DIMENSIONS, Finding, Scene
+from .record import DIMENSIONS, Finding, Scene, scene_of
 from .state import forces_at_places
-from .time import clipping, delays, drifts, pinned, signs, stretches
+from .stretches import stretches
+from .time import clipping, delays, drifts, pinned, signs
 
 if TYPE_CHECKING:
     from ..result import Comparison
 
-__all__ = ["Failure", "FailureMap", "ResidualForce", "failure_map", "residual_force"]
+__all__ = ["Failure", "FailureMap", "failure_map"]
 
 #: Probability that a correct model shows any row.
 SIGNIFICANCE = 0.01
@@ -146,7 +146,7 @@ def failure_map(comparison: Comparison, index: int) -> FailureMap:
     structure leads. The noise model of the leader is then used to judge all
     once more. p-values are multiplied by the number of regions (Bonferroni).
     """
-    scene, notes = _scene(comparison, index)
+    scene, notes = scene_of(comparison, index)
     rms = np.sqrt(np.mean((comparison.data.outputs - comparison.runs[index]) ** 2, axis=1))
     looked = tuple(d for d in DIMENSIONS if scene.places is not None or d not in ("state", "place"))
     if scene.n_samples < 60:
@@ -154,83 +154,6 @@ def failure_map(comparison: Comparison, index: int) -> FailureMap:
         return FailureMap(comparison.names[index], (), rms, (), tuple(notes))
     rows = _rows(scene)
     return FailureMap(comparison.names[index], rows, rms, looked, tuple(notes))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ResidualForce:
-    """Force that a model lacks at a place, along the motion there.
-
-    Attributes
-    ----------
-    place : str
-        Port.
-    mechanical : bool
-        Whether it has a displacement and a velocity.
-    position, velocity, force : ndarray of shape (N,)
-        Motion, and resisting force, in the model's units.
-    position_unit, velocity_unit : str
-        Units.
-    """
-
-    place: str
-    mechanical: bool
-    position: Array
-    velocity: Array
-    force: Array
-    position_unit: str
-    velocity_unit: str
-
-
-def residual_force(comparison: Comparison, index: int = 0, place: str | None = None) -> ResidualForce | None:
-    """Estimate the force that a model lacks at a place.
-
-    Parameters
-    ----------
-    comparison : Comparison
-        Models on a record.
-    index : int
-        Which of the models.
-    place : str, optional
-        Port; default the one whose force explains most of the record.
-
-    Returns
-    -------
-    ResidualForce or None
-        None for a model without ports.
-    """
-    scene, _ = _scene(comparison, index)
-    if scene.places is None:
-        return None
-    names = [p.name for p in scene.places.places]
-    tried = range(len(names)) if place is None else [names.index(place)]
-    estimates = [(estimated_motion(scene, [i]), i) for i in tried]
-    estimate, chosen = max(estimates, key=lambda pair: pair[0].likelihood)
-    port, x, w = scene.places.places[chosen], estimate.states, comparison.data.inputs
-    return ResidualForce(
-        port.name,
-        port.kind == "mechanical",
-        np.asarray(port.position @ x + port.position_input @ w),
-        np.asarray(port.velocity @ x + port.velocity_input @ w),
-        estimate.forces[0],
-        port.position_unit,
-        port.velocity_unit,
-    )
-
-
-def _scene(comparison: Comparison, index: int) -> tuple[Scene, list[str]]:
-    notes: list[str] = []
-    model = comparison.models[index]
-    places = comparison.places[index]
-    if places is None:
-        places = found_places(model, comparison.data.dt)
-    if places is None or not places.places:
-        places = None
-        notes.append("State space and place were not searched: no ports were found in this model")
-    scene = Scene(
-        comparison.seen_by(index), model, comparison.runs[index], comparison.states[index], comparison.starts,
-        estimated=comparison.x0 == "estimate", places=places,
-    )  # fmt: skip
-    return scene, notes
 
 
 def _searched(scene: Scene) -> list[Finding]:
@@ -250,11 +173,6 @@ def _searched(scene: Scene) -> list[Finding]:
     if scene.places is not None:
         found += forces_at_places(scene)
     return found
-
-
-def _net(finding: Finding, scene: Scene) -> float:
-    """Worth less what the numbers fitted cost (Schwarz)."""
-    return finding.explanation.gain - finding.dof * float(np.log(scene.n_samples))
 
 
 def _p_value(finding: Finding, scene: Scene, count: int) -> float:
@@ -358,7 +276,7 @@ def _in_order(findings: Sequence[Finding], scene: Scene) -> list[Finding]:
     """
     left = [1.0 - scene.evidence.share(f.explanation.fit) for f in findings]
     bound = _MUCH * min(left, default=0.0) + 0.01
-    order = sorted(range(len(findings)), key=lambda k: (left[k] > bound, -_net(findings[k], scene)))
+    order = sorted(range(len(findings)), key=lambda k: (left[k] > bound, -findings[k].net(scene)))
     return [findings[k] for k in order]
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 from ...jit import compiled
 from ...systems.discretization import discretize
 from ...systems.linear import Array
+from .force_laws import ForceLaw, laws_at
 from .likelihood import Explanation
 from .motion import estimated_motion
 from .places import Place
@@ -23,10 +24,9 @@ _WORTH = 30.0  # twice the log-likelihood from which on a law is tried in the lo
 _FINE = 8
 _SEEN = 0.1  # of a response, beside offset and initial state, from which on it can be told from them
 _UNLIKE = 0.2  # of the larger of two steps, from which on they count as different
-_QUANTILES = (0.3, 0.5, 0.65, 0.8, 0.9)
 
 
-def _columns(scene: Scene) -> list[tuple[int, Place, list[dict[str, Any]], list[Array]]]:
+def _columns(scene: Scene) -> list[tuple[int, Place, list[ForceLaw], list[Array]]]:
     """Laws at each place along the motion that the record shows if a force acts there."""
     if scene.laws is None:
         assert scene.places is not None
@@ -40,11 +40,10 @@ def _columns(scene: Scene) -> list[tuple[int, Place, list[dict[str, Any]], list[
             seen.append(rows)
             x = estimated_motion(scene, [i]).states
             d, v = p.position @ x + p.position_input @ w, p.velocity @ x + p.velocity_input @ w
-            laws = _laws(p, *_between(scene, d, v))
-            if laws:
-                scene.laws.append((i, p, laws, scene.forced([(i, f) for law in laws for f in law["forces"]])))
-                for law in laws:
-                    law["forces"] = [None] * len(law["forces"])  # they have served
+            found = laws_at(p, *_between(scene, d, v))
+            if found:
+                columns = scene.forced([(i, force) for _, forces in found for force in forces])
+                scene.laws.append((i, p, [law for law, _ in found], columns))
     return scene.laws
 
 
@@ -53,22 +52,22 @@ def forces_at_places(scene: Scene) -> list[Finding]:
     assert scene.places is not None
     found: list[Finding] = []
     count = len(scene.places.places)
-    leaders: list[tuple[float, int, Place, dict[str, Any], Explanation, int]] = []
+    leaders: list[tuple[float, int, Place, ForceLaw, Explanation, int]] = []
     for index, place, laws, columns in _columns(scene):
-        cuts = np.cumsum([len(law["forces"]) for law in laws])[:-1]
+        cuts = np.cumsum([law.n_forces for law in laws])[:-1]
         groups = [columns[a:b] for a, b in zip([0, *cuts], [*cuts, len(columns)], strict=True)]
-        curved = [k for k, law in enumerate(laws) if not law["linear"]]
-        curved = [k for k in curved if laws[k]["name"] != "dry by direction" or _apart(scene, *groups[k])]
+        curved = [k for k, law in enumerate(laws) if not law.linear]
+        curved = [k for k in curved if laws[k].name != "dry by direction" or _apart(scene, *groups[k])]
         judged = scene.evidence.best_of([groups[k] for k in curved])
         found += [_finding(place, laws[curved[k]], one, len(laws) * count) for k, one in judged]
         if judged:
             k, one = max(judged, key=lambda pair: pair[1].gain)
             leaders.append((one.gain, index, place, laws[curved[k]], one, len(laws) * count))
-        straight = [c for k, law in enumerate(laws) if law["linear"] for c in groups[k]]
+        straight = [c for k, law in enumerate(laws) if law.linear for c in groups[k]]
         together = straight + [
             c
             for k, law in enumerate(laws)
-            if law["name"] in ("dry", "odd velocity", "odd displacement")
+            if law.name in ("dry", "odd velocity", "odd displacement")
             for c in groups[k]
         ]
         whole = scene.evidence.linear(together)
@@ -116,11 +115,9 @@ def _apart(scene: Scene, forward: Array, backward: Array) -> bool:
     return bool(min(steps * np.sign(steps.sum())) > 0 and np.ptp(steps) > _UNLIKE * np.abs(steps).max())
 
 
-def _settled(
-    scene: Scene, index: int, law: dict[str, Any], one: Explanation
-) -> tuple[dict[str, Any], Explanation]:
+def _settled(scene: Scene, index: int, law: ForceLaw, one: Explanation) -> tuple[ForceLaw, Explanation]:
     """The law in the loop: its force follows the motion that it causes itself."""
-    if law["code"] < 0 or scene.places is None:
+    if law.code < 0 or scene.places is None:
         return law, one
     places, w = scene.places, scene.data.inputs
     place = places.places[index]
@@ -129,7 +126,7 @@ def _settled(
     steps = _STEPS if d.size < 30_000 else 2
     fine_d, fine_v = _between(scene, d, v, steps)
     Phi, G, _ = discretize(places.A, place.act[:, None], scene.dt / steps, "zoh")
-    searched = law["code"] in (1, 7, 8)
+    searched = law.code in (1, 7, 8)
 
     def shape(point: Array) -> Array:
         out = np.zeros((scene.n_samples, scene.n_outputs))
@@ -144,9 +141,9 @@ def _settled(
             fine_v,
             steps,
             scene.reset,
-            law["code"],
+            law.code,
             float(one.values[0] * (1.0 + point[0])),
-            float(law["size"] * np.exp(point[1])) if searched else float(law["size"]),
+            float(law.size * np.exp(point[1])) if searched else float(law.size),
             out,
         )
         return np.asarray(out.T / scene.scale)
@@ -159,12 +156,9 @@ def _settled(
     if not np.isfinite(found.gain) or found.gain <= one.gain:
         return law, one
     if searched:
-        g = float(law["size"] * np.exp(found.values[1]))
-        law = {
-            **law,
-            "values": {**law["values"], "low": g},
-            "where": law["where"].replace(f"{law['size']:.3g}", f"{g:.3g}"),
-        }
+        g = float(law.size * np.exp(found.values[1]))
+        where = law.where.replace(f"{law.size:.3g}", f"{g:.3g}")
+        law = replace(law, where=where, values={**law.values, "low": g})
     return law, found
 
 
@@ -236,148 +230,14 @@ def _between(scene: Scene, d: Array, v: Array, factor: int = 0) -> tuple[Array, 
     return found[0], found[1]
 
 
-def _laws(place: Place, d: Array, v: Array) -> list[dict[str, Any]]:
-    """Forces over displacement and velocity, with the region in which each departs from zero."""
-    laws: list[dict[str, Any]] = []
-
-    def law(
-        name: str,
-        where: str,
-        forces: list[Array],
-        dof: int,
-        linear: bool = False,
-        code: int = -1,
-        size: float = 1.0,
-        **values: Any,
-    ) -> None:
-        if all(np.all(np.isfinite(f)) and np.ptp(f) > 0 for f in forces):
-            laws.append(
-                {
-                    "name": name,
-                    "where": where,
-                    "forces": forces,
-                    "dof": dof,
-                    "linear": linear,
-                    "code": code,
-                    "size": size,
-                    "values": values,
-                }
-            )
-
-    first = place.kind == "first_order"
-    letter, unit = ("x", place.velocity_unit) if first else ("v", place.velocity_unit)
-    if np.ptp(v) > 0:
-        spread = float(v.std())
-        law("linear velocity", "everywhere", [v], 1, linear=True)
-        width = 0.005 * spread
-        if v.min() < -0.05 * spread and v.max() > 0.05 * spread:
-            law(
-                "dry",
-                f"near {letter} = 0",
-                [np.tanh(v / width)],
-                1,
-                code=0,
-                size=width,
-                low=0.0,
-                high=0.0,
-                axis=letter,
-            )
-            law(
-                "dry by direction",
-                f"near {letter} = 0",
-                [np.maximum(np.tanh(v / width), 0.0), np.minimum(np.tanh(v / width), 0.0)],
-                2,
-                low=0.0,
-                high=0.0,
-                axis=letter,
-            )
-        law("odd velocity", f"at large |{letter}|", [v * np.abs(v)], 1, code=3, axis=letter)
-        law("odd velocity", f"at large |{letter}|", [v**3 / spread**2], 1, code=4, size=spread, axis=letter)
-        if not first and v.min() < 0 < v.max():
-            law("one side of velocity", f"one sign of {letter}", [np.abs(v)], 1, code=9, axis=letter)
-        if first:
-            law("root", f"as the root of {letter}", [np.sign(v) * np.sqrt(np.abs(v))], 1, axis=letter)
-            for q in (0.5, 0.7, 0.85, 0.95):
-                g = float(np.quantile(v, q))
-                law(
-                    "beyond",
-                    f"{letter} > {g:.3g}{_spaced(unit)}",
-                    [np.maximum(v - g, 0.0)],
-                    2,
-                    low=g,
-                    axis=letter,
-                )
-    if np.ptp(d) > 0:
-        unit = place.position_unit
-        spread = float(d.std())
-        law("linear displacement", "everywhere", [d], 1, linear=True)
-        law("odd displacement", "at large |d|", [d**3 / spread**2], 1, code=2, size=spread, axis="d")
-        law("even displacement", "d of one sign more", [d * d / spread], 1, code=6, size=spread, axis="d")
-        for q in _QUANTILES:
-            g = float(np.quantile(np.abs(d), q))
-            text = f"{g:.3g}{_spaced(unit)}"
-            law(
-                "beyond",
-                f"|d| > {text}",
-                [np.sign(d) * np.maximum(np.abs(d) - g, 0.0)],
-                2,
-                code=1,
-                size=g,
-                low=g,
-                axis="d",
-            )
-            law(
-                "beyond, one side",
-                f"d > {text}",
-                [np.maximum(d - g, 0.0)],
-                2,
-                code=7,
-                size=g,
-                low=g,
-                axis="d",
-                side=1,
-            )
-            law(
-                "beyond, one side",
-                f"d < -{text}",
-                [np.minimum(d + g, 0.0)],
-                2,
-                code=8,
-                size=g,
-                low=g,
-                axis="d",
-                side=-1,
-            )
-        law("one side", "d > 0 apart from d < 0", [np.abs(d)], 1, code=5, low=0.0, axis="d")
-    return laws
-
-
-def _spaced(unit: str) -> str:
-    return f" {unit}" if unit else ""
-
-
-_MEANINGS = {
-    "dry": "jumps where the motion turns, as dry friction does",
-    "dry by direction": "jumps where the motion turns, by different steps, as worn guides do",
-    "odd velocity": "grows more than in proportion to speed, as drag does",
-    "one side of velocity": "differs with the direction of motion",
-    "root": "follows the square root, as an outflow does",
-    "beyond": "sets in beyond that, as a stop or a hardening spring does",
-    "beyond, one side": "sets in beyond that on one side only, as a stop does",
-    "odd displacement": "grows more than in proportion to displacement, as a hardening spring does",
-    "even displacement": "grows to one side, as an asymmetric spring does",
-    "one side": "differs between the two sides, as a crack or a loose contact does",
-}
-
-
-def _finding(place: Place, law: dict[str, Any], one: Explanation, tried: int) -> Finding:
+def _finding(place: Place, law: ForceLaw, one: Explanation, tried: int) -> Finding:
     return Finding(
         "state",
-        f"{place.name}, {law['where']}",
+        f"{place.name}, {law.where}",
         "residual force",
         one,
-        law["dof"],
+        law.dof,
         tried,
-        f"The force that the model lacks at {place.name} {_MEANINGS[law['name']]} ({law['where']}).",
-        {"place": place.name, "law": law["name"], "kind": "state", **law["values"]},
+        f"The force that the model lacks at {place.name} {law.meaning} ({law.where}).",
+        {"place": place.name, "law": law.name, "kind": "state", **law.values},
     )
