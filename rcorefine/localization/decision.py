@@ -11,33 +11,14 @@ from scipy.stats import norm
 from ..inference.covariance import pseudo_inverse, standard_deviations
 from ..inference.levels import levels
 from ..systems.linear import Array
+from .candidates import Candidate
+from .collinearity import collinear_groups, similar_sign, similarity
 from .estimate import Joint
 
-__all__ = ["Candidate", "Decision", "collinear_groups", "decide", "two_sided"]
+__all__ = ["Decision", "decide", "two_sided"]
 
-_COLLINEAR = 0.01  # eigenvalue of the unit-diagonal information below which a direction is one group
 _BLURRED = 0.05  # joint standard deviation over nominal above which a member cannot be told apart
-_MEMBER = 0.3  # share of such a direction above which a candidate belongs to it
 _APART = 15.0  # deviates by which a swap would worsen the fit, to first order, above which it is not tried
-
-
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """A change that is looked for: its column, and what counts as 100 percent."""
-
-    column: int
-    kind: str
-    place: str
-    name: str
-    nominal: float
-    unit: str
-    tolerated: float
-    floor: float
-
-    @property
-    def label(self) -> str:
-        """Kind and place."""
-        return f"{self.kind} at {self.place}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -261,7 +242,7 @@ def _swap(
     """Put each similar candidate in the place of a named one: better takes over, equal is a rival."""
     rivals: dict[int, list[int]] = {}
     for _ in range(where.size):
-        similar = _similarity(joint, where)
+        similar = similarity(joint, where)
         value, std, _ = _estimates(joint, where[kept], active)
         apart = dict(zip(kept, np.abs(_deviate(value, std, np.zeros(len(kept)))), strict=True))
         rivals = {i: [] for i in kept}
@@ -300,65 +281,3 @@ def _swap(
         kept.remove(i)
         kept.append(j)
     return rivals
-
-
-def similar_sign(joint: Joint, where: NDArray[np.int64], i: int, j: int) -> float:
-    """Sign of the correlation of two sensitivities."""
-    return float(joint.information().normal[where[i], where[j]])
-
-
-def _projected(joint: Joint, where: NDArray[np.int64]) -> Array:
-    """Information of the candidates, offsets, damping ratio and initial states projected off."""
-    normal = joint.information().normal
-    rest = np.setdiff1d(np.arange(normal.shape[0]), where)
-    inner = normal[np.ix_(where, where)]
-    if rest.size:
-        inverse, _, _ = pseudo_inverse(normal[np.ix_(rest, rest)])
-        cross = normal[np.ix_(rest, where)]
-        inner = inner - cross.T @ inverse @ cross
-    size = np.sqrt(np.maximum(np.diag(inner), 0.0))
-    size[size <= 1e-9 * np.sqrt(np.diag(normal)[where])] = np.inf
-    unit = inner / np.outer(size, size)
-    np.fill_diagonal(unit, np.where(np.isfinite(size), 1.0, 0.0))
-    return np.asarray(unit)
-
-
-def _similarity(joint: Joint, where: NDArray[np.int64]) -> Array:
-    return np.asarray(np.abs(_projected(joint, where)))
-
-
-def collinear_groups(
-    joint: Joint, where: NDArray[np.int64], blurred: NDArray[np.bool_]
-) -> tuple[tuple[int, ...], ...]:
-    """Candidates that the record sees only together.
-
-    Parameters
-    ----------
-    joint : Joint
-        Estimate.
-    where : ndarray of int
-        Columns of the candidates.
-    blurred : ndarray of bool
-        Candidates that the joint estimate leaves too unsure to matter on their own.
-
-    Returns
-    -------
-    tuple of tuple of int
-        Groups of two or more.
-    """
-    unit = _projected(joint, where)
-    seen = np.flatnonzero(np.diag(unit) > 0)
-    values, vectors = np.linalg.eigh(unit[np.ix_(seen, seen)])
-    owner = list(range(where.size))
-    for value, vector in zip(values, vectors.T, strict=True):
-        if value >= _COLLINEAR:
-            break
-        members = [int(seen[k]) for k in np.flatnonzero(np.abs(vector) > _MEMBER * np.abs(vector).max())]
-        members = [i for i in members if blurred[i]]
-        if len(members) < 2:
-            continue
-        target = min(owner[i] for i in members)
-        merged = {owner[i] for i in members}
-        owner = [target if group in merged else group for group in owner]
-    groups = [tuple(i for i in range(where.size) if owner[i] == k) for k in sorted(set(owner))]
-    return tuple(group for group in groups if len(group) > 1)
