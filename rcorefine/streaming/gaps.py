@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..arguments import as_choice
-from ..systems.linear import Array
+from ..systems.linear import Array, LinearModel
 from .checks import as_samples, check_samples
-from .rcmr.setup import Sampled
 
 __all__ = ["Block", "as_missing", "block_with_gaps", "whole_block"]
 
@@ -45,6 +44,19 @@ class Block:
         """Whether nothing is missing."""
         return bool(self.known.all() and self.use.all())
 
+    def part(self, start: int, stop: int) -> Block:
+        """Samples from `start` up to `stop`."""
+        return Block(*(column[start:stop] for column in self._columns))
+
+    @staticmethod
+    def joined(blocks: Sequence[Block]) -> Block:
+        """Blocks one after the other."""
+        return Block(*map(np.concatenate, zip(*(block._columns for block in blocks), strict=True)))
+
+    @property
+    def _columns(self) -> tuple[NDArray[Any], ...]:
+        return self.inputs, self.outputs, self.known, self.use
+
 
 @lru_cache(maxsize=16)
 def _all_there(n_samples: int, n_outputs: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
@@ -69,13 +81,17 @@ def _unmasked(values: Any) -> Any:
     return values
 
 
-def block_with_gaps(setup: Sampled, w: ArrayLike, y: ArrayLike, first: int, latest: Array) -> Block:
+def block_with_gaps(
+    model: LinearModel, step: float | None, w: ArrayLike, y: ArrayLike, first: int, latest: Array
+) -> Block:
     """One sample or a block of which NaN or masked samples are missing.
 
     Parameters
     ----------
-    setup : Sampled
+    model : LinearModel
         Model with its labels.
+    step : float or None
+        Sampling time in s, for the messages.
     w, y : array_like
         As in `RCORefiner.update`.
     first : int
@@ -83,7 +99,6 @@ def block_with_gaps(setup: Sampled, w: ArrayLike, y: ArrayLike, first: int, late
     latest : ndarray of shape (n_w,)
         Inputs of the sample before, to go on with where one is missing.
     """
-    model = setup.initial
     inputs = as_samples(_unmasked(w), "inputs", model.n_inputs)
     outputs = as_samples(_unmasked(y), "outputs", model.n_outputs)
     if inputs.shape[1] != outputs.shape[1]:
@@ -96,7 +111,7 @@ def block_with_gaps(setup: Sampled, w: ArrayLike, y: ArrayLike, first: int, late
         (outputs, model.output_labels, "output"),
     )
     for signal, labels, what in signals:
-        check_samples(np.where(np.isnan(signal), 0.0, signal), labels, what, first, setup.step)
+        check_samples(np.where(np.isnan(signal), 0.0, signal), labels, what, first, step)
     known, use = np.asarray(~np.isnan(inputs).any(axis=0)), ~np.isnan(outputs)
     inputs, outputs = np.ascontiguousarray(inputs.T), np.ascontiguousarray(outputs.T)
     before = latest

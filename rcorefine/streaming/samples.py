@@ -12,26 +12,29 @@ from numpy.typing import ArrayLike
 from ..data.measurement import Measurement
 from ..exceptions import DataError
 from ..systems.conversion import to_discrete
-from ..systems.linear import Array
+from ..systems.linear import Array, LinearModel
 from .checks import as_samples, check_samples
 from .rcmr.setup import Sampled
 
 __all__ = ["checked_block", "checked_record"]
 
 
-def checked_block(setup: Sampled, w: ArrayLike, y: ArrayLike, first: int) -> tuple[Array, Array]:
+def checked_block(
+    model: LinearModel, step: float | None, w: ArrayLike, y: ArrayLike, first: int
+) -> tuple[Array, Array]:
     """Inputs and outputs of one sample or a block as (N, signals).
 
     Parameters
     ----------
-    setup : Sampled
+    model : LinearModel
         Model with its labels.
+    step : float or None
+        Sampling time in s, for the messages.
     w, y : array_like
         As in `RCORefiner.update`.
     first : int
         Number of samples taken before, for the messages.
     """
-    model = setup.initial
     if (  # one sample as it comes from a loop: the checks below would take longer than to learn from it
         type(w) is np.ndarray
         and type(y) is np.ndarray
@@ -48,8 +51,8 @@ def checked_block(setup: Sampled, w: ArrayLike, y: ArrayLike, first: int) -> tup
             f"inputs have {inputs.shape[1]} sample(s) and outputs {outputs.shape[1]}; "
             "give both at the same samples"
         )
-    check_samples(inputs, model.input_labels, "input", first, setup.step)
-    check_samples(outputs, model.output_labels, "output", first, setup.step)
+    check_samples(inputs, model.input_labels, "input", first, step)
+    check_samples(outputs, model.output_labels, "output", first, step)
     return np.ascontiguousarray(inputs.T), np.ascontiguousarray(outputs.T)
 
 

@@ -10,15 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...data.measurement import Measurement
-from ...effects.effect import Effect
+from ...effects.effect import Effect, as_effects
 from ...engine.engine import Engine
 from ...engine.structure import Structure
+from ...exceptions import ModelError
 from ...inference.starts import Motion, law_widths, shape_starts
+from ...models.library import effect_library
 from ...systems.discretization import discretize
 from ...systems.linear import Array
 from .kernels import CODES, forces
 
-__all__ = ["Bank", "build_bank"]
+__all__ = ["Bank", "build_bank", "checked_candidates"]
 
 _MOST_SHAPES = 3  # of a law with a gap, a limit or a fading speed
 
@@ -82,6 +84,27 @@ class _Column:
     values: tuple[float, ...] = ()
     width: float = 1.0
     pick: int = 0
+
+
+def checked_candidates(model: Any, given: Sequence[Effect] | None) -> tuple[Effect, ...]:
+    """Effects that can be watched for, by default those of the library."""
+    if given is None:
+        return tuple(e for e in effect_library(model) if e.spec.along_motion)
+    effects = tuple(as_effects(given, "candidates"))
+    if not effects:
+        raise ModelError("candidates is empty: name at least one Effect, or leave candidates out")
+    for effect in effects:
+        model.check(effect)
+        if not effect.spec.along_motion:
+            raise ModelError(
+                f"{effect.label} cannot be watched for: it is no force along the model's motion; "
+                "use diagnose() on a record"
+            )
+        if effect.law is not None and len(effect.coefficients) > 1:
+            raise ModelError(f"{effect.label} can be watched for with one coefficient only, its scale")
+    if len(set(effects)) < len(effects):
+        raise ModelError("a candidate is named twice; give each effect once")
+    return effects
 
 
 def build_bank(

@@ -1,15 +1,34 @@
-"""How high the statistic may climb by chance: thresholds for a stated rate of false alarms."""
+"""Windows of the test, and how high the statistic may climb in each by chance."""
 
 from __future__ import annotations
 
 import math
 
+import control as ct
 import numpy as np
 from scipy.optimize import brentq
 
+from ...arguments import as_list
 from ...systems.linear import Array
+from ..checks import as_size
 
-__all__ = ["crossing_rate", "threshold"]
+__all__ = ["crossing_rate", "threshold", "window_lengths"]
+
+_LONGEST = 200  # periods in the longest window
+
+
+def window_lengths(windows: tuple[int, int] | None, period: int) -> Array:
+    """Samples in each window, doubled from one to the next; `period` is that of the first mode."""
+    if windows is None:
+        shortest, longest = max(8, period // 4), _LONGEST * period
+    else:
+        pair = as_list(windows, "windows", "two sizes, the shortest first")
+        if len(pair) != 2:
+            raise ct.ControlDimension(f"windows has {len(pair)} entries; give the shortest and the longest")
+        shortest = as_size(pair[0], "windows[0]", 4, "samples in the shortest window")
+        longest = as_size(pair[1], "windows[1]", shortest, "samples in the longest window")
+    count = max(1, round(math.log2(longest / shortest)) + 1)
+    return np.asarray(shortest * 2.0 ** np.arange(count))
 
 
 def crossing_rate(level: float, keep: float) -> float:
