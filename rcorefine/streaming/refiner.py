@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from functools import wraps
-from typing import Any, TypeVar, Unpack, cast
+from typing import Any, Unpack
 
 import control as ct
 import numpy as np
@@ -14,20 +13,14 @@ from numpy.typing import ArrayLike
 
 from ..arguments import as_flag
 from ..data.measurement import Measurement
-from ..exceptions import RCOError
 from ..results import Options, Result, picture, show
 from ..systems.linear import Array, LinearModel
 from .assembly import assembled
 from .checks import as_samples, check_samples
-from .coefficients.history import CoefficientHistory
 from .estimator import Estimator
 from .gaps import as_missing, block_with_gaps, whole_block
-from .joint import JointStages
+from .learned import Learned, alone
 from .persistence import read_file, write_file
-from .race import Race
-from .rcmr.history import History
-from .rcmr.paper import PaperStages
-from .rcmr.scaling import Scales
 from .rcmr.setup import sampled_model
 from .restoring import check_like, damaged
 from .samples import checked_block, checked_record
@@ -42,24 +35,9 @@ _SETTINGS = (
     "correction_feedthrough", "use_estimated_states", "scale", "missing", "effects", "noise", "hold",
     "disturbance", "forgetting", "substeps",
 )  # fmt: skip
-_Method = TypeVar("_Method", bound=Callable[..., Any])
 
 
-def _alone(method: _Method) -> _Method:
-    """Let one thread at a time into a method, so that no sample is lost between two.
-
-    The kernels notice what overflows themselves; as plain Python they are as silent about it as compiled.
-    """
-
-    @wraps(method)
-    def locked(self: RCORefiner, *args: Any, **kwargs: Any) -> Any:
-        with self._lock, np.errstate(all="ignore"):
-            return method(self, *args, **kwargs)
-
-    return cast(_Method, locked)
-
-
-class RCORefiner(Result):
+class RCORefiner(Result, Learned):
     """Refine a linear model on measured samples, in two concurrent stages.
 
     >>> example = rco.examples.rlc()
@@ -288,7 +266,7 @@ class RCORefiner(Result):
 
     # -- streaming ---------------------------------------------------------------------------------
 
-    @_alone
+    @alone
     def update(self, w: ArrayLike, y: ArrayLike) -> None:
         """Learn from one sample, or from a block of samples.
 
@@ -323,7 +301,7 @@ class RCORefiner(Result):
         self._estimator.take(block)
         self._latest = block.inputs[-1].copy()
 
-    @_alone
+    @alone
     def run(self, data: Measurement, progress: bool = False) -> RCORefiner:
         """Learn from a whole record.
 
@@ -367,7 +345,7 @@ class RCORefiner(Result):
         self._estimator.finish()
         return self
 
-    @_alone
+    @alone
     def predict(self, w: ArrayLike) -> Array:
         """Simulate the refined model on further inputs, without learning.
 
@@ -396,13 +374,13 @@ class RCORefiner(Result):
         outputs = self._estimator.predict(np.ascontiguousarray(inputs.T))
         return outputs[0] if model.n_outputs == 1 else outputs
 
-    @_alone
+    @alone
     def reset(self) -> None:
         """Forget all samples; settings stay."""
         self._estimator.reset()
         self._latest = np.zeros(self._sampled.initial.n_inputs)
 
-    @_alone
+    @alone
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write settings and memory to one file, to go on from later.
 
@@ -479,145 +457,7 @@ class RCORefiner(Result):
 
     # -- results -----------------------------------------------------------------------------------
 
-    @property
-    @_alone
-    def n_samples(self) -> int:
-        """Number of samples taken."""
-        return self._estimator.n_samples
-
-    @property
-    @_alone
-    def n_learned(self) -> int:
-        """Number of samples learned from: 0 while the first are held back for the scales."""
-        return self._estimator.n_learned
-
-    @property
-    @_alone
-    def form(self) -> str:
-        """Form of the static correction that the refined model has.
-
-        "paper" by the paper's equations, "coefficients" where they were named; in a race
-        "nonzero", "discrete", "input", or "initial" where no form predicts better than
-        the initial model.
-        """
-        estimator = self._estimator
-        if not isinstance(estimator, JointStages):
-            return "paper"
-        static = estimator.static
-        return static.chosen[0] if isinstance(static, Race) else "coefficients"
-
-    @property
-    @_alone
-    def scores(self) -> dict[str, float]:
-        """In a race: fit in % of each form's free run on the last stretch it had not seen."""
-        static = self._joint("scores").static
-        scores = static.memory.scores if isinstance(static, Race) else {}
-        return {name: float(100.0 * (1.0 - np.sqrt(score))) for name, score in scores.items()}
-
-    @property
-    @_alone
-    def scales(self) -> Scales | None:
-        """Sizes that stage 1 divides signals by, None while they are not known yet."""
-        first = self._stage_one()
-        return None if first is None else first.scales
-
-    @property
-    @_alone
-    def theta(self) -> Array:
-        """Dynamic coefficients, shape (l_u, (n_c + 1)(n + n_w) + n_c l_u), in the units of the signals.
-
-        Empty, of shape (0, 0), where stage 1 does not run.
-        """
-        first = self._stage_one()
-        return np.zeros((0, 0)) if first is None else first.theta(0)
-
-    @property
-    @_alone
-    def static_theta(self) -> Array:
-        """Static coefficients in the units of the signals, as changes of the initial model.
-
-        By the paper's equations [theta_x, theta_w] of shape (l_u, n + n_w), the mean over the last
-        `static_average` samples (`history.theta2` has those of each sample); else those of
-        `parameters`, shape (1, p).
-        """
-        return self._estimator.static_theta()
-
-    @property
-    @_alone
-    def standard_deviations(self) -> Array:
-        """Standard deviations of `static_theta`, infinite before anything is learned.
-
-        Of the joint filter for white innovations; by the paper's equations the
-        scatter over the samples that the coefficients are averaged over.
-        """
-        return self._estimator.standard_deviations()
-
-    @property
-    @_alone
-    def parameters(self) -> tuple[Any, ...]:
-        """One row per coefficient, with its standard deviation at this sample.
-
-        Rows have the fields name, kind, place, initial, value, coefficient,
-        std, unit, role and interval (95 %); std is infinite before anything is learned.
-
-        Raises
-        ------
-        RCOError
-            By the paper's equations: their coefficients are no parameters.
-        """
-        return self._joint("parameters").filter.parameters
-
-    @property
-    @_alone
-    def covariance(self) -> Array:
-        """Covariance of the coefficients at this sample, shape (p, p).
-
-        Raises
-        ------
-        RCOError
-            By the paper's equations.
-        """
-        return self._joint("covariance").filter.covariance
-
-    @property
-    @_alone
-    def discrete_system(self) -> ct.StateSpace:
-        """Refined model in discrete time, labels kept."""
-        return self._estimator.discrete_system(self._name()).to_statespace()
-
-    @property
-    @_alone
-    def system(self) -> ct.StateSpace:
-        """Refined model: continuous if the initial one is, labels kept.
-
-        Warns
-        -----
-        ConversionWarning
-            If the refined discrete model has no continuous counterpart, as with a
-            pole at zero: the nearest one of the same order is given, and
-            `discrete_system` is exact.
-        """
-        return self._estimator.system(self._name()).to_statespace()
-
-    @property
-    @_alone
-    def history(self) -> History | CoefficientHistory:
-        """Course of both stages, sample by sample.
-
-        Raises
-        ------
-        RCOError
-            If it was not asked for with ``history=True``.
-        """
-        if not self._keep:
-            raise RCOError(
-                "no history was kept: build the refiner with RCORefiner(..., history=True) and run it again "
-                "(it is off by default so that a stream of any length takes constant memory)"
-            )
-        found: History | CoefficientHistory = self._estimator.history()
-        return found
-
-    @_alone
+    @alone
     @picture
     def bode_plot(
         self,
@@ -649,7 +489,7 @@ class RCORefiner(Result):
         """
         return show(self, "bode_plot", measured, omega, **options)
 
-    @_alone
+    @alone
     def _summary(self) -> Summary:
         """Cells and sentences of `str(refiner)`."""
         return self._estimator.summary()
@@ -669,23 +509,6 @@ class RCORefiner(Result):
         self._lock = threading.RLock()
         if isinstance(self.model, LinearModel):
             self.model = self.model.to_statespace()
-
-    # -- inside ---------------------------------------------------------------------------------
-
-    def _name(self) -> str:
-        return f"{self._sampled.initial.name}$refined"
-
-    def _stage_one(self) -> PaperStages | None:
-        estimator = self._estimator
-        return estimator.stage_one if isinstance(estimator, JointStages) else cast(PaperStages, estimator)
-
-    def _joint(self, what: str) -> JointStages:
-        if not isinstance(self._estimator, JointStages):
-            raise RCOError(
-                f"{what} belong to the joint filter; leave out window, markov and static_..., or name "
-                "effects=[...] (static_theta has the paper's coefficients)"
-            )
-        return self._estimator
 
 
 def _listed(items: Any) -> tuple[Any, ...]:

@@ -158,8 +158,8 @@ class Monitor(Result, Readings):
         patience: float = 4.0,
     ) -> None:
         self._structure, self._theta, self._substeps = as_base(model, hold)
-        name = self._structure.linear_model.name
         if dt is None:
+            name = self._structure.linear_model.name
             raise ModelError(f"model {name!r} is continuous: give dt, the sampling time in seconds")
         self.dt = check_sampling_time(dt)
         if as_text(hold, "hold") not in ("zoh", "foh"):
@@ -172,11 +172,9 @@ class Monitor(Result, Readings):
         self.false_alarms = as_number(
             false_alarms, f"false_alarms per {_PER} samples", above=0.0, most=1000.0, error=ModelError
         )
-        self.disturbance = (
-            None
-            if disturbance is None
-            else as_number(disturbance, "disturbance", least=0.0, error=ModelError)
-        )
+        self.disturbance = disturbance
+        if disturbance is not None:
+            self.disturbance = as_number(disturbance, "disturbance", least=0.0, error=ModelError)
         self.patience = as_number(patience, "patience (in periods)", least=0.0, error=ModelError)
         self.candidates = checked_candidates(self._structure.model, candidates)
         self._pace = pace_of(self._structure, self._theta, self.dt)

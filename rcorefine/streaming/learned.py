@@ -1,0 +1,202 @@
+"""What a refiner has learned: coefficients, their uncertainty, the refined model."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, TypeVar, cast
+
+import control as ct
+import numpy as np
+
+from ..exceptions import RCOError
+from ..systems.linear import Array
+from .coefficients.history import CoefficientHistory
+from .estimator import Estimator
+from .joint import JointStages
+from .race import Race
+from .rcmr.history import History
+from .rcmr.paper import PaperStages
+from .rcmr.scaling import Scales
+from .rcmr.setup import Sampled
+
+__all__ = ["Learned", "alone"]
+
+_Method = TypeVar("_Method", bound=Callable[..., Any])
+
+
+def alone(method: _Method) -> _Method:
+    """Let one thread at a time into a method, so that no sample is lost between two.
+
+    The kernels notice what overflows themselves; as plain Python they are as silent about it as compiled.
+    """
+
+    @wraps(method)
+    def locked(self: Learned, *args: Any, **kwargs: Any) -> Any:
+        with self._lock, np.errstate(all="ignore"):
+            return method(self, *args, **kwargs)
+
+    return cast(_Method, locked)
+
+
+class Learned:
+    """Properties of `RCORefiner` that read what it has learned; none changes it."""
+
+    _lock: threading.RLock
+    _estimator: Estimator
+    _sampled: Sampled
+    _keep: bool
+
+    @property
+    @alone
+    def n_samples(self) -> int:
+        """Number of samples taken."""
+        return self._estimator.n_samples
+
+    @property
+    @alone
+    def n_learned(self) -> int:
+        """Number of samples learned from: 0 while the first are held back for the scales."""
+        return self._estimator.n_learned
+
+    @property
+    @alone
+    def form(self) -> str:
+        """Form of the static correction that the refined model has.
+
+        "paper" by the paper's equations, "coefficients" where they were named; in a race
+        "nonzero", "discrete", "input", or "initial" where no form predicts better than
+        the initial model.
+        """
+        estimator = self._estimator
+        if not isinstance(estimator, JointStages):
+            return "paper"
+        static = estimator.static
+        return static.chosen[0] if isinstance(static, Race) else "coefficients"
+
+    @property
+    @alone
+    def scores(self) -> dict[str, float]:
+        """In a race: fit in % of each form's free run on the last stretch it had not seen."""
+        static = self._joint("scores").static
+        scores = static.memory.scores if isinstance(static, Race) else {}
+        return {name: float(100.0 * (1.0 - np.sqrt(score))) for name, score in scores.items()}
+
+    @property
+    @alone
+    def scales(self) -> Scales | None:
+        """Sizes that stage 1 divides signals by, None while they are not known yet."""
+        first = self._stage_one()
+        return None if first is None else first.scales
+
+    @property
+    @alone
+    def theta(self) -> Array:
+        """Dynamic coefficients, shape (l_u, (n_c + 1)(n + n_w) + n_c l_u), in the units of the signals.
+
+        Empty, of shape (0, 0), where stage 1 does not run.
+        """
+        first = self._stage_one()
+        return np.zeros((0, 0)) if first is None else first.theta(0)
+
+    @property
+    @alone
+    def static_theta(self) -> Array:
+        """Static coefficients in the units of the signals, as changes of the initial model.
+
+        By the paper's equations [theta_x, theta_w] of shape (l_u, n + n_w), the mean over the last
+        `static_average` samples (`history.theta2` has those of each sample); else those of
+        `parameters`, shape (1, p).
+        """
+        return self._estimator.static_theta()
+
+    @property
+    @alone
+    def standard_deviations(self) -> Array:
+        """Standard deviations of `static_theta`, infinite before anything is learned.
+
+        Of the joint filter for white innovations; by the paper's equations the
+        scatter over the samples that the coefficients are averaged over.
+        """
+        return self._estimator.standard_deviations()
+
+    @property
+    @alone
+    def parameters(self) -> tuple[Any, ...]:
+        """One row per coefficient, with its standard deviation at this sample.
+
+        Rows have the fields name, kind, place, initial, value, coefficient,
+        std, unit, role and interval (95 %); std is infinite before anything is learned.
+
+        Raises
+        ------
+        RCOError
+            By the paper's equations: their coefficients are no parameters.
+        """
+        return self._joint("parameters").filter.parameters
+
+    @property
+    @alone
+    def covariance(self) -> Array:
+        """Covariance of the coefficients at this sample, shape (p, p).
+
+        Raises
+        ------
+        RCOError
+            By the paper's equations.
+        """
+        return self._joint("covariance").filter.covariance
+
+    @property
+    @alone
+    def discrete_system(self) -> ct.StateSpace:
+        """Refined model in discrete time, labels kept."""
+        return self._estimator.discrete_system(self._name()).to_statespace()
+
+    @property
+    @alone
+    def system(self) -> ct.StateSpace:
+        """Refined model: continuous if the initial one is, labels kept.
+
+        Warns
+        -----
+        ConversionWarning
+            If the refined discrete model has no continuous counterpart, as with a
+            pole at zero: the nearest one of the same order is given, and
+            `discrete_system` is exact.
+        """
+        return self._estimator.system(self._name()).to_statespace()
+
+    @property
+    @alone
+    def history(self) -> History | CoefficientHistory:
+        """Course of both stages, sample by sample.
+
+        Raises
+        ------
+        RCOError
+            If it was not asked for with ``history=True``.
+        """
+        if not self._keep:
+            raise RCOError(
+                "no history was kept: build the refiner with RCORefiner(..., history=True) and run it again "
+                "(it is off by default so that a stream of any length takes constant memory)"
+            )
+        found: History | CoefficientHistory = self._estimator.history()
+        return found
+
+    def _name(self) -> str:
+        return f"{self._sampled.initial.name}$refined"
+
+    def _stage_one(self) -> PaperStages | None:
+        estimator = self._estimator
+        return estimator.stage_one if isinstance(estimator, JointStages) else cast(PaperStages, estimator)
+
+    def _joint(self, what: str) -> JointStages:
+        if not isinstance(self._estimator, JointStages):
+            raise RCOError(
+                f"{what} belong to the joint filter; leave out window, markov and static_..., or name "
+                "effects=[...] (static_theta has the paper's coefficients)"
+            )
+        return self._estimator
