@@ -2,18 +2,58 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
+from typing import Any
 
+import control as ct
 import numpy as np
 
+from ..exceptions import ModelError
+from ..systems.conversion import d2c
+from ..systems.discretization import check_sampling_time
 from ..systems.linear import Array, LinearModel
 from .displacements import Displacement, find_displacements
 from .masses import MassScale, exchanging, relative_masses
 from .parameters import NominalParameter
 from .ports import Port
-from .readout import read_parameters
+from .readout import find_rate_sensors, read_parameters
 
-__all__ = ["displacement_port", "find_ports"]
+__all__ = ["displacement_port", "find_ports", "recognized"]
+
+
+def recognized(sys: ct.StateSpace, dt: float | None) -> dict[str, Any]:
+    """What a `PhysicalModel` is made of, found in a plain model; see `PhysicalModel.from_statespace`."""
+    linear, tolerance = _in_continuous_time(sys, dt)
+    ports, parameters = find_ports(linear, tolerance)
+    rate = find_rate_sensors(linear, tolerance)
+    return {
+        "linear": linear,
+        "output_state": linear.C - rate @ linear.A if rate.any() else linear.C,
+        "output_rate": rate,
+        "output_input": linear.D - rate @ linear.B,
+        "ports": ports,
+        "parameters": parameters,
+    }
+
+
+def _in_continuous_time(sys: ct.StateSpace, dt: float | None) -> tuple[LinearModel, float]:
+    """The model, and the relative size below which its entries count as zero."""
+    linear = LinearModel.from_statespace(sys)
+    step = None if dt is None else check_sampling_time(dt)
+    if linear.dt is None:  # python-control: either time base
+        linear = linear.with_arrays(dt=0)
+    if linear.is_continuous:
+        return linear, 1e-9
+    if linear.dt is True:
+        if step is None:
+            raise ModelError(
+                f"model {linear.name!r} is in discrete time but has no sampling time (dt = True); "
+                "give the model a dt, or the time between samples as dt="
+            )
+        sys = linear.with_arrays(dt=step).to_statespace()
+    # the matrix logarithm leaves noise where zeros were
+    return replace(LinearModel.from_statespace(d2c(sys)), name=linear.name), 1e-7
 
 
 def find_ports(

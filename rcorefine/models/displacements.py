@@ -122,16 +122,7 @@ def find_displacements(linear: LinearModel, tolerance: float = 1e-9) -> list[Dis
         if entries[i].size == 1 and entries[i][0] != i and not driven[i]
     }
     unit = {i: j for i, j in single.items() if abs(A[i, j] - 1.0) <= 10 * tolerance}
-    pairs = _unit_pairs(unit, entries)
-    velocities = set(pairs.values())
-    for i, j in single.items():
-        # another unit of length (or an LC pair) is believed only if a spring acts back
-        chained = i in single.values() and single.get(j) != i
-        if i in unit or i in velocities or j in pairs or chained or single.get(j, i) != i:
-            continue
-        if A[i, j] > 0 and A[j, i] < 0:
-            pairs[i] = j
-
+    pairs = _pairs(A, single, unit, entries)
     found: list[Displacement] = []
     for i in sorted(pairs, key=lambda i: (A[pairs[i], i] >= 0, i)):
         if all(item.moving != pairs[i] for item in found):  # else a second integral of one velocity
@@ -144,6 +135,22 @@ def find_displacements(linear: LinearModel, tolerance: float = 1e-9) -> list[Dis
                 found.append(link)
     moving = {item.moving for item in found} | {item.other for item in found}
     return sorted((item for item in found if item.state not in moving), key=lambda item: item.state)
+
+
+def _pairs(
+    A: Array, single: dict[int, int], unit: dict[int, int], entries: list[NDArray[np.intp]]
+) -> dict[int, int]:
+    """Velocity of each displacement of a mass."""
+    pairs = _unit_pairs(unit, entries)
+    velocities = set(pairs.values())
+    for i, j in single.items():
+        # another unit of length (or an LC pair) is believed only if a spring acts back
+        chained = i in single.values() and single.get(j) != i
+        if i in unit or i in velocities or j in pairs or chained or single.get(j, i) != i:
+            continue
+        if A[i, j] > 0 and A[j, i] < 0:
+            pairs[i] = j
+    return pairs
 
 
 def _unit_pairs(unit: dict[int, int], entries: list[NDArray[np.intp]]) -> dict[int, int]:
@@ -180,14 +187,20 @@ def _elongation(
         return None
     size = np.abs(A[i, entries])
     if len(plus) + len(minus) == 1:
-        # the other end is an input, a velocity in the same unit
-        velocity = driven[driven != 0]
-        if velocity.size != 1 or not np.isclose(velocity[0], -A[i, entries[0]], rtol=1e-6):
+        if not _from_input(A, driven, i, int(entries[0])):
             return None
-        if not np.isclose(size[0], 1.0, rtol=1e-6) or (minus and np.isclose(A[minus[0], i], 1.0)):
-            return None  # the last one is the observable form with unit gain
     elif driven.size or np.ptp(size) > 1e-6 * size.max():
         return None
     if any(A[j, i] >= 0 for j in plus) or any(A[k, i] <= 0 for k in minus):
         return None
     return Displacement(i, plus[0] if plus else None, minus[0] if minus else None, False, float(size.max()))
+
+
+def _from_input(A: Array, driven: Array, i: int, j: int) -> bool:
+    """Whether the other end of an elongation is an input, a velocity in the same unit."""
+    velocity = driven[driven != 0]
+    if velocity.size != 1 or not np.isclose(velocity[0], -A[i, j], rtol=1e-6):
+        return False
+    # an entry of minus one that its velocity gets back is the observable form with unit gain
+    canonical = A[i, j] < 0 and np.isclose(A[j, i], 1.0)
+    return bool(np.isclose(abs(A[i, j]), 1.0, rtol=1e-6) and not canonical)

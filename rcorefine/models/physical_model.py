@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import control as ct
@@ -14,7 +14,6 @@ from ..effects.effect import Effect
 from ..effects.entries import Entry
 from ..exceptions import ModelError
 from ..results import Result
-from ..systems.discretization import check_sampling_time
 from ..systems.linear import Array, LinearModel
 from .consistency import check_outputs, check_places, check_sizes
 from .parameters import NominalParameter
@@ -171,36 +170,9 @@ class PhysicalModel(Result):
         >>> [(item.name, float(item.value)) for item in PhysicalModel.from_statespace(sys).parameters]
         [('k[q]', 4.0), ('c[q]', 1.0), ('gain[u[0]]', 1.0)]
         """
-        from .detection import find_ports
-        from .readout import find_rate_sensors
+        from .detection import recognized
 
-        linear = LinearModel.from_statespace(sys)
-        step = None if dt is None else check_sampling_time(dt)
-        tolerance = 1e-9
-        if linear.dt is None:  # python-control: either time base
-            linear = linear.with_arrays(dt=0)
-        if not linear.is_continuous:
-            from ..systems.conversion import d2c
-
-            if linear.dt is True:
-                if step is None:
-                    raise ModelError(
-                        f"model {linear.name!r} is in discrete time but has no sampling time (dt = True); "
-                        "give the model a dt, or the time between samples as dt="
-                    )
-                sys = linear.with_arrays(dt=step).to_statespace()
-            linear = replace(LinearModel.from_statespace(d2c(sys)), name=linear.name)
-            tolerance = 1e-7  # the matrix logarithm leaves noise where zeros were
-        found, parameters = find_ports(linear, tolerance)
-        rate = find_rate_sensors(linear, tolerance)
-        return cls(
-            linear=linear,
-            output_state=linear.C - rate @ linear.A if rate.any() else linear.C,
-            output_rate=rate,
-            output_input=linear.D - rate @ linear.B,
-            ports=found,
-            parameters=parameters,
-        )
+        return cls(**recognized(sys, dt))
 
     def held(self, data: Measurement) -> Measurement:
         """The record as this model takes its inputs between the samples.

@@ -185,14 +185,7 @@ def _named_links(links: Mapping[str, Any], n: int) -> tuple[list[Place], dict[tu
                 raise ct.ControlDimension(f"link {label!r} must be a finite, nonzero vector of length {n}")
             places.append(Place(label, ends.astype(float), "d = g @ q with the given vector", absolute=False))
             continue
-        if not isinstance(ends, Sequence) or len(ends) != 2:
-            raise ct.ControlArgument(
-                f"link {label!r} must be a pair such as (1, 2), with 0 for the ground, not {ends!r}"
-            )
-        numbers = [None if end == 0 else as_index(end, f"an end of link {label!r}", n) for end in ends]
-        if numbers[0] is None or numbers[0] == numbers[1]:
-            raise ModelError(f"link {label!r} = {ends!r} must start at a mass and end elsewhere")
-        entries = [(i, sign) for i, sign in zip(numbers, (1.0, -1.0), strict=True) if i is not None]
+        entries = _ends(label, ends, n)
         key = tuple(sorted(i for i, _ in entries))
         if key in joined:
             raise ModelError(f"links {pairs[key]!r} and {label!r} join the same ends; give one")
@@ -201,6 +194,18 @@ def _named_links(links: Mapping[str, Any], n: int) -> tuple[list[Place], dict[tu
         words = " - ".join(f"q{i + 1}" for i, _ in entries)
         places.append(Place(label, unit_vector(n, *entries), f"link with d = {words}", absolute=False))
     return places, pairs
+
+
+def _ends(label: str, ends: Any, n: int) -> list[tuple[int, float]]:
+    """Masses at the ends of a link with their signs; the ground has none."""
+    if not isinstance(ends, Sequence) or len(ends) != 2:
+        raise ct.ControlArgument(
+            f"link {label!r} must be a pair such as (1, 2), with 0 for the ground, not {ends!r}"
+        )
+    numbers = [None if end == 0 else as_index(end, f"an end of link {label!r}", n) for end in ends]
+    if numbers[0] is None or numbers[0] == numbers[1]:
+        raise ModelError(f"link {label!r} = {ends!r} must start at a mass and end elsewhere")
+    return [(i, sign) for i, sign in zip(numbers, (1.0, -1.0), strict=True) if i is not None]
 
 
 def _link_parameters(

@@ -14,6 +14,8 @@ from ._direct import Equations, Reading
 
 __all__ = ["two_tanks"]
 
+_PASSED = "flow from the upper tank into the lower, by the level of the upper"
+
 
 def two_tanks(
     areas: Sequence[float] = (1.0, 1.0),
@@ -92,31 +94,14 @@ def two_tanks(
         },
     )
     units = ("", level_unit, flow_unit)
+    lost, passed = {"h1": -1.0 / area[0]}, {"h1": -1.0 / area[0], "h2": 1.0 / area[1]}
     ports = [
-        equations.port(
-            "tank1",
-            "first_order",
-            act={"h1": -1.0 / area[0]},
-            velocity={"h1": 1.0},
-            units=units,
-            description="upper tank: flow out of it that is lost",
-        ),
-        equations.port(
-            "tank2",
-            "first_order",
-            act={"h2": -1.0 / area[1]},
-            velocity={"h2": 1.0},
-            units=units,
-            description="lower tank: flow out of it",
-        ),
-        equations.port(
-            "tank1->tank2",
-            "first_order",
-            act={"h1": -1.0 / area[0], "h2": 1.0 / area[1]},
-            velocity={"h1": 1.0},
-            units=units,
-            description="flow from the upper tank into the lower, by the level of the upper",
-        ),
+        equations.port(place, "first_order", act=act, velocity={level: 1.0}, units=units, description=words)
+        for place, level, act, words in (
+            ("tank1", "h1", lost, "upper tank: flow out of it that is lost"),
+            ("tank2", "h2", {"h2": -1.0 / area[1]}, "lower tank: flow out of it"),
+            ("tank1->tank2", "h1", passed, _PASSED),
+        )
     ]
     per_level = combine_units("flow/level", {"flow": flow_unit, "level": level_unit})
     square = combine_units("flow s/level", {"flow": flow_unit, "level": level_unit})

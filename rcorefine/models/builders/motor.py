@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import control as ct
 
@@ -11,9 +12,10 @@ from ...arguments import as_flag, as_text
 from ...exceptions import ModelError
 from ..parameters import NominalParameter
 from ..physical_model import PhysicalModel
+from ..ports import Port
 from ..units import combine_units
 from ._checks import as_labels, as_number, as_sensors
-from ._direct import Equations, Reading
+from ._direct import Equations, Reading, Row
 
 __all__ = ["dc_motor"]
 
@@ -104,82 +106,16 @@ def dc_motor(
     known = ["speed", "angle"] if simple else ["speed", "angle", "current"]
     asked = as_sensors(sensors, known)
     as_flag(load_torque, "load_torque")
-    turning = "angle" in asked
     speed_unit = combine_units("angle/s", {"angle": as_text(angle_unit, "angle_unit")})
     if simple:
-        if gain is None or time_constant is None:
-            raise ct.ControlArgument("the speed model needs both gain and time_constant")
-        if load_torque:
-            raise ct.ControlArgument("load_torque needs the electromechanical model (R, L, Kt, J)")
-        gain = arguments.as_number(gain, "gain", error=ModelError)
-        as_number(abs(gain), "the size of gain")
-        tau = as_number(time_constant, "time_constant")
-        # resisting forces oppose the motion whatever the sign of the gain
-        mass, friction, force_unit = tau / abs(gain), 1.0 / abs(gain), "V"
-        speed = {"speed": -1.0 / tau, "voltage": gain / tau}
-        rates, names = {"speed": speed}, ["speed"]
+        motor = _speed_model(gain, time_constant, load_torque)
     else:
-        missing = [key for key, value in parts.items() if value is None]
-        if missing:
-            raise ct.ControlArgument(
-                "give gain and time_constant (speed model), or R, L, Kt and J (electromechanical model); "
-                f"{', '.join(missing)} missing"
-            )
-        value = {key: as_number(number, key) for key, number in parts.items()}
-        voltage_constant = value["Kt"] if Ke is None else as_number(Ke, "Ke")
-        mass, force_unit = value["J"], "N m"
-        friction = 0.0 if b is None else as_number(b, "b", positive=False)
-        speed = {"speed": -friction / mass, "current": value["Kt"] / mass}
-        if load_torque:
-            speed["load_torque"] = -1.0 / mass
-        current = {
-            "speed": -voltage_constant / value["L"],
-            "current": -value["R"] / value["L"],
-            "voltage": 1.0 / value["L"],
-        }
-        rates, names = {"speed": speed, "current": current}, ["speed", "current"]
-    if turning:
-        rates, names = {"angle": {"speed": 1.0}, **rates}, ["angle", *names]
-
+        motor = _electromechanical(parts, Ke, b, load_torque)
+    rates = {"angle": {"speed": 1.0}, **motor.rates} if "angle" in asked else motor.rates
     channels = ["voltage", "load_torque"] if load_torque else ["voltage"]
-    equations = Equations(tuple(names), tuple(channels), rates)
+    equations = Equations(tuple(rates), tuple(channels), rates)
     unit = {"angle": angle_unit, "speed": speed_unit, "current": "A"}
-    units = {"position": angle_unit, "velocity": speed_unit, "force": force_unit}
-    ports = [
-        equations.port(
-            "shaft",
-            "mechanical",
-            act={"speed": -1.0 / mass},
-            velocity={"speed": 1.0},
-            position={"angle": 1.0} if turning else None,
-            units=(angle_unit, speed_unit, force_unit),
-            description="shaft against the housing: friction, inertia"
-            + (", torques as the voltage that overcomes them" if simple else ""),
-        )
-    ]
-    parameters = [
-        NominalParameter(
-            "tau/gain" if simple else "J", mass, combine_units("force s/velocity", units), "mass", "shaft"
-        ),
-        NominalParameter(
-            "1/gain" if simple else "b", friction, combine_units("force/velocity", units), "damping", "shaft"
-        ),
-    ]
-    if not simple:
-        ports.append(
-            equations.port(
-                "winding",
-                "first_order",
-                act={"current": -1.0 / value["L"]},
-                velocity={"current": 1.0},
-                units=("", "A", "V"),
-                description="winding: voltage drop by the current",
-            )
-        )
-        parameters += [
-            NominalParameter("L", value["L"], "H", "mass", "winding"),
-            NominalParameter("R", value["R"], "Ohm", "damping", "winding"),
-        ]
+    ports, parameters = _places(equations, motor, (angle_unit, speed_unit, motor.force_unit))
     return equations.build(
         [Reading(sensor, unit[sensor], {sensor: 1.0}, {}, {}) for sensor in asked],
         ports,
@@ -187,9 +123,91 @@ def dc_motor(
         labels=(
             as_labels(inputs, "inputs", channels),
             as_labels(outputs, "outputs", asked),
-            as_labels(states, "states", names),
+            as_labels(states, "states", list(rates)),
         ),
         input_units=("V", "N m")[: len(channels)],
-        state_units=tuple(unit[item] for item in names),
+        state_units=tuple(unit[item] for item in rates),
         name=as_text(name, "name"),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Motor:
+    """Equations of a motor, mass and friction at its shaft with their names, and R and L of a winding."""
+
+    rates: dict[str, Row]
+    mass: float
+    friction: float
+    names: tuple[str, str]
+    force_unit: str
+    winding: tuple[float, float] | None = None
+
+
+def _speed_model(gain: float | None, time_constant: float | None, load_torque: bool) -> _Motor:
+    if gain is None or time_constant is None:
+        raise ct.ControlArgument("the speed model needs both gain and time_constant")
+    if load_torque:
+        raise ct.ControlArgument("load_torque needs the electromechanical model (R, L, Kt, J)")
+    gain = arguments.as_number(gain, "gain", error=ModelError)
+    as_number(abs(gain), "the size of gain")
+    tau = as_number(time_constant, "time_constant")
+    speed = {"speed": -1.0 / tau, "voltage": gain / tau}
+    # resisting forces oppose the motion whatever the sign of the gain
+    return _Motor({"speed": speed}, tau / abs(gain), 1.0 / abs(gain), ("tau/gain", "1/gain"), "V")
+
+
+def _electromechanical(
+    parts: dict[str, float | None], Ke: float | None, b: float | None, load_torque: bool
+) -> _Motor:
+    missing = [key for key, value in parts.items() if value is None]
+    if missing:
+        raise ct.ControlArgument(
+            "give gain and time_constant (speed model), or R, L, Kt and J (electromechanical model); "
+            f"{', '.join(missing)} missing"
+        )
+    R, L, Kt, J = (as_number(number, key) for key, number in parts.items())
+    voltage_constant = Kt if Ke is None else as_number(Ke, "Ke")
+    friction = 0.0 if b is None else as_number(b, "b", positive=False)
+    speed = {"speed": -friction / J, "current": Kt / J}
+    if load_torque:
+        speed["load_torque"] = -1.0 / J
+    current = {"speed": -voltage_constant / L, "current": -R / L, "voltage": 1.0 / L}
+    return _Motor({"speed": speed, "current": current}, J, friction, ("J", "b"), "N m", (R, L))
+
+
+def _places(
+    equations: Equations, motor: _Motor, si: tuple[str, str, str]
+) -> tuple[list[Port], list[NominalParameter]]:
+    """Shaft, and winding where there is one."""
+    words = "shaft against the housing: friction, inertia"
+    shaft = equations.port(
+        "shaft",
+        "mechanical",
+        act={"speed": -1.0 / motor.mass},
+        velocity={"speed": 1.0},
+        position={"angle": 1.0} if "angle" in equations.states else None,
+        units=si,
+        description=words if motor.winding else f"{words}, torques as the voltage that overcomes them",
+    )
+    units = dict(zip(("position", "velocity", "force"), si, strict=True))
+    inertia, damping = combine_units("force s/velocity", units), combine_units("force/velocity", units)
+    parameters = [
+        NominalParameter(motor.names[0], motor.mass, inertia, "mass", "shaft"),
+        NominalParameter(motor.names[1], motor.friction, damping, "damping", "shaft"),
+    ]
+    if motor.winding is None:
+        return [shaft], parameters
+    R, L = motor.winding
+    winding = equations.port(
+        "winding",
+        "first_order",
+        act={"current": -1.0 / L},
+        velocity={"current": 1.0},
+        units=("", "A", "V"),
+        description="winding: voltage drop by the current",
+    )
+    parameters += [
+        NominalParameter("L", L, "H", "mass", "winding"),
+        NominalParameter("R", R, "Ohm", "damping", "winding"),
+    ]
+    return [shaft, winding], parameters

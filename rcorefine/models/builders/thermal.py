@@ -11,8 +11,9 @@ from ...arguments import as_flag, as_text
 from ...exceptions import ModelError
 from ..parameters import NominalParameter
 from ..physical_model import PhysicalModel
+from ..ports import Port
 from ._checks import as_index, as_labels, as_number, as_several, as_vector
-from ._direct import Equations, Reading
+from ._direct import Equations, Reading, Row
 
 __all__ = ["thermal_network"]
 
@@ -83,8 +84,39 @@ def thermal_network(
     heated = [as_index(item, "a node of heat", n) for item in as_several(heat, "heat", "nodes")]
     edges = _edges(resistances, n)
     as_flag(ambient_input, "ambient_input")
-    outside = any(j is None for _, j, _ in edges)
-    channels = [f"heat{i + 1}" for i in heated] + (["ambient"] if outside and ambient_input else [])
+    ends = [(nodes[i], "ambient" if j is None else nodes[j], resistance) for i, j, resistance in edges]
+    channels = _channels(nodes, heated, heat, ambient_input and any(j is None for _, j, _ in edges))
+    ambient = "ambient" in channels
+    capacity = dict(zip(nodes, stored.tolist(), strict=True))
+    rates = _rates(capacity, [nodes[i] for i in heated], channels, ends)
+    equations = Equations(tuple(nodes), tuple(channels), rates)
+    asked = range(1, n + 1) if sensors is None else as_several(sensors, "sensors", "nodes")
+    measured = [nodes[as_index(item, "a sensor", n)] for item in asked]
+    if not measured or len(set(measured)) != len(measured):
+        raise ModelError(f"sensors={sensors!r} must name at least one node, and each once")
+    parameters = [NominalParameter(f"C[{node}]", capacity[node], "J/K", "mass", node) for node in nodes]
+    parameters += [
+        NominalParameter(f"1/R[{one}-{two}]", 1.0 / resistance, "W/K", "damping", f"{one}-{two}")
+        for one, two, resistance in ends
+    ]
+    return equations.build(
+        [Reading(node, "K", {node: 1.0}, {}, {}) for node in measured],
+        _ports(equations, capacity, ends, {"ambient": -1.0} if ambient else {}),
+        parameters,
+        labels=(
+            as_labels(inputs, "inputs", channels),
+            as_labels(outputs, "outputs", measured),
+            tuple(nodes),
+        ),
+        input_units=("W",) * len(heated) + ("K",) * ambient,
+        state_units=("K",) * n,
+        name=as_text(name, "name"),
+    )
+
+
+def _channels(nodes: Sequence[str], heated: Sequence[int], heat: Any, ambient: bool) -> list[str]:
+    """Inputs: heat flows by node, and the temperature of the surroundings."""
+    channels = [f"heat{i + 1}" for i in heated] + ["ambient"] * ambient
     if not channels:
         raise ModelError(
             "the network has no input; name a heated node (heat=1) or join a node to the surroundings (0)"
@@ -93,68 +125,61 @@ def thermal_network(
         raise ModelError(f"heat={heat!r} names a node twice")
     if set(nodes) & set(channels):
         raise ModelError(f"states must not be named like the inputs: {', '.join(set(nodes) & set(channels))}")
-    ambient = {"ambient": -1.0} if "ambient" in channels else {}
-    capacity = dict(zip(nodes, stored.tolist(), strict=True))
+    return channels
 
-    rates: dict[str, dict[str, float]] = {node: {} for node in nodes}
-    for i in heated:
-        rates[nodes[i]][f"heat{i + 1}"] = 1.0 / float(stored[i])
-    for i, j, resistance in edges:
-        ends = [nodes[i], nodes[j] if j is not None else "ambient"]
-        for here, there in (ends, ends[::-1]):
-            if here in nodes:
+
+def _rates(
+    capacity: Mapping[str, float],
+    heated: Sequence[str],
+    channels: Sequence[str],
+    ends: Sequence[tuple[str, str, float]],
+) -> dict[str, dict[str, float]]:
+    """dT/dt of every node by nodes and inputs."""
+    rates: dict[str, dict[str, float]] = {node: {} for node in capacity}
+    for node, channel in zip(heated, channels, strict=False):
+        rates[node][channel] = 1.0 / capacity[node]
+    for one, two, resistance in ends:
+        for here, there in ((one, two), (two, one)):
+            if here in capacity:
                 flow = 1.0 / (resistance * capacity[here])
                 rates[here][here] = rates[here].get(here, 0.0) - flow
-                if there in nodes or ambient:
+                if there in capacity or there in channels:
                     rates[here][there] = rates[here].get(there, 0.0) + flow
-    equations = Equations(tuple(nodes), tuple(channels), rates)
+    return rates
 
+
+def _ports(
+    equations: Equations,
+    capacity: Mapping[str, float],
+    ends: Sequence[tuple[str, str, float]],
+    ambient: Row,
+) -> list[Port]:
+    """One per node, and one per resistance."""
     units = ("", "K", "W")
-    ports, parameters = [], []
-    for node in nodes:
-        ports.append(
-            equations.port(
-                node,
-                "first_order",
-                act={node: -1.0 / capacity[node]},
-                velocity={node: 1.0, **ambient},
-                units=units,
-                description=f"node {node}: heat that it loses to the surroundings",
-            )
+    ports = [
+        equations.port(
+            node,
+            "first_order",
+            act={node: -1.0 / size},
+            velocity={node: 1.0, **ambient},
+            units=units,
+            description=f"node {node}: heat that it loses to the surroundings",
         )
-        parameters.append(NominalParameter(f"C[{node}]", capacity[node], "J/K", "mass", node))
-    for i, j, resistance in edges:
-        one, two = nodes[i], nodes[j] if j is not None else "ambient"
-        inside = {two: 1.0 / capacity[two]} if j is not None else {}
+        for node, size in capacity.items()
+    ]
+    for one, two, _ in ends:
+        inside = {two: 1.0 / capacity[two]} if two in capacity else {}
         ports.append(
             equations.port(
                 f"{one}-{two}",
                 "first_order",
                 act={one: -1.0 / capacity[one], **inside},
-                velocity={one: 1.0, **({two: -1.0} if j is not None else ambient)},
+                velocity={one: 1.0, **({two: -1.0} if two in capacity else ambient)},
                 units=units,
                 description=f"heat from {one} to {two}, driven by their difference",
             )
         )
-        place = f"{one}-{two}"
-        parameters.append(NominalParameter(f"1/R[{place}]", 1.0 / resistance, "W/K", "damping", place))
-    asked = range(1, n + 1) if sensors is None else as_several(sensors, "sensors", "nodes")
-    measured = [nodes[as_index(item, "a sensor", n)] for item in asked]
-    if not measured or len(set(measured)) != len(measured):
-        raise ModelError(f"sensors={sensors!r} must name at least one node, and each once")
-    return equations.build(
-        [Reading(node, "K", {node: 1.0}, {}, {}) for node in measured],
-        ports,
-        parameters,
-        labels=(
-            as_labels(inputs, "inputs", channels),
-            as_labels(outputs, "outputs", measured),
-            tuple(nodes),
-        ),
-        input_units=("W",) * len(heated) + ("K",) * bool(ambient),
-        state_units=("K",) * n,
-        name=as_text(name, "name"),
-    )
+    return ports
 
 
 def _edges(resistances: Any, n: int) -> list[tuple[int, int | None, float]]:

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import control as ct
 
 from ...arguments import as_choice, as_flag, as_text
 from ..parameters import NominalParameter
 from ..physical_model import PhysicalModel
+from ..ports import Port
 from ._checks import as_labels, as_number, as_sensors
 from ._direct import Equations, Reading, Row
 
 __all__ = ["quarter_car"]
+
+_POSITIONS = ("body_position", "wheel_position")
 
 
 def quarter_car(
@@ -99,55 +103,22 @@ def quarter_car(
         raise ct.ControlArgument('tire_damping needs the velocity of the road; use road="velocity"')
     vb, vw = "body_velocity", "wheel_velocity"
     channels = ["road", "force"] if actuator else ["road"]
-    # each elongation as a combination of states and inputs, and its rate
-    suspension: Row
-    tire: Row
-    if deflections:
-        names = ("suspension", "tire", vb, vw)
-        suspension, tire = {"suspension": 1.0}, {"tire": 1.0}
-        tire_rate: Row = {vw: 1.0, "road": -1.0}
-        kinematics: dict[str, Row] = {"suspension": {vb: 1.0, vw: -1.0}, "tire": tire_rate}
-        units = ("m", "m", "m/s", "m/s")
-    else:
-        names = ("body_position", "wheel_position", vb, vw)
-        suspension = {"body_position": 1.0, "wheel_position": -1.0}
-        tire, tire_rate = {"wheel_position": 1.0, "road": -1.0}, {}
-        kinematics = {"body_position": {vb: 1.0}, "wheel_position": {vw: 1.0}}
-        units = ("m", "m", "m/s", "m/s")
-    suspension_rate: Row = {vb: 1.0, vw: -1.0}
-    lifted: Row = _sum((-ks / mb, suspension), (-cs / mb, suspension_rate))
+    path = _ON_DEFLECTIONS if deflections else _ON_POSITIONS
+    sprung: Row = {vb: 1.0, vw: -1.0}
+    lifted: Row = _sum((-ks / mb, path.suspension), (-cs / mb, sprung))
     rolled: Row = _sum(
-        (ks / mw, suspension), (cs / mw, suspension_rate), (-kt / mw, tire), (-ctire / mw, tire_rate)
+        (ks / mw, path.suspension), (cs / mw, sprung), (-kt / mw, path.tire), (-ctire / mw, path.tire_rate)
     )
     push: Row = {"force": 1.0} if actuator else {}
     rates = {
-        **kinematics,
+        **path.kinematics,
         vb: _sum((1.0, lifted), (1.0 / mb, push)),
         vw: _sum((1.0, rolled), (-1.0 / mw, push)),
     }
+    names = tuple(rates)
     equations = Equations(names, tuple(channels), rates)
-
-    readings = _readings(names, suspension, tire)
+    readings = _readings(names, path.suspension, path.tire)
     asked = as_sensors(sensors, list(readings))
-    si = ("m", "m/s", "N")
-    places: list[tuple[str, Row, Row, Row | None, str]] = [
-        (
-            "suspension",
-            {vb: -1 / mb, vw: 1 / mw},
-            suspension_rate,
-            suspension,
-            "spring and damper under the body",
-        ),
-        ("tire", {vw: -1 / mw}, tire_rate, tire, "tire, between wheel and road"),
-        ("body", {vb: -1 / mb}, {vb: 1.0}, None if deflections else {"body_position": 1.0}, "body itself"),
-        ("wheel", {vw: -1 / mw}, {vw: 1.0}, None if deflections else {"wheel_position": 1.0}, "wheel itself"),
-    ]
-    ports = [
-        equations.port(
-            place, "mechanical", act=act, velocity=rate, position=length, units=si, description=words
-        )
-        for place, act, rate, length, words in places
-    ]
     parameters = [
         NominalParameter("body_mass", mb, "kg", "mass", "body"),
         NominalParameter("wheel_mass", mw, "kg", "mass", "wheel"),
@@ -159,7 +130,7 @@ def quarter_car(
         parameters.append(NominalParameter("tire_damping", ctire, "N s/m", "damping", "tire"))
     return equations.build(
         [readings[sensor] for sensor in asked],
-        ports,
+        _ports(equations, path, mb, mw),
         parameters,
         labels=(
             as_labels(inputs, "inputs", channels),
@@ -167,9 +138,61 @@ def quarter_car(
             as_labels(states, "states", names),
         ),
         input_units=("m/s" if deflections else "m", "N")[: len(channels)],
-        state_units=units,
+        state_units=("m", "m", "m/s", "m/s"),
         name=as_text(name, "name"),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Path:
+    """How the road comes in: the states beside the velocities, and both elongations by states and inputs."""
+
+    kinematics: dict[str, Row]
+    suspension: Row
+    tire: Row
+    tire_rate: Row
+
+
+_ON_DEFLECTIONS = _Path(
+    {
+        "suspension": {"body_velocity": 1.0, "wheel_velocity": -1.0},
+        "tire": {"wheel_velocity": 1.0, "road": -1.0},
+    },
+    {"suspension": 1.0},
+    {"tire": 1.0},
+    {"wheel_velocity": 1.0, "road": -1.0},
+)
+_ON_POSITIONS = _Path(
+    {"body_position": {"body_velocity": 1.0}, "wheel_position": {"wheel_velocity": 1.0}},
+    {"body_position": 1.0, "wheel_position": -1.0},
+    {"wheel_position": 1.0, "road": -1.0},
+    {},
+)
+
+
+def _ports(equations: Equations, path: _Path, body: float, wheel: float) -> list[Port]:
+    """Suspension, tire, and the two masses by themselves."""
+    vb, vw = "body_velocity", "wheel_velocity"
+    at_body, at_wheel = ({state: 1.0} if state in equations.states else None for state in _POSITIONS)
+    places: tuple[tuple[str, Row, Row, Row | None, str], ...] = (
+        (
+            "suspension",
+            {vb: -1 / body, vw: 1 / wheel},
+            {vb: 1.0, vw: -1.0},
+            path.suspension,
+            "spring and damper under the body",
+        ),
+        ("tire", {vw: -1 / wheel}, path.tire_rate, path.tire, "tire, between wheel and road"),
+        ("body", {vb: -1 / body}, {vb: 1.0}, at_body, "body itself"),
+        ("wheel", {vw: -1 / wheel}, {vw: 1.0}, at_wheel, "wheel itself"),
+    )
+    return [
+        equations.port(
+            place, "mechanical", act=act, velocity=rate, position=length, units=("m", "m/s", "N"),
+            description=words,
+        )
+        for place, act, rate, length, words in places
+    ]  # fmt: skip
 
 
 def _readings(names: Sequence[str], suspension: Row, tire: Row) -> dict[str, Reading]:
