@@ -196,6 +196,28 @@ def _state_space(values: Mapping[str, Any], where: str, holds: str, name: str) -
     missing = [key for key in ("A", "B", "C") if key not in values]
     if missing:
         raise ModelError(f"{where}: {', '.join(missing)} missing; {holds}")
+    A, B, C, D = _matrices(values, where)
+    dt = values.get("dt", 0)
+    if isinstance(dt, bool) or not isinstance(dt, (int, float)) or not 0 <= dt < 1e300:
+        raise ModelError(f"{where}: dt must be a time in s, or 0 for continuous time, not {dt!r}")
+    labels = {}
+    for key, count in zip(_LABELS, (B.shape[1], C.shape[0], A.shape[0]), strict=True):
+        if key in values:
+            texts = [values[key]] if isinstance(values[key], str) else list(values[key])
+            if len(texts) != count or not all(isinstance(text, str) for text in texts):
+                raise ModelError(f"{where}: {key} must be {count} name(s), not {values[key]!r}")
+            labels[key] = texts
+    title = values.get("name", name)
+    if not isinstance(title, str) or not title:
+        raise ModelError(f"{where}: name must be text, not {title!r}")
+    try:
+        return ct.ss(A, B, C, D, dt, name=title, **labels)
+    except (ValueError, ct.ControlDimension, ct.ControlArgument) as error:  # a name that is not allowed
+        raise ModelError(f"{where}: {error}") from error
+
+
+def _matrices(values: Mapping[str, Any], where: str) -> tuple[Array, Array, Array, Array]:
+    """A, B, C and D of sizes that fit."""
     A = _matrix(values["A"], f"{where}, A")
     n = A.shape[0]
     B = _matrix(values["B"], f"{where}, B")
@@ -217,23 +239,7 @@ def _state_space(values: Mapping[str, Any], where: str, holds: str, name: str) -
                 f"B {B.shape[0]} x {B.shape[1]}, C {C.shape[0]} x {C.shape[1]} it must be "
                 f"{shapes[key][0]} x {shapes[key][1]}"
             )
-    dt = values.get("dt", 0)
-    if isinstance(dt, bool) or not isinstance(dt, (int, float)) or not 0 <= dt < 1e300:
-        raise ModelError(f"{where}: dt must be a time in s, or 0 for continuous time, not {dt!r}")
-    labels = {}
-    for key, count in zip(_LABELS, (B.shape[1], C.shape[0], n), strict=True):
-        if key in values:
-            texts = [values[key]] if isinstance(values[key], str) else list(values[key])
-            if len(texts) != count or not all(isinstance(text, str) for text in texts):
-                raise ModelError(f"{where}: {key} must be {count} name(s), not {values[key]!r}")
-            labels[key] = texts
-    title = values.get("name", name)
-    if not isinstance(title, str) or not title:
-        raise ModelError(f"{where}: name must be text, not {title!r}")
-    try:
-        return ct.ss(A, B, C, D, dt, name=title, **labels)
-    except (ValueError, ct.ControlDimension, ct.ControlArgument) as error:  # a name that is not allowed
-        raise ModelError(f"{where}: {error}") from error
+    return A, B, C, D
 
 
 def _matrix(value: Any, where: str) -> Array:

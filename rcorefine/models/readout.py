@@ -57,50 +57,24 @@ def read_parameters(
     belongs to one link. What is left over (first-order states, one-way couplings) is
     listed entry by entry.
     """
-    left, scale = significant(linear.A, tolerance), np.abs(linear.A)
-    found: list[NominalParameter] = []
-
-    def take(port: Port, kind: str, row: int, column: int) -> None:
-        """Find the coefficient that explains what is left of an entry, and take all its part off."""
-        sensed = port.position if kind == Stiffness.name else port.velocity
-        if abs(left[row, column]) > _LEFT * scale[row, column]:
-            value = float(left[row, column] / (port.act[row] * sensed[column]))
-            name = f"{'k' if kind == Stiffness.name else 'c'}[{port.name}]"
-            found.append(NominalParameter(name, value, "", kind, port.name, False))
-            left[:] -= value * np.outer(port.act, sensed)
-            left[np.abs(left) <= _LEFT * scale] = 0.0
-
+    rest = _Rest(linear, tolerance)
     for (one, two), port in between.items():
         if one.moving is not None and two.moving is not None:
-            take(port, Stiffness.name, one.moving, two.state)
-            take(port, Damping.name, one.moving, two.moving)
+            rest.take(port, Stiffness.name, one.moving, two.state)
+            rest.take(port, Damping.name, one.moving, two.moving)
     for item in displacements:
         if not item.absolute:
-            port = by_state[item.state]
-            end = item.moving if item.moving is not None else item.other
-            assert end is not None
-            take(port, Stiffness.name, end, item.state)
-            if item.moving is not None and item.other is not None:
-                take(port, Damping.name, end, item.other)
-            else:  # the other end is an input: its damper shows in B
-                column = int(np.argmax(np.abs(port.velocity_input)))
-                value = linear.B[end, column] / (port.act[end] * port.velocity_input[column])
-                if abs(linear.B[end, column]) > tolerance * np.abs(linear.B[:, column]).max():
-                    found.append(
-                        NominalParameter(f"c[{port.name}]", float(value), "", Damping.name, port.name, False)
-                    )
-                    left[:] -= value * np.outer(port.act, port.velocity)
-                    left[np.abs(left) <= _LEFT * scale] = 0.0
+            _take_elongation(rest, by_state[item.state], item)
     for item in displacements:
         if item.absolute and item.moving is not None:
-            take(by_state[item.state], Stiffness.name, item.moving, item.state)
-            take(by_state[item.state], Damping.name, item.moving, item.moving)
+            rest.take(by_state[item.state], Stiffness.name, item.moving, item.state)
+            rest.take(by_state[item.state], Damping.name, item.moving, item.moving)
     for state, port in by_state.items():
         if port.kind == "mechanical" and not port.has_position:
-            take(port, Damping.name, state, state)
+            rest.take(port, Damping.name, state, state)
 
-    kinematic = {item.state for item in displacements}
-    for i, j in np.argwhere(left):
+    found, kinematic = rest.found, {item.state for item in displacements}
+    for i, j in np.argwhere(rest.left):
         if int(i) not in kinematic:
             place = f"A[{i},{j}]"
             found.append(NominalParameter(place, float(linear.A[i, j]), "", Entry.name, place, False))
@@ -110,6 +84,44 @@ def read_parameters(
         if column.any() and not base
     )
     return tuple(found)
+
+
+class _Rest:
+    """What is left of A while links are taken off it."""
+
+    def __init__(self, linear: LinearModel, tolerance: float) -> None:
+        self.B, self.tolerance = linear.B, tolerance
+        self.left, self.scale = significant(linear.A, tolerance), np.abs(linear.A)
+        self.found: list[NominalParameter] = []
+
+    def take(self, port: Port, kind: str, row: int, column: int) -> None:
+        """Find the coefficient that explains what is left of an entry, and take all its part off."""
+        sensed = port.position if kind == Stiffness.name else port.velocity
+        if abs(self.left[row, column]) > _LEFT * self.scale[row, column]:
+            self._off(port, kind, float(self.left[row, column] / (port.act[row] * sensed[column])), sensed)
+
+    def take_from_input(self, port: Port, row: int) -> None:
+        """A damper whose other end is an input: it shows in B."""
+        column = int(np.argmax(np.abs(port.velocity_input)))
+        value = float(self.B[row, column] / (port.act[row] * port.velocity_input[column]))
+        if abs(self.B[row, column]) > self.tolerance * np.abs(self.B[:, column]).max():
+            self._off(port, Damping.name, value, port.velocity)
+
+    def _off(self, port: Port, kind: str, value: float, sensed: Array) -> None:
+        name = f"{'k' if kind == 'stiffness' else 'c'}[{port.name}]"
+        self.found.append(NominalParameter(name, value, "", kind, port.name, False))
+        self.left -= value * np.outer(port.act, sensed)
+        self.left[np.abs(self.left) <= _LEFT * self.scale] = 0.0
+
+
+def _take_elongation(rest: _Rest, port: Port, item: Displacement) -> None:
+    end = item.moving if item.moving is not None else item.other
+    assert end is not None
+    rest.take(port, Stiffness.name, end, item.state)
+    if item.moving is not None and item.other is not None:
+        rest.take(port, Damping.name, end, item.other)
+    else:
+        rest.take_from_input(port, end)
 
 
 def find_rate_sensors(linear: LinearModel, tolerance: float = 1e-9) -> Array:

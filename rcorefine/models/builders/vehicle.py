@@ -101,20 +101,9 @@ def quarter_car(
     deflections = road == "velocity"
     if ctire and not deflections:
         raise ct.ControlArgument('tire_damping needs the velocity of the road; use road="velocity"')
-    vb, vw = "body_velocity", "wheel_velocity"
     channels = ["road", "force"] if actuator else ["road"]
     path = _ON_DEFLECTIONS if deflections else _ON_POSITIONS
-    sprung: Row = {vb: 1.0, vw: -1.0}
-    lifted: Row = _sum((-ks / mb, path.suspension), (-cs / mb, sprung))
-    rolled: Row = _sum(
-        (ks / mw, path.suspension), (cs / mw, sprung), (-kt / mw, path.tire), (-ctire / mw, path.tire_rate)
-    )
-    push: Row = {"force": 1.0} if actuator else {}
-    rates = {
-        **path.kinematics,
-        vb: _sum((1.0, lifted), (1.0 / mb, push)),
-        vw: _sum((1.0, rolled), (-1.0 / mw, push)),
-    }
+    rates = path.rates(mb, mw, (ks, cs), (kt, ctire), actuator)
     names = tuple(rates)
     equations = Equations(names, tuple(channels), rates)
     readings = _readings(names, path.suspension, path.tire)
@@ -151,6 +140,31 @@ class _Path:
     suspension: Row
     tire: Row
     tire_rate: Row
+
+    def rates(
+        self,
+        mb: float,
+        mw: float,
+        suspension: tuple[float, float],
+        tire: tuple[float, float],
+        actuator: bool,
+    ) -> dict[str, Row]:
+        """State equations, by both masses and the stiffness and damping of both springs."""
+        (ks, cs), (kt, ctire) = suspension, tire
+        sprung: Row = {"body_velocity": 1.0, "wheel_velocity": -1.0}
+        lifted = _sum((-ks / mb, self.suspension), (-cs / mb, sprung))
+        rolled = _sum(
+            (ks / mw, self.suspension),
+            (cs / mw, sprung),
+            (-kt / mw, self.tire),
+            (-ctire / mw, self.tire_rate),
+        )
+        push: Row = {"force": 1.0} if actuator else {}
+        return {
+            **self.kinematics,
+            "body_velocity": _sum((1.0, lifted), (1.0 / mb, push)),
+            "wheel_velocity": _sum((1.0, rolled), (-1.0 / mw, push)),
+        }
 
 
 _ON_DEFLECTIONS = _Path(
