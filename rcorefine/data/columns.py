@@ -99,8 +99,17 @@ def read_csv(path: Any, names: Sequence[str], *, delimiter: str | None = None) -
     reader = _rows([head, *lines[start + 1 :]], split_at, here, start)
     header = [cell.strip() for cell in next(reader)[1]]
     _require(names, header, f"{here} {start + 1}")
-    where = {name: header.index(name) for name in names}
-    columns: dict[str, list[float]] = {name: [] for name in names}
+    found = list(_table(reader, header, names, here, split_at))
+    if not found:
+        raise DataError(f"{path} has a header but no data lines")
+    return dict(zip(names, np.array(found).T.copy(), strict=True))
+
+
+def _table(
+    reader: Iterator[tuple[int, list[str]]], header: list[str], names: Sequence[str], here: str, split_at: str
+) -> Iterator[list[float]]:
+    """Numbers of the named columns, line by line."""
+    where = [(name, header.index(name)) for name in names]
     blank: int | None = None
     for line, row in reader:
         if not any(cell.strip() for cell in row):
@@ -113,12 +122,14 @@ def read_csv(path: Any, names: Sequence[str], *, delimiter: str | None = None) -
                 f"{here} {line} has {len(row)} cells and the header {len(header)}; remove a delimiter, or "
                 "name every column"
             )
-        for name, index in where.items():
-            cell = row[index].strip() if index < len(row) else ""
-            columns[name].append(_number(cell, f"{here} {line}, column {name!r} ({index + 1})", split_at))
-    if not columns[names[0]]:
-        raise DataError(f"{path} has a header but no data lines")
-    return {name: np.array(values) for name, values in columns.items()}
+        yield [
+            _number(
+                row[index].strip() if index < len(row) else "",
+                f"{here} {line}, column {name!r} ({index + 1})",
+                split_at,
+            )
+            for name, index in where
+        ]
 
 
 def _header_line(lines: list[str], names: Sequence[str]) -> int | None:

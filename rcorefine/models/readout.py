@@ -108,8 +108,8 @@ class _Rest:
             self._off(port, Damping.name, value, port.velocity)
 
     def _off(self, port: Port, kind: str, value: float, sensed: Array) -> None:
-        name = f"{'k' if kind == 'stiffness' else 'c'}[{port.name}]"
-        self.found.append(NominalParameter(name, value, "", kind, port.name, False))
+        letter = "k" if kind == Stiffness.name else "c"
+        self.found.append(NominalParameter(f"{letter}[{port.name}]", value, "", kind, port.name, False))
         self.left -= value * np.outer(port.act, sensed)
         self.left[np.abs(self.left) <= _LEFT * self.scale] = 0.0
 

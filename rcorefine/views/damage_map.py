@@ -13,6 +13,7 @@ from ..arguments import as_text
 from ..exceptions import ModelError
 from ..localization.damage_map import DamageMap, DamageRow
 from ..results import shows
+from ..systems.linear import Array
 from .figures import Frame, draws, unit_text
 from .tables import WIDTH, html_table, number, text_table
 
@@ -179,14 +180,7 @@ def _bars(panel: Any, rows: Sequence[DamageRow], relative: bool) -> list[Any]:
         top = max(top, float(seen.max(initial=0.0)))
     top = 1.25 * top or 1.0
     panel.axhline(0.0, color="black", linewidth=0.8)
-    # the band inside which a change would have stayed unseen
-    band = np.where(np.isfinite(limits), np.minimum(limits, top), top)
-    for x, half, row in zip(where, band, rows, strict=True):
-        panel.plot([x - 0.45, x + 0.45], [half, half], color="black", linewidth=1.0, linestyle=":")
-        panel.plot(
-            [x - 0.45, x + 0.45], [-half, -half], color="black", linewidth=1.0, linestyle=":",
-            label="detection limit" if row is rows[0] else None,
-        )  # fmt: skip
+    _draw_limits(panel, np.where(np.isfinite(limits), np.minimum(limits, top), top))
     drawn = []
     for named, shade, text in ((True, _CHANGED, "named"), (False, _UNCHANGED, "not named")):
         chosen = np.array([i for i, row in enumerate(rows) if row.named == named], dtype=int)
@@ -199,7 +193,27 @@ def _bars(panel: Any, rows: Sequence[DamageRow], relative: bool) -> list[Any]:
         where[finite], values[finite], spread[finite], fmt="none", ecolor="black", elinewidth=1.2, capsize=5,
         label="95 % interval",
     )  # fmt: skip
-    for x, value, half, row in zip(where, values, spread, rows, strict=True):
+    _write_values(panel, rows, values, spread)
+    panel.set_ylim(
+        -top if values.min(initial=0.0) < 0 or seen.size else 0.0,
+        max(0.25 * top, 1.2 * values.max(initial=0.0), 0.0),
+    )
+    return drawn
+
+
+def _draw_limits(panel: Any, band: Array) -> None:
+    """The band inside which a change would have stayed unseen."""
+    for x, half in enumerate(band):
+        panel.plot([x - 0.45, x + 0.45], [half, half], color="black", linewidth=1.0, linestyle=":")
+        panel.plot(
+            [x - 0.45, x + 0.45], [-half, -half], color="black", linewidth=1.0, linestyle=":",
+            label="detection limit" if x == 0 else None,
+        )  # fmt: skip
+
+
+def _write_values(panel: Any, rows: Sequence[DamageRow], values: Array, spread: Array) -> None:
+    """The changes that are named, in figures."""
+    for x, value, half, row in zip(range(len(rows)), values, spread, rows, strict=True):
         if row.named:
             offset = -4 if value < 0 else 4
             shown = f"{value:.1f}" if abs(value) >= 10 else f"{value:.3g}"
@@ -207,8 +221,3 @@ def _bars(panel: Any, rows: Sequence[DamageRow], relative: bool) -> list[Any]:
                 shown, (x, value - half if value < 0 else value + half), xytext=(0, offset),
                 textcoords="offset points", ha="center", va="top" if value < 0 else "bottom",
             )  # fmt: skip
-    panel.set_ylim(
-        -top if values.min(initial=0.0) < 0 or seen.size else 0.0,
-        max(0.25 * top, 1.2 * values.max(initial=0.0), 0.0),
-    )
-    return drawn

@@ -72,15 +72,20 @@ def literal(value: Any, indent: int = 0) -> str:
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{literal(k)}: {literal(v)}" for k, v in value.items()) + "}"
     if isinstance(value, (list, tuple)):
-        left, right = "[]" if isinstance(value, list) else "()"
-        items = [literal(item, indent + 4) for item in value]
-        comma = "," if isinstance(value, tuple) and len(items) == 1 else ""
-        line = left + ", ".join(items) + comma + right
-        if len(line) + indent <= 100 and "\n" not in line:
-            return line
-        pad = " " * (indent + 4)
-        return left + "\n" + "".join(f"{pad}{item},\n" for item in items) + " " * indent + right
+        return _sequence(value, indent)
     raise TypeError(f"{type(value).__name__} cannot be written as code")
+
+
+def _sequence(value: list[Any] | tuple[Any, ...], indent: int) -> str:
+    """On one line where it fits."""
+    left, right = "[]" if isinstance(value, list) else "()"
+    items = [literal(item, indent + 4) for item in value]
+    comma = "," if isinstance(value, tuple) and len(items) == 1 else ""
+    line = left + ", ".join(items) + comma + right
+    if len(line) + indent <= 100 and "\n" not in line:
+        return line
+    pad = " " * (indent + 4)
+    return left + "\n" + "".join(f"{pad}{item},\n" for item in items) + " " * indent + right
 
 
 def comment(text: str) -> str:

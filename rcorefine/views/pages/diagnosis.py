@@ -34,13 +34,25 @@ def report_diagnosis(found: Diagnosis, *, title: str | None, code: str | None) -
         ]
     )
     linear = found.base.physical_model.linear
+    sections = [
+        Section("Pictures", drawn),
+        Section("Tables", [part for part in _tables(found) if not isinstance(part, Table) or part.rows]),
+        code_section(_own_code(found), code),
+        origin_section(found.records),
+    ]
+    samples = sum(r.n_samples for r in found.records)
+    about = f"model {linear.name}, {len(found.records)} record(s), {samples} samples"
+    return Page(title or f"Diagnosis of {linear.name}: {found.verdict}", about, answer, fine, sections)
+
+
+def _tables(found: Diagnosis) -> Parts:
     tested = [
         ["model as it is", t.name, number(t.statistic), str(t.dof), chance(t.p_value)] for t in found.tests
     ] + [
         ["with the best effect", t.name, number(t.statistic), str(t.dof), chance(t.p_value)]
         for t in found.winner_tests
     ]
-    tables: Parts = [
+    return [
         Table(
             [
                 "effect",
@@ -82,6 +94,10 @@ def report_diagnosis(found: Diagnosis, *, title: str | None, code: str | None) -
         parameter_table(found.base, "The model as it is, its free parameters fitted"),
         Paragraphs(found.notes),
     ]
+
+
+def _own_code(found: Diagnosis) -> str:
+    """Code that makes the diagnosis again."""
     known = inspect.signature(diagnose).parameters
     settings = {key: value for key, value in found.settings.items() if key in known}
     candidates = settings.pop("candidates", None)
@@ -92,20 +108,11 @@ def report_diagnosis(found: Diagnosis, *, title: str | None, code: str | None) -
             "data", "data, candidates=candidates", 1
         )
     start, name = _start_code(found.base)
-    own = script(
+    return script(
         start,
         record_code(found.records),
         [call.replace("(model,", f"({name},", 1), "print(found)", "found.plot()"],
     )
-    sections = [
-        Section("Pictures", drawn),
-        Section("Tables", [part for part in tables if not isinstance(part, Table) or part.rows]),
-        code_section(own, code),
-        origin_section(found.records),
-    ]
-    samples = sum(r.n_samples for r in found.records)
-    about = f"model {linear.name}, {len(found.records)} record(s), {samples} samples"
-    return Page(title or f"Diagnosis of {linear.name}: {found.verdict}", about, answer, fine, sections)
 
 
 def _ranking_rows(found: Diagnosis) -> list[list[str]]:
