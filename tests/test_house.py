@@ -24,6 +24,20 @@ ORDER = (
 )  # fmt: skip
 
 
+#: A file holds one idea: at most so many lines.
+MOST_LINES = 350
+#: Files that are longer, and why.
+LONGER = {
+    "effects/effect.py": "the public class of an effect, with its arguments",
+    "effects/law.py": "the base class that a user's law derives from, and its coefficients",
+    "engine/kernels.py": "the march: one compiled loop",
+    "engine/structure.py": "the matrices of a model in feedback with effects",
+    "streaming/coefficients/kernel.py": "the march of the joint filter: one compiled loop",
+    "streaming/rcmr/kernels.py": "the paper's equations, compiled",
+    "streaming/refiner.py": "one public class: most of it says what its arguments and results are",
+}
+
+
 @functools.cache
 def imports() -> dict[str, set[str]]:
     """Modules of the package that each module imports, inside functions too; not what is for types only."""
@@ -126,6 +140,14 @@ def test_no_kind_of_effect_is_named_where_laws_do_not_live():
             words.remove(word)
         named += [f"{file}: {word}" for word in words]
     assert named == []
+
+
+def test_no_file_is_longer_than_one_idea():
+    lengths = {
+        path.relative_to(PACKAGE).as_posix(): path.read_text().count("\n") for path in PACKAGE.rglob("*.py")
+    }
+    assert {name: n for name, n in lengths.items() if n > MOST_LINES and name not in LONGER} == {}
+    assert LONGER.keys() <= lengths.keys()
 
 
 def test_every_result_shows_itself():

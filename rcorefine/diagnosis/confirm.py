@@ -117,12 +117,46 @@ def confirm(
     own = [i for i, row in enumerate(model.parameters) if row.role == "effect"]
     if not own:
         raise ct.ControlArgument("the model holds no effect that was asked for, so nothing can be confirmed")
+    estimates = _estimates(
+        model, records, ordered, own, _others(model, candidates), tolerance, noise, force_ratio
+    )
+    further = estimates[1:]
+    p_value = min(1.0, len(further) * min(min(e.agreement, e.residual) for e in further))
+    names = tuple(model.parameters[i].name for i in own)
+    labels = [f"{row.kind} at {row.place}" for row in (model.parameters[i] for i in own)]
+    verdict = "confirmed" if p_value >= significance else "refuted"
+    return Confirmation(
+        verdict,
+        p_value,
+        names,
+        tuple(model.parameters[i].unit for i in own),
+        tuple(estimates),
+        significance,
+        _message(verdict, list(dict.fromkeys(labels)), estimates, p_value, significance),
+    )
+
+
+def _others(model: Refinement, candidates: Sequence[Effect] | None) -> list[Effect]:
+    """Effects besides the model's own that a residual is tested for."""
     if candidates is None:
         library = effect_library(model.physical_model)
     else:
         library = as_effects(candidates, "candidates")
     held = {(effect.kind, effect.place) for effect in model.effects}
-    rest = [effect for effect in library if (effect.kind, effect.place) not in held]
+    return [effect for effect in library if (effect.kind, effect.place) not in held]
+
+
+def _estimates(
+    model: Refinement,
+    records: Sequence[Measurement],
+    ordered: Sequence[Measurement],
+    own: Sequence[int],
+    rest: Sequence[Effect],
+    tolerance: float,
+    noise: Any,
+    force_ratio: float,
+) -> list[RecordEstimate]:
+    """The model on each record alone, against the first one."""
     levels = [float(np.sqrt(np.mean(record.inputs**2))) or 1.0 for record in ordered]
     ratios = [force_ratio * levels[0] / level for level in levels]
     alone = [
@@ -148,20 +182,7 @@ def confirm(
                 residual=min(1.0, min(valid, default=1.0) * len(valid)),
             )
         )
-    further = estimates[1:]
-    p_value = min(1.0, len(further) * min(min(e.agreement, e.residual) for e in further))
-    names = tuple(model.parameters[i].name for i in own)
-    labels = [f"{row.kind} at {row.place}" for row in (model.parameters[i] for i in own)]
-    verdict = "confirmed" if p_value >= significance else "refuted"
-    return Confirmation(
-        verdict,
-        p_value,
-        names,
-        tuple(model.parameters[i].unit for i in own),
-        tuple(estimates),
-        significance,
-        _message(verdict, list(dict.fromkeys(labels)), estimates, p_value, significance),
-    )
+    return estimates
 
 
 def _message(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -207,57 +208,15 @@ def fit_all(
     always = (lambda effect: effect in before) if before else (lambda effect: effect.spec.may_wear)
     chosen += [int(i) for i in order[_SHORTLIST:] if always(effects[i])]
 
-    def fits_from(start: int, which: Sequence[int], known: Mapping[Effect, Array]) -> list[tuple[Fit, float]]:
-        if latest is None:
-            stretch = stretch_of(stream, max(start, stream.n_samples - window, stream.oldest), True, mean)
-        else:
-            stretch = stretch_of(stream, max(start, stream.oldest), start < stream.oldest, mean)
-        found: list[tuple[Fit, float]] = []
-        if not stretch.judged.any():  # a change of a moment ago: the filters have no past yet
-            return found
-        motion = Motion(stretch.structure, stretch.theta, stretch.data)
-        nothing = fit_candidate(stretch, None, motion)
-        worst = math.inf
-        for i in which:
-            effect = effects[i]
-            starts = [known[effect]] if effect in known else []
-            own = int(np.flatnonzero(stream.bank.owner == i)[0])
-            if not starts and len(effect.free) == 1:
-                starts = [np.array([estimates[own]])]
-            fit = fit_candidate(stretch, effect, motion, starts, alone=effect in known, worst=worst)
-            worst = min(worst, fit.cost + _HOPELESS)
-            if math.isfinite(fit.cost):
-                found.append((fit, 0.5 * (nothing.cost - fit.cost)))
-        return sorted(found, key=lambda pair: -pair[1])
-
-    scored = fits_from(since, chosen, before)
+    contest = _Contest(stream, mean, latest, window, estimates)
+    scored = contest.fits_from(since, chosen, before)
     # a strong change bends the linear scores: all laws at the places that lead
     leading = {fit.effect.place for fit, _ in scored[:_PLACES] if fit.effect is not None}
     others = [i for i in range(len(effects)) if effects[i].place in leading and i not in chosen]
     if others:
-        scored = sorted([*scored, *fits_from(since, others, before)], key=lambda pair: -pair[1])
+        scored = _best_first([*scored, *contest.fits_from(since, others, before)])
     if scored and latest is not None:
-        # the change may have come earlier or later than the linear scores say
-        index = {effect: i for i, effect in enumerate(effects)}
-        leaders = [index[fit.effect] for fit, _ in scored[:_LEADERS] if fit.effect is not None]
-        known = {fit.effect: fit.coefficients for fit, _ in scored if fit.effect is not None}
-        best = {fit.effect: (fit, gain) for fit, gain in scored}
-        step = max(2 * stream.windows.block, 2)
-        top = scored[0][1]
-        for direction in (-1, 1):
-            start = since
-            for _ in range(_MOVES):
-                start += direction * step
-                if start <= stream.oldest or start > latest:
-                    break
-                trial = fits_from(start, leaders, known)
-                for fit, gain in trial:
-                    if gain > best[fit.effect][1]:
-                        best[fit.effect] = fit, gain
-                if not trial or trial[0][1] <= top:
-                    break
-                top, since = trial[0][1], start
-        scored = sorted(best.values(), key=lambda pair: -pair[1])
+        scored, since = contest.moved(scored, since, latest)
     if not scored:
         return [], since, math.inf
     points = max(scored[0][0].points, 1)
@@ -266,7 +225,75 @@ def fit_all(
     fair = [
         (fit, gain / temper - 0.5 * (fit.coefficients.size - 1) * math.log(points)) for fit, gain in scored
     ]
-    return sorted(fair, key=lambda pair: -pair[1]), since, temper
+    return _best_first(fair), since, temper
+
+
+def _best_first(scored: Iterable[tuple[Fit, float]]) -> list[tuple[Fit, float]]:
+    return sorted(scored, key=lambda pair: -pair[1])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Contest:
+    """Candidates fitted to the same samples; the fields are the arguments of `fit_all`."""
+
+    stream: Stream
+    mean: Array
+    latest: int | None
+    window: int
+    estimates: Array
+
+    def fits_from(
+        self, start: int, which: Sequence[int], known: Mapping[Effect, Array]
+    ) -> list[tuple[Fit, float]]:
+        """Fits of some candidates to the samples from `start` on, and their gains, best first."""
+        stream = self.stream
+        if self.latest is None:
+            first, free = max(start, stream.n_samples - self.window, stream.oldest), True
+        else:
+            first, free = max(start, stream.oldest), start < stream.oldest
+        stretch = stretch_of(stream, first, free, self.mean)
+        found: list[tuple[Fit, float]] = []
+        if not stretch.judged.any():  # a change of a moment ago: the filters have no past yet
+            return found
+        motion = Motion(stretch.structure, stretch.theta, stretch.data)
+        nothing = fit_candidate(stretch, None, motion)
+        worst = math.inf
+        for i in which:
+            effect = stream.bank.effects[i]
+            starts = [known[effect]] if effect in known else []
+            own = int(np.flatnonzero(stream.bank.owner == i)[0])
+            if not starts and len(effect.free) == 1:
+                starts = [np.array([self.estimates[own]])]
+            fit = fit_candidate(stretch, effect, motion, starts, alone=effect in known, worst=worst)
+            worst = min(worst, fit.cost + _HOPELESS)
+            if math.isfinite(fit.cost):
+                found.append((fit, 0.5 * (nothing.cost - fit.cost)))
+        return _best_first(found)
+
+    def moved(
+        self, scored: list[tuple[Fit, float]], since: int, latest: int
+    ) -> tuple[list[tuple[Fit, float]], int]:
+        """The change where the leaders fit best: earlier or later than the linear scores say."""
+        index = {effect: i for i, effect in enumerate(self.stream.bank.effects)}
+        leaders = [index[fit.effect] for fit, _ in scored[:_LEADERS] if fit.effect is not None]
+        known = {fit.effect: fit.coefficients for fit, _ in scored if fit.effect is not None}
+        best = {fit.effect: (fit, gain) for fit, gain in scored}
+        step = max(2 * self.stream.windows.block, 2)
+        top = scored[0][1]
+        for direction in (-1, 1):
+            start = since
+            for _ in range(_MOVES):
+                start += direction * step
+                if start <= self.stream.oldest or start > latest:
+                    break
+                trial = self.fits_from(start, leaders, known)
+                for fit, gain in trial:
+                    if gain > best[fit.effect][1]:
+                        best[fit.effect] = fit, gain
+                if not trial or trial[0][1] <= top:
+                    break
+                top, since = trial[0][1], start
+        return _best_first(best.values()), since
 
 
 def find_state(stream: Stream) -> None:
