@@ -193,6 +193,7 @@ def test_one_of_each():
         "def autoregression": {"inference/autoregression.py"},
         "class Whitener": {"inference/whitening.py"},
         "def smooth(": {"engine/smoother.py"},
+        "def linearized(structure": {"inference/linearized.py"},
         "def covariance(normal": {"inference/covariance.py"},
     }  # fmt: skip
     sources = {str(path.relative_to(PACKAGE)): path.read_text() for path in PACKAGE.rglob("*.py")}

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import control as ct
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+import rcorefine as rco
 from rcorefine.engine.observer import steady_filter
 from rcorefine.engine.smoother import smooth
+from rcorefine.engine.structure import Structure
+from rcorefine.inference.linearized import linearized
 
 
 def plant(rng, n=3, ny=2):
@@ -82,3 +87,27 @@ def test_a_reset_begins_anew(rng):
     both = smooth(F, H, Q, R, y, reset=reset)
     assert both.states[:18] == pytest.approx(smooth(F, H, Q, R, y[:18]).states)
     assert both.states[18:] == pytest.approx(smooth(F, H, Q, R, y[18:]).states)
+
+
+# ---------------------------------------------------------------- along the motion
+def test_a_cubic_spring_is_as_stiff_as_its_describing_function(rng):
+    """At amplitude a the best linear fit of k d^3 is 3/4 k a^2 d; where nothing moves, the model stays."""
+    model = rco.mass_spring_damper(m=1.0, c=0.1, k=10.0, sensors=("acceleration", 1))
+    structure = Structure(model, [rco.Effect("cubic_stiffness", "link1")])
+    theta, amplitude, phase = np.array([7.0]), 0.3, 2 * np.pi * np.arange(1000) / 50
+    d, v = amplitude * np.sin(phase), amplitude * np.cos(phase)
+    states = np.zeros((structure.n_states, 1000))
+    port = model.port("link1")
+    states[np.argmax(np.abs(port.position))], states[np.argmax(np.abs(port.velocity))] = d, v
+    run = SimpleNamespace(states=states, forces=7.0 * (port.position @ states)[None] ** 3)
+    A, C = linearized(structure, theta, run, np.zeros((structure.n_inputs, 1000)))
+    plain = structure.matrices(theta)
+    stiffer = rco.mass_spring_damper(
+        m=1.0, c=0.1, k=10.0 + 0.75 * 7.0 * amplitude**2, sensors=("acceleration", 1)
+    )
+    assert A == pytest.approx(stiffer.system.A, rel=1e-9)
+    assert C == pytest.approx(stiffer.system.C, rel=1e-9)
+    still = SimpleNamespace(states=0 * states, forces=0 * run.forces)
+    assert linearized(structure, theta, still, np.zeros((structure.n_inputs, 1000)))[0] == pytest.approx(
+        plain.A
+    )

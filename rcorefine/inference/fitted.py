@@ -15,6 +15,7 @@ from ..engine.observer import observer_gain
 from ..engine.structure import Structure
 from ..systems.linear import Array
 from .assembly import priors
+from .linearized import linearized
 from .problem import Problem, residual_blocks
 from .refinement import Refinement
 from .starts import Motion, law_widths
@@ -113,28 +114,9 @@ class Fitted:
 
     def linearized(self) -> tuple[Array, Array]:
         """A and C with each nonlinear force replaced by its best linear fit along the motion."""
-        structure = self.structure
-        matrices = structure.matrices(self.theta)
-        A, C = matrices.A.astype(float), matrices.C.astype(float)
-        if structure.n_ports == 0:
-            return A, C
         theta, starts = self.problem.unpack(self.point)
         run = self.problem.engines[0].run(theta, starts[0], sensitivity=False, histories=True, check=False)
-        m, n = structure.n_ports, structure.n_states
-        forces, x = np.nan_to_num(run.forces), np.nan_to_num(run.states)
-        w = self.problem.records[0].inputs
-        drive = np.vstack([x, w, np.ones((1, x.shape[1]))])
-        for i in range(m):
-            rows = matrices.P[[i, m + i]].astype(float)
-            motion = (rows @ drive[: rows.shape[1]]).T
-            motion = motion - motion.mean(axis=0)
-            size = np.sqrt(np.mean(motion**2, axis=0))
-            unit = motion / np.where(size > 0, size, 1.0)
-            slopes = np.linalg.lstsq(unit, forces[i] - forces[i].mean(), rcond=1e-8)[0]
-            slopes = np.where(size > 0, slopes / np.where(size > 0, size, 1.0), 0.0)
-            A = A + np.outer(matrices.E[:, i].astype(float), slopes @ rows[:, :n])
-            C = C + np.outer(matrices.G[:, i].astype(float), slopes @ rows[:, :n])
-        return A, C
+        return linearized(self.structure, theta, run, self.problem.records[0].inputs)
 
     def extended(self, effects: Sequence[Effect], motion: Motion) -> tuple[Problem, Array]:
         """Problem with effects added, and its point at which they are absent (shapes at their start)."""

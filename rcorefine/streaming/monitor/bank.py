@@ -14,6 +14,7 @@ from ...effects.effect import Effect, as_effects
 from ...engine.engine import Engine
 from ...engine.structure import Structure
 from ...exceptions import ModelError
+from ...inference.linearized import linearized
 from ...inference.starts import Motion, law_widths, shape_starts
 from ...models.library import effect_library
 from ...systems.discretization import discretize
@@ -135,7 +136,7 @@ def build_bank(
     Bank
     """
     motion = Motion(structure, theta, data)
-    A = linearized(structure, theta, data, gain)
+    A = _along(structure, theta, data, gain)
     found: list[_Column] = []
     for owner, effect in enumerate(candidates):
         found += _columns(structure, theta, A, owner, effect, motion)
@@ -181,27 +182,14 @@ def _sizes(bank: Bank, structure: Structure, theta: Array, data: Measurement, ga
     return np.where(seen, 1.0 / np.where(seen, size, 1.0), np.where(np.isfinite(size), 1.0, 0.0))
 
 
-def linearized(structure: Structure, theta: Array, data: Measurement, gain: Array) -> Array:
-    """A with each nonlinear force of the healthy model replaced by its best linear fit."""
-    m = structure.matrices(theta)
-    A = m.A.astype(float)
+def _along(structure: Structure, theta: Array, data: Measurement, gain: Array) -> Array:
+    """A of the healthy model, each nonlinear force replaced by its best linear fit."""
     if structure.n_ports == 0:
-        return A
+        return structure.matrices(theta).A.astype(float)
     run = Engine(structure, data, substeps=2).run(
         theta, sensitivity=False, gain=gain, histories=True, check=False
     )
-    forces = np.nan_to_num(run.forces)
-    drive = np.vstack([np.nan_to_num(run.states), data.inputs, np.ones((1, data.n_samples))])
-    n, ports = structure.n_states, structure.n_ports
-    for i in range(ports):
-        rows = m.P[[i, ports + i]].astype(float)
-        sensed = (rows @ drive[: rows.shape[1]]).T
-        sensed = sensed - sensed.mean(axis=0)
-        size = np.sqrt(np.mean(sensed**2, axis=0))
-        scale = np.where(size > 0, size, 1.0)
-        slopes = np.linalg.lstsq(sensed / scale, forces[i] - forces[i].mean(), rcond=1e-8)[0]
-        A = A + np.outer(m.E[:, i].astype(float), np.where(size > 0, slopes / scale, 0.0) @ rows[:, :n])
-    return A
+    return linearized(structure, theta, run, data.inputs)[0]
 
 
 def _columns(

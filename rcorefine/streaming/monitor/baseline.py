@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -160,15 +158,8 @@ def _gain(
     if ratio == 0:
         K = np.zeros((n, structure.n_outputs))
     else:
-        model: Any = structure
-        if not everywhere:  # the unknown force comes in where the measured one does
-            model = SimpleNamespace(
-                matrices=structure.matrices,
-                n_inputs=structure.n_inputs,
-                n_states=n,
-                model=SimpleNamespace(ports=()),
-            )
-        K = observer_gain(model, theta, data, ratio)
+        # the unknown force comes in where the measured one does, or at the ports too
+        K = observer_gain(structure, theta, data, ratio, at="everywhere" if everywhere else "inputs")
     closed = Phi @ (np.eye(n) - K @ matrices.C.astype(float))
     return K, float(np.abs(np.linalg.eigvals(closed)).max(initial=0.0))
 
