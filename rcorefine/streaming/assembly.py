@@ -46,22 +46,11 @@ def assembled(given: dict[str, Any], sampled: Sampled) -> Estimator:
     sampled : Sampled
         Initial model.
     """
-    static, effects = given["static"], given["effects"]
+    static = given["static"]
     keep = as_flag(given["history"], "history")
     as_flag(given["use_estimated_states"], "use_estimated_states")
     papers = [name for name in _PAPERS if given[name] is not None]
-    if effects is not None and not (isinstance(static, str) and static == "auto"):
-        raise ct.ControlArgument("effects= and static= name the same thing; give one of them")
-    listed = effects if effects is not None else (None if isinstance(static, str) else static)
-    if isinstance(listed, Effect):
-        listed = [listed]
-    elif listed is not None:
-        listed = as_list(listed, "static" if effects is None else "effects", "entries or effects")
-    if listed is None and static not in ("auto", *FORMS):
-        raise ct.ControlArgument(
-            f"static must be 'auto', {', '.join(map(repr, FORMS))}, or a list of entries such as "
-            f"'A[1,0]' or of effects, not {static!r}"
-        )
+    listed = _named(static, given["effects"])
     if given["substeps"] is not None:
         as_whole(given["substeps"], "substeps", least=1, error=ModelError)
     n_outputs = sampled.initial.n_outputs
@@ -93,6 +82,23 @@ def assembled(given: dict[str, Any], sampled: Sampled) -> Estimator:
         chosen = Race(_forms(static, given, sampled, settings), no_entries(sampled.initial, settings), keep)
     first, silent = _stage_one(given, sampled, keep)
     return JointStages(chosen, first, sampled.initial, keep, silent)
+
+
+def _named(static: Any, effects: Any) -> list[Any] | None:
+    """Entries or effects that the user names, None where it is a form."""
+    if effects is not None and not (isinstance(static, str) and static == "auto"):
+        raise ct.ControlArgument("effects= and static= name the same thing; give one of them")
+    listed = effects if effects is not None else (None if isinstance(static, str) else static)
+    if isinstance(listed, Effect):
+        return [listed]
+    if listed is not None:
+        return as_list(listed, "static" if effects is None else "effects", "entries or effects")
+    if static not in ("auto", *FORMS):
+        raise ct.ControlArgument(
+            f"static must be 'auto', {', '.join(map(repr, FORMS))}, or a list of entries such as "
+            f"'A[1,0]' or of effects, not {static!r}"
+        )
+    return None
 
 
 def _paper(given: dict[str, Any], sampled: Sampled, keep: bool) -> PaperStages:
