@@ -10,21 +10,47 @@ import pkgutil
 import re
 import subprocess
 import sys
+import tempfile
 import types
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pandas as pd
 import pytest
 from numpydoc.docscrape import NumpyDocString
+from scipy.io import savemat
 
 import rcorefine as rco
 
 HEAVY = ["pandas", "statsmodels", "dask", "distributed", "harold", "sklearn", "h5py", "IPython", "pytest"]
 
 # What takes **keywords, called with one that does not exist.
+
+
+def _read_with_unknown_keyword(kind: str) -> object:
+    """A record from each sort of source."""
+    columns = {"t": 0.1 * np.arange(9), "u": np.arange(9.0), "y": np.arange(9.0)}
+    if kind == "frame":
+        return rco.Measurement.from_frame(pd.DataFrame(columns), "u", "y", dt=0.1, no_such_keyword=1)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, f"record.{kind}")
+        if kind == "csv":
+            path.write_text("t,u,y\n" + "".join(f"{0.1 * k},{k},{k}\n" for k in range(9)))
+        elif kind == "npz":
+            np.savez(path, **columns)
+        else:
+            savemat(path, columns)
+        return getattr(rco.Measurement, f"from_{kind}")(path, "u", "y", dt=0.1, no_such_keyword=1)
+
+
 WITH_KEYWORDS: dict[str, Callable[[], object]] = {
     "Effect.replace": lambda: rco.Effect("damping", "x").replace(no_such_keyword=1),
+    "Measurement.from_csv": lambda: _read_with_unknown_keyword("csv"),
+    "Measurement.from_frame": lambda: _read_with_unknown_keyword("frame"),
+    "Measurement.from_mat": lambda: _read_with_unknown_keyword("mat"),
+    "Measurement.from_npz": lambda: _read_with_unknown_keyword("npz"),
 }
 # Rows of a table: nobody makes them by hand, the object that holds them has the example.
 ROWS = {"NominalParameter"}
@@ -49,7 +75,7 @@ def with_methods() -> dict[str, Any]:
     for name, obj in CALLABLES.items():
         if not isinstance(obj, type):
             continue
-        shown = [base for base in obj.__mro__[1:] if base.__module__ == "rcorefine.results"]
+        shown = [base for base in obj.__mro__[1:] if base.__module__.startswith("rcorefine.")]
         for attribute, raw in [item for base in (*shown, obj) for item in vars(base).items()]:
             if attribute.startswith("_") or isinstance(raw, property):
                 continue

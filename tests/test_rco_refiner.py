@@ -443,3 +443,41 @@ def test_survives_pickle_and_deepcopy(data: rco.Measurement) -> None:
         assert pickle.loads(pickle.dumps(refiner.history)).n_samples == 500
     refiner.update(data.inputs[:, 500:600], data.outputs[:, 500:600])
     np.testing.assert_array_equal(twin.theta, refiner.theta)
+
+
+@pytest.mark.parametrize("samples", [1, 40])
+def test_a_call_that_raises_changes_none_of_the_forms(monkeypatch: pytest.MonkeyPatch, samples: int) -> None:
+    """The second form of the race runs out of memory; the same samples go in afterwards as if it had not."""
+    from rcorefine.streaming.coefficients.estimator import CoefficientFilter
+
+    example = rco.examples.rlc()
+    data = example.record(300)
+    w, y = data.inputs, data.outputs
+    fine = RCORefiner(example.initial, dt=example.dt)
+    tried = RCORefiner(example.initial, dt=example.dt)
+    for refiner in (fine, tried):
+        refiner.update(w[:, :100], y[:, :100])
+    taken, calls = CoefficientFilter.taken, []
+
+    def once(self: Any, *block: Any) -> Any:
+        calls.append(self)
+        if len(calls) == 2:
+            raise MemoryError("forced")
+        return taken(self, *block)
+
+    def feed() -> None:
+        for k in range(100, 140, samples):
+            tried.update(w[:, k : k + samples], y[:, k : k + samples])
+
+    with monkeypatch.context() as patch:
+        patch.setattr(CoefficientFilter, "taken", once)
+        with pytest.raises(MemoryError):
+            feed()
+    at = tried.n_samples
+    assert at == (100 if samples > 1 else 132)  # single samples wait for one another
+    if at > 100:
+        fine.update(w[:, 100:at], y[:, 100:at])
+    for refiner in (fine, tried):
+        refiner.update(w[:, at:], y[:, at:])
+    np.testing.assert_array_equal(tried.system.A, fine.system.A)
+    assert tried.n_samples == fine.n_samples == 300

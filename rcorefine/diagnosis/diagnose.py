@@ -255,6 +255,7 @@ def _about_record(case: Case) -> list[str]:
 
 def _adequate(case: Case, explained: Explained) -> Diagnosis:
     """Nothing is missing; say what the record would have shown."""
-    shown = detectable(explained.battery, explained.scored, case.significance, case.levels)
+    count = len(explained.tests)
+    shown = detectable(explained.battery, explained.scored, count, case.significance, case.levels)
     tests, ratio = tuple(explained.tests), explained.battery.ratio
     return Diagnosis("adequate", (), (), tests, (), shown, force_ratio=ratio, **case.about)

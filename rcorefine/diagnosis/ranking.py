@@ -64,10 +64,10 @@ def _validated(refinement: Refinement, validation: Measurement | None, horizon: 
 
 
 def detectable(
-    battery: Battery, scored: Sequence[Candidate], significance: float, levels: Levels
+    battery: Battery, scored: Sequence[Candidate], tests: int, significance: float, levels: Levels
 ) -> tuple[Detectable, ...]:
-    """Smallest coefficient of each one-coefficient candidate that the library test would have shown."""
-    level = stats.norm.isf(significance / (2 * 6 * max(len(scored), 1))) + levels.power
+    """Smallest coefficient of each one-coefficient candidate that one of so many tests would have shown."""
+    level = stats.norm.isf(significance / (2 * tests * max(len(scored), 1))) + levels.power
     found = []
     for candidate in scored:
         if len(candidate.effect.coefficients) != 1 or len(candidate.starts) != 1:

@@ -100,9 +100,9 @@ class JointStages:
             self._flush()
             self._learn(block)
         elif isinstance(self._static, Race):
-            self._waiting.append(block)
             if len(self._waiting) >= _PENDING:
                 self._flush()
+            self._waiting.append(block)
         elif self.first is None and block.whole and self._static.one(block.inputs, block.outputs):
             return
         else:
@@ -111,22 +111,24 @@ class JointStages:
     def _flush(self) -> None:
         """Learn from the single samples that wait."""
         if self._waiting:
-            waiting, self._waiting = self._waiting, []
-            self._learn(Block(*(np.concatenate([getattr(b, part) for b in waiting]) for part in _PARTS)))
+            self._learn(
+                Block(*(np.concatenate([getattr(b, part) for b in self._waiting]) for part in _PARTS))
+            )
+            self._waiting = []
 
     def _learn(self, block: Block) -> None:
         static, beside = self._static, self.first is not None and not self.stopped
+        predict = beside and not block.whole
         if isinstance(static, Race):
-            outputs = static.take(block, predict=beside and not block.whole)
-        else:
-            taken = static.taken(
-                block.inputs, block.known, block.outputs, block.use, beside and not block.whole
-            )
-            outputs = taken[1].predicted
+            with static.all_or_nothing():
+                outputs = static.take(block, predict=predict)
+                if beside:
+                    self._run_beside(block, outputs)
+            return
+        taken = static.taken(block.inputs, block.known, block.outputs, block.use, predict)
         if beside:
-            self._run_beside(block, outputs)
-        if not isinstance(static, Race):
-            static.commit(taken, block.outputs, block.use)
+            self._run_beside(block, taken[1].predicted)
+        static.commit(taken, block.outputs, block.use)
 
     def _run_beside(self, block: Block, predicted: Array) -> None:
         """Stage 1 on the same samples; in a gap it sees what the static stage predicts."""

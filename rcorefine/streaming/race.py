@@ -6,6 +6,8 @@ over the stretch that follows (Dawid's prequential principle, J. Royal Statistic
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -121,6 +123,20 @@ class Race:
     def running(self) -> list[str]:
         """Forms that have not stopped."""
         return [name for name in self.filters if name not in self.memory.stopped]
+
+    @contextmanager
+    def all_or_nothing(self) -> Iterator[None]:
+        """Undo what the forms learned where not all of them could."""
+        before = self.memory
+        held = [(one, one.memory, len(one.records)) for one in self.filters.values()]
+        try:
+            yield
+        except BaseException:
+            self.memory = before
+            for one, memory, count in held:
+                one.memory = memory
+                del one.records[count:]
+            raise
 
     def take(self, block: Block, *, predict: bool = False) -> Array:
         """Learn from a block; with `predict` what the best form expected, one sample ahead."""
