@@ -1,6 +1,6 @@
 """Kernels are plain Python that numba compiles where it is installed.
 
-`compiled` is the only place that knows numba. With the environment variable
+This is the only file that knows numba. With the environment variable
 ``RCOREFINE_NUMBA=0`` the very same functions run as plain Python, which is
 how the tests compare both ways.
 """
@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-__all__ = ["FASTMATH", "NUMBA", "compiled"]
+__all__ = ["FASTMATH", "NUMBA", "address_of", "call_at", "compiled", "compiled_law"]
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -68,3 +68,62 @@ def compiled(function: _Function) -> _Function:
         return _NUMBA.njit(cache=True, fastmath=FASTMATH, error_model="numpy")(function)  # type: ignore[no-any-return]
     except RuntimeError:  # no file or no folder to cache in, as in an interactive session
         return _NUMBA.njit(fastmath=FASTMATH, error_model="numpy")(function)  # type: ignore[no-any-return]
+
+
+def _call_at() -> Any:
+    """Intrinsic that calls a C function: ``(address, 4 floats, row, float, row, int, row)``."""
+    from llvmlite import ir  # type: ignore[import-untyped, unused-ignore]
+    from numba import types
+    from numba.extending import intrinsic
+
+    real, whole, pointer = types.float64, types.int64, types.uintp
+    number, size = ir.DoubleType(), ir.IntType(64)
+    row = number.as_pointer()
+    kinds = [*[number] * 4, row, number, row, size, row]
+
+    def lower(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        function = builder.inttoptr(given[0], ir.FunctionType(ir.VoidType(), kinds).as_pointer())
+        values = [
+            builder.inttoptr(value, kind) if kind is row else value
+            for value, kind in zip(given[1:], kinds, strict=True)
+        ]
+        builder.call(function, values)
+        return context.get_dummy_value()
+
+    def call(typing, code, a, b, c, d, first, e, second, n, third):  # type: ignore[no-untyped-def]
+        return types.void(whole, *[real] * 4, pointer, real, pointer, whole, pointer), lower
+
+    return intrinsic(call)
+
+
+call_at: Any = None if _NUMBA is None else _call_at()
+
+
+def compiled_law(function: _Function) -> _Function:
+    """Compile a small function into each function that calls it."""
+    if _NUMBA is None or hasattr(function, "py_func"):
+        return function
+    return _NUMBA.njit(fastmath=FASTMATH, error_model="numpy")(function)  # type: ignore[no-any-return]
+
+
+def address_of(function: Callable[..., None], cache: bool) -> tuple[int, Any]:
+    """Address of a function as `call_at` takes it, compiled; and what keeps it alive.
+
+    Raises
+    ------
+    TypeError
+        If numba cannot compile it.
+    """
+    assert _NUMBA is not None
+    function.__globals__["carray"] = _NUMBA.carray
+    types = _NUMBA.types
+    real, row = types.float64, types.CPointer(types.float64)
+    signature = types.void(real, real, real, real, row, real, row, types.int64, row)
+    try:
+        try:
+            found = _NUMBA.cfunc(signature, cache=cache, error_model="numpy")(function)
+        except RuntimeError:  # no file or no folder to cache in
+            found = _NUMBA.cfunc(signature, error_model="numpy")(function)
+    except _NUMBA.core.errors.NumbaError as error:
+        raise TypeError(str(error)) from error
+    return int(found.address), found

@@ -462,31 +462,32 @@ def test_level_bode_keywords(refined):
 def test_kernels_are_the_same_compiled_or_not(kind):
     """One source; and a whole turn of Dahl's law leaves the inner state where it began."""
     from rcorefine.effects.law import KINDS
-    from rcorefine.engine.periods import dahl_over_period, law_over_period
+    from rcorefine.engine.periods import law_over_period, memory_over_period
 
     turn = 2 * np.pi * np.arange(64) / 64
-    d, p = 0.1 * np.cos(turn) + 0.02 * np.sin(3 * turn), np.array([1.5, 0.03, 0.2, 0.0])
-    v = np.gradient(d)
+    d, row = 0.1 * np.cos(turn) + 0.02 * np.sin(3 * turn), np.array([[1.5, 0.03, 0.2, 0.0]])
+    v, w, code = np.gradient(d), np.zeros((64, 1)), KINDS[kind].code
     if kind == "hysteresis":
-        plain = getattr(dahl_over_period, "py_func", dahl_over_period)
+        plain = getattr(memory_over_period, "py_func", memory_over_period)
+        none = np.zeros(64)
         for one, two in zip(
-            dahl_over_period(KINDS[kind].number, d, p, 0.3, np.zeros(64)),
-            plain(KINDS[kind].number, d, p, 0.3, np.zeros(64)),
+            memory_over_period(code, d, v, w, row, 0.3, none),
+            plain(code, d, v, w, row, 0.3, none),
             strict=True,
         ):
             assert np.allclose(one, two, rtol=1e-12, atol=1e-14)
-        f, by, end, _, left = plain(KINDS[kind].number, d, p, 0.0, np.zeros(64))
+        f, by, end, _, left = plain(code, d, v, w, row, 0.0, none)
         start = end / (1 - left)
-        assert plain(KINDS[kind].number, d, p, start, np.zeros(64))[2] == pytest.approx(start, rel=1e-10)
+        assert plain(code, d, v, w, row, start, none)[2] == pytest.approx(start, rel=1e-10)
         step = np.zeros(64)
         step[20] = 1e-7
-        moved = plain(KINDS[kind].number, d + step, p, 0.0, np.zeros(64))[0]
+        moved = plain(code, d + step, v, w, row, 0.0, none)[0]
         assert (moved - f) / 1e-7 == pytest.approx(by[:, 20], rel=1e-4, abs=1e-4)
     else:
         plain = getattr(law_over_period, "py_func", law_over_period)
         assert np.allclose(
-            law_over_period(KINDS[kind].number, d, v, p, 0.01),
-            plain(KINDS[kind].number, d, v, p, 0.01),
+            law_over_period(code, d, v, w, row, 0.01),
+            plain(code, d, v, w, row, 0.01),
             rtol=1e-12,
             atol=1e-14,
         )

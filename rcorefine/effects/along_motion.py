@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..jit import compiled
 from ..systems.linear import Array
+from .compiled import MAX_COEFFICIENTS, forces_along
 from .effect import Effect
+from .formula import PortLaw
 
 __all__ = ["unit_forces"]
 
+_SHARP = 1e-300  # width of a jump that is none
 
-def unit_forces(effect: Effect, d: Array, v: Array, shapes: list[dict[str, float]]) -> list[Array] | None:
+
+def unit_forces(
+    effect: Effect, d: Array, v: Array, shapes: list[dict[str, float]], w: Array | None = None
+) -> list[Array] | None:
     """Columns of force (N,), one per coefficient that scales it and per shape.
 
     Parameters
@@ -22,61 +27,32 @@ def unit_forces(effect: Effect, d: Array, v: Array, shapes: list[dict[str, float
         Displacement and velocity there.
     shapes : list of dict
         Values of the coefficients that shape the law, to be tried.
+    w : ndarray, shape (n_w, N), optional
+        Inputs, for laws that feel them.
 
     Returns
     -------
     list of ndarray, or None
         None for a law that is not a force along a motion.
     """
-    simple = _SIMPLE.get(effect.kind)
+    law = effect.spec
+    simple = {"displacement": d, "velocity": v, "constant": np.ones(v.size)}.get(law.signal)
     if simple is not None:
-        return [np.asarray(f, dtype=float) for f in simple(d, v)]
-    if effect.kind == "custom" and effect.law is not None and not effect.start:
-        return [np.array([float(effect.law(a, b)) for a, b in zip(d, v, strict=True)])]
-    found: list[Array] = []
-    for shape in shapes:
-        columns = _shaped(effect.kind, d, v, {**shape, **effect.fixed})
-        if columns is None:
+        return [np.asarray(simple, dtype=float)]
+    if not isinstance(law, PortLaw) or law.needs_starts or (law.feels_inputs and w is None):
+        return None
+    inputs = np.zeros((d.size, 0)) if w is None else np.ascontiguousarray(w.T)
+    d, v = np.ascontiguousarray(d, dtype=float), np.ascontiguousarray(v, dtype=float)
+    columns: list[Array] = []
+    for shape in shapes if law.shaping else [{}]:
+        values = {**law.constants, **effect.fixed, **shape}
+        if not law.shaping <= values.keys():
             return None
-        found += columns
-    return found or None
-
-
-_SIMPLE = {
-    "stiffness": lambda d, v: [d],
-    "damping": lambda d, v: [v],
-    "cubic_stiffness": lambda d, v: [d**3],
-    "quadratic_stiffness": lambda d, v: [d * d],
-    "bilinear_stiffness": lambda d, v: [np.maximum(d, 0.0)],
-    "coulomb_friction": lambda d, v: [np.sign(v)],
-    "asymmetric_friction": lambda d, v: [(v > 0) * 1.0, (v < 0) * -1.0],
-    "asymmetric_damping": lambda d, v: [np.maximum(v, 0.0), np.minimum(v, 0.0)],
-    "quadratic_damping": lambda d, v: [v * np.abs(v)],
-    "cubic_damping": lambda d, v: [v**3],
-    "sqrt_flow": lambda d, v: [np.sqrt(np.maximum(v, 0.0))],
-    "constant_force": lambda d, v: [np.ones(v.size)],
-}
-
-
-def _shaped(kind: str, d: Array, v: Array, shape: dict[str, float]) -> list[Array] | None:
-    if kind == "clearance" and "gap" in shape:
-        return [np.sign(d) * np.maximum(np.abs(d) - shape["gap"], 0.0)]
-    if kind == "threshold_flow" and "threshold" in shape:
-        return [np.maximum(v - shape["threshold"], 0.0)]
-    if kind == "stribeck_friction" and "velocity" in shape:
-        fading = np.exp(-((v / shape["velocity"]) ** 2))
-        return [np.sign(v) * (1 - fading), np.sign(v) * fading]
-    if kind == "hysteresis" and "displacement" in shape:
-        return [_dahl(np.ascontiguousarray(d), float(shape["displacement"]))]
-    return None
-
-
-@compiled
-def _dahl(d, width):  # type: ignore[no-untyped-def]
-    """Inner state of Dahl's law, exact between samples of a monotonic motion."""
-    z = np.zeros(d.size)
-    for k in range(1, d.size):
-        step = d[k] - d[k - 1]
-        sign = 1.0 if step > 0 else -1.0
-        z[k] = sign + (z[k - 1] - sign) * np.exp(-abs(step) / width)
-    return z
+        row = np.zeros((1, MAX_COEFFICIENTS))
+        row[0, : len(law.row)] = [values.get(name) or 0.0 for name in law.row]
+        found = np.zeros((len(law.coefficients), d.size))
+        with np.errstate(all="ignore"):
+            forces_along(law.code, d, v, inputs, row, _SHARP, found)
+        names = enumerate(law.coefficient_names)
+        columns += [found[c] for c, name in names if name not in law.shaping]
+    return columns

@@ -10,7 +10,8 @@ import numpy as np
 from scipy.signal import find_peaks, welch
 
 from ..systems.linear import Array
-from .law import AbsorbedLaw, Assembly, Coefficient, Seen, Site, register
+from .absorbed import AbsorbedLaw, Assembly, Site
+from .law import Coefficient, Seen, register
 
 
 @register

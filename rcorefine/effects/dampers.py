@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from .law import AbsorbedLaw, Assembly, Coefficient, PortLaw, Seen, Site, nominal_is_left, register
+from .absorbed import AbsorbedLaw, Assembly, Site, nominal_is_left
+from .formula import PortLaw
+from .law import Coefficient, Seen, register
 
 # the width over which sgn(v) is smoothed is fixed, because a free one only fits noise
 SIGN_WIDTH = 0.005  # of the rms velocity
@@ -60,7 +63,17 @@ class CoulombFriction(PortLaw):
     turns = True
     width_share = SIGN_WIDTH
     with_offset = "asymmetric_friction"
-    number = 5
+
+    @staticmethod
+    def law(v, force, width):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return force * math.tanh(v / width)
+
+    @staticmethod
+    def slopes(v, force, width):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        sign = math.tanh(v / width)
+        return force * sign, force * (1.0 - sign * sign) / width, sign, 0.0
 
     def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
         """A flow that has one direction has no sign to jump with."""
@@ -88,7 +101,20 @@ class AsymmetricFriction(PortLaw):
     turns = True
     width_share = SIGN_WIDTH
     holds_constant = True
-    number = 6
+
+    @staticmethod
+    def law(v, force_plus, force_minus, width):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return (force_plus if v > 0.0 else force_minus) * math.tanh(v / width)
+
+    @staticmethod
+    def slopes(v, force_plus, force_minus, width):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        sign = math.tanh(v / width)
+        slope = (1.0 - sign * sign) / width
+        if v > 0.0:
+            return force_plus * sign, force_plus * slope, sign, 0.0, 0.0
+        return force_minus * sign, force_minus * slope, 0.0, sign, 0.0
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Equal levels too: from zero, a push one way and a brake the other can look as good."""
@@ -110,7 +136,18 @@ class AsymmetricDamping(PortLaw):
     )
     needs = frozenset(["velocity"])
     covers = ("damping",)
-    number = 7
+
+    @staticmethod
+    def law(v, damping_plus, damping_minus):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return (damping_plus if v > 0.0 else damping_minus) * v
+
+    @staticmethod
+    def slopes(v, damping_plus, damping_minus):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        if v > 0.0:
+            return damping_plus * v, damping_plus, v, 0.0
+        return damping_minus * v, damping_minus, 0.0, v
 
 
 @register
@@ -141,7 +178,24 @@ class StribeckFriction(PortLaw):
     jumps = True
     turns = True
     width_share = SIGN_WIDTH
-    number = 8
+
+    @staticmethod
+    def law(v, coulomb_force, static_force, velocity, width):  # type: ignore[no-untyped-def]
+        """Formula."""
+        fading = math.exp(-((v / velocity) ** 2))
+        return math.tanh(v / width) * (coulomb_force + (static_force - coulomb_force) * fading)
+
+    @staticmethod
+    def slopes(v, coulomb_force, static_force, velocity, width):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        sign = math.tanh(v / width)
+        slope = (1.0 - sign * sign) / width
+        fading = math.exp(-((v / velocity) ** 2))
+        excess = (static_force - coulomb_force) * fading
+        level = coulomb_force + excess
+        by_v = level * slope - excess * 2.0 * v / (velocity * velocity) * sign
+        by_velocity = excess * 2.0 * v * v / (velocity * velocity * velocity) * sign
+        return level * sign, by_v, (1.0 - fading) * sign, fading * sign, by_velocity, 0.0
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """A level to begin with: at zero force the fading speed has no gradient."""
@@ -167,7 +221,17 @@ class QuadraticDamping(PortLaw):
     )
     explanation_first_order = "A loss that grows with the square of the state acts at {place}."
     needs = frozenset(["velocity"])
-    number = 9
+
+    @staticmethod
+    def law(v, quadratic_damping):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return quadratic_damping * v * abs(v)
+
+    @staticmethod
+    def slopes(v, quadratic_damping):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        drag = v * abs(v)
+        return quadratic_damping * drag, 2.0 * quadratic_damping * abs(v), drag
 
 
 @register
@@ -180,7 +244,17 @@ class CubicDamping(PortLaw):
     explanation = "The damping at {place} grows with the cube of the speed."
     explanation_first_order = "A loss that grows with the cube of the state acts at {place}."
     needs = frozenset(["velocity"])
-    number = 10
+
+    @staticmethod
+    def law(v, cubic_damping):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return cubic_damping * v**3
+
+    @staticmethod
+    def slopes(v, cubic_damping):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        cube = v * v * v
+        return cubic_damping * cube, 3.0 * cubic_damping * v * v, cube
 
     def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
         """A flow that has one direction is no odd function."""
@@ -211,7 +285,32 @@ class Hysteresis(PortLaw):
     inner_states = 1
     belongs_to = "stiffness"
     turns = True
-    number = 11
+
+    @staticmethod
+    def law(d, d_start, z_start, force, displacement):  # type: ignore[no-untyped-def]
+        """Formula."""
+        side = 1.0 if d >= d_start else -1.0
+        z = side + (z_start - side) * math.exp(-abs(d - d_start) / displacement)
+        return force * z, z
+
+    @staticmethod
+    def slopes(d, d_start, z_start, force, displacement):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        step = d - d_start
+        side = 1.0 if step >= 0.0 else -1.0
+        decay = math.exp(-abs(step) / displacement)
+        left = (z_start - side) * decay
+        z, by_d = side + left, -left * side / displacement
+        by_displacement = left * abs(step) / (displacement * displacement)
+        return (
+            (force * z, force * by_d, -force * by_d, force * decay, z, force * by_displacement),
+            (z, by_d, -by_d, decay, 0.0, by_displacement),
+        )
+
+    @staticmethod
+    def rate(d, v, z, force, displacement):  # type: ignore[no-untyped-def]
+        """Of the inner state."""
+        return (v - abs(v) * z) / displacement
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Presliding in shares of the motion."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -10,7 +9,8 @@ import control as ct
 
 from ..arguments import as_choice, as_list, as_mapping, as_number, as_text, shown
 from ..exceptions import ModelError
-from .law import KINDS, Law
+from .custom import Custom, custom_law
+from .law import KINDS, Law, instance_of
 
 __all__ = ["Effect", "as_effects", "describe_effects"]
 
@@ -73,12 +73,13 @@ class Effect:
     Dry friction acts at link2: a force of constant size that opposes the motion.
     """
 
-    __slots__ = ("_fixed", "_law", "_name", "_port_kind", "_prior", "_start", "kind", "place")
+    __slots__ = ("_fixed", "_law", "_name", "_port_kind", "_prior", "_spec", "_start", "kind", "place")
     kind: str
     place: str
     _port_kind: str
     _law: Callable[..., Any] | None
     _name: str | None
+    _spec: Law
     _start: dict[str, float]
     _fixed: dict[str, float]
     _prior: dict[str, float]
@@ -94,7 +95,9 @@ class Effect:
         law: Callable[..., Any] | None = None,
         name: str | None = None,
     ) -> None:
-        if not isinstance(kind, str) or kind not in KINDS:
+        if isinstance(law, type) and issubclass(law, Law):
+            kind, law = _own_kind(kind, law)
+        elif not isinstance(kind, str) or kind not in KINDS:
             raise ct.ControlArgument(f"unknown kind of effect {kind!r}; the kinds are {', '.join(KINDS)}")
         if not isinstance(place, str) or not place.strip():
             raise ct.ControlArgument(
@@ -103,12 +106,12 @@ class Effect:
             )
         if name is not None:
             as_text(name, f"name of {kind} at {place}")
-        if kind == "custom":
+        if kind == Custom.name:
             if not callable(law):
                 raise ct.ControlArgument(
                     f"custom effect at {place} needs law=, a function law(d, v) that returns the force"
                 )
-        elif law is not None:
+        elif law is not None and not isinstance(law, type):
             raise ct.ControlArgument(f"law= is for kind 'custom' only, not for {kind!r}")
         store = object.__setattr__
         store(self, "kind", kind)
@@ -118,6 +121,7 @@ class Effect:
         store(self, "_name", name)
         for key, values in (("start", start), ("fixed", fixed), ("prior", prior)):
             store(self, f"_{key}", as_mapping(values, f"{key} of {kind} at {place}", "numbers"))
+        store(self, "_spec", self._found(law))
         self._check_values()
 
     def _check_values(self) -> None:
@@ -148,15 +152,23 @@ class Effect:
                     f"{known[smaller]:g}; it is at least as large"
                 )
         twice = sorted(set(self._fixed) & (set(self._start) | set(self._prior)))
-        if twice and self.kind != "custom":
+        if twice and self.kind != Custom.name:
             raise ModelError(
                 f"{', '.join(twice)} of {self.label} is both fixed and given a start or prior; give one"
             )
 
     @property
     def spec(self) -> Law:
-        """Law of the catalogue `KINDS`."""
-        return KINDS[self.kind]
+        """The law, with all that is known of it."""
+        return self._spec
+
+    def _found(self, law: Any) -> Law:
+        if isinstance(law, type):
+            return instance_of(law)
+        if law is None:
+            return KINDS[self.kind]
+        names = tuple(self._start)
+        return custom_law(law, () if set(names) <= {"scale"} else names)
 
     @property
     def start(self) -> dict[str, float]:
@@ -175,7 +187,7 @@ class Effect:
 
     @property
     def law(self) -> Callable[..., Any] | None:
-        """Law of a custom effect."""
+        """Law that was given: a function, or a class that is in no catalogue."""
         return self._law
 
     @property
@@ -191,8 +203,6 @@ class Effect:
     @property
     def coefficients(self) -> tuple[str, ...]:
         """Names of all coefficients."""
-        if self.kind == "custom" and self._start and set(self._start) != {"scale"}:
-            return tuple(self._start)
         return self.spec.coefficient_names
 
     @property
@@ -251,8 +261,6 @@ class Effect:
             Bounds, infinite where there is none.
         """
         as_text(coefficient, "coefficient")
-        if coefficient not in self.spec.coefficient_names:
-            return -math.inf, math.inf  # a custom law's own
         entry = self.spec.coefficient(coefficient)
         return entry.lower, entry.upper
 
@@ -318,7 +326,10 @@ class Effect:
         raise AttributeError("an Effect cannot be changed")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        state = (self.kind, self.place, self._start, self._fixed, self._prior, self._law, self._name)
+        own = type(self._spec)
+        # a class brings itself along, where the other side may not know it yet
+        law = self._law if self._law is not None or own.__module__.startswith(__package__) else own
+        state = (self.kind, self.place, self._start, self._fixed, self._prior, law, self._name)
         return (_restore, (*state, self._port_kind))
 
     def __repr__(self) -> str:
@@ -334,6 +345,18 @@ class Effect:
 
     def __str__(self) -> str:
         return self.label
+
+
+def _own_kind(kind: Any, law: type[Law]) -> tuple[str, type[Law] | None]:
+    """Kind of an effect whose law is a class; the class again unless the catalogue holds it."""
+    if kind not in (Custom.name, law.name):
+        raise ct.ControlArgument(
+            f"the kind of an effect with law {law.__name__} is {law.name!r}, not {kind!r}"
+        )
+    held = KINDS.get(law.name)
+    if held is not None and type(held) is not law:
+        raise ct.ControlArgument(f"the catalogue has a law {law.name!r}; give {law.__name__} another name")
+    return law.name, law if held is None else None
 
 
 def _restore(

@@ -5,7 +5,8 @@ from __future__ import annotations
 from math import inf
 from typing import Any
 
-from .law import AbsorbedLaw, Assembly, Coefficient, Site, register
+from .absorbed import AbsorbedLaw, Assembly, Site
+from .law import Coefficient, register
 
 
 @register

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .law import Coefficient, PortLaw, Seen, register
+from .formula import PortLaw
+from .law import Coefficient, Seen, register
 
 ROOT_WIDTH = 1e-3  # of the rms level: a root has no slope at zero
 
@@ -23,7 +24,20 @@ class SqrtFlow(PortLaw):
     )
     needs = frozenset(["velocity"])
     width_share = ROOT_WIDTH
-    number = 12
+
+    @staticmethod
+    def law(v, flow, width):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return flow * v / (v * v + width * width) ** 0.25 if v > 0.0 else 0.0
+
+    @staticmethod
+    def slopes(v, flow, width):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        if v <= 0.0:
+            return 0.0, 0.0, 0.0, 0.0
+        root = (v * v + width * width) ** 0.25
+        slope = flow * (1.0 / root - 0.5 * v * v / (root * root * root * root * root))
+        return flow * v / root, slope, v / root, 0.0
 
     def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
         """A level has a root, the difference of two temperatures has not."""
@@ -48,7 +62,19 @@ class ThresholdFlow(PortLaw):
     formula = "f = t max(x - threshold, 0)"
     explanation = "Beyond a certain level something spills over at {place}."
     needs = frozenset(["velocity"])
-    number = 13
+
+    @staticmethod
+    def law(v, flow, threshold):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return flow * max(v - threshold, 0.0)
+
+    @staticmethod
+    def slopes(v, flow, threshold):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        excess = v - threshold
+        if excess <= 0.0:
+            return 0.0, 0.0, 0.0, 0.0
+        return flow * excess, flow, excess, -flow
 
     def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
         """A level has a rim, the difference of two temperatures has not."""

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from ..systems.linear import Array
-from .law import AbsorbedLaw, Assembly, Coefficient, InputLaw, Seen, Site, register
+from .absorbed import AbsorbedLaw, Assembly, Site
+from .formula import InputLaw
+from .law import Coefficient, Seen, register
 
 
 @register
@@ -54,7 +57,6 @@ class InputDelay(InputLaw):
 
     where = frozenset(["input"])
     coefficients = (Coefficient("delay", "s", lower=0.0, default_start=None, explanation="dead time"),)
-    number = 2
     formula = "w(t) -> w(t - delay)"
     explanation = "The input {place} acts later than the record says: a dead time."
     linear = True
@@ -107,19 +109,23 @@ class InputDeadzone(InputLaw):
         ),
     )
     signal = "deadzone"
-    number = 0
     formula = "w -> sgn(w) max(|w| - threshold, 0)"
     explanation = (
         "The input {place} has a dead zone: small values do nothing, and larger ones lose that much."
     )
 
-    def through(self, w: Array, *values: float) -> tuple[Any, Any, Any]:
-        """Value, slope, derivative by the threshold."""
-        (level,) = values
-        side = np.sign(w)
-        passed = 1.0 * (np.abs(w) > level)
-        left = side * np.maximum(np.abs(w) - level, 0.0)
-        return left, passed, -side * passed
+    @staticmethod
+    def law(w, threshold):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return math.copysign(max(abs(w) - threshold, 0.0), w)
+
+    @staticmethod
+    def slopes(w, threshold):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        if abs(w) <= threshold:
+            return 0.0, 0.0, 0.0
+        side = 1.0 if w > 0.0 else -1.0
+        return w - side * threshold, 1.0, -side
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Levels that the input often crosses."""
@@ -144,18 +150,22 @@ class InputSaturation(InputLaw):
         ),
     )
     signal = "saturation"
-    number = 1
     formula = "w -> min(max(w, -limit), limit)"
     explanation = "The input {place} saturates: it cannot exceed a limit in either direction."
     secant = True
 
-    def through(self, w: Array, *values: float) -> tuple[Any, Any, Any]:
-        """Value, slope, derivative by the limit."""
-        (level,) = values
-        beyond = 1.0 * (np.abs(w) > level)
-        clipped = np.clip(w, -level, level)
-        side = np.sign(w)
-        return clipped, 1.0 - beyond, side * beyond
+    @staticmethod
+    def law(w, limit):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return min(max(w, -limit), limit)
+
+    @staticmethod
+    def slopes(w, limit):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        if abs(w) <= limit:
+            return w, 1.0, 0.0
+        side = 1.0 if w > 0.0 else -1.0
+        return side * limit, 0.0, side
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Limits that the input reaches."""

@@ -8,31 +8,16 @@ negative.
 from __future__ import annotations
 
 import re
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from math import inf
 from types import MappingProxyType
-from typing import Any, ClassVar, Protocol, TypeVar
-
-from numpy.typing import NDArray
+from typing import Any, ClassVar, Protocol, TypeVar, cast
 
 from ..systems.linear import Array
 
-__all__ = [
-    "KINDS",
-    "AbsorbedLaw",
-    "Assembly",
-    "Coefficient",
-    "InputLaw",
-    "Law",
-    "OutputLaw",
-    "PortLaw",
-    "Seen",
-    "Site",
-    "nominal_is_left",
-    "register",
-]
+__all__ = ["KINDS", "Coefficient", "Law", "Seen", "instance_of", "register"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,61 +82,7 @@ class Seen(Protocol):
         """Largest acceleration per force at the port."""
 
 
-@dataclass(slots=True, eq=False)
-class Assembly:
-    """Matrices of the model while the linear effects enter them.
-
-    Attributes
-    ----------
-    A, Bu, inertia, constant : ndarray
-        dx/dt = inertia^-1 (A x + Bu r + constant), with r what the inputs become.
-    Uw : ndarray, shape (n_w, n_w + 1)
-        r = Uw [w; 1].
-    output_gain, output_offset : ndarray, shape (n_y,)
-    input_lags, output_lags : list of (channel, state, time constant)
-    """
-
-    A: NDArray[Any]
-    Bu: NDArray[Any]
-    inertia: NDArray[Any]
-    constant: NDArray[Any]
-    Uw: NDArray[Any]
-    output_gain: NDArray[Any]
-    output_offset: NDArray[Any]
-    input_lags: list[tuple[int, int, Any]]
-    output_lags: list[tuple[int, int, Any]]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Site:
-    """Where an effect sits, in the states of the model with all effects.
-
-    Attributes
-    ----------
-    act, position, velocity : ndarray, shape (n,)
-        Of the port.
-    position_input, velocity_input, acceleration_input : ndarray, shape (n_w,)
-        What it senses of the inputs.
-    channel : int
-        Of the input or output, -1 elsewhere.
-    entry : tuple of int
-        Row and column of an entry of A.
-    state : int
-        First of the states that the effect adds.
-    """
-
-    act: Array
-    position: Array
-    velocity: Array
-    position_input: Array
-    velocity_input: Array
-    acceleration_input: Array
-    channel: int
-    entry: tuple[int, int]
-    state: int
-
-
-class Law(ABC):
+class Law:
     """A law that can be missing from a model.
 
     Attributes
@@ -214,8 +145,6 @@ class Law(ABC):
         What its coefficient multiplies, where the law is linear in it: ``"displacement"``,
         ``"velocity"``, ``"acceleration"``, ``"value"``, ``"constant"``, ``"rate"``; or what it takes
         from a signal: ``"deadzone"``, ``"saturation"``, ``"rectification"``.
-    number : int
-        Number of the law in the compiled kernels, 0 for none.
     """
 
     name: ClassVar[str]
@@ -245,7 +174,6 @@ class Law(ABC):
     along_motion: ClassVar[bool] = True
     delays: ClassVar[bool] = False
     signal: ClassVar[str] = ""
-    number: ClassVar[int] = 0
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -268,6 +196,10 @@ class Law(ABC):
     def at_channel(self) -> bool:
         """Whether it sits at an input or an output."""
         return bool(self.where & {"input", "output"})
+
+    def checked(self) -> Law:
+        """The law, if its parts fit each other."""
+        return self
 
     @property
     def shaping(self) -> frozenset[str]:
@@ -328,59 +260,9 @@ class Law(ABC):
         """
         return None
 
-    def __reduce__(self) -> tuple[object, tuple[str]]:
-        # the catalogue is fixed, so a name says it all
-        return (_law, (self.name,))
-
-
-class AbsorbedLaw(Law):
-    """A law that enters the matrices of the model.
-
-    Attributes
-    ----------
-    states : tuple of str
-        What the states that it adds are called.
-    """
-
-    states: ClassVar[tuple[str, ...]] = ()
-
-    @abstractmethod
-    def absorb(self, into: Assembly, site: Site, *values: Any) -> None:
-        """Add it to the matrices.
-
-        Parameters
-        ----------
-        into : Assembly
-            Matrices, changed in place.
-        site : Site
-            Where it sits.
-        *values : complex or float
-            Coefficients in their order; complex for derivatives.
-        """
-
-
-class PortLaw(Law):
-    """A nonlinear force at a port."""
-
-
-class InputLaw(Law):
-    """What happens to an input before it acts."""
-
-    where = frozenset({"input"})
-
-    def through(self, w: Array, *values: float) -> tuple[Any, Any, Any]:
-        """What the input becomes, its slope, and its derivative by the coefficient, each (N,)."""
-        raise NotImplementedError(f"{self.name} has no static law")
-
-
-class OutputLaw(Law):
-    """What happens to an output before it is recorded."""
-
-    where = frozenset({"output"})
-
-    def through(self, y: Array, *values: float) -> Array:
-        """What is recorded."""
-        raise NotImplementedError(f"{self.name} has no static law")
+    def __reduce__(self) -> tuple[object, tuple[Any, ...]]:
+        # in the catalogue a name says it all
+        return (_law, (self.name,)) if _LAWS.get(self.name) is self else (instance_of, (type(self),))
 
 
 _LAWS: dict[str, Law] = {}
@@ -416,14 +298,15 @@ def register(law: _Class) -> _Class:
         raise ValueError(
             f"there is a law {law.name!r} already: {type(held).__module__}; give it another name"
         )
-    _LAWS[law.name] = law()
+    _LAWS[law.name] = instance_of(cast(Any, law))
     return law
 
 
-def nominal_is_left(kind: str, structure: Any, place: str) -> tuple[float, float]:
-    """Bounds of a change that leaves the parameter of the model positive."""
-    values = [q.value for q in structure.model.parameters if (q.kind, q.place) == (kind, place)]
-    return max((-value for value in values if value > 0), default=-inf), inf
+@cache
+def instance_of(law: Any) -> Law:
+    """The law of a class, checked; one in a process."""
+    found: Law = law().checked()
+    return found
 
 
 def _law(name: str) -> Law:

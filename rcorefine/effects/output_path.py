@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ..systems.linear import Array
-from .law import AbsorbedLaw, Assembly, Coefficient, OutputLaw, Seen, Site, register
+from .absorbed import AbsorbedLaw, Assembly, Site
+from .formula import OutputLaw
+from .law import Coefficient, Seen, register
 
 
 @register
@@ -102,14 +103,22 @@ class OutputSaturation(OutputLaw):
         ),
     )
     signal = "saturation"
-    number = 1
     formula = "y -> min(max(y, -limit), limit)"
     explanation = "The sensor {place} is capped: beyond a limit it shows the limit."
     secant = True
 
-    def through(self, y: Array, *values: float) -> Array:
-        """What is recorded."""
-        return np.clip(y, -values[0], values[0])
+    @staticmethod
+    def law(y, limit):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return min(max(y, -limit), limit)
+
+    @staticmethod
+    def slopes(y, limit):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        if abs(y) <= limit:
+            return y, 1.0, 0.0
+        side = 1.0 if y > 0.0 else -1.0
+        return side * limit, 0.0, side
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Limits at the top of the record, and below."""
@@ -133,13 +142,20 @@ class OutputRectification(OutputLaw):
         ),
     )
     signal = "rectification"
-    number = 2
     formula = "y -> (1 - t) y + t |y|"
     explanation = "The sensor {place} loses the sign: it shows the size, in whole (1) or in part."
 
-    def through(self, y: Array, *values: float) -> Array:
-        """What is recorded."""
-        return (1 - values[0]) * y + values[0] * np.abs(y)
+    @staticmethod
+    def law(y, fraction):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return (1.0 - fraction) * y + fraction * abs(y)
+
+    @staticmethod
+    def slopes(y, fraction):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        if y >= 0.0:
+            return y, 1.0, 0.0
+        return (1.0 - 2.0 * fraction) * y, 1.0 - 2.0 * fraction, -2.0 * y
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """In whole, or in part."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from .law import AbsorbedLaw, Assembly, Coefficient, PortLaw, Seen, Site, nominal_is_left, register
+from .absorbed import AbsorbedLaw, Assembly, Site, nominal_is_left
+from .formula import PortLaw
+from .law import Coefficient, Seen, register
 
 
 @register
@@ -48,7 +51,17 @@ class CubicStiffness(PortLaw):
     explanation = "The spring at {place} hardens as it is pushed either way (softens, if negative)."
     needs = frozenset(["position"])
     belongs_to = "stiffness"
-    number = 1
+
+    @staticmethod
+    def law(d, cubic_stiffness):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return cubic_stiffness * d**3
+
+    @staticmethod
+    def slopes(d, cubic_stiffness):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        cube = d * d * d
+        return cubic_stiffness * cube, 3.0 * cubic_stiffness * d * d, cube
 
 
 @register
@@ -69,7 +82,16 @@ class QuadraticStiffness(PortLaw):
     )
     needs = frozenset(["position"])
     belongs_to = "stiffness"
-    number = 2
+
+    @staticmethod
+    def law(d, quadratic_stiffness):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return quadratic_stiffness * d * d
+
+    @staticmethod
+    def slopes(d, quadratic_stiffness):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        return quadratic_stiffness * d * d, 2.0 * quadratic_stiffness * d, d * d
 
 
 @register
@@ -86,7 +108,18 @@ class BilinearStiffness(PortLaw):
     )
     needs = frozenset(["position"])
     belongs_to = "stiffness"
-    number = 3
+
+    @staticmethod
+    def law(d, bilinear_stiffness):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return bilinear_stiffness * max(d, 0.0)
+
+    @staticmethod
+    def slopes(d, bilinear_stiffness):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        if d > 0.0:
+            return bilinear_stiffness * d, bilinear_stiffness, d
+        return 0.0, 0.0, 0.0
 
 
 @register
@@ -109,7 +142,20 @@ class Clearance(PortLaw):
     explanation = "There is play at {place}: a stop is hit once the displacement exceeds a gap."
     needs = frozenset(["position"])
     belongs_to = "stiffness"
-    number = 4
+
+    @staticmethod
+    def law(d, stiffness, gap):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return stiffness * math.copysign(max(abs(d) - gap, 0.0), d)
+
+    @staticmethod
+    def slopes(d, stiffness, gap):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        excess = abs(d) - gap
+        if excess <= 0.0:
+            return 0.0, 0.0, 0.0, 0.0
+        side = 1.0 if d > 0.0 else -1.0
+        return stiffness * side * excess, stiffness, side * excess, -stiffness * side
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Gaps that the motion reaches now and then."""

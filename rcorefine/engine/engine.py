@@ -6,18 +6,15 @@ form), or windows (filter for a while, then run free), by one schedule.
 
 from __future__ import annotations
 
-import types
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from ..data.measurement import Measurement
-from ..effects.kernel import evaluate_law
-from ..effects.law import InputLaw
+from ..effects.compiled import raise_pending
+from ..effects.formula import InputLaw
 from ..exceptions import DivergenceError
 from ..systems.linear import Array
 from . import kernels
@@ -88,15 +85,6 @@ class Engine:
         at_rest = initial is not None and not initial.any()
         self._signal = InputSignal(data.inputs, data.dt, data.hold, substeps, at_rest)
         self._measured = np.ascontiguousarray(data.outputs.T)
-        self._march = _kernel(structure)
-
-    def __getstate__(self) -> dict[str, Any]:
-        # a pickled kernel would be compiled anew in every process; the process has one of its own
-        return {name: value for name, value in self.__dict__.items() if name != "_march"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._march = _kernel(self.structure)
 
     def run(
         self,
@@ -156,14 +144,9 @@ class Engine:
         if not sensitivity:
             columns = np.full_like(columns, -1)
             driven, dW, dWout = driven[:0], dW[:0], dWout[:0]
-        outcodes = np.zeros(ny, dtype=np.int64)
-        outvalues = np.zeros(ny)
-        outcolumns = np.full(ny, -1, dtype=np.int64)
-        for index, channel, code in s.output_statics:
-            name = s.effects[index].coefficients[0]
-            outcodes[channel] = code
-            outvalues[channel] = s.value(theta, index, name)
-            outcolumns[channel] = s.position(index, name) if sensitivity else -1
+        outcodes, outvalues, outcolumns = s.output_laws(theta)
+        if not sensitivity:
+            outcolumns = np.full_like(outcolumns, -1)
         x = np.zeros(n) if x0 is None else np.array(x0, dtype=float)
         S = np.zeros((p, n))
         if initial_state:
@@ -188,11 +171,12 @@ class Engine:
             return Trajectory(Yout.T, np.moveaxis(SY, 1, 0), X.T, F.T, 0)
         limit = 1e12 * (1.0 + float(np.abs(x).max(initial=0.0)) + self._state_bound())
         with np.errstate(all="ignore"):  # it notices what overflows; plain Python is as silent as compiled
-            blew_up = self._march(
+            blew_up = kernels.march(
                 Ms, dMs, pieces, disc.linear, disc.O, disc.dO, disc.P, disc.dP, codes, values, columns,
                 widths, drive.W, drive.nodes, drive.Wout, dW, dWout, driven, self._measured, flags, K,
-                outcodes, outvalues, outcolumns, x, np.zeros(m), S, self.substeps, Yout, SY, X, F, limit,
+                outcodes, outvalues, outcolumns, x, np.zeros(m + ny), S, self.substeps, Yout, SY, X, F, limit,
             )  # fmt: skip
+        raise_pending()
         if blew_up >= 0 and check:
             raise DivergenceError(
                 f"the simulation left all bounds at sample {blew_up} (t = {blew_up * data.dt:.6g} s): the "
@@ -252,43 +236,3 @@ class Engine:
             if sensitivity and column >= 0:
                 SY[:, channel, column] = np.where(grid > delay, -spline(shifted, 1), 0.0)
         Y[:, channel] = spline(shifted)
-
-
-def _kernel(structure: Structure) -> Callable[..., int]:
-    """The loop over samples, bound to the user's own laws where there are any."""
-    customs = structure.custom_laws
-    if not customs:
-        return kernels.march
-    evaluate: Any = evaluate_law
-    laws = [(law, len(names)) for law, names in customs]
-
-    def evaluate_any(code, d, v, d_start, z_start, p0, p1, p2, p3, width):  # type: ignore[no-untyped-def]
-        if code >= 0:
-            return evaluate(code, d, v, d_start, z_start, p0, p1, p2, p3, width)
-        law, taken = laws[-code - 1]
-        return _custom(law, taken, d, v, (p0, p1, p2, p3))
-
-    python = getattr(kernels.march, "py_func", kernels.march)
-    return types.FunctionType(python.__code__, {**python.__globals__, "evaluate_law": evaluate_any})
-
-
-def _custom(
-    law: Callable[..., Any], taken: int, d: float, v: float, p: tuple[float, ...]
-) -> tuple[float, ...]:
-    """A user's law with central differences, in the form of `evaluate_law`."""
-    steps = [1e-6 * max(abs(value), 1e-3) for value in (d, v, *p[:taken])]
-
-    def force(point: list[float]) -> float:
-        value = float(law(point[0], point[1], *point[2:])) if taken else float(law(point[0], point[1]))
-        return value if taken else p[0] * value
-
-    centre = [d, v, *p[:taken]]
-    slopes = []
-    for i, step in enumerate(steps):
-        up, down = centre.copy(), centre.copy()
-        up[i] += step
-        down[i] -= step
-        slopes.append((force(up) - force(down)) / (2 * step))
-    g = slopes[2:] if taken else [float(law(d, v))]
-    g = g + [0.0] * (4 - len(g))
-    return (force(centre), slopes[0], slopes[1], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, *g, 0.0, 0.0, 0.0, 0.0)

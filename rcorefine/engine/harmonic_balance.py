@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..effects.law import InputLaw, OutputLaw
+from ..effects.formula import InputLaw, OutputLaw
 from ..systems.exponential import exponential
 from ..systems.linear import Array
-from .periods import dahl_over_period, law_over_period
+from .periods import law_over_period, memory_over_period
 from .structure import Structure
 
 __all__ = ["Balance", "SteadyState"]
@@ -115,6 +115,7 @@ class Balance:
         s, matrices = self.structure, self.matrices
         m, K, n = s.n_ports, self.harmonics, s.n_states
         w = self._input(omega, amplitude)
+        self._inputs = np.ascontiguousarray(self.basis @ _coded(w).T)
         A = matrices.A
         unit = np.eye(n)
         drive = np.zeros((s.n_inputs + 1, K + 1), complex)
@@ -175,22 +176,23 @@ class Balance:
                 continue
             law = self.structure.effects[index].spec
             assert isinstance(law, InputLaw)
-            value = float(self.structure.value(self.theta, index, law.coefficient_names[0]))
+            values = self.structure.law_values(self.theta, index)
             if law.delays:
-                delay = value
+                delay = values[0]
             else:
-                signal = law.through(signal, value)[0]
+                # with memory, the second of two turns has forgotten where it began
+                signal = law.through(np.tile(signal, 2), *values)[0][signal.size :]
         order = np.arange(self.harmonics + 1)
         w[self.channel] = _phasors(signal @ self.analysis.T) * np.exp(-1j * order * omega * delay)
         return w
 
     def _sensors(self, Y: Complex, omega: float) -> Complex:
         """Outputs behind the static laws and the delays of their sensors."""
-        for index, channel, _ in self.structure.output_statics:
+        for index, channel in self.structure.output_statics:
             law = self.structure.effects[index].spec
             assert isinstance(law, OutputLaw)
-            value = float(self.structure.value(self.theta, index, law.coefficient_names[0]))
-            y = law.through(self.basis @ _coded(Y[channel]), value)
+            y = np.tile(self.basis @ _coded(Y[channel]), 2)
+            y = law.through(y, *self.structure.law_values(self.theta, index))[0][y.size // 2 :]
             Y[channel] = _phasors(y @ self.analysis.T)
         for index, channel in self.structure.output_delays:
             delay = float(self.structure.value(self.theta, index, "delay"))
@@ -264,39 +266,24 @@ class Balance:
 
     def _law(self, j: int, d: Array, v: Array) -> tuple[Array, Array | None, Array | None]:
         """Force over a period, and its derivatives by displacement and velocity at the samples."""
-        code, p = int(self.codes[j]), self.values[j]
-        if code < 0:
-            return self._custom(-code - 1, p, d, v)
+        code, row = int(self.codes[j]), self.values[j : j + 1]
         if self.laws[j].inner_states:
-            return *self._memory(code, p, d), None
+            return *self._memory(code, row, d, v), None
         width = float(self.widths[j])
         if self.laws[j].jumps:
             rate = float(np.ptp(v)) * np.pi / self.n_times
             width = max(width, _SAMPLES_PER_JUMP * rate) * self._spread
-        f, by_d, by_v = law_over_period(code, d, v, p, width)
+        f, by_d, by_v = law_over_period(code, d, v, self._inputs, row, width)
         return f, by_d, by_v
 
-    def _custom(self, which: int, p: Array, d: Array, v: Array) -> tuple[Array, Array, Array]:
-        """The user's law, its slopes by central differences."""
-        law, names = self.structure.custom_laws[which]
-        given: dict[str, float] = dict(zip(names, p, strict=False))
-
-        def force(x: Array, y: Array) -> Array:
-            values = np.array([float(law(a, b, **given)) for a, b in zip(x, y, strict=True)])
-            return values if names else p[0] * values
-
-        steps = [1e-6 * max(float(np.abs(signal).max()), 1e-9) for signal in (d, v)]
-        by_d = (force(d + steps[0], v) - force(d - steps[0], v)) / (2 * steps[0])
-        by_v = (force(d, v + steps[1]) - force(d, v - steps[1])) / (2 * steps[1])
-        return force(d, v), by_d, by_v
-
-    def _memory(self, code: int, p: Array, d: Array) -> tuple[Array, Array]:
+    def _memory(self, code: int, row: Array, d: Array, v: Array) -> tuple[Array, Array]:
         """A law with memory over a period: its inner state returns to where it began."""
         # after a turn the inner state is affine in its start: here is where it returns to itself
-        _, _, end, slope, left = dahl_over_period(code, d, p, 0.0, np.zeros(d.size))
+        w = self._inputs
+        _, _, end, slope, left = memory_over_period(code, d, v, w, row, 0.0, np.zeros(d.size))
         lost = 1.0 - left
         start, slope = (end / lost, slope / lost) if lost > 1e-12 else (0.0, np.zeros(d.size))
-        f, by, *_ = dahl_over_period(code, d, p, start, slope)
+        f, by, *_ = memory_over_period(code, d, v, w, row, start, slope)
         return f, by
 
 

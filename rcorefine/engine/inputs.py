@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import firwin, upfirdn
 
-from ..effects.law import InputLaw
+from ..effects.formula import InputLaw
 from ..systems.linear import Array
 
 if TYPE_CHECKING:
@@ -171,20 +171,19 @@ def _refine(w: Array, factor: int) -> Array:
 def _statics(
     structure: Structure, theta: Array, effects: list[int], signal: Array
 ) -> tuple[Array, dict[int, Array]]:
-    """The static laws in turn, and the derivative by each free coefficient."""
-    slopes: dict[int, Array] = {}
-    value = signal
+    """The laws in turn, and the derivative by each free coefficient."""
+    columns: list[int] = []
+    value, slopes = signal, np.zeros((0, signal.size))
     for index in effects:
         law = structure.effects[index].spec
         if law.delays or not isinstance(law, InputLaw):
             continue
-        (name,) = law.coefficient_names
-        value, slope, own = law.through(value, float(structure.value(theta, index, name)))
-        slopes = {key: before * slope for key, before in slopes.items()}
-        column = structure.position(index, name)
-        if column >= 0:
-            slopes[column] = own
-    return value, slopes
+        value, own, slopes = law.through(value, *structure.law_values(theta, index), slopes=slopes)
+        found = structure.law_columns(index)
+        free = [c for c, column in enumerate(found) if column >= 0]
+        slopes = np.vstack([slopes, own[free]])
+        columns += [found[c] for c in free]
+    return value, dict(zip(columns, slopes, strict=True))
 
 
 def _delay(structure: Structure, theta: Array, effects: list[int]) -> tuple[float, int]:

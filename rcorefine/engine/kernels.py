@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..effects.kernel import evaluate_law
+from ..effects.compiled import COUNT, evaluate
 from ..jit import NUMBA, compiled
 
 __all__ = ["march"]
@@ -109,8 +109,8 @@ def march(
     dO,  # (q, ny, n + nw + m)
     P,  # (2 m, n + nw)           d = P[:m] [x; w], v = P[m:] [x; w]
     dP,  # (q or 0, 2 m, n + nw)
-    codes,  # (m,)                law of each port
-    values,  # (m, 4)             its coefficients
+    codes,  # (m,)                law of each port, as `evaluate` takes it
+    values,  # (m, 6)             its coefficients; 1 where it feels the inputs; 1 where it jumps
     columns,  # (m, 4)            their rows in the sensitivity, -1 where fixed
     widths,  # (m,)
     W,  # (rows, nw)              input nodes of the substeps
@@ -122,11 +122,11 @@ def march(
     Y,  # (N, ny)                 measurement, used where `use` is set
     use,  # (N, ny) uint8         correct the state with this output at this sample
     K,  # (n, ny)                 observer gain
-    outcodes,  # (ny,)            0 linear, 1 saturation, 2 rectification
-    outvalues,  # (ny,)
-    outcolumns,  # (ny,)
+    outcodes,  # (ny,)            law of each output, 0 for none
+    outvalues,  # (ny, 4)
+    outcolumns,  # (ny, 4)
     x,  # (n,)                    initial state; holds the final one on return
-    z,  # (m,)                    inner states of the laws
+    z,  # (m,) or (m + ny,)       inner states of the laws, those of outputs behind
     S,  # (p, n)                  sensitivity of the state; p = 0 for none
     substeps,
     Yout,  # (N, ny)
@@ -148,6 +148,10 @@ def march(
         for j in range(nw):
             if P[i, n + j] != 0.0:
                 senses_input = True
+    for i in range(m):
+        if values[i, 4] != 0.0:
+            senses_input = True
+    remembers = z.shape[0] > m
 
     Phis = np.ascontiguousarray(Ms[:, :, :n])
     Gamma0s = np.ascontiguousarray(Ms[:, :, n : n + nw])
@@ -178,7 +182,17 @@ def march(
     v_last = np.zeros(m)
     f_start = np.zeros(m)
     Jn = np.zeros((m, m))
-    parts = np.zeros((m, 17))
+    parts = np.zeros((m, COUNT + nw - 1))  # what the laws write
+    shown = np.zeros((ny, COUNT))  # and those of outputs
+    nothing = np.zeros(0)
+    zy = np.zeros(ny)
+    y_raw = np.zeros(ny)
+    y_last = np.zeros(ny)
+    sy_raw = np.zeros((p, ny))
+    sy_last = np.zeros((p, ny))
+    szy = np.zeros((p, ny))
+    if remembers:
+        zy[:] = z[m:]
     sf = np.zeros((p, m))
     sz = np.zeros((p, m))
     sd_last = np.zeros((p, m))
@@ -199,8 +213,8 @@ def march(
                 if p > 0:
                     ssense[:, :] = 0.0
                     _add_rows(ssense, S, Px)
+                    dw_a[:, :] = 0.0
                     if senses_input and driven.shape[0] > 0:
-                        dw_a[:, :] = 0.0
                         for r in range(driven.shape[0]):
                             for j in range(nw):
                                 dw_a[driven[r], j] += dWout[r, k, j]
@@ -211,25 +225,21 @@ def march(
                         d_last[i] = sense[i]
                         for q in range(p):
                             sd_last[q, i] = ssense[q, i]
-                    part = evaluate_law(
-                        codes[i],
-                        sense[i],
-                        sense[m + i],
-                        d_last[i],
-                        z[i],
-                        values[i, 0],
-                        values[i, 1],
-                        values[i, 2],
-                        values[i, 3],
-                        widths[i],
-                    )
+                    evaluate(
+                        codes[i], sense[i], sense[m + i], d_last[i], z[i], values, i, widths[i],
+                        xw[n : n + nw - 1], parts,
+                    )  # fmt: skip
+                    part = parts[i]
                     f[i] = part[0]
                     for q in range(p):
                         sd = ssense[q, i]
                         sv = ssense[q, m + i]
                         sf[q, i] = part[1] * sd + part[2] * sv + part[3] * sd_last[q, i] + part[4] * sz[q, i]
-                        sz[q, i] = part[6] * sd + part[7] * sd_last[q, i] + part[8] * sz[q, i]
+                        sz[q, i] = part[6] * sd + part[17] * sv + part[7] * sd_last[q, i] + part[8] * sz[q, i]
                         sd_last[q, i] = sd
+                        if values[i, 4] != 0.0:
+                            for j in range(nw - 1):
+                                sf[q, i] += part[COUNT + j] * dw_a[q, j]
                     if p > 0:
                         for c in range(4):
                             if columns[i, c] >= 0:
@@ -263,23 +273,22 @@ def march(
             corrected = False
             for i in range(ny):
                 slope = 1.0
-                if outcodes[i] == 1:
-                    if abs(y[i]) > outvalues[i]:
-                        side = 1.0 if y[i] > 0.0 else -1.0
-                        y[i] = side * outvalues[i]
-                        slope = 0.0
-                        for q in range(p):
-                            sy[q, i] = 0.0
-                        if p > 0 and outcolumns[i] >= 0:
-                            sy[outcolumns[i], i] = side
-                elif outcodes[i] == 2:
-                    if y[i] < 0.0:
-                        slope = 1.0 - 2.0 * outvalues[i]
-                        for q in range(p):
-                            sy[q, i] *= slope
-                        if p > 0 and outcolumns[i] >= 0:
-                            sy[outcolumns[i], i] += -2.0 * y[i]
-                        y[i] *= slope
+                if outcodes[i] != 0:
+                    y_raw[i] = y[i]
+                    if k == 0 and attempt == 0:
+                        y_last[i] = y[i]
+                    evaluate(outcodes[i], y[i], 0.0, y_last[i], zy[i], outvalues, i, 1.0, nothing, shown)
+                    y[i], slope = shown[i, 0], shown[i, 1]
+                    for q in range(p):
+                        sy_raw[q, i] = sy[q, i]
+                        if k == 0 and attempt == 0:
+                            sy_last[q, i] = sy[q, i]
+                        sy[q, i] *= slope
+                        sy[q, i] += shown[i, 3] * sy_last[q, i] + shown[i, 4] * szy[q, i]
+                    if p > 0:
+                        for c in range(4):
+                            if outcolumns[i, c] >= 0:
+                                sy[outcolumns[i, c], i] += shown[i, 9 + c]
                 Yout[k, i] = y[i]
                 for q in range(p):
                     SY[k, i, q] = sy[q, i]
@@ -297,6 +306,19 @@ def march(
             if not corrected:
                 break
             stale = True
+        if remembers:
+            # what the outputs keep of this sample
+            for i in range(ny):
+                for q in range(p):
+                    szy[q, i] *= shown[i, 8]
+                    szy[q, i] += shown[i, 6] * sy_raw[q, i] + shown[i, 7] * sy_last[q, i]
+                    sy_last[q, i] = sy_raw[q, i]
+                if p > 0:
+                    for c in range(4):
+                        if outcolumns[i, c] >= 0:
+                            szy[outcolumns[i, c], i] += shown[i, 13 + c]
+                zy[i], y_last[i] = shown[i, 5], y_raw[i]
+                z[m + i] = zy[i]
 
         if k == samples - 1:
             break
@@ -333,23 +355,13 @@ def march(
                             for j in range(m):
                                 d += Q[i, j] * trial[j]
                                 v += Q[m + i, j] * trial[j]
-                            part = evaluate_law(
-                                codes[i],
-                                d,
-                                v,
-                                d_last[i],
-                                z[i],
-                                values[i, 0],
-                                values[i, 1],
-                                values[i, 2],
-                                values[i, 3],
-                                widths[i],
-                            )
-                            for c in range(17):
-                                parts[i, c] = part[c]
-                            residual[i] = trial[i] - part[0]
+                            evaluate(
+                                codes[i], d, v, d_last[i], z[i], values, i, widths[i],
+                                step[n + nw : n + 2 * nw - 1], parts,
+                            )  # fmt: skip
+                            residual[i] = trial[i] - parts[i, 0]
                             size += residual[i] * residual[i]
-                            level = max(level, abs(part[0]))
+                            level = max(level, abs(parts[i, 0]))
                         if size >= best and scale > 1e-6 and iteration > 0:
                             scale *= 0.5
                             for i in range(m):
@@ -374,7 +386,7 @@ def march(
                         # a friction force jumps inside this substep: once more, in small pieces
                         jumps = False
                         for i in range(m):
-                            if codes[i] == 5 or codes[i] == 6 or codes[i] == 8:
+                            if values[i, 5] != 0.0:
                                 v = free[m + i]
                                 for j in range(m):
                                     v += Q[m + i, j] * f[j]
@@ -420,6 +432,9 @@ def march(
                                     + parts[i, 3] * sd_last[q, i]
                                     + parts[i, 4] * sz[q, i]
                                 )
+                                if values[i, 4] != 0.0 and driven.shape[0] > 0:
+                                    for j in range(nw - 1):
+                                        sf[q, i] += parts[i, COUNT + j] * dw_b[q, j]
                             for c in range(4):
                                 if columns[i, c] >= 0:
                                     sf[columns[i, c], i] += parts[i, 9 + c]
@@ -431,10 +446,15 @@ def march(
                         for i in range(m):
                             for q in range(p):
                                 sd = ssense[q, i]
+                                sv = ssense[q, m + i]
                                 for j in range(m):
                                     sd += Q[i, j] * sf[q, j]
+                                    sv += Q[m + i, j] * sf[q, j]
                                 sz[q, i] = (
-                                    parts[i, 6] * sd + parts[i, 7] * sd_last[q, i] + parts[i, 8] * sz[q, i]
+                                    parts[i, 6] * sd
+                                    + parts[i, 17] * sv
+                                    + parts[i, 7] * sd_last[q, i]
+                                    + parts[i, 8] * sz[q, i]
                                 )
                                 sd_last[q, i] = sd
                             for c in range(4):

@@ -7,11 +7,10 @@ from typing import Any
 import control as ct
 import numpy as np
 
-from ..effects.kernel import evaluate_law
-from ..effects.law import InputLaw, OutputLaw
+from ..effects.compiled import COUNT, evaluate
+from ..effects.formula import FormulaLaw, InputLaw, OutputLaw, PortLaw
 from ..exceptions import ModelError
 from ..systems.linear import Array
-from .engine import _custom
 from .structure import Structure
 
 __all__ = ["nonlinear_system"]
@@ -54,31 +53,36 @@ def nonlinear_system(structure: Structure, theta: Array, name: str | None = None
     codes, values, _, widths = structure.laws(theta)
     laws = [structure.effects[index].spec for index in structure.port_effects]
     memory = [i for i, law in enumerate(laws) if law.inner_states]
-    customs = structure.custom_laws
-    evaluate: Any = evaluate_law
-    n, m = structure.n_states, structure.n_ports
+    rates = {i: law.rate for i, law in enumerate(laws) if isinstance(law, PortLaw) and law.rate is not None}
+    turning = [structure.effects[structure.port_effects[i]] for i in memory if i not in rates]
+    turning += [e for e in structure.effects if e.spec.at_channel and isinstance(e.spec, FormulaLaw)]
+    turning = [effect for effect in turning if effect.spec.inner_states]
+    if turning:
+        raise ModelError(
+            f"{turning[0].label}: its inner state has no differential equation; simulate with "
+            "Refinement.simulate, or give its law a `rate`"
+        )
+    n, m, nw = structure.n_states, structure.n_ports, structure.n_inputs
 
-    def force(i: int, d: float, v: float, z: float) -> float:
-        if codes[i] < 0:
-            law, names = customs[-codes[i] - 1]
-            return float(_custom(law, len(names), d, v, tuple(values[i]))[0])
-        if laws[i].inner_states:
-            return float(values[i, 0] * z)
-        return float(evaluate(codes[i], d, v, d, z, *values[i], widths[i])[0])
+    def force(i: int, d: float, v: float, z: float, w: Array) -> float:
+        out = np.zeros((1, COUNT + nw))
+        evaluate(codes[i], d, v, d, z, values[i : i + 1], 0, widths[i], w, out)
+        return float(out[0, 0])
 
     def drive(u: Any) -> Array:
         w = np.append(np.atleast_1d(np.asarray(u, dtype=float)), 1.0)
         for index, channel in structure.input_statics:
             effect = structure.effects[index]
-            level = structure.value(theta, index, effect.coefficients[0])
             assert isinstance(effect.spec, InputLaw)
-            w[channel] = effect.spec.through(w[channel], level)[0]
+            w[channel] = effect.spec.through(w[[channel]], *structure.law_values(theta, index))[0][0]
         return w
 
     def forces(x: Array, w: Array) -> tuple[Array, Array]:
         sense = matrices.P @ np.concatenate([x[:n], w])
         inner = dict(zip(memory, x[n:], strict=True))
-        return np.array([force(i, sense[i], sense[m + i], inner.get(i, 0.0)) for i in range(m)]), sense
+        return np.array(
+            [force(i, sense[i], sense[m + i], inner.get(i, 0.0), w[:nw]) for i in range(m)]
+        ), sense
 
     def update(t: float, x: Any, u: Any, params: Any) -> Array:
         x, w = np.asarray(x, dtype=float), drive(u)
@@ -87,19 +91,17 @@ def nonlinear_system(structure: Structure, theta: Array, name: str | None = None
         inner = []
         for j, i in enumerate(memory):
             speed = sense[m + i]
-            inner.append((speed - abs(speed) * x[n + j]) / values[i, 1])
+            inner.append(rates[i](sense[i], speed, x[n + j], *values[i, : len(laws[i].coefficients)]))
         return np.concatenate([rate, inner])
 
     def output(t: float, x: Any, u: Any, params: Any) -> Array:
         x, w = np.asarray(x, dtype=float), drive(u)
         f, _ = forces(x, w)
         y = matrices.C @ x[:n] + matrices.D @ w + matrices.G @ f
-        for index, channel, _ in structure.output_statics:
+        for index, channel in structure.output_statics:
             effect = structure.effects[index]
             assert isinstance(effect.spec, OutputLaw)
-            y[channel] = effect.spec.through(
-                y[channel], structure.value(theta, index, effect.coefficients[0])
-            )
+            y[channel] = effect.spec.through(y[[channel]], *structure.law_values(theta, index))[0][0]
         return np.asarray(y)
 
     linear = structure.linear_model

@@ -4,24 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..effects.kernel import evaluate_law
+from ..effects.compiled import COUNT, evaluate
 from ..jit import compiled
 
-__all__ = ["dahl_over_period", "law_over_period"]
+__all__ = ["law_over_period", "memory_over_period"]
 
 
 @compiled
-def law_over_period(code, d, v, p, width):
+def law_over_period(code, d, v, w, values, width):
     """Force and its slopes by displacement and velocity; rows of an array of shape (3, n)."""
     found = np.empty((3, d.size))
+    out = np.zeros((1, COUNT + w.shape[1]))
     for i in range(d.size):
-        out = evaluate_law(code, d[i], v[i], 0.0, 0.0, p[0], p[1], p[2], p[3], width)
-        found[0, i], found[1, i], found[2, i] = out[0], out[1], out[2]
+        evaluate(code, d[i], v[i], d[i], 0.0, values, 0, width, w[i], out)
+        found[0, i], found[1, i], found[2, i] = out[0, 0], out[0, 1], out[0, 2]
     return found
 
 
 @compiled
-def dahl_over_period(code, d, p, inner, slope):
+def memory_over_period(code, d, v, w, values, inner, slope):
     """One turn of a law with memory from an inner state and its derivative by the n displacements.
 
     Returns the forces, their derivatives (n, n), the inner state at the end, its derivative, and
@@ -32,9 +33,11 @@ def dahl_over_period(code, d, p, inner, slope):
     by = np.empty((n, n))
     slope = slope.copy()
     left = 1.0
+    row = np.zeros((1, COUNT + w.shape[1]))
     for i in range(n):
         before = i - 1 if i > 0 else n - 1
-        out = evaluate_law(code, d[i], 0.0, d[before], inner, p[0], p[1], p[2], p[3], 1.0)
+        evaluate(code, d[i], v[i], d[before], inner, values, 0, 1.0, w[i], row)
+        out = row[0]
         f[i] = out[0]
         by[i] = out[4] * slope
         by[i, i] += out[1]

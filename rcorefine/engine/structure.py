@@ -15,9 +15,10 @@ import control as ct
 import numpy as np
 from numpy.typing import NDArray
 
+from ..effects.absorbed import AbsorbedLaw, Assembly, Site
+from ..effects.compiled import MAX_COEFFICIENTS
 from ..effects.effect import Effect
-from ..effects.kernel import MAX_COEFFICIENTS
-from ..effects.law import AbsorbedLaw, Assembly, InputLaw, OutputLaw, Site
+from ..effects.formula import FormulaLaw, InputLaw, OutputLaw, PortLaw
 from ..models.conversion import as_physical
 from ..models.physical_model import PhysicalModel
 from ..systems.discretization import power_of_two
@@ -363,24 +364,54 @@ class Structure:
 
     # ------------------------------------------------------------ nonlinear parts
     def laws(self, theta: Array) -> tuple[NDArray[np.int64], Array, NDArray[np.int64], Array]:
-        """Codes, coefficients, their columns in theta, and widths of the port laws."""
+        """Codes, coefficients, their columns in theta, and widths of the port laws, as `march` takes them."""
         m = self.n_ports
         codes = np.zeros(m, dtype=np.int64)
-        values = np.zeros((m, MAX_COEFFICIENTS))
+        values = np.zeros((m, MAX_COEFFICIENTS + 2))
         columns = np.full((m, MAX_COEFFICIENTS), -1, dtype=np.int64)
         widths = np.ones(m)
-        customs = 0
         for row, index in enumerate(self._port_effects):
-            effect = self.effects[index]
-            codes[row] = effect.spec.number
-            if effect.law is not None:
-                codes[row] = -1 - customs
-                customs += 1
-            for c, name in enumerate(effect.coefficients):
-                values[row, c] = self.value(theta, index, name)
-                columns[row, c] = self.position(index, name)
+            law = self.effects[index].spec
+            assert isinstance(law, PortLaw)
+            codes[row] = law.code
+            found = self.law_values(theta, index)
+            values[row, : len(found)] = found
+            values[row, MAX_COEFFICIENTS:] = law.feels_inputs, law.jumps
+            columns[row, : len(law.coefficients)] = self.law_columns(index)
             widths[row] = self.constants.get(index, 1.0)
         return codes, values, columns, widths
+
+    def law_values(self, theta: Array, index: int) -> list[float]:
+        """Coefficients and constants of a law that is a formula, in its order."""
+        effect, law = self.effects[index], self.effects[index].spec
+        names = law.row if isinstance(law, FormulaLaw) else law.coefficient_names
+        constants = effect.constants
+        return [
+            float((constants[name] or 0.0) if name in constants else self.value(theta, index, name))
+            for name in names
+        ]
+
+    def law_columns(self, index: int) -> list[int]:
+        """Columns of theta of a law's coefficients, -1 where one is held."""
+        return [self.position(index, name) for name in self.effects[index].coefficients]
+
+    def output_laws(self, theta: Array) -> tuple[NDArray[np.int64], Array, NDArray[np.int64]]:
+        """Codes, coefficients and their columns of the laws of the sensors, as `march` takes them."""
+        ny = self.n_outputs
+        codes, values = np.zeros(ny, dtype=np.int64), np.zeros((ny, MAX_COEFFICIENTS))
+        columns = np.full((ny, MAX_COEFFICIENTS), -1, dtype=np.int64)
+        for index, channel in self.output_statics:
+            law, found = self.effects[index].spec, self.law_values(theta, index)
+            assert isinstance(law, OutputLaw)
+            codes[channel] = law.code
+            values[channel, : len(found)] = found
+            columns[channel, : len(law.coefficients)] = self.law_columns(index)
+        return codes, values, columns
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the law of a sensor has an inner state."""
+        return any(self.effects[index].spec.inner_states for index in self._output_statics)
 
     @property
     def port_effects(self) -> tuple[int, ...]:
@@ -399,30 +430,16 @@ class Structure:
         return np.array([column for column in found if column >= 0], dtype=np.int64)
 
     @property
-    def custom_laws(self) -> list[tuple[Any, tuple[str, ...]]]:
-        """User's laws in the order of their codes, with the coefficient names they take."""
-        found = []
-        for index in self._port_effects:
-            effect = self.effects[index]
-            if effect.law is not None:
-                names = tuple(effect.coefficients)
-                found.append((effect.law, () if names == ("scale",) else names))
-        return found
-
-    @property
     def input_statics(self) -> list[tuple[int, int]]:
         """(effect, channel) of dead zones, saturations and delays at inputs."""
         labels = self.linear_model.input_labels
         return [(index, labels.index(self.effects[index].place)) for index in self._input_statics]
 
     @property
-    def output_statics(self) -> list[tuple[int, int, int]]:
-        """(effect, channel, code) of the sensors' static laws."""
+    def output_statics(self) -> list[tuple[int, int]]:
+        """(effect, channel) of the sensors' own laws."""
         labels = self.linear_model.output_labels
-        return [
-            (index, labels.index(self.effects[index].place), self.effects[index].spec.number)
-            for index in self._output_statics
-        ]
+        return [(index, labels.index(self.effects[index].place)) for index in self._output_statics]
 
     @property
     def output_delays(self) -> list[tuple[int, int]]:

@@ -319,9 +319,9 @@ class PhysicalModel(Result):
             raise ct.ControlArgument(
                 f"{effect.label} has no coefficient {coefficient!r}, only {', '.join(effect.coefficients)}"
             )
-        if coefficient not in effect.spec.coefficient_names:
-            return ""  # a custom law's own
         rule = effect.spec.coefficient(coefficient).unit_rule
+        if not rule:
+            return ""  # a custom law's own
         where = effect.spec.where
         if effect.kind == Entry.name:
             row, column = self.entry(effect.place)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import types
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
@@ -13,8 +12,7 @@ import numpy as np
 
 from ...arguments import as_whole
 from ...effects.effect import Effect, as_effects
-from ...effects.law import OutputLaw
-from ...engine.engine import _kernel
+from ...effects.formula import InputLaw, OutputLaw
 from ...engine.structure import Structure
 from ...exceptions import ModelError
 from ...models.consistency import check_stream_hold
@@ -64,7 +62,10 @@ class EffectsSetup(Setup):
         s = self.bare
         delays = any(effect.spec.delays for effect in self.effects)
         lag = 0 if self.fast else (_LAG if delays else 3)
-        return Layout(s.n_states, s.n_parameters, s.n_inputs + 1, s.n_outputs, s.n_ports, lag)
+        turning = any(s.effects[i].spec.inner_states for i, _ in s.input_statics)
+        inner = s.n_ports + s.n_outputs * s.remembers
+        kept = len(s.input_statics) if turning else 0
+        return Layout(s.n_states, s.n_parameters, s.n_inputs + 1, s.n_outputs, inner, lag, kept)
 
     @cached_property
     def fast(self) -> bool:
@@ -183,7 +184,7 @@ def compile_kernel(setup: EffectsSetup, memory: CoefficientMemory) -> Kernel:
     forces = _forces(setup, tuple(memory.sizes.tolist()))
     head, floor = setup.head(memory, setup.bounds_about(memory.origin), *forces)
     q = disc.linear.size
-    sizes = np.array([n, lay.p, nu, lay.ny, q, lay.lag], dtype=np.int64)
+    sizes = np.array([n, lay.p, nu, lay.ny, q, lay.lag, lay.m, lay.kept], dtype=np.int64)
     if setup.fast:
         M, dM = held_columns(disc.M[None], n, nu, hold)[0], held_columns(disc.dM, n, nu, hold)
         fixed = np.concatenate([*head, M.ravel(), disc.O.ravel(), dM.ravel(), disc.dO.ravel(), disc.linear])
@@ -191,24 +192,22 @@ def compile_kernel(setup: EffectsSetup, memory: CoefficientMemory) -> Kernel:
     pieces = 16 if s.jumps else 1
     fine = s.discretize(memory.centre, step / pieces) if pieces > 1 else disc
     codes, values, columns, widths = s.laws(memory.centre)
-    outcodes, outvalues = np.zeros(lay.ny, dtype=np.int64), np.zeros(lay.ny)
-    outcolumns = np.full(lay.ny, -1, dtype=np.int64)
-    for index, channel, code in s.output_statics:
-        name = s.effects[index].coefficients[0]
-        outcodes[channel], outvalues[channel] = code, s.value(memory.centre, index, name)
-        outcolumns[channel] = s.position(index, name)
-    statics, levels = [], []
-    for index, channel in s.input_statics:
-        name = s.effects[index].coefficients[0]
-        statics.append((s.effects[index].spec.number, channel, s.position(index, name)))
-        levels.append(float(s.value(memory.centre, index, name)))
+    outcodes, outvalues, outcolumns = s.output_laws(memory.centre)
+    r = len(s.input_statics)
+    statics, levels = np.zeros((r, 6), dtype=np.int64), np.zeros((r, 4))
+    statics[:, 2:] = -1
+    for i, (index, channel) in enumerate(s.input_statics):
+        law, found = s.effects[index].spec, s.law_values(memory.centre, index)
+        assert isinstance(law, InputLaw)
+        statics[i, :2] = 0 if law.delays else law.code, channel
+        statics[i, 2 : 2 + len(law.coefficients)] = s.law_columns(index)
+        levels[i, : len(found)] = found
     rest = (
         np.stack([disc.M, fine.M]), np.stack([disc.dM, fine.dM]), pieces, disc.linear, disc.O, disc.dO,
         disc.P, disc.dP, codes, values, columns, widths,
-        np.array(statics, dtype=np.int64).reshape(-1, 3), np.array(levels, dtype=float),
-        outcodes, outvalues, outcolumns, setup.substeps, hold == "foh", dt,
+        statics, levels, outcodes, outvalues, outcolumns, setup.substeps, hold == "foh", dt,
     )  # fmt: skip
-    return Kernel(_general(s), sizes, np.concatenate(head), rest, floor)
+    return Kernel(kernel.advance_general, sizes, np.concatenate(head), rest, floor)
 
 
 @lru_cache(maxsize=64)
@@ -227,20 +226,6 @@ def _forces(setup: EffectsSetup, sizes: tuple[float, ...]) -> tuple[Array, Array
         if size > 0:
             acts.append(np.concatenate([port.act, np.zeros(n - port.act.size)]) * (top / size))
     return np.column_stack([inputs, *acts]) * setup.settings.disturbance, inputs
-
-
-def _general(structure: Structure) -> Callable[..., tuple[int, int]]:
-    """The loop for any effects, bound to the user's own laws where there are any."""
-    if not structure.custom_laws:
-        return kernel.advance_general
-    source = {name: getattr(value, "py_func", value) for name, value in vars(kernel).items()}
-    source["march"] = _kernel(structure)
-    bound: dict[str, Any] = dict(source)
-    for name, value in source.items():
-        if isinstance(value, types.FunctionType) and value.__module__ == kernel.__name__:
-            bound[name] = types.FunctionType(value.__code__, bound)
-    run: Callable[..., tuple[int, int]] = bound["advance_general"]
-    return run
 
 
 def make_effects_setup(

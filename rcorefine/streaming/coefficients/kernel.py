@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...effects.compiled import COUNT, evaluate
 from ...engine.kernels import march
 from ...jit import compiled
 
@@ -424,27 +425,31 @@ def advance(sizes, fixed, memory, counters, W, known, Y, use, frozen, TH, E, X):
 
 
 @compiled
-def _static(value, codes, channel, levels, slopes):
-    """Dead zone and saturation of one channel; slopes by their levels in `slopes`, by the value returned."""
+def _static(value, statics, channel, levels, kept, slopes, out, keep):
+    """The laws of one input in turn.
+
+    `slopes` (r, 4) takes the derivatives by their coefficients, the slope by the value is returned;
+    `kept` (r, 6) holds inner state, its derivatives and the value of the sample before, and takes those
+    of this one where `keep` is set.
+    """
     passed = 1.0
-    for r in range(codes.shape[0]):
-        if codes[r, 1] != channel or codes[r, 0] == 2:
+    nothing = np.zeros(0)
+    for r in range(statics.shape[0]):
+        if statics[r, 1] != channel or statics[r, 0] == 0:
             continue
-        side = 1.0 if value > 0.0 else -1.0
-        beyond = abs(value) > levels[r]
-        if codes[r, 0] == 0:
-            own = -side if beyond else 0.0
-            gate = 1.0 if beyond else 0.0
-            value = side * max(abs(value) - levels[r], 0.0)
-        else:
-            own = side if beyond else 0.0
-            gate = 0.0 if beyond else 1.0
-            value = side * min(abs(value), levels[r])
+        evaluate(statics[r, 0], value, 0.0, kept[r, 5], kept[r, 0], levels, r, 1.0, nothing, out)
         for before in range(r):
-            if codes[before, 1] == channel:
-                slopes[before] *= gate
-        slopes[r] = own
-        passed *= gate
+            if statics[before, 1] == channel:
+                for c in range(4):
+                    slopes[before, c] *= out[r, 1]
+        for c in range(4):
+            slopes[r, c] = out[r, 9 + c] + out[r, 4] * kept[r, 1 + c]
+            if keep:
+                kept[r, 1 + c] = out[r, 13 + c] + out[r, 8] * kept[r, 1 + c]
+        if keep:
+            kept[r, 0], kept[r, 5] = out[r, 5], value
+        value = out[r, 0]
+        passed *= out[r, 1]
     return value, passed
 
 
@@ -465,54 +470,58 @@ def _input_at(ring, channel, when, foh):
 
 
 @compiled
-def _drive(ring, codes, levels, delays, dt, substeps, foh, W, Wout, dW, dWout, slopes, total):
-    """Inputs over the last interval with dead zones, saturations and delays, and their derivatives."""
+def _drive(
+    ring, statics, levels, kept, delays, free, dt, substeps, foh, W, Wout, dW, dWout, slopes, total, out
+):
+    """Inputs over the last interval behind their laws and delays; derivatives by what is `free` (row, c)."""
     nu = ring.shape[1]
-    rows = codes.shape[0]
     dW[:, :, :] = 0.0
     dWout[:, :, :] = 0.0
     for channel in range(nu):
         delay = delays[channel] / dt
         for edge in range(2):
             raw, rise = _input_at(ring, channel, edge - 1.0 - delay, foh)
-            slopes[:] = 0.0
-            Wout[edge, channel], passed = _static(raw, codes, channel, levels, slopes)
-            for r in range(rows):
-                if codes[r, 1] == channel:
-                    dWout[r, edge, channel] = -rise * passed / dt if codes[r, 0] == 2 else slopes[r]
+            slopes[:, :] = 0.0
+            Wout[edge, channel], passed = _static(raw, statics, channel, levels, kept, slopes, out, False)
+            for i in range(free.shape[0]):
+                r, c = free[i, 0], free[i, 1]
+                if statics[r, 1] == channel:
+                    dWout[i, edge, channel] = -rise * passed / dt if statics[r, 0] == 0 else slopes[r, c]
         if foh:
             for s in range(substeps + 1):
                 raw, rise = _input_at(ring, channel, s / substeps - 1.0 - delay, foh)
-                slopes[:] = 0.0
-                W[s, channel], passed = _static(raw, codes, channel, levels, slopes)
-                for r in range(rows):
-                    if codes[r, 1] == channel:
-                        dW[r, s, channel] = -rise * passed / dt if codes[r, 0] == 2 else slopes[r]
-            continue
-        for s in range(substeps):
-            # mean over the substep, so that no impulse is lost where an edge falls inside it
-            early = s / substeps - 1.0 - delay
-            late = early + 1.0 / substeps
-            turn = min(max(np.floor(early + 1e-9) + 1.0, early), late)
-            share = (turn - early) / (late - early)
-            W[s, channel] = 0.0
-            total[:] = 0.0
-            ends = np.zeros(2)
-            for part in range(2):
-                weight = share if part == 0 else 1.0 - share
-                raw, rise = _input_at(ring, channel, early if part == 0 else late, foh)
-                slopes[:] = 0.0
-                value, passed = _static(raw, codes, channel, levels, slopes)
-                ends[part] = value
-                W[s, channel] += weight * value
-                for r in range(rows):
-                    total[r] += weight * slopes[r]
-            for r in range(rows):
-                if codes[r, 1] == channel:
-                    if codes[r, 0] == 2:
-                        dW[r, s, channel] = -(ends[1] - ends[0]) / (late - early) / dt
-                    else:
-                        dW[r, s, channel] = total[r]
+                slopes[:, :] = 0.0
+                W[s, channel], passed = _static(raw, statics, channel, levels, kept, slopes, out, False)
+                for i in range(free.shape[0]):
+                    r, c = free[i, 0], free[i, 1]
+                    if statics[r, 1] == channel:
+                        dW[i, s, channel] = -rise * passed / dt if statics[r, 0] == 0 else slopes[r, c]
+        else:
+            for s in range(substeps):
+                # mean over the substep, so that no impulse is lost where an edge falls inside it
+                early = s / substeps - 1.0 - delay
+                late = early + 1.0 / substeps
+                turn = min(max(np.floor(early + 1e-9) + 1.0, early), late)
+                share = (turn - early) / (late - early)
+                W[s, channel] = 0.0
+                total[:, :] = 0.0
+                ends = np.zeros(2)
+                for part in range(2):
+                    weight = share if part == 0 else 1.0 - share
+                    raw, rise = _input_at(ring, channel, early if part == 0 else late, foh)
+                    slopes[:, :] = 0.0
+                    value, passed = _static(raw, statics, channel, levels, kept, slopes, out, False)
+                    ends[part] = value
+                    W[s, channel] += weight * value
+                    total += weight * slopes
+                for i in range(free.shape[0]):
+                    r, c = free[i, 0], free[i, 1]
+                    if statics[r, 1] == channel:
+                        if statics[r, 0] == 0:
+                            dW[i, s, channel] = -(ends[1] - ends[0]) / (late - early) / dt
+                        else:
+                            dW[i, s, channel] = total[r, c]
+        _static(_input_at(ring, channel, -delay, foh)[0], statics, channel, levels, kept, slopes, out, True)
 
 
 @compiled
@@ -523,10 +532,10 @@ def advance_general(
 ):  # fmt: skip
     """Advance over a block with any effects; arguments as of `advance` and of the engine's loop.
 
-    statics : ndarray of int64, shape (r, 3)
-        Input laws: 0 dead zone, 1 saturation, 2 delay; channel; column in theta or -1.
-    levels : ndarray, shape (r,)
-        Their coefficients where they are held.
+    statics : ndarray of int64, shape (r, 6)
+        Input laws: as `evaluate` takes it, 0 for a delay; channel; four columns in theta or -1.
+    levels : ndarray, shape (r, 4)
+        Their coefficients, those that are held.
     """
     n, p, nu, ny, lag = sizes[0], sizes[1], sizes[2], sizes[3], sizes[5]
     m = codes.shape[0]
@@ -571,33 +580,34 @@ def advance_general(
     at += 1
     w = memory[at : at + nu]
     at += nu
-    z = memory[at : at + m]
-    at += m
+    z = memory[at : at + sizes[6]]
+    at += sizes[6]
     ring = memory[at : at + lag * nu].reshape(lag, nu)
+    at += lag * nu
+    kept = memory[at : at + 6 * sizes[7]].reshape(sizes[7], 6)
 
     r = statics.shape[0]
     rows = substeps + 1 if foh else substeps
     Wn = np.zeros((rows, nu))
     Wout = np.zeros((2, nu))
-    dWall = np.zeros((r, rows, nu))
-    dWoutall = np.zeros((r, 2, nu))
-    slopes = np.zeros(r)
-    sums = np.zeros(r)
+    if sizes[7] == 0:
+        kept = np.zeros((r, 6))
+    out = np.zeros((r, COUNT))
+    slopes = np.zeros((r, 4))
+    sums = np.zeros((r, 4))
     delays = np.zeros(nu)
-    free = 0
+    free = np.zeros((4 * r, 2), dtype=np.int64)
+    driven = np.zeros(4 * r, dtype=np.int64)
+    count_free = 0
     for i in range(r):
-        if statics[i, 2] >= 0:
-            free += 1
-    driven = np.zeros(free, dtype=np.int64)
-    place = np.zeros(free, dtype=np.int64)
-    free = 0
-    for i in range(r):
-        if statics[i, 2] >= 0:
-            driven[free] = statics[i, 2]
-            place[free] = i
-            free += 1
-    dW = np.zeros((free, rows, nu))
-    dWout = np.zeros((free, 2, nu))
+        for c in range(4):
+            if statics[i, 2 + c] >= 0:
+                driven[count_free] = statics[i, 2 + c]
+                free[count_free, 0], free[count_free, 1] = i, c
+                count_free += 1
+    free, driven = free[:count_free], driven[:count_free]
+    dW = np.zeros((count_free, rows, nu))
+    dWout = np.zeros((count_free, 2, nu))
     Msc = Ms.copy()
     Oc = O.copy()
     Y2 = np.zeros((2, ny))
@@ -623,6 +633,8 @@ def advance_general(
         if counters[0] == 0:
             for i in range(lag):
                 ring[i] = W[k]
+            for channel in range(nu):
+                _static(W[k, channel], statics, channel, levels, kept, slopes, out, True)
             e[:] = np.nan
         else:
             for i in range(lag - 1):
@@ -640,18 +652,20 @@ def advance_general(
                     if columns[i, c] >= 0:
                         values[i, c] = theta[columns[i, c]]
             for i in range(ny):
-                if outcolumns[i] >= 0:
-                    outvalues[i] = theta[outcolumns[i]]
+                for c in range(4):
+                    if outcolumns[i, c] >= 0:
+                        outvalues[i, c] = theta[outcolumns[i, c]]
             delays[:] = 0.0
             for i in range(r):
-                if statics[i, 2] >= 0:
-                    levels[i] = theta[statics[i, 2]]
-                if statics[i, 0] == 2:
-                    delays[statics[i, 1]] += levels[i]
-            _drive(ring, statics, levels, delays, dt, substeps, foh, Wn, Wout, dWall, dWoutall, slopes, sums)
-            for i in range(free):
-                dW[i] = dWall[place[i]]
-                dWout[i] = dWoutall[place[i]]
+                for c in range(4):
+                    if statics[i, 2 + c] >= 0:
+                        levels[i, c] = theta[statics[i, 2 + c]]
+                if statics[i, 0] == 0:
+                    delays[statics[i, 1]] += levels[i, 0]
+            _drive(
+                ring, statics, levels, kept, delays, free, dt, substeps, foh, Wn, Wout, dW, dWout, slopes,
+                sums, out,
+            )  # fmt: skip
             S2[:p] = S
             S2[p:] = 0.0
             for i in range(n):

@@ -23,9 +23,11 @@ class Layout:
     Parameters
     ----------
     n, p, nu, ny, m : int
-        States, coefficients, inputs with the constant one, outputs, ports with a law.
+        States, coefficients, inputs with the constant one, outputs, inner states of laws.
     lag : int
         Samples of the input that delays look back on.
+    kept : int
+        Input laws, where one of them has an inner state.
     """
 
     n: int
@@ -34,6 +36,7 @@ class Layout:
     ny: int
     m: int
     lag: int
+    kept: int = 0
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
@@ -54,6 +57,7 @@ class Layout:
             "w": (nu,),
             "z": (self.m,),
             "ring": (self.lag, nu),
+            "kept": (self.kept, 6),
         }
 
     @property

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ...data.measurement import Measurement
 from ...effects.effect import Effect, as_effects
+from ...effects.formula import FormulaLaw
 from ...engine.engine import Engine
 from ...engine.structure import Structure
 from ...exceptions import ModelError
@@ -65,6 +66,17 @@ class Bank:
     Phi: Array
     C: Array
     scale: Array
+
+    @property
+    def laws(self) -> NDArray[np.int64]:
+        """Law of each column for the kernels of this process, 0 where it has none to evaluate."""
+        specs = [self.effects[owner].spec for owner in self.owner]
+        asked = (self.codes < 100) | (self.codes == CODES["change"])
+        found = [
+            spec.code if ask and isinstance(spec, FormulaLaw) else 0
+            for spec, ask in zip(specs, asked, strict=True)
+        ]
+        return np.array(found, dtype=np.int64)
 
     @property
     def size(self) -> int:
@@ -176,7 +188,10 @@ def _sizes(bank: Bank, structure: Structure, theta: Array, data: Measurement, ga
     X = np.ascontiguousarray(np.vstack([np.nan_to_num(run.states), data.inputs]).T)
     F, inner = np.zeros((data.n_samples, bank.size)), np.full((3, bank.size), np.nan)
     inner[0] = 0.0
-    forces(X, bank.rows, bank.codes, bank.values, bank.widths, bank.pick, 1.0 / data.dt, inner, F)
+    n = structure.n_states
+    forces(
+        X, bank.rows, bank.codes, bank.laws, n, bank.values, bank.widths, bank.pick, 1.0 / data.dt, inner, F
+    )
     size = np.sqrt(np.mean(F**2, axis=0))
     seen = np.isfinite(size) & (size > 0)
     return np.where(seen, 1.0 / np.where(seen, size, 1.0), np.where(np.isfinite(size), 1.0, 0.0))
@@ -218,12 +233,28 @@ def _columns(
         else:
             i = structure.linear_model.output_labels.index(effect.place)
             place, sense, hold = (np.zeros(n), np.eye(ny)[i]), np.concatenate([C[i], D[i]]), "foh"
-        if not law.shaping:
+        if law.signal and not law.shaping:
             return [at(place, zero, sense, first, CODES[law.signal], hold=hold)]
         shapes = _shapes(structure, theta, effect, motion)
+        if law.signal:
+            return [
+                at(place, zero, sense, first, CODES[law.signal], hold=hold, values=(0.0, shape[first]))
+                for shape in shapes
+            ]
+        strengths = [name for name in effect.coefficients if name not in (*law.shaping, *effect.fixed)]
         return [
-            at(place, zero, sense, first, CODES[law.signal], hold=hold, values=(0.0, shape[first]))
+            at(
+                place,
+                sense,
+                zero,
+                name or first,
+                0 if name else CODES["change"],
+                hold=hold,
+                pick=c,
+                values=_row(effect, shape),
+            )
             for shape in shapes
+            for c, name in [(effect.coefficients.index(s), s) for s in strengths] or [(0, "")]
         ]
     port = structure.model.port(effect.place)
     pad = n - port.act.size
@@ -237,19 +268,23 @@ def _columns(
         return [at(place, zero, a, first, CODES[law.signal])]
     if law.signal:
         return [at(place, d, v, first, CODES[law.signal])]
-    if effect.law is not None:
-        return [at(place, d, v, first, 0)]
     probe = Structure(structure.model, [effect])
     width = law_widths(probe, motion).get(0, 1.0)
     found = []
     for shape in _shapes(structure, theta, effect, motion):
-        values = tuple(shape.get(name, 0.0) for name in effect.coefficients)
         found += [
-            at(place, d, v, name, law.number, values=values, width=width, pick=c)
+            at(place, d, v, name, 0, values=_row(effect, shape), width=width, pick=c)
             for c, name in enumerate(effect.coefficients)
             if name not in law.shaping and name not in effect.fixed
         ]
     return found
+
+
+def _row(effect: Effect, shape: dict[str, float]) -> tuple[float, ...]:
+    """Coefficients and constants of a law at which it is looked at."""
+    assert isinstance(effect.spec, FormulaLaw)
+    known = {**effect.constants, **effect.fixed, **shape}
+    return tuple(float(known.get(name) or 0.0) for name in effect.spec.row)
 
 
 def _shapes(structure: Structure, theta: Array, effect: Effect, motion: Motion) -> list[dict[str, float]]:

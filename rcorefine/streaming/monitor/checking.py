@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...effects.law import KINDS, PortLaw
 from ...exceptions import DataError
 from ...inference.autoregression import MAX_ORDER
 from ..restoring import check_like, check_range
@@ -31,8 +30,8 @@ _WATCH = {
     "confirmed": False, "crossed": 0, "misfit": _INF, "place": "", "next_naming": 0, "next_follow": 0,
     "value": _NAN, "std": _NAN,
 }  # fmt: skip
-_LAWS = [law.number for law in KINDS.values() if isinstance(law, PortLaw)]
-_CODES = frozenset([*CODES.values(), *_LAWS]) - {0}  # a user's own law has no code
+_LAWS = range(14)  # earlier versions numbered the laws
+_CODES = frozenset([*CODES.values(), *_LAWS])
 _TINY = np.finfo(float).tiny
 _RANGES = {
     "size": (_TINY, _INF), "factor": (_TINY, _INF), "V": (0.0, _INF), "spread": (0.0, _INF),
@@ -153,9 +152,8 @@ def _check_parts(found: Any, monitor: Monitor) -> None:
     check_range(bank["pick"], 0, 3, "bank.pick")
     if set(bank["owner"].tolist()) != set(range(len(monitor.candidates))):
         raise DataError("bank.owner does not name each candidate: the file is damaged")
-    for code, owner in zip(bank["codes"].tolist(), bank["owner"].tolist(), strict=True):
-        own = monitor.candidates[owner].law is not None
-        if code not in _CODES and not (own and code == 0):
+    for code in bank["codes"].tolist():
+        if code not in _CODES:
             raise DataError(f"bank.codes holds {code}, the code of no law: the file is damaged")
     windows = found["windows"]
     M = monitor._lengths.size

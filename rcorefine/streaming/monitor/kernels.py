@@ -10,12 +10,12 @@ import math
 
 import numpy as np
 
-from ...effects.kernel import evaluate_law
+from ...effects.compiled import COUNT, evaluate
 from ...jit import NUMBA, compiled
 
 __all__ = ["CODES", "forces", "scores"]
 
-#: Signals of the candidates that are not laws of `effects.kernel`; d and v are what the rows sense.
+#: Signals of the candidates that are no law to evaluate; d and v are what the rows sense.
 CODES = {
     "displacement": 101,
     "velocity": 102,
@@ -25,6 +25,7 @@ CODES = {
     "deadzone": 104,  # what a dead zone of half width p1 takes away
     "saturation": 105,  # what a limit p1 cuts off
     "rectification": 106,  # |v| - v
+    "change": 108,  # what a law makes of d beyond d itself
     "rate": 107,  # minus the rate of v
 }
 LEARNED = 200.0  # samples that the noise level of the learning phase is worth
@@ -39,7 +40,9 @@ CLIP = 3.0  # standard deviations at which one innovation stops counting for mor
 def forces(  # type: ignore[no-untyped-def]
     X,  # (N, n + nw)       states before the correction, and inputs
     rows,  # (2, k, n + nw) what each column senses: d, v
-    codes,  # (k,)
+    codes,  # (k,)          below 100 for the force of a law
+    laws,  # (k,)           the law, as `evaluate` takes it
+    n,  # int               number of states
     values,  # (k, 4)       coefficients at which the law is differentiated
     widths,  # (k,)
     pick,  # (k,)           which coefficient
@@ -50,6 +53,7 @@ def forces(  # type: ignore[no-untyped-def]
     """Force of each column per unit of its coefficient, along the motion."""
     N, k = F.shape
     width = X.shape[1]
+    out = np.zeros((1, COUNT + width - n))
     for j in range(k):
         code = codes[j]
         z, d_last, v_last = inner[0, j], inner[1, j], inner[2, j]
@@ -76,11 +80,9 @@ def forces(  # type: ignore[no-untyped-def]
             else:
                 if d_last != d_last:
                     d_last = d
-                part = evaluate_law(
-                    code, d, v, d_last, z, values[j, 0], values[j, 1], values[j, 2], values[j, 3], widths[j]
-                )
-                f = part[9 + pick[j]]
-                z = part[5]
+                evaluate(laws[j], d, v, d_last, z, values[j : j + 1], 0, widths[j], X[s, n:], out)
+                f = out[0, 0] - d if code == 108 else out[0, 9 + pick[j]]
+                z = out[0, 5]
             d_last = d
             v_last = v
             F[s, j] = f

@@ -11,8 +11,10 @@ import control as ct
 import numpy as np
 from numpy.typing import NDArray
 
-from ...engine.engine import _PIECES, _kernel
+from ...effects.compiled import raise_pending
+from ...engine.engine import _PIECES
 from ...engine.inputs import InputSignal
+from ...engine.kernels import march
 from ...engine.simulation import structure_of
 from ...engine.structure import Structure
 from ...exceptions import DivergenceError, ModelError
@@ -100,7 +102,6 @@ class Observer:
         s = self.structure = structure
         self.theta, self.dt, self.hold, self.substeps = theta, dt, hold, substeps
         self.gain = np.ascontiguousarray(gain)
-        self._march = _kernel(s)
         step = dt / substeps
         disc = s.discretize(theta, step, derivatives=False)
         self._pieces = _PIECES if s.jumps else 1
@@ -109,23 +110,26 @@ class Observer:
         self._dMs = np.stack([disc.dM, fine.dM])
         codes, values, columns, widths = s.laws(theta)
         self._laws = codes, values, np.full_like(columns, -1), widths
-        ny = s.n_outputs
-        outcodes, outvalues = np.zeros(ny, dtype=np.int64), np.zeros(ny)
-        for index, channel, code in s.output_statics:
-            outcodes[channel] = code
-            outvalues[channel] = s.value(theta, index, s.effects[index].coefficients[0])
-        self._out = outcodes, outvalues, np.full(ny, -1, dtype=np.int64)
+        outcodes, outvalues, outcolumns = s.output_laws(theta)
+        self._out = outcodes, outvalues, np.full_like(outcolumns, -1)
         delays = [
             float(s.value(theta, i, s.effects[i].coefficients[0]))
             for i, _ in s.input_statics
             if s.effects[i].spec.delays
         ]
+        turning = [s.effects[i].label for i, _ in s.input_statics if s.effects[i].spec.inner_states]
+        if turning:
+            raise ModelError(
+                f"{turning[0]}: an input law with an inner state cannot be part of the healthy "
+                "model of a monitor; leave it out, or name it among the candidates"
+            )
         self.lag = 1 + (math.ceil(sum(delays) / dt) + 2 if delays else 0)
 
     def begin(self, x0: Array) -> dict[str, Array]:
         """Memory before the first sample."""
         s = self.structure
-        return {"x": np.array(x0, dtype=float), "z": np.zeros(s.n_ports), "w": np.zeros((0, s.n_inputs))}
+        inner = np.zeros(s.n_ports + s.n_outputs * s.remembers)
+        return {"x": np.array(x0, dtype=float), "z": inner, "w": np.zeros((0, s.n_inputs))}
 
     def advance(
         self,
@@ -172,13 +176,14 @@ class Observer:
         X, F = np.full((N, n), np.nan), np.full((N if m else 0, m), np.nan)
         none = np.zeros((0, 1, s.n_inputs + 1))
         limit = 1e12 * (1.0 + float(np.abs(x).max(initial=0.0) + np.abs(Y).max() + np.abs(W).max()))
-        blew_up = self._march(
+        blew_up = march(
             self._Ms, self._dMs, self._pieces, disc.linear, disc.O, disc.dO, disc.P, disc.dP, *self._laws,
             np.ascontiguousarray(drive.W[skip * self.substeps :]), drive.nodes,
             np.ascontiguousarray(drive.Wout[skip:]), none, none, np.zeros(0, dtype=np.int64),
             measured, flags, self.gain, *self._out, x, z, np.zeros((0, n)), self.substeps,
             Yout, SY, X, F, limit,
         )  # fmt: skip
+        raise_pending()
         if blew_up >= 0:
             raise DivergenceError(
                 f"the observer of the healthy model left all bounds at sample {first + blew_up - before}; "

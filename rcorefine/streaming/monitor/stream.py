@@ -225,6 +225,8 @@ class Stream:
             sensed,
             bank.rows,
             bank.codes,
+            bank.laws,
+            self.observer.structure.n_states,
             bank.values,
             bank.widths,
             bank.pick,

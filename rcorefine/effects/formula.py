@@ -1,0 +1,185 @@
+"""Laws that are written as a formula: forces at ports, what happens to inputs and outputs."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from ..systems.linear import Array
+from .compiled import MAX_COEFFICIENTS, address, through
+from .law import Law
+
+__all__ = ["FormulaLaw", "InputLaw", "OutputLaw", "PortLaw"]
+
+
+class FormulaLaw(Law):
+    """A law that is written as a formula.
+
+    Attributes
+    ----------
+    signals : mapping of str to str
+        Names that the formula may take beside its coefficients and constants.
+    law : staticmethod
+        Formula. Its arguments are told by their names. It returns the value, or with an
+        inner state (it takes ``z_start``) the value and the state at the end of the step.
+    slopes : staticmethod or None
+        The same with derivatives by each argument behind: ``(f, f_by_first, ...)``, with an inner
+        state a pair of such tuples. Central differences do without it.
+    rate : staticmethod or None
+        Of a law with an inner state at a port: its rate of change ``rate(d, v, z, *coefficients)``, for
+        `Refinement.nonlinear_system`.
+
+    Notes
+    -----
+    numba compiles the formula where it is installed, so write it for scalars, with ``math`` and
+    the arithmetic of Python. A jump such as ``sgn(v)`` is written ``math.tanh(v / width)``, with
+    ``jumps = True`` and a `width_share`.
+    """
+
+    signals: Mapping[str, str]
+    law: Callable[..., Any]
+    slopes: Callable[..., Any] | None = None
+    rate: Callable[..., Any] | None = None
+    scaled: bool = False
+    by_name: frozenset[str] = frozenset()
+    arguments: tuple[str, ...] = ()
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        law = vars(cls).get("law")
+        if isinstance(law, staticmethod):
+            names = _names(law.__func__)
+            cls._learn(cls, names, "needs" in vars(cls))
+
+    @staticmethod
+    def _learn(law: Any, names: tuple[str, ...], needs_known: bool) -> None:
+        """Tell from the names of the arguments what the law takes."""
+        law.arguments = names
+        law.inner_states = int("z_start" in names)
+        if not needs_known:
+            sensed = {"position": {"d", "d_start"}, "velocity": {"v"}}
+            law.needs = frozenset(need for need, told in sensed.items() if told & set(names))
+            law.senses = law.needs
+
+    def checked(self) -> FormulaLaw:
+        """The law, its names held against each other.
+
+        Raises
+        ------
+        control.ControlArgument
+            If the formula takes a name that is no coefficient, constant or signal, leaves one out,
+            or there are too many.
+        """
+        for name in self.arguments:
+            if name not in (*self.row, *self.signals):
+                raise ct.ControlArgument(
+                    f"the formula of {self.name} takes {name!r}, which is none of its coefficients and "
+                    f"constants ({', '.join(self.row) or 'none'}) nor of {', '.join(self.signals)}"
+                )
+        unused = [name for name in self.row if name not in self.arguments and not self.scaled]
+        if unused and self.arguments:
+            raise ct.ControlArgument(f"the formula of {self.name} does not take {', '.join(unused)}")
+        if len(self.row) > MAX_COEFFICIENTS:
+            raise ct.ControlArgument(
+                f"{self.name} has {len(self.row)} coefficients and constants; "
+                f"a law has {MAX_COEFFICIENTS} at most"
+            )
+        return self
+
+    @property
+    def row(self) -> tuple[str, ...]:
+        """Coefficients and constants in the order in which the kernels hold them."""
+        return (*self.coefficient_names, *(name for name in self.constants if name != "width"))
+
+    @cached_property
+    def _address(self) -> tuple[int, Any]:
+        self.checked()
+        return address(
+            self.law, self.slopes, self.arguments, dict(self.signals), self.row, memory=self.inner_states > 0,
+            scaled=self.scaled, by_name=self.by_name, label=self.name,
+        )  # fmt: skip
+
+    @property
+    def needs_starts(self) -> bool:
+        """Whether nobody but the user knows where its coefficients start."""
+        return False
+
+    @property
+    def feels_inputs(self) -> bool:
+        """Whether the formula takes the inputs of the model."""
+        return "w" in self.arguments and self.signals["w"] == "w"
+
+    @property
+    def code(self) -> int:
+        """What the kernels take; of this process only."""
+        return self._address[0]
+
+    def through(
+        self, signal: Array, *values: float, slopes: Array | None = None
+    ) -> tuple[Array, Array, Array]:
+        """What the law makes of a signal that is known.
+
+        Parameters
+        ----------
+        signal : ndarray, shape (N,)
+            Input or output.
+        *values : float
+            Coefficients and constants.
+        slopes : ndarray, shape (q, N), optional
+            Derivatives of the signal by something.
+
+        Returns
+        -------
+        value : ndarray, shape (N,)
+        own : ndarray, shape (4, N)
+            Derivatives by the coefficients.
+        slopes : ndarray, shape (q, N)
+            Derivatives of the value.
+        """
+        signal = np.ascontiguousarray(signal, dtype=float)
+        row = np.zeros((1, MAX_COEFFICIENTS))
+        row[0, : len(values)] = values
+        passed = np.zeros((0, signal.size)) if slopes is None else np.array(slopes, dtype=float)
+        value, own = np.empty(signal.size), np.empty((MAX_COEFFICIENTS, signal.size))
+        through(self.code, row, signal, passed, value, own)
+        return value, own, passed
+
+
+class PortLaw(FormulaLaw):
+    """A force at a port: ``law(d, v, ...)``.
+
+    The formula may take ``d`` and ``v`` (displacement and velocity at the end of a step),
+    ``d_start`` and ``z_start`` (displacement and inner state at its start), ``w`` (the inputs, an
+    array), ``width`` and the law's coefficients and constants.
+    """
+
+    where = frozenset({"mechanical"})
+    signals = MappingProxyType({name: name for name in ("d", "v", "d_start", "z_start", "w", "width")})
+
+
+class InputLaw(FormulaLaw):
+    """What happens to an input before it acts: ``law(w, ...)``.
+
+    The formula may take ``w``, ``w_start`` and ``z_start`` (input and inner state at the start of the
+    step) and the law's coefficients and constants.
+    """
+
+    where = frozenset({"input"})
+    signals = MappingProxyType({"w": "d", "w_start": "d_start", "z_start": "z_start"})
+
+
+class OutputLaw(FormulaLaw):
+    """What happens to an output before it is recorded: ``law(y, ...)``, as of an `InputLaw`."""
+
+    where = frozenset({"output"})
+    signals = MappingProxyType({"y": "d", "y_start": "d_start", "z_start": "z_start"})
+
+
+def _names(function: Callable[..., Any]) -> tuple[str, ...]:
+    return tuple(inspect.signature(function).parameters)
