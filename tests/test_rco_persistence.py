@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 
 import numpy as np
 import pytest
@@ -143,21 +144,25 @@ def test_nothing_is_pickled(tmp_path):
         assert all(stored[key].dtype != object for key in stored.files)
 
 
-def test_custom_laws_are_handed_over_again(tmp_path):
+@pytest.mark.parametrize("law", [cube, lambda d, v: d**3], ids=["named", "nameless"])
+def test_custom_laws_are_imported_or_handed_over_again(tmp_path, monkeypatch, law):
     w, y = stream("effects", 200)
-    effects = [Effect("custom", "link2", law=cube)]
+    effects = [Effect("custom", "link2", law=law)]
     refiner, path = (
         RCORefiner(chain(), dt=0.02, effects=effects, use_estimated_states=False),
         tmp_path / "x.npz",
     )
     refiner.update(w[:, :20], y[:, :20])
     refiner.save(path)
+    if law is cube:
+        found = RCORefiner.load(path)
+        monkeypatch.delattr(sys.modules[cube.__module__], "cube")  # as where the module is another one
     with pytest.raises(rco.ModelError, match="laws="):
         RCORefiner.load(path)
-    again = RCORefiner.load(path, laws={"custom at link2": cube})
-    for one in (refiner, again):
+    again = RCORefiner.load(path, laws={"custom at link2": law})
+    for one in (refiner, again, *([found] if law is cube else [])):
         one.update(w[:, 20:120], y[:, 20:120])
-    np.testing.assert_array_equal(refiner.static_theta, again.static_theta)
+        np.testing.assert_array_equal(refiner.static_theta, one.static_theta)
 
 
 def test_memory_and_file_stay_the_same_size(tmp_path):

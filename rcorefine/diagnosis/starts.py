@@ -184,12 +184,13 @@ def imitated(giver: Candidate, point: Array, taker: Candidate) -> list[Array]:
         return []
     theta, starts = problem.unpack(point)
     port = problem.structure.model.port(taker.effect.place)
-    ds, vs, forces = [], [], []
+    ds, vs, ws, forces = [], [], [], []
     for engine, start in zip(problem.engines, starts, strict=True):
         run = engine.run(theta, start, sensitivity=False, histories=True, check=False)
         x, w = run.states[: port.act.size], engine.data.inputs
         ds.append(port.position @ x + port.position_input @ w)
         vs.append(port.velocity @ x + port.velocity_input @ w)
+        ws.append(w)
         if giver.effect.spec.is_element:
             unit = unit_forces(giver.effect, ds[-1], vs[-1], [])
             if unit is None:
@@ -211,7 +212,7 @@ def imitated(giver: Candidate, point: Array, taker: Candidate) -> list[Array]:
     full[:, :n] = starts[:, :n]
     best: tuple[float, Array] | None = None
     for shape in _shapes(taker, float(np.sqrt(np.mean(d**2)))):
-        columns = unit_forces(taker.effect, d, v, [shape])
+        columns = unit_forces(taker.effect, d, v, [shape], np.hstack(ws))
         if columns is None:
             return []
         free = [name for name in taker.effect.free if name not in shape]

@@ -1,4 +1,13 @@
-"""Effects: laws at places, their coefficients, their forces. A law is one class in one of these files."""
+"""Effects: laws at places, their coefficients, their forces. A law is one class in one of these files.
+
+A law of your own is a subclass of `PortLaw`, `InputLaw` or `OutputLaw`: hand it to ``Effect(law=...)``,
+or enter it into the catalogue with `register`.
+"""
+
+from .formula import InputLaw, OutputLaw, PortLaw
+from .law import KINDS, Coefficient, register
 
 # the order in which laws are listed to people
 from . import springs, dampers, bodies, flows, entries, input_path, output_path, custom  # noqa: F401, isort: skip
+
+__all__ = ["KINDS", "Coefficient", "InputLaw", "OutputLaw", "PortLaw", "register"]

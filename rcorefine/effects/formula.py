@@ -56,6 +56,8 @@ class FormulaLaw(Law):
         if isinstance(law, staticmethod):
             names = _names(law.__func__)
             cls._learn(cls, names, "needs" in vars(cls))
+            if "secant" not in vars(cls) and cls.where & {"input", "output"}:
+                cls.secant = all(coefficient.shapes for coefficient in cls.coefficients)
 
     @staticmethod
     def _learn(law: Any, names: tuple[str, ...], needs_known: bool) -> None:
@@ -85,6 +87,12 @@ class FormulaLaw(Law):
         unused = [name for name in self.row if name not in self.arguments and not self.scaled]
         if unused and self.arguments:
             raise ct.ControlArgument(f"the formula of {self.name} does not take {', '.join(unused)}")
+        unknown = [c.name for c in self.coefficients if c.default_start is None]
+        if unknown and type(self).starts is Law.starts:
+            raise ct.ControlArgument(
+                f"{', '.join(unknown)} of {self.name} has no default_start, and the law no `starts` that "
+                "tells one from a record"
+            )
         if len(self.row) > MAX_COEFFICIENTS:
             raise ct.ControlArgument(
                 f"{self.name} has {len(self.row)} coefficients and constants; "

@@ -109,6 +109,7 @@ class InputDeadzone(InputLaw):
         ),
     )
     signal = "deadzone"
+    secant = False
     formula = "w -> sgn(w) max(|w| - threshold, 0)"
     explanation = (
         "The input {place} has a dead zone: small values do nothing, and larger ones lose that much."

@@ -170,6 +170,7 @@ def march(
     step = np.zeros(nz)
     out = np.zeros(n + nw + m)
     xw = np.zeros(n + nw)
+    w_now, w_end = xw[n : n + nw - 1], step[n + nw : n + 2 * nw - 1]  # the inputs without the constant one
     y = np.zeros(ny)
     sy = np.zeros((p, ny))
     sense = np.zeros(2 * m)
@@ -227,7 +228,7 @@ def march(
                             sd_last[q, i] = ssense[q, i]
                     evaluate(
                         codes[i], sense[i], sense[m + i], d_last[i], z[i], values, i, widths[i],
-                        xw[n : n + nw - 1], parts,
+                        w_now, parts,
                     )  # fmt: skip
                     part = parts[i]
                     f[i] = part[0]
@@ -357,7 +358,7 @@ def march(
                                 v += Q[m + i, j] * trial[j]
                             evaluate(
                                 codes[i], d, v, d_last[i], z[i], values, i, widths[i],
-                                step[n + nw : n + 2 * nw - 1], parts,
+                                w_end, parts,
                             )  # fmt: skip
                             residual[i] = trial[i] - parts[i, 0]
                             size += residual[i] * residual[i]

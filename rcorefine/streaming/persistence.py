@@ -15,6 +15,7 @@ from ..archives import read_archive
 from ..arguments import as_mapping, as_path
 from ..effects.custom import Custom
 from ..effects.effect import Effect
+from ..effects.origin import import_path, imported
 from ..exceptions import DataError, ModelError
 from ..models.parameters import NominalParameter
 from ..models.physical_model import PhysicalModel
@@ -126,6 +127,7 @@ def _arguments(effect: Effect) -> dict[str, Any]:
         "fixed": effect.fixed,
         "prior": effect.prior,
         "name": effect.name,
+        "law": import_path(effect),
     }
 
 
@@ -138,14 +140,15 @@ def _decoded(tree: Any, arrays: dict[str, Any], laws: Mapping[str, Callable[...,
         return _decoded(tree["statespace"], arrays, laws).to_statespace()
     if "effect" in tree:
         arguments = _decoded(tree["effect"], arrays, laws)
-        if arguments["kind"] == Custom.name:
-            label = arguments["name"] or f"{Custom.name} at {arguments['place']}"
-            if label not in laws:
+        path = arguments.pop("law", "")
+        if path or arguments["kind"] == Custom.name:
+            label = arguments["name"] or f"{arguments['kind']} at {arguments['place']}"
+            if label not in laws and not path:
                 raise ModelError(
-                    f"the law of {label!r} is a function, which no file holds; "
+                    f"the law of {label!r} is a function that no name leads to, and no file holds it; "
                     f"pass laws={{{label!r}: function}}"
                 )
-            arguments["law"] = laws[label]
+            arguments["law"] = laws[label] if label in laws else imported(path, label)
         return Effect(**arguments).at_port(tree["port"])
     if "kind" in tree:
         kind = _KINDS[tree["kind"]]

@@ -420,7 +420,8 @@ class RCORefiner(Result, Learned):
         path : path-like
             File.
         laws : mapping of str to callable, optional
-            Functions of custom effects by their label, since no file holds a function.
+            Laws of your own by the label of the effect, where the name under which the file knows
+            them (module and function or class) cannot be imported here.
 
         Returns
         -------
@@ -432,7 +433,7 @@ class RCORefiner(Result, Learned):
         DataError
             If the file is damaged, none of a refiner, or of another version.
         ModelError
-            If the law of a custom effect is not given.
+            If a law of your own is neither given nor found.
 
         Examples
         --------

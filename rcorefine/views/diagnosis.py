@@ -129,7 +129,7 @@ def _force(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
     what = "displacement" if along_d else "motion" if port.kind == "first_order" else "velocity"
     skip = max(record.n_samples // 50, 1)
     inner = slice(skip, -skip)
-    law = _law(found, d, v, motion)
+    law = _law(found, d, v, motion, record.inputs)
     # a constant force passes for the offset: the estimate has none, the law's is put in its place
     force = force - force[inner].mean() + (0.0 if law is None else float(np.mean(law[1])))
     points = ax.plot(
@@ -164,12 +164,12 @@ def _force(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
     return list(points)
 
 
-def _law(found: Diagnosis, d: Array, v: Array, motion: Array) -> tuple[Array, Array] | None:
+def _law(found: Diagnosis, d: Array, v: Array, motion: Array, w: Array) -> tuple[Array, Array] | None:
     assert found.best is not None
     effect, values = found.best.effect, dict(found.best.coefficients)
     order = np.argsort(motion, kind="stable")
     shape = {**values, **effect.fixed}
-    columns = unit_forces(effect, d, v, [shape])
+    columns = unit_forces(effect, d, v, [shape], w)
     levels = [
         values.get(n, effect.fixed.get(n, 0.0)) for n in effect.coefficients if n not in effect.spec.shaping
     ]

@@ -324,7 +324,8 @@ class Monitor(Result, Readings):
         path : path-like
             File.
         laws : mapping, optional
-            Functions of `custom` effects by the label of the effect; no file holds them.
+            Laws of your own by the label of the effect, where the name under which the file knows
+            them (module and function or class) cannot be imported here.
 
         Returns
         -------
