@@ -147,20 +147,20 @@ def test_nothing_is_pickled(tmp_path):
 @pytest.mark.parametrize("law", [cube, lambda d, v: d**3], ids=["named", "nameless"])
 def test_custom_laws_are_imported_or_handed_over_again(tmp_path, monkeypatch, law):
     w, y = stream("effects", 200)
-    effects = [Effect("custom", "link2", law=law)]
+    named, effects = law is cube, [Effect("custom", "link2", law=law)]
     refiner, path = (
         RCORefiner(chain(), dt=0.02, effects=effects, use_estimated_states=False),
         tmp_path / "x.npz",
     )
     refiner.update(w[:, :20], y[:, :20])
     refiner.save(path)
-    if law is cube:
+    if named:
         found = RCORefiner.load(path)
         monkeypatch.delattr(sys.modules[cube.__module__], "cube")  # as where the module is another one
     with pytest.raises(rco.ModelError, match="laws="):
         RCORefiner.load(path)
     again = RCORefiner.load(path, laws={"custom at link2": law})
-    for one in (refiner, again, *([found] if law is cube else [])):
+    for one in (refiner, again, *([found] if named else [])):
         one.update(w[:, 20:120], y[:, 20:120])
         np.testing.assert_array_equal(refiner.static_theta, one.static_theta)
 

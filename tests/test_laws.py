@@ -1,0 +1,343 @@
+"""Laws as a user writes them: against scipy, as fast as built-in ones, and in every product."""
+
+import ast
+import importlib.util
+import pickle
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import control as ct
+import numpy as np
+import pytest
+
+import rcorefine as rco
+from rcorefine.effects import KINDS, Coefficient, InputLaw, OutputLaw, PortLaw
+from rcorefine.effects.formula import FormulaLaw
+from rcorefine.engine.engine import Engine
+from rcorefine.engine.structure import Structure
+from rcorefine.jit import NUMBA
+
+DOCS = Path(__file__).resolve().parents[1] / "docs" / "laws"
+
+
+def loaded(name):
+    """An example of the documentation, as a module that a name leads to."""
+    if name not in sys.modules:
+        spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
+        sys.modules[name] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(sys.modules[name])
+    return sys.modules[name]
+
+
+@pytest.fixture(autouse=True)
+def catalogue():
+    """The catalogue as it was: examples enter their laws."""
+    from rcorefine.effects import law
+
+    before = dict(law._LAWS)
+    yield
+    law._LAWS.clear()
+    law._LAWS.update(before)
+    for name in ("power_drag", "magnetic_force", "input_play"):
+        sys.modules.pop(name, None)
+
+
+EXAMPLES = {
+    "power_drag": ("mass1", {}),
+    "magnetic_force": ("x", {"gap": 1.0}),
+    "input_play": ("force", {}),
+}
+
+
+def effect_of(name, **more):
+    module = loaded(name)
+    place, fixed = EXAMPLES[name]
+    law = module.MagneticForce if name == "magnetic_force" else None
+    return rco.Effect(name, place, law=law, fixed={**fixed, **more.pop("fixed", {})}, **more)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_a_law_is_short_and_agrees_with_scipy(name):
+    module = loaded(name)
+    (law,) = [n for n in ast.parse((DOCS / f"{name}.py").read_text()).body if isinstance(n, ast.ClassDef)]
+    assert law.end_lineno - law.lineno < 30
+    data = module.record()
+    engine = Engine(Structure(module.MODEL, [effect_of(name)]), data, substeps=16, initial=np.zeros(2))
+    run = engine.run(np.array(list(module.TRUE.values())))
+    assert np.abs(run.outputs - data.outputs).max() < 2e-4 * data.outputs.std()
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_examples_find_their_coefficients(name):
+    found = loaded(name).main()
+    for row in [row for row in found.parameters if row.role == "effect"]:
+        true = loaded(name).TRUE[next(k for k in loaded(name).TRUE if row.name.endswith(k))]
+        assert abs(row.value - true) < 5 * row.std + 0.02 * abs(true), row
+
+
+@pytest.mark.parametrize("name", [n for n, k in KINDS.items() if isinstance(k, FormulaLaw) and k.slopes])
+def test_slopes_are_those_of_the_formula(name):
+    law = KINDS[name]
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        point = dict(zip(law.arguments, rng.uniform(0.3, 1.7, len(law.arguments)), strict=True))
+        point |= {key: float(rng.normal()) for key in ("d", "v", "w", "y", "d_start") if key in point}
+        exact, values = law.slopes(*point.values()), law.law(*point.values())
+        rows = zip(exact, values, strict=True) if law.inner_states else [(exact, values)]
+        for which, (row, value) in enumerate(rows):
+            assert row[0] == pytest.approx(value, rel=1e-12, abs=1e-12)
+            for k, key in enumerate(point):
+                if key == "width":
+                    continue
+                up, low = dict(point), dict(point)
+                up[key] += 1e-6
+                low[key] -= 1e-6
+                both = [law.law(*p.values()) for p in (up, low)]
+                two = [b[which] for b in both] if law.inner_states else both
+                assert row[k + 1] == pytest.approx((two[0] - two[1]) / 2e-6, rel=1e-5, abs=1e-5)
+
+
+class Drag(PortLaw):
+    """Quadratic drag, written again."""
+
+    formula = "f = c v |v|"
+    explanation = "Drag at {place}."
+    coefficients = (Coefficient("drag", "force/velocity^2", explanation="drag"),)
+
+    @staticmethod
+    def law(v, drag):
+        return drag * v * abs(v)
+
+
+class OutputPlay(OutputLaw):
+    """Play in a sensor."""
+
+    formula = "r follows y with play of +- gap"
+    explanation = "The sensor {place} has play."
+    coefficients = (
+        Coefficient("gap", "signal", lower=0.0, default_start=None, explanation="play", shapes=True),
+    )
+
+    @staticmethod
+    def law(y, z_start, gap):
+        r = min(max(z_start, y - gap), y + gap)
+        return r, r
+
+    def starts(self, seen):
+        return [{"gap": float(q)} for q in np.quantile(np.abs(seen.signal), (0.1, 0.3))]
+
+
+class Play(PortLaw):
+    """A joint with play that remembers where it was left."""
+
+    formula = "f = k z"
+    explanation = "The joint at {place} has play."
+    coefficients = (
+        Coefficient("stiffness", "force/position", explanation="stiffness"),
+        Coefficient("gap", "position", lower=0.0, default_start=0.02, explanation="play", shapes=True),
+    )
+
+    @staticmethod
+    def law(d, z_start, stiffness, gap):
+        z = min(max(z_start, d - gap), d + gap)
+        return stiffness * z, z
+
+
+def drag(d, v):
+    return v * abs(v)
+
+
+def chain(n=1200, seed=0):
+    model = rco.mass_spring_damper([1.0, 1.3], [0.4] * 2, [200.0, 260.0], sensors="velocity")
+    w = np.cumsum(np.random.default_rng(seed).standard_normal(n))
+    w = 5.0 * (w - np.convolve(w, np.ones(101) / 101, "same"))
+    return model, rco.Measurement(w, np.zeros((2, n)), dt=0.02, hold="foh")
+
+
+@pytest.mark.parametrize(
+    ("kind", "place", "law", "theta"),
+    [
+        ("drag", "link1", Drag, [3.0]),
+        ("play", "link2", Play, [40.0, 0.01]),
+        ("output_play", "v1", OutputPlay, [0.04]),
+    ],
+)
+def test_derivatives_of_a_law_with_and_without_memory(kind, place, law, theta):
+    model, data = chain()
+    engine = Engine(Structure(model, [rco.Effect(kind, place, law=law)]), data, substeps=4)
+    run = engine.run(np.array(theta))
+    assert np.abs(run.outputs - Engine(Structure(model), data).run(np.zeros(0)).outputs).max() > 0
+    for i, value in enumerate(theta):
+        step = np.zeros(len(theta))
+        step[i] = 1e-6 * value
+        up, low = (engine.run(np.array(theta) + s, sensitivity=False).outputs for s in (step, -step))
+        slope = (up - low) / (2e-6 * value)
+        assert np.abs(run.sensitivity[:, :, i] - slope).max() < 5e-3 * np.abs(slope).max()
+
+
+@pytest.mark.skipif(not NUMBA, reason="speed is that of compiled laws")
+@pytest.mark.parametrize("law", [Drag, drag], ids=["class", "function"])
+def test_a_users_law_is_as_fast_as_a_built_in_one(law):
+    model, data = chain(3000)
+    effects = {
+        "own": rco.Effect("custom", "link1", law=law),
+        "built-in": rco.Effect("quadratic_damping", "link1"),
+    }
+    engines = {name: Engine(Structure(model, [e]), data, substeps=4) for name, e in effects.items()}
+    theta, best = np.array([2.0]), dict.fromkeys(engines, np.inf)
+    runs = {}
+    for _ in range(15):
+        for name, engine in engines.items():
+            began = time.process_time()
+            runs[name] = engine.run(theta)
+            best[name] = min(best[name], time.process_time() - began)
+    np.testing.assert_allclose(runs["own"].outputs, runs["built-in"].outputs, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(runs["own"].sensitivity, runs["built-in"].sensitivity, rtol=1e-6, atol=1e-9)
+    assert best["own"] < 1.5 * best["built-in"]
+
+
+def dragged(n=2500, noise=0.01, seed=0, value=4.0):
+    """Record of the chain with drag at link1."""
+    model, data = chain(n, seed)
+    engine = Engine(Structure(model, [rco.Effect("quadratic_damping", "link1")]), data, substeps=8)
+    y = engine.run(np.array([value]), sensitivity=False).outputs
+    rng = np.random.default_rng(seed + 1)
+    return model, data, y + noise * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
+
+
+def test_a_registered_law_is_in_the_library_and_wins_a_diagnosis():
+    loaded("power_drag")
+    model, data, y = dragged()
+    assert any(e.kind == "power_drag" for e in rco.effect_library(model))
+    laws = ["stiffness", "damping", "coulomb_friction", "power_drag"]
+    found = rco.diagnose(
+        model,
+        rco.Measurement(data.inputs, y, dt=data.dt, hold="foh"),
+        candidates=[rco.Effect(kind, place) for kind in laws for place in ("link1", "link2")],
+    )
+    assert found.best is not None
+    assert str(found.best.effect) == "power_drag at link1"
+    assert found.best.coefficients["power"] == pytest.approx(2.0, abs=5 * found.best.std["power"] + 0.02)
+
+
+@pytest.mark.parametrize("law", [Drag, drag], ids=["class", "function"])
+def test_on_a_stream_a_users_law_gives_what_the_built_in_one_gives(law, tmp_path):
+    model, data, y = dragged()
+    effects = [rco.Effect("custom", "link1", law=law), rco.Effect("quadratic_damping", "link1")]
+    values = []
+    for effect in effects:
+        refiner = rco.RCORefiner(model, dt=data.dt, hold="foh", effects=[effect])
+        refiner.update(data.inputs[:, :1500], y[:, :1500])
+        refiner.save(tmp_path / "state.npz")
+        again = rco.RCORefiner.load(tmp_path / "state.npz")
+        for one in (refiner, again):
+            one.update(data.inputs[:, 1500:], y[:, 1500:])
+        np.testing.assert_array_equal(refiner.static_theta, again.static_theta)
+        values.append(np.ravel(refiner.static_theta)[0])
+    assert values[0] == pytest.approx(values[1], rel=1e-3)
+    assert values[1] == pytest.approx(4.0, rel=0.05)
+
+
+def test_play_at_an_input_on_a_stream():
+    module = loaded("input_play")
+    data = module.record(3000)
+    refiner = rco.RCORefiner(module.MODEL, dt=data.dt, hold="foh", effects=[effect_of("input_play")])
+    refiner.update(data.inputs, data.outputs)
+    assert np.ravel(refiner.static_theta)[0] == pytest.approx(0.7, rel=0.02)
+
+
+def test_a_monitor_watches_for_a_users_law():
+    model, data, y = dragged(6000, value=30.0, seed=4)
+    sound = Engine(Structure(model), data).run(np.zeros(0)).outputs
+    rng = np.random.default_rng(9)
+    sound = sound + 0.01 * sound.std(axis=1, keepdims=True) * rng.standard_normal(sound.shape)
+    seen = np.where(np.arange(6000) < 4000, sound, y)
+    monitor = rco.Monitor(
+        model,
+        [rco.Effect("custom", "link1", law=drag), rco.Effect("stiffness", "link2")],
+        dt=data.dt,
+        hold="foh",
+        learn=2500,
+    )
+    monitor.update(data.inputs, seen)
+    assert monitor.alarm is not None
+    assert monitor.ranking[0].effect.law is drag
+
+
+def test_pickles_and_equality():
+    for law in (Drag, drag):
+        effect = rco.Effect("custom", "link1", law=law)
+        again = pickle.loads(pickle.dumps(effect))
+        assert again == effect
+        assert again.spec.code == effect.spec.code  # one compiled law in a process
+    assert rco.Effect("drag", "link1", law=Drag) == rco.Effect("custom", "link1", law=Drag)
+
+
+def test_a_registered_law_unpickles_where_nobody_imported_it(tmp_path):
+    loaded("power_drag")
+    (tmp_path / "effect.pickle").write_bytes(pickle.dumps(rco.Effect("power_drag", "mass1")))
+    script = "import pickle, sys; print(pickle.load(open(sys.argv[1], 'rb')))"
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(tmp_path / "effect.pickle")],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**__import__("os").environ, "PYTHONPATH": f"{DOCS}:{Path(rco.__file__).parents[1]}"},
+    )
+    assert done.stdout.strip() == "power_drag at mass1"
+
+
+class TestWhatIsWrongIsSaid:
+    def test_a_name_that_the_formula_cannot_have(self):
+        class Wrong(PortLaw):
+            """Typing error."""
+
+            formula = explanation = "{place}."
+            coefficients = (Coefficient("drag", "", explanation="drag"),)
+
+            @staticmethod
+            def law(v, dragg):
+                return dragg * v
+
+        with pytest.raises(ct.ControlArgument, match=r"'dragg'.*none of its coefficients.*drag"):
+            rco.Effect("wrong", "link1", law=Wrong)
+
+    def test_no_start(self):
+        class Gap(InputLaw):
+            """Without a start."""
+
+            formula = explanation = "{place}."
+            coefficients = (Coefficient("gap", "", default_start=None, explanation="gap"),)
+
+            @staticmethod
+            def law(w, gap):
+                return w - gap
+
+        with pytest.raises(ct.ControlArgument, match="no default_start"):
+            rco.Effect("gap", "force", law=Gap)
+
+    def test_another_kind(self):
+        with pytest.raises(ct.ControlArgument, match="'drag', not 'damping'"):
+            rco.Effect("damping", "link1", law=Drag)
+
+    @pytest.mark.skipif(not NUMBA, reason="in Python every law is called as it is")
+    def test_a_law_that_cannot_be_compiled_is_called_in_python(self):
+        table = {"rate": 2.0}
+
+        def odd(d, v):
+            return sorted([table["rate"]])[0] * v * abs(v)
+
+        model, data = chain(200)
+        with pytest.warns(rco.RCOWarning, match="cannot be compiled"):
+            code = rco.Effect("custom", "link1", law=odd).spec.code
+        assert code
+        own = Engine(Structure(model, [rco.Effect("custom", "link1", law=odd)]), data, substeps=2)
+        outputs = own.run(np.array([1.0]), sensitivity=False).outputs
+        same = Engine(Structure(model, [rco.Effect("quadratic_damping", "link1")]), data, substeps=2)
+        expected = same.run(np.array([2.0]), sensitivity=False).outputs
+        np.testing.assert_allclose(outputs, expected, rtol=1e-9, atol=1e-12)
+        table.clear()
+        with pytest.raises(KeyError, match="rate"):
+            own.run(np.array([1.0]), sensitivity=False)
