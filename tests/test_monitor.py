@@ -379,6 +379,7 @@ class Trap:
 
 
 @pytest.mark.parametrize("start", [300, 700, 1500])
+@pytest.mark.filterwarnings("ignore:custom cannot be compiled")
 def test_a_failed_update_changes_nothing(start):
     plant = Chain(34, n=2, sensor="displacement")
     w, y = plant.record(step(1000, 5000))

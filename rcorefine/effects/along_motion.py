@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..systems.linear import Array
-from .compiled import MAX_COEFFICIENTS, forces_along
+from .compiled import MAX_COEFFICIENTS, forces_along, raise_pending
 from .effect import Effect
 from .formula import PortLaw
 
@@ -53,6 +53,7 @@ def unit_forces(
         found = np.zeros((len(law.coefficients), d.size))
         with np.errstate(all="ignore"):
             forces_along(law.code, d, v, inputs, row, _SHARP, found)
+        raise_pending()
         names = enumerate(law.coefficient_names)
         columns += [found[c] for c, name in names if name not in law.shaping]
     return columns

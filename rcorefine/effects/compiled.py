@@ -115,8 +115,8 @@ def address(
         code = len(_PLAIN) + 1
         _PLAIN[code] = plain
         return code, plain
-    names = {"law": compiled_law(law), "slopes": None if slopes is None else compiled_law(slopes)}
     try:
+        names = {"law": compiled_law(law), "slopes": None if slopes is None else compiled_law(slopes)}
         return address_of(_defined(source, {**names, "carray": None}, law), cache=_importable(law))
     except TypeError as error:
         warnings.warn(

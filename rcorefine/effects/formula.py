@@ -12,7 +12,7 @@ import control as ct
 import numpy as np
 
 from ..systems.linear import Array
-from .compiled import MAX_COEFFICIENTS, address, through
+from .compiled import MAX_COEFFICIENTS, address, raise_pending, through
 from .law import Law
 
 __all__ = ["FormulaLaw", "InputLaw", "OutputLaw", "PortLaw"]
@@ -156,6 +156,7 @@ class FormulaLaw(Law):
         passed = np.zeros((0, signal.size)) if slopes is None else np.array(slopes, dtype=float)
         value, own = np.empty(signal.size), np.empty((MAX_COEFFICIENTS, signal.size))
         through(self.code, row, signal, passed, value, own)
+        raise_pending()
         return value, own, passed
 
 

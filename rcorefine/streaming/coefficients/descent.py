@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...effects.compiled import raise_pending
 from ...engine.engine import Engine
 from ...engine.structure import Structure
 from ...systems.linear import Array
@@ -138,6 +139,7 @@ def _over(
         kernel.sizes, fixed, packed, counters, W, memory.known, memory.outputs, memory.use, True, *none,
         *kernel.rest,
     )  # fmt: skip
+    raise_pending()
     if done < W.shape[0] or not np.isfinite(packed).all():
         return None
     cost, count = lay.view(packed, "cost")

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...effects.compiled import raise_pending
 from ...systems.conversion import to_discrete
 from ...systems.linear import Array, LinearModel
 from ..restoring import check_course, check_like, check_range
@@ -67,6 +68,7 @@ class CoefficientFilter:
             kernel.sizes, kernel.fixed, after.packed, after.counters, W, self._there[0], outputs,
             self._there[1], False, *self._none, *kernel.rest,
         )  # fmt: skip
+        raise_pending()
         if done != 1 or why != DONE:
             return False
         self.memory = after

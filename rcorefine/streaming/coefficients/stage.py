@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from ...effects.compiled import raise_pending
 from ...systems.linear import Array
 from .guard import explain_divergence
 from .kernel import DIVERGED, MOVED, SURPRISED
@@ -136,6 +137,7 @@ def _advance(
             kernel.sizes, kernel.fixed, memory.packed, memory.counters, W[position:], known[position:],
             outputs[position:], use[position:], False, *kept, *kernel.rest,
         )  # fmt: skip
+        raise_pending()
         position += done
         if why == DIVERGED:
             raise explain_divergence(setup, memory, first + position)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...effects.compiled import raise_pending
 from ...systems.linear import Array
 from . import kernels
 from .bank import Bank
@@ -234,11 +235,7 @@ class Stream:
             inner,
             F,
         )
-        for j in np.flatnonzero(bank.codes == 0):
-            law = bank.effects[bank.owner[j]].law
-            assert law is not None
-            motion = sensed @ bank.rows[:, j].T
-            F[:, j] = [float(law(d, v)) for d, v in motion]
+        raise_pending()
         return (after, outputs), before, F * bank.scale, inner
 
     def recent(self, start: int) -> tuple[Array, Array, NDArray[np.uint8], Array]:
