@@ -318,6 +318,18 @@ class TestWhatIsWrongIsSaid:
         with pytest.raises(ct.ControlArgument, match="no default_start"):
             rco.Effect("gap", "force", law=Gap)
 
+    def test_no_formula(self):
+        class Empty(PortLaw):
+            """Nothing."""
+
+            formula = explanation = "{place}."
+            coefficients = ()
+
+        with pytest.raises(ct.ControlArgument, match="no formula"):
+            Structure(chain()[0], [rco.Effect("empty", "link1", law=Empty)]).laws(np.zeros(0))
+        with pytest.raises(ct.ControlArgument, match="@staticmethod"):
+            type("Bound", (PortLaw,), {"law": lambda v: v})
+
     def test_another_kind(self):
         with pytest.raises(ct.ControlArgument, match="'drag', not 'damping'"):
             rco.Effect("damping", "link1", law=Drag)

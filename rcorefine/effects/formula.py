@@ -52,6 +52,9 @@ class FormulaLaw(Law):
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
+        for key in ("law", "slopes", "rate"):
+            if inspect.isfunction(vars(cls).get(key)):
+                raise ct.ControlArgument(f"{key} of {cls.__name__} is no static method: write @staticmethod")
         law = vars(cls).get("law")
         if isinstance(law, staticmethod):
             names = _names(law.__func__)
@@ -108,6 +111,8 @@ class FormulaLaw(Law):
     @cached_property
     def _address(self) -> tuple[int, Any]:
         self.checked()
+        if not hasattr(self, "law"):
+            raise ct.ControlArgument(f"{self.name} has no formula: write a static method law(...)")
         return address(
             self.law, self.slopes, self.arguments, dict(self.signals), self.row, memory=self.inner_states > 0,
             scaled=self.scaled, by_name=self.by_name, label=self.name,
