@@ -9,7 +9,7 @@ from typing import Any
 from ..exceptions import ModelError
 from .effect import Effect
 
-__all__ = ["import_path", "imported"]
+__all__ = ["import_path", "imported", "module_of"]
 
 
 def import_path(effect: Effect) -> str:
@@ -68,3 +68,10 @@ def imported(path: str, label: str) -> Any:
             f"its module on the path, or pass laws={{{label!r}: law}}"
         ) from error
     return found
+
+
+def module_of(name: str) -> str:
+    """Module that a dotted name begins with, "" where none is imported."""
+    while name and name not in sys.modules:
+        name = name.rpartition(".")[0]
+    return name

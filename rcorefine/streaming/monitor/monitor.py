@@ -324,8 +324,7 @@ class Monitor(Result, Readings):
         path : path-like
             File.
         laws : mapping, optional
-            Laws of your own by the label of the effect, where the name under which the file knows
-            them (module and function or class) cannot be imported here.
+            Laws of your own by the label of the effect, where they cannot be imported by name.
 
         Returns
         -------

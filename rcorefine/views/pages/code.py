@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,7 +13,7 @@ import numpy as np
 from ...data.frequency_response import FrequencyResponse
 from ...data.measurement import Measurement
 from ...effects.effect import Effect
-from ...effects.origin import import_path
+from ...effects.origin import import_path, module_of
 from ...inference.refinement import Refinement
 from ...models.conversion import as_physical
 from ...models.parameters import NominalParameter
@@ -120,8 +119,7 @@ def _effect(effect: Effect) -> str:
     given = {"start": effect.start, "fixed": effect.fixed, "prior": effect.prior, "name": effect.name}
     parts = [literal(effect.kind), literal(effect.place)]
     parts += [f"{key}={literal(value)}" for key, value in given.items() if value]
-    if path:
-        parts.append(f"law={path.replace(':', '.')}")
+    parts += [f"law={path.replace(':', '.')}"] if path else []
     return f"rco.Effect({', '.join(parts)})"
 
 
@@ -257,13 +255,6 @@ def response_code(measured: FrequencyResponse) -> list[str]:
     ]
 
 
-def _module(path: str) -> str:
-    """Module in the path of a law."""
-    while path and path not in sys.modules:
-        path = path.rpartition(".")[0]
-    return path
-
-
 def script(*blocks: Sequence[str]) -> str:
     """Blocks of lines under the imports that they need."""
     body = "\n\n".join("\n".join(block) for block in blocks if block)
@@ -274,7 +265,7 @@ def script(*blocks: Sequence[str]) -> str:
         body = body.replace(f"{model}\n\n", "")
     if "FrequencyResponse.from_frd" in body:
         own.append("from rcorefine.data.frequency_response import FrequencyResponse")
-    own += sorted({f"import {_module(path)}" for path in re.findall(r"\blaw=([\w.]+)", body)})
+    own += sorted({f"import {module_of(path)}" for path in re.findall(r"\blaw=([\w.]+)", body)})
     standard = "from hashlib import sha256\n\n" if "sha256(" in body else ""
     outside = [
         line
