@@ -107,11 +107,11 @@ class Effect:
         if name is not None:
             as_text(name, f"name of {kind} at {place}")
         if kind == Custom.name:
-            if not callable(law):
+            if not callable(law) or isinstance(law, type):
                 raise ct.ControlArgument(
                     f"custom effect at {place} needs law=, a function law(d, v) that returns the force"
                 )
-        elif law is not None and not isinstance(law, type):
+        elif law is not None and not (isinstance(law, type) and issubclass(law, Law)):
             raise ct.ControlArgument(f"law= is for kind 'custom' only, not for {kind!r}")
         store = object.__setattr__
         store(self, "kind", kind)
@@ -260,7 +260,7 @@ class Effect:
         tuple of float
             Bounds, infinite where there is none.
         """
-        as_text(coefficient, "coefficient")
+        as_choice(coefficient, f"coefficient of {self.label}", self.coefficients)
         entry = self.spec.coefficient(coefficient)
         return entry.lower, entry.upper
 

@@ -85,7 +85,7 @@ def thermal_network(
     edges = _edges(resistances, n)
     as_flag(ambient_input, "ambient_input")
     ends = [(nodes[i], "ambient" if j is None else nodes[j], resistance) for i, j, resistance in edges]
-    channels = _channels(nodes, heated, heat, ambient_input and any(j is None for _, j, _ in edges))
+    channels = _channels(nodes, heated, heat, bool(ambient_input) and any(j is None for _, j, _ in edges))
     ambient = "ambient" in channels
     capacity = dict(zip(nodes, stored.tolist(), strict=True))
     rates = _rates(capacity, [nodes[i] for i in heated], channels, ends)
