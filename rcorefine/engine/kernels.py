@@ -183,15 +183,11 @@ def march(
     v_last = np.zeros(m)
     f_start = np.zeros(m)
     Jn = np.zeros((m, m))
-    parts = np.zeros((m, COUNT + nw - 1))  # what the laws write
-    shown = np.zeros((ny, COUNT))  # and those of outputs
-    nothing = np.zeros(0)
-    zy = np.zeros(ny)
-    y_raw = np.zeros(ny)
-    y_last = np.zeros(ny)
-    sy_raw = np.zeros((p, ny))
-    sy_last = np.zeros((p, ny))
-    szy = np.zeros((p, ny))
+    parts = np.zeros((m + ny, COUNT + nw - 1))  # what the laws write, those of outputs behind
+    shown = parts[m:]
+    past = np.zeros((3 + 3 * p, ny))  # of outputs; in one piece, for a stream comes here with every sample
+    zy, y_raw, y_last = past[0], past[1], past[2]
+    sy_raw, sy_last, szy = past[3 : 3 + p], past[3 + p : 3 + 2 * p], past[3 + 2 * p :]
     if remembers:
         zy[:] = z[m:]
     sf = np.zeros((p, m))
@@ -278,7 +274,7 @@ def march(
                     y_raw[i] = y[i]
                     if k == 0 and attempt == 0:
                         y_last[i] = y[i]
-                    evaluate(outcodes[i], y[i], 0.0, y_last[i], zy[i], outvalues, i, 1.0, nothing, shown)
+                    evaluate(outcodes[i], y[i], 0.0, y_last[i], zy[i], outvalues, i, 1.0, w_now, shown)
                     y[i], slope = shown[i, 0], shown[i, 1]
                     for q in range(p):
                         sy_raw[q, i] = sy[q, i]

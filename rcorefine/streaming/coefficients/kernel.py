@@ -433,11 +433,10 @@ def _static(value, statics, channel, levels, kept, slopes, out, keep):
     of this one where `keep` is set.
     """
     passed = 1.0
-    nothing = np.zeros(0)
     for r in range(statics.shape[0]):
         if statics[r, 1] != channel or statics[r, 0] == 0:
             continue
-        evaluate(statics[r, 0], value, 0.0, kept[r, 5], kept[r, 0], levels, r, 1.0, nothing, out)
+        evaluate(statics[r, 0], value, 0.0, kept[r, 5], kept[r, 0], levels, r, 1.0, slopes[r], out)
         for before in range(r):
             if statics[before, 1] == channel:
                 for c in range(4):
@@ -513,7 +512,9 @@ def _drive(
                     value, passed = _static(raw, statics, channel, levels, kept, slopes, out, False)
                     ends[part] = value
                     W[s, channel] += weight * value
-                    total += weight * slopes
+                    for r in range(statics.shape[0]):
+                        for c in range(4):
+                            total[r, c] += weight * slopes[r, c]
                 for i in range(free.shape[0]):
                     r, c = free[i, 0], free[i, 1]
                     if statics[r, 1] == channel:
