@@ -353,3 +353,22 @@ class TestWhatIsWrongIsSaid:
         table.clear()
         with pytest.raises(KeyError, match="rate"):
             own.run(np.array([1.0]), sensitivity=False)
+
+
+@pytest.mark.parametrize(
+    ("law", "said"),
+    [
+        (lambda d, v: np.nan, "returns nan wherever"),
+        (lambda d, v: 1 / 0, "raises ZeroDivisionError wherever"),
+        (lambda d, v: np.array([d, v]), "one real number"),
+        (lambda d, v: "x", "one real number"),
+    ],
+    ids=["nan", "raises", "array", "text"],
+)
+def test_a_law_without_a_force_is_refused(law, said):
+    with pytest.raises(ct.ControlArgument, match=said):
+        rco.Effect("custom", "link1", law=law)
+
+
+def test_a_law_may_have_a_pole_where_nothing_moves():
+    assert rco.Effect("custom", "link1", law=lambda d, v: 1.0 / d).kind == "custom"

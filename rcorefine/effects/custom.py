@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
 import control as ct
+import numpy as np
 
 from .formula import PortLaw
 from .law import Coefficient, register
 
 __all__ = ["Custom", "custom_law"]
+
+_POINTS = ((0.01, 0.02), (-0.3, 0.5), (0.7, -1.1), (0.0, 0.0))  # where a law is tried before it is compiled
 
 
 @register
@@ -62,11 +66,38 @@ def custom_law(function: Callable[..., Any], names: tuple[str, ...]) -> Custom:
     if names:
         law.coefficients = tuple(Coefficient(name, "") for name in names)
     found, law.by_name = _arguments(function, names)
+    if {*found[2:]} <= {*names}:
+        _try(function, found[2:])
     law._learn(law, (*found[2:],), True)
     law.arguments = found
     law.signals = {**PortLaw.signals, found[0]: "d", found[1]: "v"}
     made: Custom = law
     return made
+
+
+def _try(function: Callable[..., Any], names: tuple[str, ...]) -> None:
+    """Refuse a law that returns no force anywhere: compiled, it could not say so."""
+    label, force = getattr(function, "__name__", function), math.nan
+    failed: Exception | None = None
+    for d, v in _POINTS:
+        try:
+            with np.errstate(all="ignore"):
+                returned = function(d, v, **dict.fromkeys(names, 1.0))
+        except Exception as error:
+            failed = error
+            continue
+        if np.ndim(returned) or not isinstance(returned, (int, float, np.number, np.bool_)):
+            raise ct.ControlArgument(
+                f"the law {label!r} returns {returned!r}; it must return one real number"
+            )
+        force = float(returned)
+        if math.isfinite(force):
+            return
+    if failed is not None:
+        raise ct.ControlArgument(
+            f"the law {label!r} raises {type(failed).__name__} wherever it was tried: {failed}"
+        ) from failed
+    raise ct.ControlArgument(f"the law {label!r} returns {force} wherever it was tried; give a finite force")
 
 
 def _arguments(
