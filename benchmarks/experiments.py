@@ -25,7 +25,7 @@ import numpy as np
 from scipy.stats import beta
 
 import rcorefine as rco
-from rcorefine.diagnosis.candidate_fits import run_race
+from rcorefine.diagnosis.candidate_fits import fit_candidates
 from rcorefine.diagnosis.confirm import confirm
 from rcorefine.diagnosis.experiment_design.result import ExperimentOption
 from rcorefine.diagnosis.experiment_design.sensors import sensor_rows, with_sensor
@@ -81,7 +81,7 @@ def leads(model: object, records: list[rco.Measurement], effects: list[rco.Effec
     base = base_fit(model, records, free=(), tolerance=0.0, offset=True, noise=None)
     fitted = fitted_from(base, records, tolerance=0.0)
     motion = Motion(fitted.structure, fitted.theta, fitted.problem.records[0])
-    race = run_race(fitted, candidate_columns(fitted, effects, motion, (0.0, 1.0, 0.1)))
+    race = fit_candidates(fitted, candidate_columns(fitted, effects, motion, (0.0, 1.0, 0.1)))
     values = {(r.effect.kind, r.effect.place): r.log_likelihood for r in race.rivals}
     return np.array([2 * (values[truth] - value) for key, value in values.items() if key != truth])
 

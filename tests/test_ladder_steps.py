@@ -10,7 +10,7 @@ import rcorefine as rco
 from rcorefine.diagnosis.stepwise.backward import drop_undetermined, return_trust, shorten
 from rcorefine.diagnosis.stepwise.forward import climb
 from rcorefine.diagnosis.stepwise.parts import split_in_parts
-from rcorefine.diagnosis.stepwise.selection import Choice, Ladder
+from rcorefine.diagnosis.stepwise.selection import Choice, StepwiseSelection
 from rcorefine.progress import Progress
 
 DT = 0.02
@@ -99,24 +99,26 @@ def data() -> rco.Measurement:
 
 
 @pytest.fixture
-def ladder(data: rco.Measurement) -> Ladder:
+def ladder(data: rco.Measurement) -> StepwiseSelection:
     """A ladder at its foot; the truth has a softer spring."""
     settings = {"tolerance": 0.0, "offset": True, "noise": None, "horizon": None}
     parts = split_in_parts([data], None)
-    return Ladder(mass(), parts, free=(), settings=settings, significance=0.01, progress=Progress())
+    return StepwiseSelection(
+        mass(), parts, free=(), settings=settings, significance=0.01, progress=Progress()
+    )
 
 
-def add(ladder: Ladder, *kinds: str, on_trust: bool = False) -> None:
+def add(ladder: StepwiseSelection, *kinds: str, on_trust: bool = False) -> None:
     effects = tuple(rco.Effect(kind, "link1") for kind in kinds)
     model = rco.refine(ladder.current, ladder.parts.fit, effects)
     ladder.add(Choice(effects, model, on_trust), "unexplained")
 
 
-def held(ladder: Ladder) -> list[str]:
+def held(ladder: StepwiseSelection) -> list[str]:
     return [effect.kind for effect in ladder.effects]
 
 
-def test_what_was_taken_on_trust_goes_wherever_it_stands(ladder: Ladder) -> None:
+def test_what_was_taken_on_trust_goes_wherever_it_stands(ladder: StepwiseSelection) -> None:
     """As the last step as if it had not been tried, below others by a drop; what earned its place stays."""
     add(ladder, "stiffness")
     foot = len(ladder.steps)
@@ -136,7 +138,7 @@ def test_what_was_taken_on_trust_goes_wherever_it_stands(ladder: Ladder) -> None
     assert [step.action for step in ladder.steps[-2:]] == ["drop", "drop"]
 
 
-def test_no_set_of_effects_is_walked_to_twice(ladder: Ladder) -> None:
+def test_no_set_of_effects_is_walked_to_twice(ladder: StepwiseSelection) -> None:
     """The spring was held and left out: the climb does not begin the same walk again."""
     add(ladder, "stiffness")
     ladder.drop(ladder.effects[0], ladder.without(ladder.effects[0]))
@@ -148,7 +150,7 @@ def test_no_set_of_effects_is_walked_to_twice(ladder: Ladder) -> None:
     assert held(ladder) in ([], ["mass"], ["mass", "stiffness"])
 
 
-def test_a_coefficient_that_the_record_does_not_determine_does_not_stay(ladder: Ladder) -> None:
+def test_a_coefficient_that_the_record_does_not_determine_does_not_stay(ladder: StepwiseSelection) -> None:
     """A cap of the sensor that is never reached, and a spring that is seen."""
     add(ladder, "stiffness")
     cap = rco.Effect("output_saturation", ladder.current.physical_model.linear.output_labels[0])
@@ -162,7 +164,7 @@ def test_a_coefficient_that_the_record_does_not_determine_does_not_stay(ladder: 
     assert not drop_undetermined(ladder)
 
 
-def test_a_ladder_is_shortened_by_what_costs_least(ladder: Ladder) -> None:
+def test_a_ladder_is_shortened_by_what_costs_least(ladder: StepwiseSelection) -> None:
     """The spring is the truth, the rest noise."""
     add(ladder, "cubic_stiffness", "stiffness")
     add(ladder, "quadratic_damping")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..engine.observer import steady_filter
 from ..jit import compiled
 from ..systems.linear import Array
-from .failure_map.record import Scene
+from .failure_map.record import ModelOnRecord
 
 if TYPE_CHECKING:
     from .result import Comparison
@@ -86,7 +86,7 @@ def horizon_error(comparison: Comparison, steps: Any = None) -> HorizonError:
 
 def _errors(comparison: Comparison, index: int, ahead: NDArray[np.int64]) -> Array:
     """Errors (n_y, n_horizons) of one model; the linear part carries the correction."""
-    scene = Scene(
+    scene = ModelOnRecord(
         comparison.seen_by(index), comparison.models[index], comparison.runs[index], comparison.states[index],
         comparison.starts, estimated=False, places=None,
     )  # fmt: skip
@@ -104,7 +104,7 @@ def _errors(comparison: Comparison, index: int, ahead: NDArray[np.int64]) -> Arr
     return np.asarray((error * scene.scale[:, 0]).T)
 
 
-def _gain(Phi: Array, drive: Array, C: Array, residual: Array, scene: Scene) -> Array:
+def _gain(Phi: Array, drive: Array, C: Array, residual: Array, scene: ModelOnRecord) -> Array:
     """Kalman gain for an unknown input of the level that predicts the residual best."""
     n, ny = Phi.shape[0], C.shape[0]
     if n == 0:

@@ -9,7 +9,7 @@ import numpy as np
 from ..effects.effect import Effect
 from ..inference.covariance import covariance, standard_deviations
 from ..inference.descent import Descent, descend
-from ..inference.fitted import Fitted, evaluated
+from ..inference.fitted import FittedModel, evaluated
 from ..inference.outcome import _fit, _rows
 from ..inference.problem import Problem
 from ..inference.refinement import Refinement
@@ -20,7 +20,7 @@ from .starts import gain_for
 
 __all__ = [
     "LACK",
-    "Rival",
+    "CandidateFit",
     "continued",
     "fitted_model",
     "log_likelihood",
@@ -33,7 +33,7 @@ LACK = 0.1  # log-likelihood that the next full step would gain, at most, at a m
 
 
 @dataclass(eq=False)
-class Rival:
+class CandidateFit:
     """A candidate in the race, at its best point so far."""
 
     candidate: Candidate
@@ -60,8 +60,8 @@ class Rival:
 
 
 def continued(
-    fitted: Fitted,
-    rival: Rival,
+    fitted: FittedModel,
+    rival: CandidateFit,
     ratio: float,
     whitener: Whitener | None,
     evaluations: int,
@@ -78,11 +78,11 @@ def continued(
     )
 
 
-def _blocks(rival: Rival) -> list[tuple[Array, Array]]:
+def _blocks(rival: CandidateFit) -> list[tuple[Array, Array]]:
     return rival.descent.blocks(rival.candidate.problem)
 
 
-def whitener_of(rival: Rival) -> Whitener:
+def whitener_of(rival: CandidateFit) -> Whitener:
     """Filter of its own residual."""
     return Whitener.fit([r for r, _ in _blocks(rival)])
 
@@ -95,19 +95,19 @@ def prior_cost(problem: Problem, point: Array) -> float:
     return float(np.sum(((theta[held] - mean[held]) / sd[held]) ** 2))
 
 
-def log_likelihood(rival: Rival, whitener: Whitener) -> float:
+def log_likelihood(rival: CandidateFit, whitener: Whitener) -> float:
     """Each coefficient beyond the first costs half the log of the number of samples."""
     white = whitener.apply([r for r, _ in _blocks(rival)])
     prior = prior_cost(rival.candidate.problem, rival.descent.point)
     return -0.5 * (float(white @ white) + prior) - price(rival, white.size)
 
 
-def price(rival: Rival, samples: int) -> float:
+def price(rival: CandidateFit, samples: int) -> float:
     """What its coefficients beyond the first cost in log-likelihood."""
     return 0.5 * max(rival.n_coefficients - 1, 0) * float(np.log(samples))
 
 
-def _words(rival: Rival) -> list[str]:
+def _words(rival: CandidateFit) -> list[str]:
     """How far its fit got, and what stands at a bound."""
     bound = rival.candidate.problem.at_bound(rival.descent.point, rival.descent.slopes)
     far = "Not polished: far behind the best candidate." if rival.settled else "Not converged."
@@ -115,7 +115,7 @@ def _words(rival: Rival) -> list[str]:
     return [state, f"At its bound: {', '.join(bound)}."] if bound else [state]
 
 
-def fitted_model(fitted: Fitted, rival: Rival, whitener: Whitener, ratio: float) -> Fitted:
+def fitted_model(fitted: FittedModel, rival: CandidateFit, whitener: Whitener, ratio: float) -> FittedModel:
     """The rival as a refinement; its covariance is that of generalized least squares."""
     problem, point = rival.candidate.problem, rival.descent.point
     gain = gain_for(fitted, rival.candidate, ratio)
@@ -149,7 +149,7 @@ def fitted_model(fitted: Fitted, rival: Rival, whitener: Whitener, ratio: float)
         message=" ".join(_words(rival)),
         warnings=(),
     )
-    extended = Fitted(refinement, problem, point, fitted.tolerance, fitted.force_at)
+    extended = FittedModel(refinement, problem, point, fitted.tolerance, fitted.force_at)
     extended._blocks[ratio] = blocks
     if gain is not None:
         extended._gains[ratio] = gain

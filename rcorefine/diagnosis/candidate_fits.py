@@ -9,7 +9,7 @@ import numpy as np
 
 from ..effects.effect import Effect
 from ..inference.descent import descend, lacking
-from ..inference.fitted import Fitted
+from ..inference.fitted import FittedModel
 from ..inference.refinement import Refinement
 from ..inference.search import step_matters
 from ..inference.sensitivities import Candidate
@@ -17,7 +17,7 @@ from ..inference.whitening import FTest, Whitener
 from ..progress import Progress
 from .candidate_fit import (
     LACK,
-    Rival,
+    CandidateFit,
     continued,
     fitted_model,
     log_likelihood,
@@ -25,11 +25,11 @@ from .candidate_fit import (
     prior_cost,
     whitener_of,
 )
-from .residual_tests import Battery
+from .residual_tests import TestedResidual
 from .starts import at_home, gain_for, imitated, led, observed, plain_cost, regressed
 from .widths import settled_width
 
-__all__ = ["Race", "Rival", "run_race", "shortlist"]
+__all__ = ["CandidateFit", "CandidateFits", "fit_candidates", "shortlist"]
 
 _SHORT = 5  # best of each score
 _SHAPES = 3  # starts of a law that has a shape
@@ -46,12 +46,12 @@ _MOST_HALVINGS = 4
 
 
 @dataclass(eq=False)
-class Race:
+class CandidateFits:
     """Rivals in order of likelihood under one filter.
 
     Attributes
     ----------
-    rivals : list of Rival
+    rivals : list of CandidateFit
         The most likely first.
     ratio : float
         Unmeasured force that was allowed for.
@@ -61,14 +61,14 @@ class Race:
         Of the model without any of them, in the same metric.
     """
 
-    fitted: Fitted
-    rivals: list[Rival]
+    fitted: FittedModel
+    rivals: list[CandidateFit]
     ratio: float
     whitener: Whitener
     base_log_likelihood: float
-    _models: dict[int, Fitted] = field(default_factory=dict)
+    _models: dict[int, FittedModel] = field(default_factory=dict)
 
-    def model(self, index: int = 0) -> Fitted:
+    def model(self, index: int = 0) -> FittedModel:
         """The fitted model of one rival."""
         if index not in self._models:
             self._models[index] = fitted_model(self.fitted, self.rivals[index], self.whitener, self.ratio)
@@ -84,7 +84,9 @@ class Race:
         return found
 
 
-def shortlist(candidates: Sequence[Candidate], batteries: Sequence[Battery]) -> tuple[list[int], list[FTest]]:
+def shortlist(
+    candidates: Sequence[Candidate], batteries: Sequence[TestedResidual]
+) -> tuple[list[int], list[FTest]]:
     """Indices of the candidates worth a refit, and the free-run score of every one.
 
     The best of each score (free run, observers of two gains), and all laws at the
@@ -108,15 +110,15 @@ def _rank(test: FTest) -> tuple[float, float]:
     return test.p_value, -test.statistic
 
 
-def run_race(
-    fitted: Fitted,
+def fit_candidates(
+    fitted: FittedModel,
     candidates: Sequence[Candidate],
     ratio: float = 0.0,
     *,
-    entered: Sequence[Rival] = (),
+    entered: Sequence[CandidateFit] = (),
     thorough: bool = False,
     progress: Progress | None = None,
-) -> Race | None:
+) -> CandidateFits | None:
     """Refit candidates, all with the parameters of the fitted model.
 
     Each starts from the model as it is and from where an observer-led fit takes it; those
@@ -125,13 +127,13 @@ def run_race(
 
     Parameters
     ----------
-    fitted : Fitted
+    fitted : FittedModel
         Model without them.
     candidates : sequence of Candidate
         New in the race.
     ratio : float
         Unmeasured force to allow for.
-    entered : sequence of Rival
+    entered : sequence of CandidateFit
         From an earlier race, continued from where they stand.
     thorough : bool
         More laps and more starts: for when nothing fits.
@@ -140,7 +142,7 @@ def run_race(
 
     Returns
     -------
-    Race or None
+    CandidateFits or None
         None where nothing could be refitted.
     """
     progress = progress or Progress()
@@ -148,9 +150,10 @@ def run_race(
     tasks = [(fitted, c, ratio, thorough, strong) for c in candidates]
     new = [r for r in progress.map(_laps, tasks, "first laps") if r is not None]
     old = [
-        Rival(r.candidate, continued(fitted, r, ratio, None, 4)) for r in progress.over(entered, "more laps")
+        CandidateFit(r.candidate, continued(fitted, r, ratio, None, 4))
+        for r in progress.over(entered, "more laps")
     ]
-    better: dict[Effect, Rival] = {}  # the same effect from an earlier race and from new starts
+    better: dict[Effect, CandidateFit] = {}  # the same effect from an earlier race and from new starts
     for rival in (*old, *new):
         best_yet = better.get(rival.effect)
         if np.isfinite(rival.descent.cost) and (
@@ -189,11 +192,11 @@ def run_race(
     # each holds the model without it: one that is less likely is no estimate
     rivals = [r for r in rivals if r.log_likelihood + price(r, white.size) >= base - LACK]
     rivals.sort(key=lambda r: -r.log_likelihood)
-    return Race(fitted, rivals, ratio, whitener, base) if rivals else None
+    return CandidateFits(fitted, rivals, ratio, whitener, base) if rivals else None
 
 
 def _settle(
-    fitted: Fitted, rivals: Sequence[Rival], ratio: float, whitener: Whitener, progress: Progress
+    fitted: FittedModel, rivals: Sequence[CandidateFit], ratio: float, whitener: Whitener, progress: Progress
 ) -> None:
     """Likelihoods, each with its certificate: polished until what it lacks cannot change the order."""
     open_, rounds = list(rivals), 0
@@ -211,7 +214,7 @@ def _settle(
             rival.descent = continued(fitted, rival, ratio, whitener, 10, 1e-9)
 
 
-def _run_laps(fitted: Fitted, rivals: Sequence[Rival], ratio: float, progress: Progress) -> None:
+def _run_laps(fitted: FittedModel, rivals: Sequence[CandidateFit], ratio: float, progress: Progress) -> None:
     """Laps until each stands at a minimum, or where what it lacks cannot bring it near the best."""
     n = fitted.problem.n_points
     for laps in _LAPS:
@@ -224,7 +227,7 @@ def _run_laps(fitted: Fitted, rivals: Sequence[Rival], ratio: float, progress: P
                 rival.descent = continued(fitted, rival, ratio, None, laps)
 
 
-def _exchange(fitted: Fitted, rivals: Sequence[Rival], ratio: float) -> bool:
+def _exchange(fitted: FittedModel, rivals: Sequence[CandidateFit], ratio: float) -> bool:
     """Start the laws at the leader's place again from the leader's force; whether any gained."""
     n = fitted.problem.n_points
     leader = min(rivals, key=lambda r: r.descent.cost)
@@ -242,7 +245,11 @@ def _exchange(fitted: Fitted, rivals: Sequence[Rival], ratio: float) -> bool:
 
 
 def _settle_widths(
-    fitted: Fitted, rivals: Sequence[Rival], polished: Sequence[Rival], ratio: float, whitener: Whitener
+    fitted: FittedModel,
+    rivals: Sequence[CandidateFit],
+    polished: Sequence[CandidateFit],
+    ratio: float,
+    whitener: Whitener,
 ) -> Whitener:
     """Where friction leads, the width over which each law of friction there turns over."""
     leader = min(polished, key=lambda r: r.descent.cost)
@@ -255,7 +262,9 @@ def _settle_widths(
     return whitener_of(min(polished, key=lambda r: r.descent.cost))
 
 
-def _settle_substeps(fitted: Fitted, rivals: Sequence[Rival], ratio: float, whitener: Whitener) -> Whitener:
+def _settle_substeps(
+    fitted: FittedModel, rivals: Sequence[CandidateFit], ratio: float, whitener: Whitener
+) -> Whitener:
     """Finer substeps for the leader and those near it, until they no longer matter."""
     for _ in range(_MOST_HALVINGS):
         leader = min(rivals, key=lambda r: r.descent.cost)
@@ -274,7 +283,7 @@ def _settle_substeps(fitted: Fitted, rivals: Sequence[Rival], ratio: float, whit
     return whitener
 
 
-def _laps(task: tuple[Fitted, Candidate, float, bool, bool]) -> Rival | None:
+def _laps(task: tuple[FittedModel, Candidate, float, bool, bool]) -> CandidateFit | None:
     """First laps of one candidate: from absent, and from where an observer takes it."""
     fitted, candidate, ratio, thorough, strong = task
     problem = candidate.problem
@@ -297,4 +306,4 @@ def _laps(task: tuple[Fitted, Candidate, float, bool, bool]) -> Rival | None:
     if strong or thorough:
         runs += [led(fitted, candidate, start, ratio) for start in starts[: 3 if thorough else 1]]
     best = min(runs, key=lambda run: run.cost)
-    return Rival(candidate, best) if np.isfinite(best.cost) else None
+    return CandidateFit(candidate, best) if np.isfinite(best.cost) else None

@@ -13,7 +13,7 @@ from ..data.channels import match_channels, record_for
 from ..data.measurement import Measurement
 from ..effects.effect import Effect
 from ..exceptions import DataError
-from ..inference.fitted import Fitted, fitted_from
+from ..inference.fitted import FittedModel, fitted_from
 from ..inference.levels import Levels, levels
 from ..inference.refinement import Refinement
 from ..inference.starts import Motion
@@ -47,7 +47,7 @@ class Case:
         What does the steps and counts them.
     thorough : bool
         Whether to try harder where no candidate passes, and pairs of them.
-    fitted : Fitted
+    fitted : FittedModel
         The model on the free runs that are tested.
     motions : list of Motion
         Estimated motion on each of them.
@@ -64,7 +64,7 @@ class Case:
     progress: Progress
     thorough: bool
     ordered: list[Measurement]
-    fitted: Fitted
+    fitted: FittedModel
     motions: list[Motion]
     library: list[Effect]
     levels: Levels = field(default_factory=levels)
@@ -118,14 +118,14 @@ class Case:
             "settings": self.settings,
         }
 
-    def excess(self, fitted: Fitted) -> float:
+    def excess(self, fitted: FittedModel) -> float:
         """Residual over the declared noise, 0 where none was declared."""
         if self.settings["noise"] is None:
             return 0.0
         residual = np.concatenate(fitted.residuals(), axis=1)
         return float(np.sqrt(np.mean(residual**2, axis=1)).max())
 
-    def passes(self, tests: Sequence[FTest], fitted: Fitted) -> bool:
+    def passes(self, tests: Sequence[FTest], fitted: FittedModel) -> bool:
         """Whether the residual of a model is noise."""
         return passes(tests, self.excess(fitted), self.significance, self.levels)
 

@@ -18,7 +18,7 @@ from ..engine.simulation import check_channels
 from ..inference.assembly import check_settings, priors
 from ..inference.covariance import covariance, standard_deviations, wald
 from ..inference.descent import descend
-from ..inference.fitted import Fitted, evaluated
+from ..inference.fitted import FittedModel, evaluated
 from ..inference.outcome import output_weights
 from ..inference.problem import Problem
 from ..inference.refinement import Refinement
@@ -30,7 +30,7 @@ from ..inference.windows import as_records, windows
 from ..models.library import effect_library
 from ..systems.linear import Array
 from .confirmation import Confirmation, RecordEstimate
-from .residual_tests import Battery, run_battery
+from .residual_tests import TestedResidual, run_tests
 
 __all__ = ["confirm"]
 
@@ -204,7 +204,7 @@ def _message(
 
 def _alone(
     model: Refinement, record: Measurement, tolerance: float, noise: Any, ratio: float
-) -> tuple[Fitted, Array]:
+) -> tuple[FittedModel, Array]:
     """The model at its minimum on one record, and the covariance of its coefficients."""
     structure, theta, steps = model.simulation_structure()
     segments, _ = windows(model.physical_model, [record], None)
@@ -235,13 +235,13 @@ def _alone(
     whitener = Whitener.fit([r for r, _ in blocks])
     J = whitener.apply([j for _, j in blocks])
     C = covariance(J.T @ J + np.diag(made.precision))
-    fitted = Fitted(replace(model, substeps=made.substeps), made, point, tolerance)
+    fitted = FittedModel(replace(model, substeps=made.substeps), made, point, tolerance)
     if gain is not None:
         fitted._gains[ratio] = gain
     return fitted, C[: theta.size, : theta.size]
 
 
-def _battery(fitted: Fitted, rest: Sequence[Effect], ratio: float) -> list[FTest]:
+def _battery(fitted: FittedModel, rest: Sequence[Effect], ratio: float) -> list[FTest]:
     motions = [Motion(fitted.structure, fitted.theta, record) for record in fitted.problem.records]
     scored = candidate_columns(fitted, rest, motions[0], (ratio,))
-    return run_battery(Battery(fitted, ratio), scored, motions)
+    return run_tests(TestedResidual(fitted, ratio), scored, motions)

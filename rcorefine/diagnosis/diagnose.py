@@ -20,14 +20,14 @@ from ..inference.windows import as_records, check_validation
 from ..models.conversion import as_physical
 from ..progress import Progress
 from ..refinement.base_fit import base_fit
-from .candidate_fits import Race, run_race, shortlist
+from .candidate_fits import CandidateFits, fit_candidates, shortlist
 from .case import OBSERVERS, Case
 from .excitation import no_motion, not_excited, record_remarks
 from .holds import best_hold
 from .judging import Judged, beside_force, judge, outweighs, pair_hint, second_chance
 from .ranking import detectable, ranking
 from .remarks import amplitude_test, fit_remarks, remarks
-from .residual_tests import Battery, run_battery
+from .residual_tests import TestedResidual, run_tests
 from .result import Diagnosis
 from .unmeasured_force import Explained, explaining_force
 from .verdict import overall, probabilities, tied, verdict
@@ -150,7 +150,7 @@ def investigate(
     significance: float,
     progress: Progress,
     thorough: bool = True,
-) -> tuple[Diagnosis, Race | None]:
+) -> tuple[Diagnosis, CandidateFits | None]:
     """Diagnose a model that was fitted to the records already.
 
     Parameters
@@ -171,7 +171,7 @@ def investigate(
     Returns
     -------
     found : Diagnosis
-    race : Race or None
+    race : CandidateFits or None
         The refitted rivals, where there were any. Beside "adequate", unless `thorough`, those of
         a fault that few samples alone would show.
     """
@@ -184,19 +184,19 @@ def investigate(
         return unknown, None
     with progress.step("tests"):
         scored = candidate_columns(case.fitted, case.library, case.motions[0], (0.0, *OBSERVERS))
-        free_run = Battery(case.fitted)
-        tests = run_battery(free_run, scored, case.motions)
+        free_run = TestedResidual(case.fitted)
+        tests = run_tests(free_run, scored, case.motions)
     if case.passes(tests, case.fitted):
         adequate = _adequate(case, Explained(free_run, scored, tests))
         if thorough or overall(tests, equal=True) >= significance:
             return adequate, None
         # few samples carry it, fault or noise: whoever holds another record asks the candidates there
         short = [scored[i] for i in shortlist(scored, [free_run])[0]]
-        return adequate, run_race(case.fitted, short, progress=progress)
+        return adequate, fit_candidates(case.fitted, short, progress=progress)
     force = explaining_force(case, free_run)
-    batteries = [free_run, *(Battery(case.fitted, r) for r in OBSERVERS)]
+    batteries = [free_run, *(TestedResidual(case.fitted, r) for r in OBSERVERS)]
     chosen, scores = shortlist(scored, batteries)
-    race = run_race(case.fitted, [scored[i] for i in chosen], progress=progress)
+    race = fit_candidates(case.fitted, [scored[i] for i in chosen], progress=progress)
     if race is None:
         return Diagnosis("unexplained", (), (), tuple(tests), (), (), force_ratio=0.0, **case.about), None
     with progress.step("tests"):
@@ -218,7 +218,7 @@ def _named(
     judged: Judged,
     scored: Sequence[Candidate],
     scores: Sequence[FTest],
-    batteries: Sequence[Battery],
+    batteries: Sequence[TestedResidual],
     validation: Measurement | None,
 ) -> Diagnosis:
     """The ranking, who is tied, and what the tests of the winner make of it."""

@@ -11,9 +11,9 @@ from ..exceptions import ModelError
 from ..inference.sensitivities import Candidate, candidate_columns
 from ..inference.starts import Motion
 from ..inference.whitening import FTest
-from .candidate_fits import Race, run_race
+from .candidate_fits import CandidateFits, fit_candidates
 from .case import OBSERVERS, Case, not_held
-from .residual_tests import Battery, run_battery
+from .residual_tests import TestedResidual, run_tests
 from .unmeasured_force import likely_forces
 from .verdict import overall
 
@@ -28,7 +28,7 @@ class Judged:
 
     Attributes
     ----------
-    race : Race
+    race : CandidateFits
         The fits.
     tests : list of FTest
         Tests of the winner's residual; none where they could not be done.
@@ -36,29 +36,29 @@ class Judged:
         Whether that residual is noise.
     """
 
-    race: Race
+    race: CandidateFits
     tests: list[FTest]
     passed: bool
 
 
-def judge(case: Case, race: Race) -> Judged:
+def judge(case: Case, race: CandidateFits) -> Judged:
     """The winner's residual through the tests that the model itself went through."""
     fitted = race.model()
     rest = not_held(case.library, fitted.structure.effects)
     moved = [Motion(fitted.structure, fitted.theta, motion.data) for motion in case.motions]
     try:
         scored = candidate_columns(fitted, rest, moved[0], (race.ratio,))
-        tests = run_battery(Battery(fitted, race.ratio), scored, moved)
+        tests = run_tests(TestedResidual(fitted, race.ratio), scored, moved)
     except ModelError:  # its linear model runs away within one sample: what cannot be tested has not passed
         return Judged(race, [], False)
     return Judged(race, tests, case.passes(tests, fitted))
 
 
-def outweighs(judged: Judged, forced: Battery, price: float) -> bool:
+def outweighs(judged: Judged, forced: TestedResidual, price: float) -> bool:
     """Whether a winner that passes is likelier than an unmeasured force alone."""
     if not judged.passed:
         return False
-    own = Battery(judged.race.model(), judged.race.ratio).log_likelihood
+    own = TestedResidual(judged.race.model(), judged.race.ratio).log_likelihood
     return own >= forced.log_likelihood + price
 
 
@@ -68,12 +68,12 @@ def beside_force(case: Case, first: Judged) -> Judged | None:
     winner = race.model()
     if case.excess(winner) > levels.noise_excess:
         return None
-    likely = likely_forces(winner, Battery(winner), levels.force_beside, levels)[:2]
+    likely = likely_forces(winner, TestedResidual(winner), levels.force_beside, levels)[:2]
     moved = [Motion(winner.structure, winner.theta, m.data) for m in case.motions] if likely else []
     for led in likely:
-        if overall(run_battery(led, [], moved)) < levels.hopeless:
+        if overall(run_tests(led, [], moved)) < levels.hopeless:
             continue  # no refit mends that, and all candidates take long
-        again = run_race(race.fitted.forced(led.fitted.force_at), [], led.ratio, entered=race.rivals)
+        again = fit_candidates(race.fitted.forced(led.fitted.force_at), [], led.ratio, entered=race.rivals)
         if again is not None:
             judged = judge(case, again)
             if judged.passed:
@@ -105,7 +105,7 @@ def second_chance(case: Case, first: Judged, scored: Sequence[Candidate], chosen
         return beside
     race, fitted = first.race, first.race.fitted
     rest = [c for i, c in enumerate(scored) if i not in set(chosen)]
-    again = run_race(fitted, rest, entered=race.rivals, progress=case.progress)
+    again = fit_candidates(fitted, rest, entered=race.rivals, progress=case.progress)
     if again is not None and _ahead(again, race):
         judged = judge(case, again)
         if judged.passed:
@@ -116,7 +116,7 @@ def second_chance(case: Case, first: Judged, scored: Sequence[Candidate], chosen
     # what the winner's own residual points at counts among those that may be stuck
     pointed = [c for c in scored if any(t.name == f"library (most: {c.effect.label})" for t in first.tests)]
     stuck = list(dict.fromkeys([*(r.candidate for r in race.rivals[:3]), *pointed]))
-    again = run_race(fitted, stuck, entered=race.rivals, thorough=True, progress=case.progress)
+    again = fit_candidates(fitted, stuck, entered=race.rivals, thorough=True, progress=case.progress)
     if again is not None and _ahead(again, race):
         judged = judge(case, again)
         if judged.passed:
@@ -133,9 +133,9 @@ def pair_hint(case: Case, judged: Judged, scored: Sequence[Candidate]) -> list[s
     if not rest:
         return []
     second = candidate_columns(fitted, rest, case.motions[0], (0.0, *OBSERVERS))
-    tests = Battery(fitted).each(second)
+    tests = TestedResidual(fitted).each(second)
     order = np.argsort([t.p_value for t in tests], kind="stable")[:_PAIRS]
-    pair = run_race(fitted, [second[i] for i in order], race.ratio)
+    pair = fit_candidates(fitted, [second[i] for i in order], race.ratio)
     if pair is None or not judge(case, pair).passed:
         return []
     return [
@@ -144,7 +144,7 @@ def pair_hint(case: Case, judged: Judged, scored: Sequence[Candidate]) -> list[s
     ]
 
 
-def _ahead(again: Race, before: Race) -> bool:
+def _ahead(again: CandidateFits, before: CandidateFits) -> bool:
     """Whether candidate fits ended elsewhere than before: another winner, or the same one higher."""
     if again.rivals[0].effect != before.rivals[0].effect:
         return True

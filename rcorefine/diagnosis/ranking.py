@@ -14,15 +14,15 @@ from ..inference.levels import Levels
 from ..inference.refinement import Refinement
 from ..inference.sensitivities import Candidate
 from ..inference.whitening import project
-from .candidate_fits import Race
-from .residual_tests import Battery
+from .candidate_fits import CandidateFits
+from .residual_tests import TestedResidual
 from .result import Detectable, RankedEffect
 
 __all__ = ["detectable", "ranking"]
 
 
 def ranking(
-    race: Race,
+    race: CandidateFits,
     p_values: Sequence[float],
     probabilities: Any,
     base: Refinement,
@@ -64,7 +64,7 @@ def _validated(refinement: Refinement, validation: Measurement | None, horizon: 
 
 
 def detectable(
-    battery: Battery, scored: Sequence[Candidate], tests: int, significance: float, levels: Levels
+    battery: TestedResidual, scored: Sequence[Candidate], tests: int, significance: float, levels: Levels
 ) -> tuple[Detectable, ...]:
     """Smallest coefficient of each one-coefficient candidate that one of so many tests would have shown."""
     level = stats.norm.isf(significance / (2 * tests * max(len(scored), 1))) + levels.power

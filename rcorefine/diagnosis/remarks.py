@@ -8,13 +8,13 @@ import numpy as np
 
 from ..inference.covariance import covariance, wald
 from ..inference.descent import descend
-from ..inference.fitted import Fitted
+from ..inference.fitted import FittedModel
 from ..inference.problem import Problem
 from ..inference.sensitivities import Candidate
 from ..inference.whitening import Whitener
 from ..systems.linear import Array
-from .candidate_fits import Race
-from .residual_tests import Battery
+from .candidate_fits import CandidateFits
+from .residual_tests import TestedResidual
 
 __all__ = ["amplitude_test", "fit_remarks", "remarks"]
 
@@ -22,15 +22,15 @@ _SHOWN = 8  # rows of the ranking that are printed
 _OTHER_AMPLITUDE = 1.3  # rms of the inputs over that of another record
 
 
-def amplitude_test(race: Race, level: float) -> tuple[float, str]:
+def amplitude_test(race: CandidateFits, level: float) -> tuple[float, str]:
     """Whether records of different amplitude agree on the coefficients of the winner.
 
     A law that only mimics the true one needs other coefficients at another amplitude.
 
     Parameters
     ----------
-    race : Race
-        Race on several records.
+    race : CandidateFits
+        CandidateFits on several records.
     level : float
         p-value below which they are said to disagree.
 
@@ -61,7 +61,7 @@ def amplitude_test(race: Race, level: float) -> tuple[float, str]:
     return p_value, sentence
 
 
-def _alone(fitted: Fitted, record: int) -> tuple[Array, Array]:
+def _alone(fitted: FittedModel, record: int) -> tuple[Array, Array]:
     """Coefficients and covariance from one record only."""
     whole = fitted.problem
     theta, starts = whole.unpack(fitted.point)
@@ -88,7 +88,7 @@ def _alone(fitted: Fitted, record: int) -> tuple[Array, Array]:
     return problem.unpack(run.point)[0].copy(), C[:p, :p]
 
 
-def fit_remarks(race: Race) -> list[str]:
+def fit_remarks(race: CandidateFits) -> list[str]:
     """Sentences on fits of the ranking that stand at a bound, or did not reach a minimum."""
     bound, loose = [], []
     for rival in race.rivals[:_SHOWN]:
@@ -102,7 +102,9 @@ def fit_remarks(race: Race) -> list[str]:
     return said
 
 
-def remarks(race: Race, scored: Sequence[Candidate], batteries: Sequence[Battery]) -> list[str]:
+def remarks(
+    race: CandidateFits, scored: Sequence[Candidate], batteries: Sequence[TestedResidual]
+) -> list[str]:
     """Sentences on what should make the reader careful, or confident."""
     said = []
     tops = []

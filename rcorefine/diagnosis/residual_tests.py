@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..data.measurement import Measurement
 from ..effects.effect import Effect
-from ..inference.fitted import Fitted
+from ..inference.fitted import FittedModel
 from ..inference.sensitivities import (
     Candidate,
     force_responses,
@@ -31,18 +31,18 @@ from ..inference.whitening import (
 )
 from ..systems.linear import Array
 
-__all__ = ["Battery", "run_battery"]
+__all__ = ["TestedResidual", "run_tests"]
 
 _LAGS = 41
 _POWER_LAGS = {2: 21, 3: 6}
 
 
-class Battery:
+class TestedResidual:
     """Whitened residual of a fitted model, with what was fitted already taken out.
 
     Parameters
     ----------
-    fitted : Fitted
+    fitted : FittedModel
         Model at its minimum.
     ratio : float
         Observer ratio: 0 for the free run (sensor noise only), more where an
@@ -51,7 +51,7 @@ class Battery:
         Common filter; by default fitted to this residual.
     """
 
-    def __init__(self, fitted: Fitted, ratio: float = 0.0, whitener: Whitener | None = None) -> None:
+    def __init__(self, fitted: FittedModel, ratio: float = 0.0, whitener: Whitener | None = None) -> None:
         self.fitted, self.ratio = fitted, ratio
         blocks = fitted.blocks(ratio)
         self.whitener = whitener or Whitener.fit([r for r, _ in blocks])
@@ -107,12 +107,14 @@ class Battery:
         return self.whitener.log_likelihood(sum(r.shape[1] for r in self.fitted.residuals(self.ratio)))
 
 
-def run_battery(battery: Battery, candidates: Sequence[Candidate], motions: Sequence[Motion]) -> list[FTest]:
+def run_tests(
+    battery: TestedResidual, candidates: Sequence[Candidate], motions: Sequence[Motion]
+) -> list[FTest]:
     """The tests of the gate, each with a p-value of its own.
 
     Parameters
     ----------
-    battery : Battery
+    battery : TestedResidual
         Residual under test.
     candidates : sequence of Candidate
         Library, with columns at the ratio of the battery.
@@ -141,7 +143,7 @@ def run_battery(battery: Battery, candidates: Sequence[Candidate], motions: Sequ
     return tests
 
 
-def _library(battery: Battery, candidates: Sequence[Candidate]) -> FTest:
+def _library(battery: TestedResidual, candidates: Sequence[Candidate]) -> FTest:
     tests = battery.each([c for c in candidates if battery.ratio in c.columns]) if candidates else []
     tests = [t for t in tests if t.dof]
     if not tests:
@@ -157,7 +159,7 @@ def _library(battery: Battery, candidates: Sequence[Candidate]) -> FTest:
     )
 
 
-def _parameters(battery: Battery, motion: Motion) -> FTest:
+def _parameters(battery: TestedResidual, motion: Motion) -> FTest:
     """Test whether the parameters of the model itself fit."""
     fitted = battery.fitted
     held = {(e.kind, e.place) for e in fitted.structure.effects}
@@ -169,7 +171,7 @@ def _parameters(battery: Battery, motion: Motion) -> FTest:
     return battery.test("parameters", parameter_columns(fitted, effects, motion, battery.ratio))
 
 
-def _at_once(fitted: Fitted) -> NDArray[np.bool_]:
+def _at_once(fitted: FittedModel) -> NDArray[np.bool_]:
     """Whether an output can show an input in the very sample in which it is applied: (n_y, n_w).
 
     A held input needs a direct path for that. Where there is none, the input of the same sample

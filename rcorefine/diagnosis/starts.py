@@ -9,7 +9,7 @@ import numpy as np
 from ..effects.along_motion import unit_forces
 from ..engine.observer import observer_gain
 from ..inference.descent import Descent, descend
-from ..inference.fitted import Fitted
+from ..inference.fitted import FittedModel
 from ..inference.problem import Problem
 from ..inference.search import starting_states
 from ..inference.sensitivities import Candidate
@@ -26,7 +26,7 @@ _LIMITS = {
 }  # of the rms displacement: where a law turns into another
 
 
-def gain_for(fitted: Fitted, candidate: Candidate, ratio: float) -> Array | None:
+def gain_for(fitted: FittedModel, candidate: Candidate, ratio: float) -> Array | None:
     """One gain for all rivals, so that all are compared in the same metric; None for the free run."""
     gain = fitted.gain(ratio)
     if gain is None:
@@ -59,7 +59,7 @@ def at_home(problem: Problem, points: Sequence[Array]) -> list[Array]:
     return found
 
 
-def regressed(fitted: Fitted, candidate: Candidate) -> list[Array]:
+def regressed(fitted: FittedModel, candidate: Candidate) -> list[Array]:
     """One linear step per observer: right where the law is linear in its coefficients."""
     problem, start = candidate.problem, candidate.starts[0]
     p, q = fitted.problem.n_theta, problem.n_theta
@@ -93,7 +93,7 @@ def regressed(fitted: Fitted, candidate: Candidate) -> list[Array]:
     return points
 
 
-def _home(fitted: Fitted, theta: Array) -> Array:
+def _home(fitted: FittedModel, theta: Array) -> Array:
     """The coefficients with linear parameters and offsets as declared, before any fit bent them."""
     roles, parameters = fitted.refinement.roles, fitted.structure.parameters
     theta = theta.copy()
@@ -117,7 +117,7 @@ def _from_rest(problem: Problem, theta: Array, p: int) -> Array:
     return problem.pack(theta, starting_states(problem, theta))
 
 
-def observed(fitted: Fitted, candidate: Candidate, start: Array, ratio: float) -> Array:
+def observed(fitted: FittedModel, candidate: Candidate, start: Array, ratio: float) -> Array:
     """Where observer-led fits of falling gain take the coefficients."""
     problem, point = candidate.problem, start
     for observer in _OBSERVERS:
@@ -127,7 +127,7 @@ def observed(fitted: Fitted, candidate: Candidate, start: Array, ratio: float) -
     return problem.pack(problem.unpack(point)[0], problem.unpack(start)[1])
 
 
-def led(fitted: Fitted, candidate: Candidate, start: Array, ratio: float) -> Descent:
+def led(fitted: FittedModel, candidate: Candidate, start: Array, ratio: float) -> Descent:
     """A second start: nuisances as declared, then led by observers of falling gain into the free run.
 
     A strong effect moves the resonances, and what the fit without it bent holds every

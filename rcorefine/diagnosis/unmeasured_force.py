@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..inference.fitted import Fitted
+from ..inference.fitted import FittedModel
 from ..inference.levels import Levels
 from ..inference.sensitivities import Candidate, candidate_columns
 from ..inference.whitening import FTest
 from .case import Case
-from .residual_tests import Battery, run_battery
+from .residual_tests import TestedResidual, run_tests
 from .verdict import overall
 
 __all__ = ["Explained", "explaining_force", "likely_forces"]
@@ -26,7 +26,7 @@ class Explained:
 
     Attributes
     ----------
-    battery : Battery
+    battery : TestedResidual
         The residual led by the force.
     scored : list of Candidate
         Columns of the candidates on it.
@@ -34,19 +34,21 @@ class Explained:
         What it passed.
     """
 
-    battery: Battery
+    battery: TestedResidual
     scored: list[Candidate]
     tests: list[FTest]
 
 
-def likely_forces(fitted: Fitted, free_run: Battery, least: float, levels: Levels) -> list[Battery]:
+def likely_forces(
+    fitted: FittedModel, free_run: TestedResidual, least: float, levels: Levels
+) -> list[TestedResidual]:
     """The residual led by each unmeasured force that it may speak of, the likeliest first.
 
     Parameters
     ----------
-    fitted : Fitted
+    fitted : FittedModel
         Model at its minimum.
-    free_run : Battery
+    free_run : TestedResidual
         Its residual without such a force.
     least : float
         Log-likelihood that the force must earn.
@@ -55,15 +57,15 @@ def likely_forces(fitted: Fitted, free_run: Battery, least: float, levels: Level
 
     Returns
     -------
-    list of Battery
+    list of TestedResidual
         Empty where none earns as much.
     """
-    found: list[Battery] = []
+    found: list[TestedResidual] = []
     for at in _AT:
         top = -np.inf
         for ratio in _SIZES:
             try:
-                led = Battery(fitted.forced(at), ratio)
+                led = TestedResidual(fitted.forced(at), ratio)
             except (np.linalg.LinAlgError, ValueError):
                 continue
             if np.isfinite(led.log_likelihood):
@@ -78,7 +80,7 @@ def likely_forces(fitted: Fitted, free_run: Battery, least: float, levels: Level
     return sorted(near, key=lambda led: -led.log_likelihood)
 
 
-def explaining_force(case: Case, free_run: Battery) -> Explained | None:
+def explaining_force(case: Case, free_run: TestedResidual) -> Explained | None:
     """The likeliest unmeasured force beside which every test passes, if one does.
 
     How strong it is, and where, is not known: it explains the residual if one likely force does.
@@ -87,10 +89,10 @@ def explaining_force(case: Case, free_run: Battery) -> Explained | None:
         return None
     likely = likely_forces(case.fitted, free_run, case.levels.force, case.levels)
     for led in case.progress.over(likely, "unmeasured force"):
-        if overall(run_battery(led, [], case.motions)) < case.significance:
+        if overall(run_tests(led, [], case.motions)) < case.significance:
             continue  # the library cannot mend what fails without it
         scored = candidate_columns(led.fitted, case.library, case.motions[0], (led.ratio,))
-        tests = run_battery(led, scored, case.motions)
+        tests = run_tests(led, scored, case.motions)
         if overall(tests) >= case.significance:
             return Explained(led, scored, tests)
     return None

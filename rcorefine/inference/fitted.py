@@ -20,11 +20,11 @@ from .problem import Problem, residual_blocks
 from .refinement import Refinement
 from .starts import Motion, law_widths
 
-__all__ = ["Fitted", "evaluated", "fitted_from"]
+__all__ = ["FittedModel", "evaluated", "fitted_from"]
 
 
 @dataclass(eq=False)
-class Fitted:
+class FittedModel:
     """A refinement at its minimum: residual, Jacobian, motion.
 
     Attributes
@@ -70,7 +70,7 @@ class Fitted:
             )
         return self._gains[ratio]
 
-    def forced(self, at: str) -> Fitted:
+    def forced(self, at: str) -> FittedModel:
         """The same model with unmeasured forces elsewhere."""
         if at == self.force_at:
             return self
@@ -156,7 +156,7 @@ def evaluated(problem: Problem, point: Array, gain: Array | None = None) -> list
 
 def fitted_from(
     refinement: Refinement, data: Sequence[Measurement], *, tolerance: float, noise: Any = None
-) -> Fitted:
+) -> FittedModel:
     """The refinement on its records, at its minimum.
 
     Parameters
@@ -172,7 +172,7 @@ def fitted_from(
 
     Returns
     -------
-    Fitted
+    FittedModel
     """
     structure, theta, steps = refinement.simulation_structure()
     records = [record_for(r, match_channels(refinement.physical_model.linear, r)) for r in data]
@@ -183,4 +183,4 @@ def fitted_from(
     spread = np.concatenate([r.outputs for r in records], axis=1).std(axis=1)
     weights = 1.0 / np.maximum(level, 1e-12 * np.where(spread > 0, spread, 1.0))
     problem = Problem(structure, records, weights, prior_mean=mean, prior_sd=sd, substeps=steps)
-    return Fitted(refinement, problem, problem.pack(theta, refinement.initial_states), tolerance)
+    return FittedModel(refinement, problem, problem.pack(theta, refinement.initial_states), tolerance)

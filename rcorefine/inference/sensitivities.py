@@ -14,7 +14,7 @@ from ..engine.structure import Structure
 from ..jit import compiled
 from ..systems.discretization import discretize
 from ..systems.linear import Array
-from .fitted import Fitted, evaluated
+from .fitted import FittedModel, evaluated
 from .problem import Problem
 from .starts import Motion, law_widths, shape_starts
 
@@ -36,7 +36,7 @@ class Candidate:
 
     effect: Effect
     columns: dict[float, list[Array]]  # by observer ratio: blocks (n_y, N, k) per record
-    fitted: Fitted
+    fitted: FittedModel
     motion: Motion
     _made: tuple[Problem, list[Array]] | None = None
 
@@ -90,7 +90,7 @@ class Candidate:
 
 
 def candidate_columns(
-    fitted: Fitted, effects: Sequence[Effect], motion: Motion, ratios: Sequence[float]
+    fitted: FittedModel, effects: Sequence[Effect], motion: Motion, ratios: Sequence[float]
 ) -> list[Candidate]:
     """Sensitivity of the residual to each candidate about the fitted model.
 
@@ -100,7 +100,7 @@ def candidate_columns(
 
     Parameters
     ----------
-    fitted : Fitted
+    fitted : FittedModel
         Model at its minimum.
     effects : sequence of Effect
         Candidates.
@@ -144,7 +144,7 @@ def _tame(blocks: list[Array]) -> list[Array]:
 
 
 def _law_columns(
-    fitted: Fitted, found: list[Candidate], laws: list[tuple[int, list[dict[str, float]]]], ratio: float
+    fitted: FittedModel, found: list[Candidate], laws: list[tuple[int, list[dict[str, float]]]], ratio: float
 ) -> None:
     """Columns of nonlinear laws at ports: the outputs that their forces along the motion would add."""
     gain = fitted.gain(ratio)
@@ -187,7 +187,9 @@ def _shapes(candidate: Candidate) -> list[dict[str, float]]:
     return sets
 
 
-def parameter_columns(fitted: Fitted, effects: Sequence[Effect], motion: Motion, ratio: float) -> list[Array]:
+def parameter_columns(
+    fitted: FittedModel, effects: Sequence[Effect], motion: Motion, ratio: float
+) -> list[Array]:
     """Columns (n_y, N, k) per record of changes of the model's own parameters."""
     structure, theta, engines = _carrier(fitted, effects, motion)
     p = fitted.structure.n_parameters
@@ -195,7 +197,7 @@ def parameter_columns(fitted: Fitted, effects: Sequence[Effect], motion: Motion,
 
 
 def _carrier(
-    fitted: Fitted, effects: Sequence[Effect], motion: Motion
+    fitted: FittedModel, effects: Sequence[Effect], motion: Motion
 ) -> tuple[Structure, Array, list[Engine]]:
     old = fitted.refinement
     base = Structure(old.physical_model, [*old.effects, *effects])
@@ -208,7 +210,7 @@ def _carrier(
 
 
 def _sensitivities(
-    fitted: Fitted, structure: Structure, theta: Array, engines: Sequence[Engine], gain: Array | None
+    fitted: FittedModel, structure: Structure, theta: Array, engines: Sequence[Engine], gain: Array | None
 ) -> list[Array]:
     starts = fitted.problem.unpack(fitted.point)[1]
     blocks = []
@@ -243,7 +245,7 @@ def _own_columns(candidate: Candidate, ratio: float) -> list[Array]:
     return [np.nan_to_num(np.concatenate(parts, axis=2)) for parts in wide]
 
 
-def generic_forces(fitted: Fitted, ratio: float, record: int) -> list[tuple[str, Array]]:
+def generic_forces(fitted: FittedModel, ratio: float, record: int) -> list[tuple[str, Array]]:
     """Forces of laws that are in no library, at every port: (port, force of shape (N,))."""
     forces = []
     for port in fitted.structure.model.ports:
@@ -257,7 +259,7 @@ def generic_forces(fitted: Fitted, ratio: float, record: int) -> list[tuple[str,
     return forces
 
 
-def slow_forces(fitted: Fitted, ratio: float, record: int) -> list[tuple[str, Array]]:
+def slow_forces(fitted: FittedModel, ratio: float, record: int) -> list[tuple[str, Array]]:
     """Forces of stiffness and damping that change over the record."""
     n = fitted.problem.records[record].n_samples
     t = np.linspace(-1.0, 1.0, n)
@@ -272,7 +274,7 @@ def slow_forces(fitted: Fitted, ratio: float, record: int) -> list[tuple[str, Ar
 
 
 def force_responses(
-    fitted: Fitted, record: int, forces: Sequence[tuple[str, Array]], gain: Array | None = None
+    fitted: FittedModel, record: int, forces: Sequence[tuple[str, Array]], gain: Array | None = None
 ) -> Array:
     """Outputs that small forces at ports would add, linearized: (n_y, N, k), in units of the noise."""
     structure = fitted.structure

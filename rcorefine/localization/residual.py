@@ -8,10 +8,10 @@ from typing import Any, cast
 
 import numpy as np
 
-from ..diagnosis.residual_tests import Battery, run_battery
+from ..diagnosis.residual_tests import TestedResidual, run_tests
 from ..effects.effect import Effect
 from ..engine.structure import Structure
-from ..inference.fitted import Fitted
+from ..inference.fitted import FittedModel
 from ..inference.problem import Problem
 from ..inference.sensitivities import candidate_columns
 from ..inference.starts import Motion
@@ -29,7 +29,7 @@ _SHORTEST = 200  # samples of a record that can be tested
 
 @dataclass(frozen=True, slots=True)
 class _Held:
-    """What `Fitted` asks of a refinement."""
+    """What `FittedModel` asks of a refinement."""
 
     physical_model: PhysicalModel
     effects: tuple[Effect, ...]
@@ -66,13 +66,13 @@ def residual_tests(joint: Joint) -> tuple[FTest, ...]:
     )
     held = _Held(physical, effects, dict(structure.constants), ("effect",) * len(effects), joint.substeps)
     starts = joint.problem.unpack(joint.point)[1]
-    fitted = Fitted(cast(Any, held), problem, problem.pack(theta, starts), 0.0)
+    fitted = FittedModel(cast(Any, held), problem, problem.pack(theta, starts), 0.0)
     motions = [Motion(structure, theta, record) for record in joint.records]
     motions[0].companions = motions[1:]
     taken = {(effect.kind, effect.place) for effect in effects}
     library = [e for e in effect_library(physical) if (e.kind, e.place) not in taken]
     return tuple(
-        run_battery(Battery(fitted), candidate_columns(fitted, library, motions[0], (0.0,)), motions)
+        run_tests(TestedResidual(fitted), candidate_columns(fitted, library, motions[0], (0.0,)), motions)
     )
 
 

@@ -19,8 +19,8 @@ from .coefficients.estimator import CoefficientFilter
 from .coefficients.forms import FORMS, all_entries, correction, named_entries, no_entries, nonzero_entries
 from .coefficients.setup import FilterSettings, Setup, checked_settings
 from .estimator import Estimator
+from .filter_bank import FilterBank
 from .joint import JointStages
-from .race import Race
 from .rcmr.memory import Settings
 from .rcmr.paper import PaperStages
 from .rcmr.setup import Sampled, as_settings, correction_path, make_setup
@@ -72,14 +72,16 @@ def assembled(given: dict[str, Any], sampled: Sampled) -> Estimator:
         raise ct.ControlArgument(
             f"{wrong[0]} is a setting of the paper's static stage; leave it out, or static= and effects="
         )
-    chosen: CoefficientFilter | Race
+    chosen: CoefficientFilter | FilterBank
     if listed is not None:
         chosen = CoefficientFilter(_listed(given, sampled, listed), keep)
     else:
         if given["substeps"] is not None:
             raise ct.ControlArgument("substeps is a setting of nonlinear effects; give effects=[...]")
         settings = _filter_settings(given, sampled)
-        chosen = Race(_forms(static, given, sampled, settings), no_entries(sampled.initial, settings), keep)
+        chosen = FilterBank(
+            _forms(static, given, sampled, settings), no_entries(sampled.initial, settings), keep
+        )
     first, silent = _stage_one(given, sampled, keep)
     return JointStages(chosen, first, sampled.initial, keep, silent)
 

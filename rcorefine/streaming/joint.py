@@ -14,8 +14,8 @@ from ..systems.nearest import nearest_continuous
 from . import summary
 from .coefficients.estimator import CoefficientFilter, joined
 from .coefficients.history import CoefficientHistory
+from .filter_bank import FilterBank
 from .gaps import Block
-from .race import Race
 from .rcmr.history import pole_samples, poles_of
 from .rcmr.paper import PaperStages
 from .restoring import check_like
@@ -31,7 +31,7 @@ class JointStages:
 
     Parameters
     ----------
-    static : CoefficientFilter or Race
+    static : CoefficientFilter or FilterBank
         The static stage.
     first : PaperStages or None
         Stage 1, None where it does not run.
@@ -45,7 +45,7 @@ class JointStages:
 
     def __init__(
         self,
-        static: CoefficientFilter | Race,
+        static: CoefficientFilter | FilterBank,
         first: PaperStages | None,
         model: LinearModel,
         keep: bool,
@@ -65,7 +65,7 @@ class JointStages:
     # -- samples in ----------------------------------------------------------------------------------
 
     @property
-    def static(self) -> CoefficientFilter | Race:
+    def static(self) -> CoefficientFilter | FilterBank:
         """The static stage, all samples learned."""
         self._flush()
         return self._static
@@ -80,13 +80,13 @@ class JointStages:
     def filter(self) -> CoefficientFilter:
         """Filter of the coefficients that the refined model has."""
         static = self.static
-        return static.filter if isinstance(static, Race) else static
+        return static.filter if isinstance(static, FilterBank) else static
 
     @property
     def n_samples(self) -> int:
         """Samples taken."""
         static = self._static
-        learned = static.n_samples if isinstance(static, Race) else static.memory.n_samples
+        learned = static.n_samples if isinstance(static, FilterBank) else static.memory.n_samples
         return learned + len(self._waiting)
 
     @property
@@ -99,7 +99,7 @@ class JointStages:
         if len(block.inputs) > 1:
             self._flush()
             self._learn(block)
-        elif isinstance(self._static, Race):
+        elif isinstance(self._static, FilterBank):
             if len(self._waiting) >= _PENDING:
                 self._flush()
             self._waiting.append(block)
@@ -119,7 +119,7 @@ class JointStages:
     def _learn(self, block: Block) -> None:
         static, beside = self._static, self.first is not None and not self.stopped
         predict = beside and not block.whole
-        if isinstance(static, Race):
+        if isinstance(static, FilterBank):
             with static.all_or_nothing():
                 outputs = static.take(block, predict=predict)
                 if beside:
@@ -211,7 +211,7 @@ class JointStages:
     def summary(self) -> summary.Summary:
         """Cells and sentences of `str`."""
         static = self.static
-        if isinstance(static, Race):
+        if isinstance(static, FilterBank):
             return summary.summarize_race(self.model, static, self.stopped)
         return summary.summarize_coefficients(self.model, static, self.stopped)
 

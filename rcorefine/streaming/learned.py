@@ -14,8 +14,8 @@ from ..exceptions import RCOError
 from ..systems.linear import Array
 from .coefficients.history import CoefficientHistory
 from .estimator import Estimator
+from .filter_bank import FilterBank
 from .joint import JointStages
-from .race import Race
 from .rcmr.history import History
 from .rcmr.paper import PaperStages
 from .rcmr.scaling import Scales
@@ -73,14 +73,14 @@ class Learned:
         if not isinstance(estimator, JointStages):
             return "paper"
         static = estimator.static
-        return static.chosen[0] if isinstance(static, Race) else "coefficients"
+        return static.chosen[0] if isinstance(static, FilterBank) else "coefficients"
 
     @property
     @alone
     def scores(self) -> dict[str, float]:
         """In a race: fit in % of each form's free run on the last stretch it had not seen."""
         static = self._joint("scores").static
-        scores = static.memory.scores if isinstance(static, Race) else {}
+        scores = static.memory.scores if isinstance(static, FilterBank) else {}
         return {name: float(100.0 * (1.0 - np.sqrt(score))) for name, score in scores.items()}
 
     @property

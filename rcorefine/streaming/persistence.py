@@ -24,7 +24,7 @@ from ..systems.linear import LinearModel
 from ..writing import replacing
 from .coefficients.memory import CoefficientMemory
 from .coefficients.stage import CoefficientRecord
-from .race import Frozen, RaceMemory
+from .filter_bank import FilterBankMemory, Frozen
 from .rcmr.kernels import Design, Plant, Record, Stage
 from .rcmr.memory import Memory, Tuned
 from .rcmr.scaling import Scales
@@ -38,7 +38,7 @@ _KINDS: dict[str, Any] = {
     kind.__name__: kind
     for kind in (
         LinearModel, PhysicalModel, NominalParameter, Port, CoefficientMemory, CoefficientRecord,
-        Design, Plant, Record, Stage, Memory, Tuned, Scales, Frozen, RaceMemory,
+        Design, Plant, Record, Stage, Memory, Tuned, Scales, Frozen, FilterBankMemory,
     )
 }  # fmt: skip
 _NOT_STORED = {"kernel"}  # made anew from the other fields

@@ -15,7 +15,7 @@ from .rcmr.kernels import Record
 from .rcmr.memory import Memory, Settings
 
 if TYPE_CHECKING:
-    from .race import Race
+    from .filter_bank import FilterBank
 
 __all__ = [
     "Summary",
@@ -146,7 +146,7 @@ def summarize_coefficients(model: LinearModel, part: CoefficientFilter, stopped:
     return Summary(title, _PARAMETERS, part.rows(), notes)
 
 
-def summarize_race(model: LinearModel, race: Race, stopped: str) -> Summary:
+def summarize_race(model: LinearModel, race: FilterBank, stopped: str) -> Summary:
     """Collect what `str(refiner)` shows of several forms in a race."""
     (form, grows), memory = race.chosen, race.memory
     part = race.filters[form]

@@ -11,7 +11,7 @@ from ...systems.linear import Array
 from .bands import band_columns
 from .frequency import frequency_text
 from .likelihood import Explanation
-from .record import Finding, Scene
+from .record import Finding, ModelOnRecord
 
 __all__ = ["input_laws", "level_dependence"]
 
@@ -54,13 +54,13 @@ _SHAPES: tuple[tuple[str, Callable[[Array, float], Array], str, str], ...] = (
 )
 
 
-def input_laws(scene: Scene) -> list[Finding]:
+def input_laws(scene: ModelOnRecord) -> list[Finding]:
     """Static laws at each input: dead zone, saturation, unequal sides, odd and even distortion."""
     varied = [j for j, w in enumerate(scene.data.inputs) if np.ptp(w) != 0.0]
     return [finding for j in varied for finding in (*_with_level(scene, j), *_with_shape(scene, j))]
 
 
-def _with_level(scene: Scene, j: int) -> Iterator[Finding]:
+def _with_level(scene: ModelOnRecord, j: int) -> Iterator[Finding]:
     w, name, unit = scene.data.inputs[j], scene.data.input_labels[j], scene.data.input_units[j]
     levels = np.unique(np.quantile(np.abs(w), np.linspace(0.05, 0.98, 24)))
     levels = levels[levels > 0]
@@ -81,7 +81,7 @@ def _with_level(scene: Scene, j: int) -> Iterator[Finding]:
         yield Finding("amplitude", where.format(**text), kind, one, 2, 12, sentence.format(**text), values)
 
 
-def _with_shape(scene: Scene, j: int) -> Iterator[Finding]:
+def _with_shape(scene: ModelOnRecord, j: int) -> Iterator[Finding]:
     w, name = scene.data.inputs[j], scene.data.input_labels[j]
     columns = scene.driven([(j, shape(w, float(w.std()))) for _, shape, _, _ in _SHAPES])
     for (kind, _, where, sentence), column in zip(_SHAPES, columns, strict=True):
@@ -91,7 +91,7 @@ def _with_shape(scene: Scene, j: int) -> Iterator[Finding]:
         )  # fmt: skip
 
 
-def level_dependence(scene: Scene) -> list[Finding]:
+def level_dependence(scene: ModelOnRecord) -> list[Finding]:
     """Bands in which gain or phase change with the level of the response."""
     found = []
     for i in range(scene.n_outputs):

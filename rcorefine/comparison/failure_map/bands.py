@@ -6,7 +6,7 @@ import numpy as np
 
 from ...systems.linear import Array
 from .frequency import frequency_text
-from .record import Finding, Scene
+from .record import Finding, ModelOnRecord
 
 __all__ = ["band_columns", "bands"]
 
@@ -14,7 +14,7 @@ _BANDS = 20
 _HALF = 0.4  # share of the largest deviation that still belongs to the band
 
 
-def bands(scene: Scene) -> list[Finding]:
+def bands(scene: ModelOnRecord) -> list[Finding]:
     """Bands in which an output is a smooth factor (complex) off the model."""
     found = []
     centers = _centers(scene)
@@ -26,13 +26,13 @@ def bands(scene: Scene) -> list[Finding]:
     return found
 
 
-def _centers(scene: Scene) -> Array:
+def _centers(scene: ModelOnRecord) -> Array:
     top = np.pi / scene.dt
     low = max(2.0 * np.pi * 4.0 / (scene.n_samples * scene.dt), 1e-3 * top)
     return np.geomspace(low, top, _BANDS)
 
 
-def band_columns(scene: Scene, i: int, centers: Array) -> list[Array]:
+def band_columns(scene: ModelOnRecord, i: int, centers: Array) -> list[Array]:
     """In-phase and quadrature part of an output's run in overlapping bands."""
     n = scene.n_samples
     run = scene.run[i] - scene.run[i].mean()
@@ -52,7 +52,7 @@ def band_columns(scene: Scene, i: int, centers: Array) -> list[Array]:
     return columns
 
 
-def _band(scene: Scene, i: int, centers: Array, columns: list[Array]) -> Finding:
+def _band(scene: ModelOnRecord, i: int, centers: Array, columns: list[Array]) -> Finding:
     """Contiguous band that explains most for its width."""
     evidence = scene.evidence
     white, target = evidence.white(columns)

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...systems.linear import Array
 from .likelihood import Explanation
-from .record import Finding, Scene
+from .record import Finding, ModelOnRecord
 
 __all__ = ["distortions", "period_of"]
 
@@ -35,7 +35,7 @@ def period_of(signals: Array) -> int | None:
     return None
 
 
-def distortions(scene: Scene) -> list[Finding]:
+def distortions(scene: ModelOnRecord) -> list[Finding]:
     """Power at even and at odd harmonics that the input does not hold (Pintelon and Schoukens)."""
     period = period_of(scene.data.inputs)
     if period is None or len(scene.starts) > 1:
@@ -58,7 +58,7 @@ def distortions(scene: Scene) -> list[Finding]:
     return found
 
 
-def _distortion(scene: Scene, i: int, period: int, wanted: Array, name: str, word: str) -> Finding:
+def _distortion(scene: ModelOnRecord, i: int, period: int, wanted: Array, name: str, word: str) -> Finding:
     r = scene.residual[i]
     whole = r.size // period
     last = r[r.size - (whole - 1) * period :].reshape(whole - 1, period)  # the first period settles

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...systems.linear import Array, LinearModel
 from .likelihood import Explanation
-from .record import Finding, Scene
+from .record import Finding, ModelOnRecord
 
 __all__ = ["frequency_text", "modes", "modes_together", "shifts"]
 
@@ -82,7 +82,7 @@ def find_modes(model: LinearModel) -> list[Mode]:
 class Shift:
     """What a mode would add to the outputs if it lay elsewhere."""
 
-    def __init__(self, scene: Scene, mode: Mode) -> None:
+    def __init__(self, scene: ModelOnRecord, mode: Mode) -> None:
         self.scene, self.mode = scene, mode
         self.before = self._motion(mode.pole) if not self._fast(mode.pole) else np.zeros_like(scene.run)
         self.seen = not self._fast(mode.pole) and bool(np.any(np.abs(self.before) > 1e-9))
@@ -149,7 +149,7 @@ class Shift:
         return np.asarray(np.tensordot(best, np.array(columns), 1))
 
 
-def shifts(scene: Scene) -> list[Shift]:
+def shifts(scene: ModelOnRecord) -> list[Shift]:
     """Modes that the inputs reach."""
     model = scene.continuous
     if model is None or not np.any(scene.data.inputs):
@@ -157,7 +157,7 @@ def shifts(scene: Scene) -> list[Shift]:
     return [shift for shift in (Shift(scene, mode) for mode in find_modes(model)) if shift.seen]
 
 
-def modes(scene: Scene, found: Sequence[Shift]) -> list[Finding]:
+def modes(scene: ModelOnRecord, found: Sequence[Shift]) -> list[Finding]:
     """Each mode moved on its own."""
     findings = []
     for shift in found:
@@ -166,7 +166,7 @@ def modes(scene: Scene, found: Sequence[Shift]) -> list[Finding]:
     return findings
 
 
-def _searched(scene: Scene, shift: Shift) -> Explanation:
+def _searched(scene: ModelOnRecord, shift: Shift) -> Explanation:
     evidence = scene.evidence
     known = scene.known.get(shift.mode.number)
     if known is not None:
@@ -186,7 +186,7 @@ def _searched(scene: Scene, shift: Shift) -> Explanation:
     return best
 
 
-def modes_together(scene: Scene, found: Sequence[Shift], single: Sequence[Finding]) -> list[Finding]:
+def modes_together(scene: ModelOnRecord, found: Sequence[Shift], single: Sequence[Finding]) -> list[Finding]:
     """All modes moved at once, where there are several."""
     worth = sorted(zip(found, single, strict=True), key=lambda pair: -pair[1].explanation.gain)
     chosen = [pair for pair in worth if pair[1].explanation.gain > 0][:_MOST_TOGETHER]
@@ -210,7 +210,7 @@ def modes_together(scene: Scene, found: Sequence[Shift], single: Sequence[Findin
 
 
 def _finding(
-    scene: Scene, used: Sequence[Shift], points: Sequence[Array], one: Explanation, tried: int
+    scene: ModelOnRecord, used: Sequence[Shift], points: Sequence[Array], one: Explanation, tried: int
 ) -> Finding:
     energy = [
         float(np.sum(scene.evidence.without_nuisance(s(p)) ** 2)) for s, p in zip(used, points, strict=True)

@@ -16,7 +16,7 @@ from ...inference.autoregression import highest_order
 from ...inference.whitening import Whitener
 from ...systems.linear import Array
 
-__all__ = ["Evidence", "Explanation"]
+__all__ = ["Explanation", "ResidualLikelihood"]
 
 # Differences below this share of an output are rounding, not evidence.
 _FLOOR = 1e-7
@@ -46,7 +46,7 @@ class Explanation:
     level: Array | None = None
 
 
-class Evidence:
+class ResidualLikelihood:
     """A residual, and what is taken out of everything before it is judged.
 
     The initial state (where compare estimated it) and a constant offset of each
@@ -125,8 +125,8 @@ class Evidence:
             out[:, a:b] = (flat - basis @ best).reshape(self.n_outputs, b - a)
         return out
 
-    def after(self, fit: Array, whole: Array) -> Evidence:
-        """Evidence on what an explanation leaves, beside constant offsets and with them."""
+    def after(self, fit: Array, whole: Array) -> ResidualLikelihood:
+        """Likelihood of what an explanation leaves, beside constant offsets and with them."""
         rest = copy.copy(self)
         rest.residual = self.residual - fit
         rest.with_offset = self.with_offset - whole

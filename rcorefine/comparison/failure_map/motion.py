@@ -10,7 +10,7 @@ import numpy as np
 from ...engine.smoother import Smoothed, smooth
 from ...systems.discretization import discretize
 from ...systems.linear import Array
-from .record import Scene
+from .record import ModelOnRecord
 
 __all__ = ["MotionEstimate", "estimated_motion"]
 
@@ -38,7 +38,7 @@ class MotionEstimate:
     likelihood: float
 
 
-def estimated_motion(scene: Scene, chosen: Sequence[int] | None = None) -> MotionEstimate:
+def estimated_motion(scene: ModelOnRecord, chosen: Sequence[int] | None = None) -> MotionEstimate:
     """States of the motion that the record shows, unknown forces at places allowed for.
 
     What the model with its known input leaves unexplained is put down to
@@ -47,7 +47,7 @@ def estimated_motion(scene: Scene, chosen: Sequence[int] | None = None) -> Motio
 
     Parameters
     ----------
-    scene : Scene
+    scene : ModelOnRecord
         Model on its record, with places.
     chosen : sequence of int, optional
         Places where the forces may act; default all.

@@ -18,13 +18,13 @@ from ...jit import compiled
 from ...systems.conversion import d2c
 from ...systems.discretization import discretize
 from ...systems.linear import Array, LinearModel
-from .likelihood import Evidence, Explanation
+from .likelihood import Explanation, ResidualLikelihood
 from .places import Places, found_places
 
 if TYPE_CHECKING:
     from ..result import Comparison
 
-__all__ = ["DIMENSIONS", "Finding", "Scene", "scene_of"]
+__all__ = ["DIMENSIONS", "Finding", "ModelOnRecord", "model_on_record"]
 
 #: In the order in which a tie is settled.
 DIMENSIONS = ("time", "frequency", "amplitude", "state", "place")
@@ -63,12 +63,12 @@ class Finding:
     sentence: str
     values: dict[str, Any] = field(default_factory=dict)
 
-    def net(self, scene: Scene) -> float:
+    def net(self, scene: ModelOnRecord) -> float:
         """Worth less what the numbers fitted cost (Schwarz)."""
         return self.explanation.gain - self.dof * float(np.log(scene.n_samples))
 
 
-class Scene:
+class ModelOnRecord:
     """One model on its record, outputs over their spread.
 
     Parameters
@@ -130,7 +130,7 @@ class Scene:
         #: laws at places and what they would do, kept until the residual changes
         self.laws: list[Any] | None = None
         self._late: dict[float, Array] = {}
-        self.evidence = Evidence(self.measured - self.run, self.starts, initial)
+        self.evidence = ResidualLikelihood(self.measured - self.run, self.starts, initial)
 
     def _free(self, length: int) -> Array:
         """Outputs from unit initial states, (length, n_y, n)."""
@@ -311,7 +311,7 @@ def march(  # type: ignore[no-untyped-def]
             x = Phi @ x + drive0 * F[step] + drive1 * F[step + 1]
 
 
-def scene_of(comparison: Comparison, index: int) -> tuple[Scene, list[str]]:
+def model_on_record(comparison: Comparison, index: int) -> tuple[ModelOnRecord, list[str]]:
     """A model of a comparison on its record, and notes on what cannot be searched."""
     notes: list[str] = []
     model = comparison.models[index]
@@ -321,7 +321,7 @@ def scene_of(comparison: Comparison, index: int) -> tuple[Scene, list[str]]:
     if places is None or not places.places:
         places = None
         notes.append("State space and place were not searched: no ports were found in this model")
-    scene = Scene(
+    scene = ModelOnRecord(
         comparison.seen_by(index), model, comparison.runs[index], comparison.states[index], comparison.starts,
         estimated=comparison.x0 == "estimate", places=places,
     )  # fmt: skip

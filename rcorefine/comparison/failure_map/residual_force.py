@@ -9,7 +9,7 @@ import numpy as np
 
 from ...systems.linear import Array
 from .motion import estimated_motion
-from .record import scene_of
+from .record import model_on_record
 
 if TYPE_CHECKING:
     from ..result import Comparison
@@ -59,7 +59,7 @@ def residual_force(comparison: Comparison, index: int = 0, place: str | None = N
     ResidualForce or None
         None for a model without ports.
     """
-    scene, _ = scene_of(comparison, index)
+    scene, _ = model_on_record(comparison, index)
     if scene.places is None:
         return None
     names = [p.name for p in scene.places.places]

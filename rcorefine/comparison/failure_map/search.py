@@ -15,8 +15,8 @@ from .amplitude import input_laws, level_dependence
 from .bands import bands
 from .distortion import distortions
 from .frequency import modes, modes_together, shifts
-from .likelihood import Evidence
-from .record import DIMENSIONS, Finding, Scene, scene_of
+from .likelihood import ResidualLikelihood
+from .record import DIMENSIONS, Finding, ModelOnRecord, model_on_record
 from .state import forces_at_places
 from .stretches import stretches
 from .time import clipping, delays, drifts, pinned, signs
@@ -146,7 +146,7 @@ def failure_map(comparison: Comparison, index: int) -> FailureMap:
     structure leads. The noise model of the leader is then used to judge all
     once more. p-values are multiplied by the number of regions (Bonferroni).
     """
-    scene, notes = scene_of(comparison, index)
+    scene, notes = model_on_record(comparison, index)
     rms = np.sqrt(np.mean((comparison.data.outputs - comparison.runs[index]) ** 2, axis=1))
     looked = tuple(d for d in DIMENSIONS if scene.places is not None or d not in ("state", "place"))
     if scene.n_samples < 60:
@@ -156,7 +156,7 @@ def failure_map(comparison: Comparison, index: int) -> FailureMap:
     return FailureMap(comparison.names[index], rows, rms, looked, tuple(notes))
 
 
-def _searched(scene: Scene) -> list[Finding]:
+def _searched(scene: ModelOnRecord) -> list[Finding]:
     """All findings under the present noise model."""
     found = [
         *stretches(scene),
@@ -175,7 +175,7 @@ def _searched(scene: Scene) -> list[Finding]:
     return found
 
 
-def _p_value(finding: Finding, scene: Scene, count: int) -> float:
+def _p_value(finding: Finding, scene: ModelOnRecord, count: int) -> float:
     """Likelihood ratio as an F-test, times the number of regions."""
     n = scene.n_samples - scene.evidence.order
     gain = finding.explanation.gain
@@ -186,7 +186,7 @@ def _p_value(finding: Finding, scene: Scene, count: int) -> float:
     return float(min(1.0, stats.f.sf(ratio, finding.dof, free) * count))
 
 
-def _rows(scene: Scene) -> tuple[Failure, ...]:
+def _rows(scene: ModelOnRecord) -> tuple[Failure, ...]:
     """The leader, what is left besides it, and other views of it; significant ones only."""
     whole = scene.evidence
     # first as if the noise were nothing, then with the noise that the leader leaves
@@ -234,7 +234,7 @@ def _rows(scene: Scene) -> tuple[Failure, ...]:
     return tuple(rows[:_SHOWN])
 
 
-def _follows(f: Finding, leader: Finding, whole: Evidence) -> bool:
+def _follows(f: Finding, leader: Finding, whole: ResidualLikelihood) -> bool:
     """Whether a row is but a consequence of the leader, and no view of the error by its own right.
 
     Beside the leader it says nothing more, while the leader beside it does (or says the same
@@ -253,14 +253,14 @@ def _follows(f: Finding, leader: Finding, whole: Evidence) -> bool:
     return more(leader, f) > leader.dof * price or (f.dimension == leader.dimension and f.dof > leader.dof)
 
 
-def _row(f: Finding, scene: Scene, count: int, role: str, whole: Evidence) -> Failure:
+def _row(f: Finding, scene: ModelOnRecord, count: int, role: str, whole: ResidualLikelihood) -> Failure:
     return Failure(
         f.dimension, f.where, f.measure, f.explanation.gain, _p_value(f, scene, count),
         whole.share_of_error(whole.whole(f.explanation)), f.sentence, role, f.values,
     )  # fmt: skip
 
 
-def _ranked(findings: Sequence[Finding], scene: Scene, count: int) -> list[Finding]:
+def _ranked(findings: Sequence[Finding], scene: ModelOnRecord, count: int) -> list[Finding]:
     """Best finding of each kind of region, significant ones only, best first."""
     best: dict[tuple[str, ...], Finding] = {}
     for finding in _in_order([f for f in findings if _p_value(f, scene, count) < SIGNIFICANCE], scene):
@@ -268,7 +268,7 @@ def _ranked(findings: Sequence[Finding], scene: Scene, count: int) -> list[Findi
     return _settled(list(best.values()), scene)
 
 
-def _in_order(findings: Sequence[Finding], scene: Scene) -> list[Finding]:
+def _in_order(findings: Sequence[Finding], scene: ModelOnRecord) -> list[Finding]:
     """By worth; but what leaves several times as much of the error as another cannot come before it.
 
     The likelihood forgives a slow error as noise of that color. Where something explains
@@ -293,7 +293,7 @@ def _region(finding: Finding) -> tuple[str, ...]:
     return finding.dimension, kind, str(owner)
 
 
-def _settled(ranked: list[Finding], scene: Scene) -> list[Finding]:
+def _settled(ranked: list[Finding], scene: ModelOnRecord) -> list[Finding]:
     """A place is another view of what the other dimensions show, and comes after the best of them."""
     if not ranked or ranked[0].dimension != "place":
         return ranked

@@ -15,7 +15,7 @@ from .force_laws import ForceLaw, laws_at
 from .likelihood import Explanation
 from .motion import estimated_motion
 from .places import Place
-from .record import Finding, Scene
+from .record import Finding, ModelOnRecord
 
 __all__ = ["forces_at_places"]
 
@@ -26,7 +26,7 @@ _SEEN = 0.1  # of a response, beside offset and initial state, from which on it 
 _UNLIKE = 0.2  # of the larger of two steps, from which on they count as different
 
 
-def _columns(scene: Scene) -> list[tuple[int, Place, list[ForceLaw], list[Array]]]:
+def _columns(scene: ModelOnRecord) -> list[tuple[int, Place, list[ForceLaw], list[Array]]]:
     """Laws at each place along the motion that the record shows if a force acts there."""
     if scene.laws is None:
         assert scene.places is not None
@@ -47,7 +47,7 @@ def _columns(scene: Scene) -> list[tuple[int, Place, list[ForceLaw], list[Array]
     return scene.laws
 
 
-def forces_at_places(scene: Scene) -> list[Finding]:
+def forces_at_places(scene: ModelOnRecord) -> list[Finding]:
     """Laws at each place, and all of them together per place."""
     assert scene.places is not None
     found: list[Finding] = []
@@ -105,7 +105,7 @@ def forces_at_places(scene: Scene) -> list[Finding]:
     return found
 
 
-def _apart(scene: Scene, forward: Array, backward: Array) -> bool:
+def _apart(scene: ModelOnRecord, forward: Array, backward: Array) -> bool:
     """Whether steps that differ with the direction would show as more than a constant offset."""
     both = forward - backward
     left = scene.evidence.without_nuisance(both)
@@ -115,7 +115,9 @@ def _apart(scene: Scene, forward: Array, backward: Array) -> bool:
     return bool(min(steps * np.sign(steps.sum())) > 0 and np.ptp(steps) > _UNLIKE * np.abs(steps).max())
 
 
-def _settled(scene: Scene, index: int, law: ForceLaw, one: Explanation) -> tuple[ForceLaw, Explanation]:
+def _settled(
+    scene: ModelOnRecord, index: int, law: ForceLaw, one: Explanation
+) -> tuple[ForceLaw, Explanation]:
     """The law in the loop: its force follows the motion that it causes itself."""
     if law.code < 0 or scene.places is None:
         return law, one
@@ -211,7 +213,7 @@ def loop(  # type: ignore[no-untyped-def]
             x = Phi @ x + G * (factor * f)
 
 
-def _between(scene: Scene, d: Array, v: Array, factor: int = 0) -> tuple[Array, Array]:
+def _between(scene: ModelOnRecord, d: Array, v: Array, factor: int = 0) -> tuple[Array, Array]:
     """Motion several times per sample: a force that jumps does so between samples."""
     n, factor = d.size, factor or (_FINE if d.size < 30_000 else 2)
     grid = np.arange(n, dtype=float)

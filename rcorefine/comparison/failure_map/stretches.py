@@ -9,7 +9,7 @@ from ...inference.autoregression import autoregression
 from ...inference.whitening import innovations
 from ...systems.linear import Array
 from .likelihood import Explanation
-from .record import Finding, Scene
+from .record import Finding, ModelOnRecord
 
 __all__ = ["stretches"]
 
@@ -21,7 +21,7 @@ _FAST = 0.3  # usual step over the spread of a signal, from which on jumps are n
 _LOUDER = 2.0  # times the error elsewhere, from which on a stretch is one
 
 
-def stretches(scene: Scene, most: int = 3) -> list[Finding]:
+def stretches(scene: ModelOnRecord, most: int = 3) -> list[Finding]:
     """Stretches in which an output is off by more than the rest explains."""
     found = []
     for i in range(scene.n_outputs):
@@ -36,7 +36,7 @@ def stretches(scene: Scene, most: int = 3) -> list[Finding]:
     return found
 
 
-def _stretch(scene: Scene, i: int, masked: NDArray[np.bool_]) -> Finding | None:
+def _stretch(scene: ModelOnRecord, i: int, masked: NDArray[np.bool_]) -> Finding | None:
     N, order = scene.n_samples, scene.evidence.order
     r = scene.residual[i]
     best: tuple[float, int, int, Array] | None = None
@@ -189,7 +189,7 @@ def _jumps(seen: Array, a: int, b: int) -> bool:
     return usual > _FAST * seen.std() or float(steps[near].max()) > _JUMP * usual
 
 
-def _stuck(scene: Scene, i: int, a: int, b: int) -> Explanation | None:
+def _stuck(scene: ModelOnRecord, i: int, a: int, b: int) -> Explanation | None:
     """Within a..b the record shows a constant instead of the output."""
     run = np.zeros_like(scene.residual)
     flat = np.zeros_like(scene.residual)

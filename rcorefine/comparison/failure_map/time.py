@@ -10,7 +10,7 @@ from scipy import stats
 from ...data.range_ends import cut_off
 from ...systems.linear import Array
 from .likelihood import Explanation
-from .record import Finding, Scene
+from .record import Finding, ModelOnRecord
 
 __all__ = ["clipping", "delays", "drifts", "pinned", "signs"]
 
@@ -19,7 +19,7 @@ _SLOW = 6  # half-waves over the record that count as drift
 
 
 # ---------------------------------------------------------------------- drift
-def drifts(scene: Scene) -> list[Finding]:
+def drifts(scene: ModelOnRecord) -> list[Finding]:
     """Offsets and slow drifts of each output, beside what the dynamics can do."""
     found = []
     t = np.linspace(-1.0, 1.0, scene.n_samples)
@@ -55,7 +55,7 @@ def drifts(scene: Scene) -> list[Finding]:
     return found
 
 
-def _offset(scene: Scene, i: int) -> Finding:
+def _offset(scene: ModelOnRecord, i: int) -> Finding:
     """A constant difference, judged by what leaving it in costs."""
     evidence = scene.evidence
     raw, constant = evidence.with_offset[i] - evidence.residual[i], evidence.constants[i]
@@ -79,13 +79,13 @@ def _offset(scene: Scene, i: int) -> Finding:
     )
 
 
-def _unit(scene: Scene, i: int) -> str:
+def _unit(scene: ModelOnRecord, i: int) -> str:
     unit = scene.data.output_units[i]
     return f" {unit}" if unit else ""
 
 
 # ---------------------------------------------------------------------- delay, sign, clipping
-def delays(scene: Scene) -> list[Finding]:
+def delays(scene: ModelOnRecord) -> list[Finding]:
     """A constant delay of all outputs, or of one."""
     found = []
     grid = np.concatenate([np.arange(-3.0, 3.01, 0.25), np.arange(4.0, 13.0), [16.0, 20.0, 25.0, 32.0]])
@@ -121,7 +121,7 @@ def delays(scene: Scene) -> list[Finding]:
     return found
 
 
-def signs(scene: Scene) -> list[Finding]:
+def signs(scene: ModelOnRecord) -> list[Finding]:
     """An output of the wrong sign or scale."""
     found = []
     for i in range(scene.n_outputs):
@@ -161,7 +161,7 @@ def signs(scene: Scene) -> list[Finding]:
     return found
 
 
-def pinned(scene: Scene) -> list[Finding]:
+def pinned(scene: ModelOnRecord) -> list[Finding]:
     """Samples of the record that stand still at its very top or bottom: the range was exceeded."""
     found = []
     for i, y in enumerate(scene.data.outputs):
@@ -193,7 +193,7 @@ def pinned(scene: Scene) -> list[Finding]:
     return found
 
 
-def clipping(scene: Scene) -> list[Finding]:
+def clipping(scene: ModelOnRecord) -> list[Finding]:
     """Tops of an output cut off, or bottoms, or both."""
     found = []
     for i in range(scene.n_outputs):

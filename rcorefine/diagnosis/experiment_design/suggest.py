@@ -13,15 +13,15 @@ from ...arguments import as_flag, as_list, as_mapping, as_number, as_share, as_t
 from ...data.measurement import Measurement
 from ...engine.engine import Engine
 from ...exceptions import DivergenceError
-from ...inference.fitted import Fitted, fitted_from
+from ...inference.fitted import FittedModel, fitted_from
 from ...inference.refinement import Refinement
 from ...inference.sensitivities import candidate_columns
 from ...inference.starts import Motion
 from ...inference.whitening import Whitener
 from ...inference.windows import windows
 from ...systems.linear import Array
-from ..candidate_fits import run_race
-from ..residual_tests import Battery
+from ..candidate_fits import fit_candidates
+from ..residual_tests import TestedResidual
 from .planning import Proposal, default_bands, proposals
 from .result import ExperimentAdvice, ExperimentOption
 from .sensors import sensor_rows
@@ -105,7 +105,7 @@ def _checked(
     return prices
 
 
-def _contenders(found: Diagnosis, records: Sequence[Measurement]) -> tuple[list[Contender], Fitted, str]:
+def _contenders(found: Diagnosis, records: Sequence[Measurement]) -> tuple[list[Contender], FittedModel, str]:
     """Explanations that the record leaves standing, and the fitted model of the best."""
     settings = found.settings
     options = {"tolerance": settings["tolerance"], "noise": settings["noise"]}
@@ -142,7 +142,7 @@ def _contenders(found: Diagnosis, records: Sequence[Measurement]) -> tuple[list[
     return contenders, fitted, f"{left} less probable rivals were left out. " if left > 0 else ""
 
 
-def _near(found: Diagnosis, fitted: Fitted) -> tuple[list[Contender], Fitted, str]:
+def _near(found: Diagnosis, fitted: FittedModel) -> tuple[list[Contender], FittedModel, str]:
     """What nearly stands out of an adequate model, with "nothing missing" as its rival."""
     nothing = "Nothing to separate: no test fires, and no candidate comes near."
     effects = [d.effect for d in found.detectable]
@@ -151,10 +151,10 @@ def _near(found: Diagnosis, fitted: Fitted) -> tuple[list[Contender], Fitted, st
         return alone, fitted, nothing
     motion = Motion(fitted.structure, fitted.theta, fitted.problem.records[0])
     scored = candidate_columns(fitted, effects, motion, (found.force_ratio,))
-    tests = Battery(fitted, found.force_ratio).each(scored)
+    tests = TestedResidual(fitted, found.force_ratio).each(scored)
     order = np.argsort([t.p_value for t in tests], kind="stable")
     near = [i for i in order if tests[i].p_value * len(tests) < _NEAR]
-    race = run_race(fitted, [scored[i] for i in near[:_FEW]], found.force_ratio) if near else None
+    race = fit_candidates(fitted, [scored[i] for i in near[:_FEW]], found.force_ratio) if near else None
     if race is None:
         return alone, fitted, nothing
     logs = np.array([rival.log_likelihood for rival in race.rivals])
@@ -174,7 +174,7 @@ class _Judge:
     def __init__(
         self,
         contenders: Sequence[Contender],
-        fitted: Fitted,
+        fitted: FittedModel,
         records: Sequence[Measurement],
         ratio: float,
         largest_input: Array | None,

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...effects.effect import Effect
 from ...inference.refinement import Refinement
-from .selection import Ladder, coefficients_of, determined, same
+from .selection import StepwiseSelection, coefficients_of, determined, same
 
 __all__ = ["drop_needless", "drop_undetermined", "return_trust", "shorten", "swap_better"]
 
@@ -16,12 +16,12 @@ __all__ = ["drop_needless", "drop_undetermined", "return_trust", "shorten", "swa
 Cost = Callable[[Effect, Refinement], float]
 
 
-def drop_needless(ladder: Ladder, choices: int, by_error: bool) -> bool:
+def drop_needless(ladder: StepwiseSelection, choices: int, by_error: bool) -> bool:
     """Drop effects whose absence costs less than their price, the cheapest first.
 
     Parameters
     ----------
-    ladder : Ladder
+    ladder : StepwiseSelection
         The climb; is changed.
     choices : int
         Candidates that there were.
@@ -62,12 +62,12 @@ def drop_needless(ladder: Ladder, choices: int, by_error: bool) -> bool:
     return dropped
 
 
-def swap_better(ladder: Ladder, library: list[Effect]) -> bool:
+def swap_better(ladder: StepwiseSelection, library: list[Effect]) -> bool:
     """Put another effect in the place of an older one where that explains the record better.
 
     Parameters
     ----------
-    ladder : Ladder
+    ladder : StepwiseSelection
         The climb; is changed.
     library : list of Effect
         Candidates.
@@ -95,12 +95,12 @@ def swap_better(ladder: Ladder, library: list[Effect]) -> bool:
     return swapped
 
 
-def return_trust(ladder: Ladder) -> None:
+def return_trust(ladder: StepwiseSelection) -> None:
     """Take back what was added on trust and has not earned its place on the choosing part by now.
 
     Parameters
     ----------
-    ladder : Ladder
+    ladder : StepwiseSelection
         The climb; is changed.
     """
 
@@ -114,12 +114,12 @@ def return_trust(ladder: Ladder) -> None:
         _leave(ladder, effect, without)
 
 
-def drop_undetermined(ladder: Ladder) -> bool:
+def drop_undetermined(ladder: StepwiseSelection) -> bool:
     """Drop effects until the record determines every coefficient of those that stay.
 
     Parameters
     ----------
-    ladder : Ladder
+    ladder : StepwiseSelection
         The climb; is changed.
 
     Returns
@@ -135,12 +135,12 @@ def drop_undetermined(ladder: Ladder) -> bool:
     return dropped
 
 
-def shorten(ladder: Ladder, most: int) -> None:
+def shorten(ladder: StepwiseSelection, most: int) -> None:
     """Drop what costs least until there are no more effects than asked for.
 
     Parameters
     ----------
-    ladder : Ladder
+    ladder : StepwiseSelection
         The climb; is changed.
     most : int
         Effects at most.
@@ -150,7 +150,7 @@ def shorten(ladder: Ladder, most: int) -> None:
         _leave(ladder, effect, without)
 
 
-def _leave(ladder: Ladder, effect: Effect, without: Refinement) -> None:
+def _leave(ladder: StepwiseSelection, effect: Effect, without: Refinement) -> None:
     """Drop an effect; the last one that was added is as if it had not been tried."""
     last = ladder.steps[-1]
     if last.action == "add" and last.effect is effect:
@@ -159,7 +159,9 @@ def _leave(ladder: Ladder, effect: Effect, without: Refinement) -> None:
         ladder.drop(effect, without)
 
 
-def _cheapest(ladder: Ladder, effects: Iterable[Effect], cost: Cost) -> tuple[float, Effect, Refinement]:
+def _cheapest(
+    ladder: StepwiseSelection, effects: Iterable[Effect], cost: Cost
+) -> tuple[float, Effect, Refinement]:
     """Which absence costs least, by how much, and the model without it."""
     tried = []
     with ladder.progress.step("what is needless"):
@@ -174,7 +176,7 @@ def _spread(model: Refinement) -> float:
     return float(np.mean(np.log(model.rmse + 1e-300)))
 
 
-def _sure(ladder: Ladder, effect: Effect, choices: int) -> bool:
+def _sure(ladder: StepwiseSelection, effect: Effect, choices: int) -> bool:
     """Whether an effect is so many standard deviations from nothing that it need not be tried without."""
     (value, *more), (std, *_) = (
         coefficients_of(effect, ladder.current, what).values() for what in ("coefficient", "std")

@@ -6,9 +6,9 @@ import numpy as np
 
 from ...effects.effect import Effect
 from ...inference.refinement import Refinement
-from ..candidate_fits import Race
+from ..candidate_fits import CandidateFits
 from ..result import Diagnosis
-from .selection import Choice, Ladder, coefficients_of, determined, same
+from .selection import Choice, StepwiseSelection, coefficients_of, determined, same
 
 __all__ = ["climb"]
 
@@ -18,12 +18,12 @@ _ALIKE = 0.2  # log of the error within which the linear parameters decide
 _PAIRS_FROM = 3  # first effects of which pairs are tried where none helps alone
 
 
-def climb(ladder: Ladder, library: list[Effect], most: int) -> str:
+def climb(ladder: StepwiseSelection, library: list[Effect], most: int) -> str:
     """Add effects until every test passes, none earns its place, or there are enough.
 
     Parameters
     ----------
-    ladder : Ladder
+    ladder : StepwiseSelection
         The climb; is changed.
     library : list of Effect
         Candidates.
@@ -52,7 +52,7 @@ def climb(ladder: Ladder, library: list[Effect], most: int) -> str:
     return "unexplained"
 
 
-def _one(ladder: Ladder, found: Diagnosis, race: Race, choices: int) -> Choice | None:
+def _one(ladder: StepwiseSelection, found: Diagnosis, race: CandidateFits, choices: int) -> Choice | None:
     """The effect to add, if one earns it.
 
     The most probable of those with which the tests pass; else the one whose plain error on the
@@ -88,7 +88,7 @@ def _one(ladder: Ladder, found: Diagnosis, race: Race, choices: int) -> Choice |
     return None
 
 
-def _pair(ladder: Ladder, race: Race, rest: list[Effect]) -> Choice | None:
+def _pair(ladder: StepwiseSelection, race: CandidateFits, rest: list[Effect]) -> Choice | None:
     """Two effects that help only together: every second one behind each of the best first ones."""
     found: list[tuple[float, tuple[Effect, Effect], Refinement]] = []
     for one, first in race.in_free_run(_PAIRS_FROM):
@@ -104,7 +104,9 @@ def _pair(ladder: Ladder, race: Race, rest: list[Effect]) -> Choice | None:
     return None
 
 
-def _settled(ladder: Ladder, effects: tuple[Effect, ...], refinement: Refinement) -> Refinement | None:
+def _settled(
+    ladder: StepwiseSelection, effects: tuple[Effect, ...], refinement: Refinement
+) -> Refinement | None:
     """The model fitted to the end; None where it was tried before, diverges, or is not determined."""
     held = [*ladder.effects, *effects]
     if not ladder.is_new(held):
@@ -114,7 +116,9 @@ def _settled(ladder: Ladder, effects: tuple[Effect, ...], refinement: Refinement
     return settled if runs and determined(held, settled) else None
 
 
-def _by_error(ladder: Ladder, race: Race) -> list[tuple[Effect, Refinement, tuple[Effect, ...]]]:
+def _by_error(
+    ladder: StepwiseSelection, race: CandidateFits
+) -> list[tuple[Effect, Refinement, tuple[Effect, ...]]]:
     """The rivals that lower the error on both first parts most per coefficient, each with its ties.
 
     Where the errors hardly differ, the one behind which the linear parameters stay at the

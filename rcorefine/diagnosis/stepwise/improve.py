@@ -20,7 +20,7 @@ from .backward import drop_needless, drop_undetermined, return_trust, shorten, s
 from .forward import climb
 from .improvement import Improvement
 from .parts import split_in_parts
-from .selection import Ladder
+from .selection import StepwiseSelection
 from .twins import with_other_names
 
 __all__ = ["improve"]
@@ -118,7 +118,9 @@ def improve(
     settings = {"tolerance": tolerance, "offset": offset, "noise": noise, "horizon": horizon}
     with own_arithmetic(), warnings.catch_warnings(), Progress(progress, executor) as bar:
         warnings.simplefilter("ignore", IdentifiabilityWarning)  # ties are in the ledger
-        ladder = Ladder(model, parts, free=free, settings=settings, significance=significance, progress=bar)
+        ladder = StepwiseSelection(
+            model, parts, free=free, settings=settings, significance=significance, progress=bar
+        )
         physical = ladder.current.physical_model
         library = effect_library(physical) if candidates is None else candidates
         _climb(ladder, library, max_effects)
@@ -131,7 +133,7 @@ def improve(
     return Improvement(tuple(steps), verdict, message, physical.linear.output_labels, units, notes)
 
 
-def _climb(ladder: Ladder, library: list[Effect], most: int) -> None:
+def _climb(ladder: StepwiseSelection, library: list[Effect], most: int) -> None:
     """Add; drop and swap until all hold; what was added on trust goes unless the model is adequate."""
     verdict = climb(ladder, library, most)
     if verdict == "adequate" and ladder.effects and ladder.parts.whole:
@@ -149,7 +151,7 @@ def _climb(ladder: Ladder, library: list[Effect], most: int) -> None:
     shorten(ladder, most)
 
 
-def _end(ladder: Ladder) -> list[str]:
+def _end(ladder: StepwiseSelection) -> list[str]:
     """Fit once more, leave out what the records do not determine, and go back as far as the judge demands."""
     ladder.settle()
     while drop_undetermined(ladder):
@@ -162,7 +164,9 @@ def _end(ladder: Ladder) -> list[str]:
     return back
 
 
-def _closing(ladder: Ladder, verdict: str, library: list[Effect], most: int, back: list[str]) -> str:
+def _closing(
+    ladder: StepwiseSelection, verdict: str, library: list[Effect], most: int, back: list[str]
+) -> str:
     """Why the ladder ends where it ends."""
     if back and verdict == "adequate":
         return f"Every test passes. Taken back, since the part that judges was worse off: {', '.join(back)}."

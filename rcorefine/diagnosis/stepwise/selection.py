@@ -21,7 +21,7 @@ from ...inference.windows import windows
 from ...progress import Progress
 from ...refinement.refine import refine, refit
 from ...systems.linear import Array
-from ..candidate_fits import Race
+from ..candidate_fits import CandidateFits
 from ..diagnose import investigate
 from ..excitation import no_motion, record_remarks
 from ..holds import best_hold
@@ -29,7 +29,7 @@ from ..result import Diagnosis
 from .improvement import Step
 from .parts import Parts
 
-__all__ = ["Choice", "Ladder", "coefficients_of", "determined", "same"]
+__all__ = ["Choice", "StepwiseSelection", "coefficients_of", "determined", "same"]
 
 
 Key = frozenset[tuple[str, str]]
@@ -57,7 +57,7 @@ class Choice:
     ties: tuple[Effect, ...] = ()
 
 
-class Ladder:
+class StepwiseSelection:
     """The present model and the steps that led to it.
 
     Parameters
@@ -117,7 +117,7 @@ class Ladder:
         """Whether a set of effects was never the present one: no set is walked to twice."""
         return _key(effects) not in self._visited
 
-    def investigate(self, model: Refinement, library: list[Effect]) -> tuple[Diagnosis, Race | None]:
+    def investigate(self, model: Refinement, library: list[Effect]) -> tuple[Diagnosis, CandidateFits | None]:
         """Diagnosis of a model on the first part."""
         return investigate(
             model,

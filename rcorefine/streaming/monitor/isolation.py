@@ -20,7 +20,7 @@ from ...inference.starts import Motion, law_widths, shape_starts
 from ...inference.whitening import innovations
 from ...systems.linear import Array
 
-__all__ = ["Fit", "Stretch", "fit_candidate"]
+__all__ = ["Fit", "Segment", "fit_candidate"]
 
 _EVALUATIONS = 20
 _LITTLE = 0.01  # twice the log-likelihood that a last step may still add
@@ -30,7 +30,7 @@ _HUGE = 1e100  # errors and slopes beyond which the model has blown up
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stretch:
+class Segment:
     """Samples since the change, and how the healthy model is led through them.
 
     Attributes
@@ -115,7 +115,7 @@ class Fit:
 
 
 def fit_candidate(
-    stretch: Stretch,
+    segment: Segment,
     effect: Effect | None,
     motion: Motion,
     starts: Sequence[Array] = (),
@@ -127,12 +127,12 @@ def fit_candidate(
 
     Parameters
     ----------
-    stretch : Stretch
+    segment : Segment
         Samples.
     effect : Effect or None
         Candidate.
     motion : Motion
-        Motion at the ports over the stretch, for the shapes of laws.
+        Motion at the ports over the segment, for the shapes of laws.
     starts : sequence of ndarray
         Coefficients to start from, beside those at which the effect is absent.
     alone : bool
@@ -144,25 +144,25 @@ def fit_candidate(
     -------
     Fit
     """
-    old = stretch.structure
+    old = segment.structure
     added = [] if effect is None else [effect]
     base = Structure(old.model, [*old.effects, *added], constants=old.constants)
     widths = law_widths(base, motion) if added else {}
     widths.update(old.constants)
     structure = Structure(old.model, base.effects, constants=widths)
-    steps = max(stretch.substeps, 1 if structure.is_linear else 2)
-    engine = Engine(structure, stretch.data, substeps=steps)
+    steps = max(segment.substeps, 1 if structure.is_linear else 2)
+    engine = Engine(structure, segment.data, substeps=steps)
     p0, p = old.n_parameters, structure.n_parameters
-    theta0 = np.concatenate([stretch.theta, structure.start()[p0:]])
+    theta0 = np.concatenate([segment.theta, structure.start()[p0:]])
     extra = structure.n_states - old.n_states
-    x0 = np.pad(stretch.x0, (0, extra))
-    gain = np.pad(stretch.gain, ((0, extra), (0, 0)))
+    x0 = np.pad(segment.x0, (0, extra))
+    gain = np.pad(segment.gain, ((0, extra), (0, 0)))
     lower = np.array([q.lower for q in structure.parameters[p0:]])
     upper = np.array([q.upper for q in structure.parameters[p0:]])
     known = np.isfinite(lower)
     lower[known] += 0.02 * np.abs(lower[known])  # a spring that is gone has no slope
     lags = np.array([q.name == "time_constant" for q in structure.parameters[p0:]], dtype=bool)
-    lower[lags] = np.maximum(lower[lags], 1e-3 * stretch.data.dt)
+    lower[lags] = np.maximum(lower[lags], 1e-3 * segment.data.dt)
     known = np.isfinite(upper)
     upper[known] -= 1e-3 * np.abs(upper[known])
     points = [np.asarray(s, dtype=float) for s in starts if len(s) == p - p0 and np.isfinite(s).all()]
@@ -177,7 +177,7 @@ def fit_candidate(
             ):  # far off its motion a law turns into another one
                 low[i] = max(low[i], start[i] / _REACH)
                 high[i] = min(high[i], start[i] * _REACH)
-        found = _descend(stretch, engine, gain, x0, np.clip(start, low, high), low, high, effect, worst)
+        found = _descend(segment, engine, gain, x0, np.clip(start, low, high), low, high, effect, worst)
         if best is None or found.cost < best.cost:
             best = found
     assert best is not None
@@ -185,7 +185,7 @@ def fit_candidate(
 
 
 def _descend(
-    stretch: Stretch,
+    segment: Segment,
     engine: Engine,
     gain: Array,
     x0: Array,
@@ -195,9 +195,9 @@ def _descend(
     effect: Effect | None,
     worst: float,
 ) -> Fit:
-    p0, p, n = stretch.theta.size, start.size, x0.size
-    free = n if stretch.free_state else 0
-    y = stretch.data.outputs
+    p0, p, n = segment.theta.size, start.size, x0.size
+    free = n if segment.free_state else 0
+    y = segment.data.outputs
     K = gain if gain.any() else None
 
     slopes = p > 0 or free > 0
@@ -206,16 +206,16 @@ def _descend(
     nothing = Rows(np.full(1, np.inf), np.zeros((1, p + free)))
 
     def rows(point: Array) -> Rows:
-        theta = np.concatenate([stretch.theta, point[:p]])
+        theta = np.concatenate([segment.theta, point[:p]])
         begin = x0 + point[p:] if free else x0
         run = engine.run(
             theta, begin, sensitivity=slopes, initial_state=slopes and free > 0, gain=K,
-            use=stretch.use > 0, check=False,
+            use=segment.use > 0, check=False,
         )  # fmt: skip
         if run.blew_up >= 0 or not np.isfinite(run.outputs).all():
             return nothing
-        r = stretch.whiten(run.outputs - y)
-        J = stretch.whiten(run.sensitivity[:, :, p0:]) if slopes else np.zeros((r.size, 0))
+        r = segment.whiten(run.outputs - y)
+        J = segment.whiten(run.sensitivity[:, :, p0:]) if slopes else np.zeros((r.size, 0))
         sound = np.abs(r).max(initial=0.0) < _HUGE and np.abs(J).max(initial=0.0) < _HUGE
         # no more points than unknowns tell nothing
         return Rows(r, J) if sound and r.size > point.size else nothing

@@ -13,7 +13,7 @@ from ...effects.effect import Effect
 from ...inference.starts import Motion
 from ...systems.linear import Array
 from .alarm import MonitorRow
-from .isolation import Fit, Stretch, fit_candidate
+from .isolation import Fit, Segment, fit_candidate
 from .stream import Stream
 
 __all__ = [
@@ -153,13 +153,13 @@ def misfit_remarks(stream: Stream) -> tuple[str, ...]:
     )
 
 
-def stretch_of(stream: Stream, start: int, free_state: bool, mean: Array) -> Stretch:
+def segment_of(stream: Stream, start: int, free_state: bool, mean: Array) -> Segment:
     """Samples from `start` on as the fit needs them."""
     W, Y, use, x0 = stream.recent(start)
     observer, healthy = stream.observer, stream.healthy
     data = Measurement(W.T, (Y - mean).T, dt=observer.dt, hold=observer.hold)
     mix = healthy.mix / np.sqrt(stream.memory["size"])[:, None]
-    return Stretch(
+    return Segment(
         observer.structure, observer.theta, observer.substeps, data, use, x0, observer.gain,
         healthy.filters, mix, free_state,
     )  # fmt: skip
@@ -251,12 +251,12 @@ class _Contest:
             first, free = max(start, stream.n_samples - self.window, stream.oldest), True
         else:
             first, free = max(start, stream.oldest), start < stream.oldest
-        stretch = stretch_of(stream, first, free, self.mean)
+        segment = segment_of(stream, first, free, self.mean)
         found: list[tuple[Fit, float]] = []
-        if not stretch.judged.any():  # a change of a moment ago: the filters have no past yet
+        if not segment.judged.any():  # a change of a moment ago: the filters have no past yet
             return found
-        motion = Motion(stretch.structure, stretch.theta, stretch.data)
-        nothing = fit_candidate(stretch, None, motion)
+        motion = Motion(segment.structure, segment.theta, segment.data)
+        nothing = fit_candidate(segment, None, motion)
         worst = math.inf
         for i in which:
             effect = stream.bank.effects[i]
@@ -264,7 +264,7 @@ class _Contest:
             own = int(np.flatnonzero(stream.bank.owner == i)[0])
             if not starts and len(effect.free) == 1:
                 starts = [np.array([self.estimates[own]])]
-            fit = fit_candidate(stretch, effect, motion, starts, alone=effect in known, worst=worst)
+            fit = fit_candidate(segment, effect, motion, starts, alone=effect in known, worst=worst)
             worst = min(worst, fit.cost + _HOPELESS)
             if math.isfinite(fit.cost):
                 found.append((fit, 0.5 * (nothing.cost - fit.cost)))
@@ -299,16 +299,16 @@ class _Contest:
 def find_state(stream: Stream) -> None:
     """Find the state anew after a missing input, which a lightly damped model does not forget."""
     start = max(int(stream.memory["lost"][0]), stream.oldest)
-    stretch = stretch_of(stream, start, True, stream.memory["mean_e"])
-    motion = Motion(stretch.structure, stretch.theta, stretch.data)
-    stream.found(start, fit_candidate(stretch, None, motion).state)
+    segment = segment_of(stream, start, True, stream.memory["mean_e"])
+    motion = Motion(segment.structure, segment.theta, segment.data)
+    stream.found(start, fit_candidate(segment, None, motion).state)
 
 
 def fit_one(stream: Stream, index: int, start: int, mean: Array, before: Array) -> tuple[Fit, Fit]:
     """One candidate, and none, on the samples from `start` on, their state before unknown."""
-    stretch = stretch_of(stream, max(start, stream.oldest), True, mean)
-    motion = Motion(stretch.structure, stretch.theta, stretch.data)
+    segment = segment_of(stream, max(start, stream.oldest), True, mean)
+    motion = Motion(segment.structure, segment.theta, segment.data)
     effect = stream.bank.effects[index]
-    nothing = fit_candidate(stretch, None, motion)
+    nothing = fit_candidate(segment, None, motion)
     starts = [before, np.where([name in effect.spec.shaping for name in effect.free], before, 0.0)]
-    return fit_candidate(stretch, effect, motion, starts, alone=True), nothing
+    return fit_candidate(segment, effect, motion, starts, alone=True), nothing

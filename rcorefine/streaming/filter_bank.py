@@ -25,7 +25,7 @@ from .free_run import free_run_cost
 from .gaps import Block
 from .restoring import check_like
 
-__all__ = ["INITIAL", "Frozen", "Race", "RaceMemory"]
+__all__ = ["INITIAL", "FilterBank", "FilterBankMemory", "Frozen"]
 
 INITIAL = "initial"
 _WILD = "!"  # after the name of a form: its model as it is, however fast it grows
@@ -47,7 +47,7 @@ class Frozen:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RaceMemory:
+class FilterBankMemory:
     """State of a race between two calls.
 
     Parameters
@@ -82,7 +82,7 @@ class RaceMemory:
     n_samples: int
 
 
-class Race:
+class FilterBank:
     """Forms of a static correction that compete, and the initial model.
 
     Parameters
@@ -109,7 +109,7 @@ class Race:
         for one in self.filters.values():
             one.reset()
         model = self._model
-        self.memory = RaceMemory(
+        self.memory = FilterBankMemory(
             (), np.zeros((0, model.n_inputs)), np.zeros((0, model.n_outputs)),
             np.zeros((0, model.n_outputs), np.uint8), {}, (INITIAL, False), {}, {}, 0, 0,
         )  # fmt: skip
