@@ -7,7 +7,10 @@ import pytest
 from hidden.generator import OUTSIDE, SECOND_ORDER, _law, excitation, integrate, linear_states
 from hidden.integrator import LAWS, MEMORY, force_of
 from hidden.plants import PLANTS
+from hidden.wider import PLANTS as WIDER
+from hidden.wider import march_with
 from scipy.integrate import solve_ivp
+from scipy.signal import cont2discrete
 
 
 @pytest.mark.parametrize("kind", [*SECOND_ORDER, *(k for k in OUTSIDE if k != "input saturation")])
@@ -37,3 +40,40 @@ def test_motion_is_that_of_solve_ivp(kind):
     expected = np.array(expected).T
     scale = np.abs(expected[:n]).max(axis=1, keepdims=True)
     assert np.abs((found - expected)[:n] / scale).max() < 1e-4
+
+
+FORMULAS = {
+    "v^1.5": lambda d, v: np.sign(v) * np.abs(v) ** 1.5,
+    "sine": lambda d, v: np.sin(d / 1.5),
+    "quintic": lambda d, v: d**5,
+    "impact damper": lambda d, v: v * max(d, 0.0),
+    "valve": lambda d, v: v if abs(v) < 1.5 else np.sign(v) * (1.5 + 0.2 * (abs(v) - 1.5)),
+    "soft saturation": lambda d, v: np.tanh(d / 1.5),
+    "inverse square": lambda d, v: 1 / (1 + d / 1.5) ** 2 - 1,
+    "radiation": lambda d, v: ((1.5 + v) ** 4 - 1.5**4) / 1.5**4,
+    "soft dead zone": lambda d, v: (
+        0.45 * (np.logaddexp(0, (d - 1.5) / 0.45) - np.logaddexp(0, (-d - 1.5) / 0.45))
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", FORMULAS)
+def test_laws_of_no_library(kind):
+    for d, v in ((0.3, -0.4), (2.0, 1.9), (-0.7, 0.1)):
+        force = force_of(LAWS[kind], np.array([2.0, 1.5, 0.0]), 0.0, d, v, np.zeros(2), np.zeros(2))
+        assert force == pytest.approx(2 * FORMULAS[kind](d, v), rel=1e-6)
+
+
+@pytest.mark.parametrize("name", WIDER)
+def test_plants_off_the_chains(name):
+    """Nothing hidden: the held response of scipy; a law at its site takes energy or turns a spring."""
+    plant = WIDER[name](np.random.default_rng(5))
+    w = np.random.default_rng(6).standard_normal((1, 200))
+    states = march_with(plant, w, None, "none", np.array([0.0, 1.0, 0.0]))[0]
+    A, B, *_ = cont2discrete((plant.A, plant.B, plant.C, np.zeros((len(plant.C), 1))), plant.dt)
+    x = np.zeros((len(A), 200))
+    for k in range(199):
+        x[:, k + 1] = A @ x[:, k] + B @ w[:, k]
+    assert np.abs(states - x).max() < 1e-5 * np.abs(x).max()
+    assert np.linalg.eigvals(plant.A).real.max() < 1e-9
+    assert all(site.v @ site.act < 0 for site in plant.sites)

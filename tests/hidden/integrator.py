@@ -25,11 +25,12 @@ LAWS = {
         [
             "none", "stiffness", "damping", "cubic_stiffness", "quadratic_stiffness", "bilinear_stiffness",
             "coulomb_friction", "quadratic_damping", "cubic_damping", "clearance", "ramp", "jenkins",
-            "bouc-wen", "dahl", "hidden mass",
+            "bouc-wen", "dahl", "hidden mass", "v^1.5", "soft dead zone", "lugre", "sine", "quintic",
+            "impact damper", "backlash", "valve", "soft saturation", "inverse square", "radiation", "sqrt v",
         ]
     )
 }  # fmt: skip
-MEMORY = {"jenkins": 1, "bouc-wen": 1, "dahl": 1, "hidden mass": 2}
+MEMORY = {"jenkins": 1, "bouc-wen": 1, "dahl": 1, "hidden mass": 2, "lugre": 1, "backlash": 1}
 
 
 @njit(cache=True)
@@ -69,6 +70,34 @@ def force_of(code, p, t, d, v, z, inner):
         inner[0] = z[1]
         inner[1] = force / p[2]
         return force
+    if code in (15, 26):  # a power of the speed, p[1]
+        return p[0] * v * (v * v + 1e-12) ** (0.5 * (p[1] - 1.0))
+    if code == 16:  # rounded over a third of the gap
+        w = 0.3 * p[1]
+        right, left = (d - p[1]) / w, (-d - p[1]) / w
+        up = right if right > 30.0 else math.log1p(math.exp(right))
+        down = left if left > 30.0 else math.log1p(math.exp(left))
+        return p[0] * w * (up - down)
+    if code == 17:  # bristles that slip at 1 to 1.5 times the level
+        inner[0] = v - abs(v) * z[0] / (p[1] * (1.0 + 0.5 * math.exp(-((v / (20.0 * p[1])) ** 2))))
+        return p[0] * z[0] / p[1]
+    if code == 18:
+        return p[0] * math.sin(d / p[1])
+    if code == 19:
+        return p[0] * d**5
+    if code == 20:
+        return p[0] * v * max(d, 0.0)
+    if code == 21:  # a spring behind a play
+        inner[0] = v if (d - z[0] >= p[1] and v > 0.0) or (d - z[0] <= -p[1] and v < 0.0) else 0.0
+        return p[0] * z[0]
+    if code == 22:  # a damper that blows off
+        return p[0] * (v if abs(v) < p[1] else math.copysign(p[1] + 0.2 * (abs(v) - p[1]), v))
+    if code == 23:
+        return p[0] * math.tanh(d / p[1])
+    if code == 24:
+        return p[0] * ((1.0 + d / p[1]) ** -2 - 1.0)
+    if code == 25:
+        return p[0] * ((1.0 + v / p[1]) ** 4 - 1.0)
     return 0.0
 
 
