@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rcorefine.diagnosis.verdict import overall, passes, probabilities, tied, verdict
+from rcorefine.diagnosis.verdict import keeps_name, overall, passes, probabilities, tied, verdict
 from rcorefine.inference.levels import Levels, levels
 from rcorefine.inference.whitening import FTest
 
@@ -53,6 +53,12 @@ def test_odds_of_a_hundred_to_one_end_a_tie() -> None:
 )
 def test_what_follows(passed: bool, agreement: float, ties: int, word: str) -> None:
     assert verdict(passed, agreement, ties, Levels()) == word
+
+
+def test_one_effect_keeps_its_name_where_all_numbers_together_are_not_a_hundred_times_likelier() -> None:
+    assert keeps_name(0.0, np.log(99.0), Levels())
+    assert not keeps_name(0.0, np.log(101.0), Levels())
+    assert keeps_name(0.0, -50.0, Levels())
 
 
 def test_levels_of_a_session() -> None:

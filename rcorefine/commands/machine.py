@@ -111,7 +111,7 @@ def _tests(tests: Any) -> list[dict[str, Any]]:
 
 
 def diagnosis_object(found: Diagnosis) -> dict[str, Any]:
-    """``verdict``, ``ranking``, ``ambiguous``, ``tests``, ``winner_tests``, ``detectable``, ``notes``."""
+    """``verdict``, ``ranking``, ``ambiguous``, ``parameters``, tests and notes."""
     return {
         "verdict": found.verdict,
         "ranking": [
@@ -127,6 +127,7 @@ def diagnosis_object(found: Diagnosis) -> dict[str, Any]:
             for row in found.ranking
         ],
         "ambiguous": [_effect(effect) for effect in found.ambiguous],
+        "parameters": _parameters(found.parameters),
         "tests": _tests(found.tests),
         "winner_tests": _tests(found.winner_tests),
         "detectable": [
@@ -165,11 +166,15 @@ def improvement_object(ladder: Improvement) -> dict[str, Any]:
     }
 
 
+def _parameters(rows: Any) -> list[dict[str, Any]]:
+    keys = ("name", "kind", "place", "role", "initial", "value", "coefficient", "std", "unit")
+    return [{key: getattr(row, key) for key in keys} for row in rows]
+
+
 def _model(refinement: Refinement) -> dict[str, Any]:
     system = refinement.system
-    keys = ("name", "kind", "place", "role", "initial", "value", "coefficient", "std", "unit")
     return {
-        "parameters": [{key: getattr(row, key) for key in keys} for row in refinement.parameters],
+        "parameters": _parameters(refinement.parameters),
         "hold": refinement.hold,
         "system": {
             **{key: np.asarray(getattr(system, key)) for key in "ABCD"},

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..inference.refinement import EstimatedParameter, Refinement
 
-__all__ = ["what_was_absorbed"]
+__all__ = ["numbers_that_moved", "what_was_absorbed"]
 
 _SURE = 3.0  # standard deviations from which on a number has moved
 _MOST = 6  # numbers that are listed
@@ -25,11 +27,7 @@ def what_was_absorbed(base: Refinement) -> str:
     str
         One sentence, empty where no number moved by more than chance.
     """
-    moved = [
-        row
-        for row in base.parameters
-        if row.role != "effect" and abs(row.value - row.initial) > _SURE * row.std
-    ]
+    moved = [row for row in base.parameters if row.role != "effect" and _moved(row)]
     if not moved:
         return ""
     moved.sort(key=lambda row: -abs(row.value - row.initial) / max(row.std, 1e-300))
@@ -40,6 +38,34 @@ def what_was_absorbed(base: Refinement) -> str:
         f"To get there the fit absorbed {', '.join(said)}: the free run of the initial model explains "
         f"{_percent(base.initial_fit)} of the record, with that {_percent(base.fit)}."
     )
+
+
+def numbers_that_moved(rows: Sequence[EstimatedParameter]) -> str:
+    """The numbers of a model that are off, as multiples of what it says.
+
+    Parameters
+    ----------
+    rows : sequence of EstimatedParameter
+        Numbers that were fitted.
+
+    Returns
+    -------
+    str
+        One sentence.
+    """
+    sure = sorted((r for r in rows if _moved(r)), key=lambda r: -abs(r.coefficient) / max(r.std, 1e-300))
+    said = [
+        f"{row.name} {row.value / row.initial:.4g} +- {row.std / abs(row.initial):.1g} times nominal"
+        for row in sure[:_MOST]
+    ]
+    if not said:
+        return "No single one moved for certain; together they explain the residual."
+    more = f" and {len(sure) - _MOST} more" if len(sure) > _MOST else ""
+    return f"Off for certain: {', '.join(said)}{more}."
+
+
+def _moved(row: EstimatedParameter) -> bool:
+    return abs(row.coefficient) > _SURE * row.std
 
 
 def _one(row: EstimatedParameter) -> str:

@@ -23,6 +23,7 @@ from ..refinement.base_fit import base_fit
 from .candidate_fits import CandidateFits, fit_candidates, shortlist
 from .case import OBSERVERS, Case
 from .excitation import no_motion, not_excited, record_remarks
+from .floating import Floated, as_good, explaining_numbers, rivals_of_numbers
 from .holds import best_hold
 from .judging import Judged, beside_force, judge, outweighs, pair_hint, second_chance
 from .ranking import detectable, ranking
@@ -53,7 +54,8 @@ def diagnose(
     """Find the physical effect that a model lacks.
 
     The model is fitted as far as it is declared to be free; its whitened residual must
-    pass a battery of tests. If it does not, every candidate is scored on the motion that
+    pass a battery of tests. If it does not, all its numbers float by a few percent: where
+    that passes, no law is missing. Else every candidate is scored on the motion that
     the record itself shows, the best are refitted, and the winner must pass the same
     battery.
 
@@ -92,8 +94,12 @@ def diagnose(
     Notes
     -----
     Score tests project every candidate off what was fitted; p-values are corrected for
-    the number of candidates and of tests. Rivals are compared by their likelihood under
-    the whitening filter of the best one.
+    the number of candidates and of tests. Before any law is sought, every number that the model
+    declares, and every mass of a plain `StateSpace`, floats with a prior of 5 %
+    (``control.config.defaults["rcorefine.off"]``). If the residual then passes, the verdict is
+    "parameters", unless a single effect explains the record as well: a log-likelihood
+    within 4.6 of that of all the numbers, averaged over their prior. Rivals are compared by
+    their likelihood under the whitening filter of the best one.
 
     Examples
     --------
@@ -194,6 +200,12 @@ def investigate(
         short = [scored[i] for i in shortlist(scored, [free_run])[0]]
         return adequate, fit_candidates(case.fitted, short, progress=progress)
     force = explaining_force(case, free_run)
+    numbers = explaining_numbers(case)
+    if force is not None and numbers is not None:
+        both = (numbers.battery.log_likelihood, force.battery.log_likelihood)
+        force, numbers = (None, numbers) if both[0] > both[1] else (force, None)
+    if numbers is not None and not rivals_of_numbers(case, numbers, scored):
+        return _parameters(case, numbers, tests), None
     batteries = [free_run, *(TestedResidual(case.fitted, r) for r in OBSERVERS)]
     chosen, scores = shortlist(scored, batteries)
     race = fit_candidates(case.fitted, [scored[i] for i in chosen], progress=progress)
@@ -207,6 +219,8 @@ def investigate(
         if beside is None or not outweighs(beside, force.battery, case.levels.force):
             return _adequate(case, force), None
         judged = beside
+    if numbers is not None and not (judged.passed and as_good(case, judged.race, numbers)):
+        return _parameters(case, numbers, tests), None
     if not judged.passed:
         judged = second_chance(case, judged, scored, chosen)
     found = _named(case, judged, scored, scores, batteries, validation)
@@ -251,6 +265,14 @@ def _about_record(case: Case) -> list[str]:
     with case.progress.step("holds"):
         _, sentence = best_hold(case.base, case.ordered, options)
     return [*([sentence] if sentence else []), *record_remarks(case.ordered)]
+
+
+def _parameters(case: Case, numbers: Floated, tests: Sequence[FTest]) -> Diagnosis:
+    """No law is missing, the numbers are off."""
+    return Diagnosis(
+        "parameters", (), (), tuple(tests), tuple(numbers.tests), (), force_ratio=0.0,
+        floated=numbers.fitted.refinement, notes=tuple(_about_record(case)), **case.about,
+    )  # fmt: skip
 
 
 def _adequate(case: Case, explained: Explained) -> Diagnosis:

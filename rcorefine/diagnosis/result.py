@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike
 
 from ..data.measurement import Measurement
 from ..effects.effect import Effect
-from ..inference.refinement import Refinement
+from ..inference.refinement import EstimatedParameter, Refinement
 from ..inference.whitening import FTest
 from ..results import Look, Reported, picture, show
 from ..systems.linear import Array
-from .absorbed import what_was_absorbed
+from .absorbed import numbers_that_moved, what_was_absorbed
 
 if TYPE_CHECKING:
     from .experiment_design.result import ExperimentAdvice
@@ -76,7 +76,8 @@ class Diagnosis(Reported):
     Attributes
     ----------
     verdict : str
-        "adequate" (nothing is missing that this record could show), "effect" (one of the
+        "adequate" (nothing is missing that this record could show), "parameters" (no law is
+        missing, the numbers of the model are off), "effect" (one of the
         candidates is), "ambiguous" (several explain it alike), "unexplained" (something
         is missing that none of the candidates explains).
     ranking : tuple of RankedEffect
@@ -101,6 +102,8 @@ class Diagnosis(Reported):
         Options of `diagnose`.
     notes : tuple of str
         What else was noticed.
+    floated : Refinement or None
+        The model with its numbers fitted, where the verdict is "parameters".
     """
 
     verdict: str
@@ -115,6 +118,12 @@ class Diagnosis(Reported):
     force_ratio: float
     settings: dict[str, Any]
     notes: tuple[str, ...] = ()
+    floated: Refinement | None = None
+
+    @property
+    def parameters(self) -> tuple[EstimatedParameter, ...]:
+        """Numbers of the model with their errors, where the verdict is "parameters"; else empty."""
+        return () if self.floated is None else tuple(r for r in self.floated.parameters if r.role == "linear")
 
     @property
     def best(self) -> RankedEffect | None:
@@ -127,11 +136,13 @@ class Diagnosis(Reported):
         Returns
         -------
         Refinement
-            The base model itself where the verdict is "adequate". Its mean fit is not
-            below that of the first row on the same records.
+            The base model itself where the verdict is "adequate", with its numbers fitted where
+            it is "parameters". Its mean fit is not below that of the first row on the same records.
         """
         from ..refinement.refine import refit
 
+        if self.floated is not None:
+            return self.floated
         if self.best is None:
             return self.base
         options = ("tolerance", "offset", "noise", "horizon")
@@ -267,6 +278,8 @@ class Diagnosis(Reported):
                 lines.append(
                     f"With the best candidate the residual still fails: {left.name}, p = {left.p_value:.2g}."
                 )
+            if self.verdict == "parameters":
+                lines.append(numbers_that_moved(self.parameters))
             if self.best is not None:
                 lines.append(
                     "p is the chance of such a score with nothing missing; probability compares the "
@@ -307,6 +320,7 @@ class Diagnosis(Reported):
 
 _VERDICTS = {
     "adequate": "Nothing is missing that this record could show.",
+    "parameters": "No law is missing: the numbers of the model are off.",
     "effect": "What is missing: {best}.",
     "ambiguous": "This record cannot tell apart: {alike}. Most probable: {best}.",
     "unexplained": "Something is missing that no candidate explains. Closest: {best}.",

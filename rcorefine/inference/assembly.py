@@ -22,7 +22,7 @@ from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 from .refinement import Refinement
 
-__all__ = ["assemble", "check_settings", "offset_variants", "priors", "unfold"]
+__all__ = ["assemble", "check_settings", "nominal_size", "offset_variants", "priors", "unfold"]
 
 _LOOSE = 30.0  # relative sd of a linear parameter that floats freely
 
@@ -153,18 +153,23 @@ def priors(structure: Structure, roles: Sequence[str], tolerance: float) -> tupl
     """Gaussian prior of every coefficient: mean and standard deviation (inf for none)."""
     mean = np.zeros(structure.n_parameters)
     sd = np.full(structure.n_parameters, np.inf)
-    nominal = {(q.kind, q.place): q.value for q in structure.model.parameters}
     for i, parameter in enumerate(structure.parameters):
         effect = structure.effects[parameter.effect]
         if parameter.name in effect.prior:
             sd[i] = effect.prior[parameter.name]
             mean[i] = (effect.start or {}).get(parameter.name, 0.0)
-        elif roles[parameter.effect] == "linear" and tolerance > 0:
-            size = 1.0 if effect.spec.relative else abs(nominal.get((effect.kind, effect.place), 0.0))
-            if size > 0:
-                sd[i] = tolerance * size
         elif roles[parameter.effect] == "linear":
-            # only to settle what the record cannot: scales that cancel stay near the model's
-            size = 1.0 if effect.spec.relative else abs(nominal.get((effect.kind, effect.place), 0.0))
-            sd[i] = _LOOSE * size if size > 0 else np.inf
+            size = nominal_size(structure, effect)
+            # a loose one only settles what the record cannot: scales that cancel stay near the model's
+            sd[i] = (tolerance or _LOOSE) * size if size > 0 else np.inf
     return mean, sd
+
+
+def nominal_size(structure: Structure, effect: Effect) -> float:
+    """Size of the number of the model that an effect changes; 0 where the model has none."""
+    if effect.spec.relative:
+        return 1.0
+    for q in structure.model.parameters:
+        if (q.kind, q.place) == (effect.kind, effect.place):
+            return abs(q.value)
+    return structure.inertia(effect.place) if effect.spec.inertial else 0.0

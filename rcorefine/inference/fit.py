@@ -40,7 +40,11 @@ class Fit:
         self.mean, self.sd = priors(structure, roles, tolerance)
         # a prior so wide that it only settles what the record cannot; no part of the error bars
         self.loose = np.array(
-            [roles[q.effect] == "linear" and tolerance == 0 for q in structure.parameters], dtype=bool
+            [
+                roles[q.effect] == "linear" and tolerance == 0 and not structure.effects[q.effect].prior
+                for q in structure.parameters
+            ],
+            dtype=bool,
         )
         self.weights = output_weights(segments, noise)
         self.steps = 1

@@ -27,6 +27,9 @@ class Levels:
     disagree : float
         p-value of Wald's test that two amplitudes ask for the same coefficients, uniform by
         chance. Below it the law only mimics the true one: unexplained.
+    off : float
+        Relative standard deviation within which all numbers of a model float before a law is
+        sought. Where the residual passes with that, the numbers are off and no law is missing.
     power : float
         Standard deviations, normal by chance, that an effect must have beyond the test's own
         level to be promised as visible; 1.645 are 95 %.
@@ -53,6 +56,7 @@ class Levels:
     noise_excess: float = 1.2
     rival: float = 9.2
     disagree: float = 0.005
+    off: float = 0.05
     power: float = 1.645
     force: float = 15.0
     force_beside: float = 3.0

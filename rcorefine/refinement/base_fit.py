@@ -7,6 +7,7 @@ from typing import Any
 
 from ..data.channels import match_channels, record_for
 from ..data.measurement import Measurement
+from ..effects.effect import Effect
 from ..engine.simulation import check_channels
 from ..engine.structure import Structure
 from ..inference.assembly import assemble, offset_variants, unfold
@@ -32,9 +33,10 @@ def base_fit(
 ) -> Refinement:
     """The model fitted as far as it is declared to be free.
 
-    Where its numbers are trusted, the minimum is next to them and no search is needed.
+    Where its numbers are trusted, or known to within a prior, the minimum is next to them and no
+    search is needed.
     """
-    if len(free) and tolerance == 0:
+    if len(free) and tolerance == 0 and not all(isinstance(e, Effect) and e.prior for e in free):
         return refine(
             model, records, free=free, tolerance=tolerance, offset=offset, noise=noise, horizon=horizon
         )

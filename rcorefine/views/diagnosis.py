@@ -15,6 +15,7 @@ from ..engine.simulation import simulate
 from ..inference.hidden_force import estimated_force
 from ..systems.linear import Array
 from .figures import MEASURED, Frame, draws, style, unit_text
+from .refinement import estimates_table
 from .tables import Table, Told, tells
 
 __all__ = ["diagnosis_told", "plot_diagnosis"]
@@ -25,6 +26,10 @@ _SHOWN = 8
 @tells(Diagnosis)
 def diagnosis_told(found: Diagnosis) -> Told:
     """The verdict in words, and the ranking."""
+    above = [f"Diagnosis: {found.verdict.upper()}", *found.sentences()]
+    title = f"Diagnosis: {found.verdict}"
+    if found.floated is not None:
+        return above, estimates_table(found.parameters, title, found.sentences()), []
     headers = ["effect", "coefficient", "std", "fit %", "p-value", "probability"]
     rows = []
     for row in found.ranking[:8]:
@@ -39,8 +44,7 @@ def diagnosis_told(found: Diagnosis) -> Told:
                 f"{row.probability:.3f}",
             ]
         )
-    above = [f"Diagnosis: {found.verdict.upper()}", *found.sentences()]
-    return above, Table(headers, rows, f"Diagnosis: {found.verdict}", found.sentences()), []
+    return above, Table(headers, rows, title, found.sentences()), []
 
 
 @draws(Diagnosis)
@@ -115,7 +119,7 @@ def _force(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
         port = next((p for p in best.refinement.physical_model.ports if p.name == best.effect.place), None)
     if best is None or port is None:
         said = (
-            "nothing is missing" if best is None else f"{best.effect.label}\nis in the signal path: no force"
+            "no law is missing" if best is None else f"{best.effect.label}\nis in the signal path: no force"
         )
         ax.text(0.5, 0.5, said, ha="center", va="center", transform=ax.transAxes)
         ax.set_axis_off()
@@ -183,6 +187,8 @@ def _law(found: Diagnosis, d: Array, v: Array, motion: Array, w: Array) -> tuple
 
 def _residuals(axes: Any, found: Diagnosis, record: Measurement) -> tuple[list[Any], list[Any]]:
     models = [("as it is", found.base)]
+    if found.floated is not None:
+        models.append(("its numbers fitted", found.floated))
     if found.best is not None:
         models.append((f"with {found.best.effect.label}", found.best.refinement))
     in_time, in_frequency = [], []

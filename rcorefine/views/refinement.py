@@ -9,18 +9,28 @@ import control as ct
 from numpy.typing import ArrayLike
 
 from ..data.measurement import Measurement
-from ..inference.refinement import Refinement
+from ..inference.refinement import EstimatedParameter, Refinement
 from .bode import bode
 from .figures import Frame, draws
 from .level_bode import level_bode
 from .tables import Table, Told, tells
 
-__all__ = ["plot_bode", "refinement_told"]
+__all__ = ["estimates_table", "plot_bode", "refinement_told"]
 
 
 @tells(Refinement)
 def refinement_told(found: Refinement) -> Told:
     """The parameters, and what the figures mean."""
+    title = f"Refinement of {found.physical_model.linear.name}"
+    return (
+        [f"Refinement of {found.physical_model.linear.name!r}"],
+        estimates_table(found.parameters, title, found.sentences()),
+        found.sentences(),
+    )
+
+
+def estimates_table(parameters: Sequence[EstimatedParameter], title: str, notes: Sequence[str]) -> Table:
+    """Estimated numbers, initial and fitted."""
     headers = ["parameter", "effect", "place", "initial", "value", "std", "unit"]
     rows = [
         [
@@ -32,14 +42,9 @@ def refinement_told(found: Refinement) -> Told:
             f"{row.std:.2g}",
             row.unit,
         ]
-        for row in found.parameters
+        for row in parameters
     ]
-    title = f"Refinement of {found.physical_model.linear.name}"
-    return (
-        [f"Refinement of {found.physical_model.linear.name!r}"],
-        Table(headers, rows, title, found.sentences()),
-        found.sentences(),
-    )
+    return Table(headers, rows, title, notes)
 
 
 @draws(Refinement, "bode_plot")

@@ -39,6 +39,8 @@ def climb(ladder: StepwiseSelection, library: list[Effect], most: int) -> str:
         ladder.progress.round(ahead=max(most - len(ladder.effects), 0))
         found, race = ladder.investigate(ladder.current, rest)
         ladder.learn_verdict(found.verdict)
+        if found.floated is not None and ladder.float_numbers(found.floated):
+            continue
         # one more where that passes every test: an early one may then turn out to be needless
         room = most - len(ladder.effects) + (found.verdict != "unexplained" and most > 1)
         if race is None or room < 1:

@@ -22,9 +22,10 @@ class Step:
     Attributes
     ----------
     effect : Effect or None
-        What was added (None for the start).
+        What was added (None for the start, and where the model's own numbers were fitted).
     action : str
-        "start", "add", "pair" (added together with the row before), "swap", "drop".
+        "start", "parameters" (the numbers of the model float from here on), "add", "pair" (added
+        together with the row before), "swap", "drop".
     train_rmse, choice_rmse, validation_rmse : ndarray, shape (n_y,)
         Root mean square error of the free run on the part that was fitted, on the part
         on which the step was chosen, and on the part that took part in nothing.
@@ -53,7 +54,9 @@ class Step:
     @property
     def name(self) -> str:
         """What was done, in words."""
-        return "initial model" if self.effect is None else f"{self.action} {self.effect.label}"
+        if self.effect is None:
+            return "initial model" if self.action == "start" else self.action
+        return f"{self.action} {self.effect.label}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -205,6 +205,15 @@ class StepwiseSelection:
         rivals = tuple(e for e in choice.ties if not any(same(e, own) for own in choice.effects))
         self.steps += [self._step(effect, action, verdict, rivals) for effect in choice.effects]
 
+    def float_numbers(self, floated: Refinement) -> bool:
+        """Let the numbers of the model float from here on, unless that costs too much where it is chosen."""
+        settled = self.refit(floated)
+        if not self.rise(settled, self.parts.choose) < self.levels.spoiled:
+            return False
+        self.current = settled
+        self.steps.append(self._step(None, "parameters", "parameters", ()))
+        return True
+
     def swap(self, old: Effect, new: Effect, refinement: Refinement, verdict: str) -> None:
         """Put one effect in the place of another; it has yet to earn it."""
         self.effects[self.effects.index(old)] = new

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...comparison.adequacy import best_of, failures_of
+from ...diagnosis.absorbed import numbers_that_moved
 from ..tables import number
 
 if TYPE_CHECKING:
@@ -113,6 +114,7 @@ def diagnosis_answer(found: Diagnosis) -> tuple[list[str], bool]:
         )
         return [first, second, third], True
     third = {
+        "parameters": numbers_that_moved(found.parameters),
         "effect": "Add it with refine, and judge the result on data that took part in nothing.",
         "ambiguous": "They explain it alike; suggest_experiment() names the record that tells them apart.",
         "unexplained": "Do not trust the closest candidate: what is missing is not in the list.",

@@ -92,6 +92,7 @@ def _tables(found: Diagnosis) -> Parts:
             left=2,
         ),
         parameter_table(found.base, "The model as it is, its free parameters fitted"),
+        *([] if found.floated is None else [parameter_table(found.floated, "All its numbers fitted")]),
         Paragraphs(found.notes),
     ]
 

@@ -1,0 +1,161 @@
+"""The numbers of a model, all floating by a few percent: where that mends it, no law is missing."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..effects.bodies import Mass
+from ..effects.effect import Effect
+from ..exceptions import IdentifiabilityWarning
+from ..inference.assembly import nominal_size
+from ..inference.fitted import FittedModel, fitted_from
+from ..inference.sensitivities import Candidate, candidate_columns, parameter_columns
+from ..inference.starts import Motion
+from ..inference.whitening import FTest, project, rank_basis
+from ..models.library import effect_library
+from ..refinement.base_fit import base_fit
+from ..systems.linear import Array
+from .candidate_fit import log_likelihood, prior_cost
+from .candidate_fits import CandidateFits, fit_candidates
+from .case import Case, not_held
+from .residual_tests import TestedResidual, run_tests
+from .verdict import keeps_name, overall
+
+__all__ = ["Floated", "as_good", "explaining_numbers", "rivals_of_numbers"]
+
+_OWN = 1e-4  # share of a column that no other number explains, below which it is none of its own
+_PROMISED = 0.5  # share of the gain of the numbers that the score of a law must promise to be worth a refit
+_LAWS = 3  # of them
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Floated:
+    """A model whose numbers float, and which passes every test with that.
+
+    Attributes
+    ----------
+    fitted : FittedModel
+        At its minimum.
+    battery : TestedResidual
+        Its residual.
+    tests : list of FTest
+        What that passed.
+    evidence : float
+        Log-likelihood under its own filter, averaged over the prior of the numbers: what it gains by
+        choosing them is not counted.
+    """
+
+    fitted: FittedModel
+    battery: TestedResidual
+    tests: list[FTest]
+    evidence: float
+
+
+def explaining_numbers(case: Case) -> Floated | None:
+    """The model with all its numbers floating, if it then passes every test.
+
+    What it declares floats, and every mass where they are known from the matrices alone, each with
+    a prior of `Levels.off` of its nominal value; what only rescales others stays.
+    """
+    numbers = _numbers(case)
+    if not numbers:
+        return None
+    options = {name: case.settings[name] for name in ("tolerance", "offset", "noise", "horizon")}
+    with warnings.catch_warnings(), case.progress.step("parameters"):
+        warnings.simplefilter("ignore", IdentifiabilityWarning)  # the priors settle what the record cannot
+        refined = base_fit(case.base, case.records, free=numbers, **options)
+        problem = case.fitted.problem
+        noise = 1.0 / problem.weights  # in the units of the noise that the candidates are compared in
+        fitted = fitted_from(refined, problem.records, tolerance=options["tolerance"], noise=noise)
+        battery = TestedResidual(fitted)
+        motions = [Motion(fitted.structure, fitted.theta, m.data) for m in case.motions]
+        if case.excess(fitted) > case.levels.noise_excess:
+            return None
+        if overall(run_tests(battery, [], motions)) < case.significance:
+            return None  # the library cannot mend what fails without it
+        library = not_held(case.library, fitted.structure.effects)
+        tests = run_tests(battery, candidate_columns(fitted, library, motions[0], (0.0,)), motions)
+        if overall(tests) < case.significance:
+            return None
+    return Floated(fitted, battery, tests, _evidence(battery, case.fitted.problem.n_theta))
+
+
+def _evidence(battery: TestedResidual, held: int) -> float:
+    """Log-likelihood of the records where each new number has its prior and no value is chosen (Laplace)."""
+    fitted = battery.fitted
+    problem = fitted.problem
+    new = slice(held, problem.n_theta)
+    J = battery.whitener.apply([j for _, j in fitted.blocks()])
+    old = np.delete(J, np.arange(held, problem.n_theta), axis=1)
+    spread = project(J[:, new], rank_basis(old)) * problem.prior_sd[new]
+    occam = np.linalg.slogdet(np.eye(spread.shape[1]) + spread.T @ spread)[1]
+    cost = prior_cost(problem, fitted.point)
+    return -0.5 * (float(battery.residual @ battery.residual) + cost + float(occam))
+
+
+def _numbers(case: Case) -> list[Effect]:
+    """What can float yet, each with its prior; a number that only rescales earlier ones is left out.
+
+    Masses come first, so that beside them it is a gain that is left out.
+    """
+    physical, structure = case.base.physical_model, case.fitted.structure
+    declared = [Effect(q.kind, q.place) for q in physical.parameters]
+    masses = [e for e in effect_library(physical) if e.kind == Mass.name]
+    everything = list({(e.kind, e.place): e for e in [*masses, *declared]}.values())
+    sized = [(e, nominal_size(structure, e)) for e in not_held(everything, case.base.effects)]
+    sized = [(e, size) for e, size in sized if 0.0 < size < np.inf]
+    if not sized:
+        return []
+    columns = parameter_columns(case.fitted, [e for e, _ in sized], case.motions[0], 0.0)
+    flat = np.concatenate([block.reshape(-1, len(sized)) for block in columns])
+    held = np.concatenate([j.reshape(-1, j.shape[2]) for _, j in case.fitted.blocks()])
+    own = _independent(flat, rank_basis(held))
+    spread = case.levels.off
+    return [
+        e.replace(prior={e.coefficients[0]: spread * size})
+        for (e, size), new in zip(sized, own, strict=True)
+        if new
+    ]
+
+
+def _independent(columns: Array, basis: Array) -> list[bool]:
+    """Whether each column holds something that the basis and the columns before it do not."""
+    own = []
+    for column in columns.T:
+        size = float(np.linalg.norm(column))
+        for _ in range(2):  # twice: the first projection leaves rounding of what it takes away
+            column = column - basis @ (basis.T @ column)
+        left = float(np.linalg.norm(column))
+        own.append(left > _OWN * size)
+        if own[-1]:
+            basis = np.column_stack([basis, column / left])
+    return own
+
+
+def rivals_of_numbers(case: Case, numbers: Floated, scored: Sequence[Candidate]) -> bool:
+    """Whether a single effect explains the residual as well as all the numbers together.
+
+    Every single number is refitted, for its score says little where the resonances move. A law is, where
+    its score promises enough: that is right where a law is weak enough to be mistaken for numbers.
+    """
+    before = TestedResidual(case.fitted, whitener=numbers.battery.whitener)
+    least = _PROMISED * 2 * (numbers.evidence + 0.5 * float(before.left @ before.left))
+    laws = [(test.gain, i) for i, test in enumerate(before.each(scored)) if not _is_number(scored[i].effect)]
+    tried = [c for c in scored if _is_number(c.effect)]
+    tried += [scored[i] for gain, i in sorted(laws, reverse=True)[:_LAWS] if gain > least]
+    race = fit_candidates(case.fitted, tried, progress=case.progress) if tried else None
+    return race is not None and as_good(case, race, numbers)
+
+
+def _is_number(effect: Effect) -> bool:
+    return effect.spec.is_parameter or effect.spec.relative
+
+
+def as_good(case: Case, race: CandidateFits, numbers: Floated) -> bool:
+    """Whether the best candidate explains the records as well as all the numbers of the model together."""
+    own = max(log_likelihood(rival, numbers.battery.whitener) for rival in race.rivals)
+    return keeps_name(own, numbers.evidence, case.levels)

@@ -1,0 +1,90 @@
+"""A model whose numbers are off lacks no law: truths by exact discretization, by scipy alone."""
+
+from __future__ import annotations
+
+import control as ct
+import numpy as np
+import pytest
+from scipy.signal import cont2discrete, dlsim
+
+import rcorefine as rco
+
+M, C, K = (1.0, 0.6), (0.4, 0.3), (120.0, 90.0)  # two masses on the ground and on each other
+FACTORS = {"m2": 0.97, "k1": 1.03, "k2": 0.98, "c1": 1.04}
+
+
+def matrices(**factor: float) -> tuple[np.ndarray, np.ndarray]:
+    """A and B of the chain with some of its numbers changed."""
+    (m1, m2), (c1, c2), (k1, k2) = (
+        [value * factor.get(f"{letter}{i + 1}", 1.0) for i, value in enumerate(values)]
+        for letter, values in (("m", M), ("c", C), ("k", K))
+    )
+    A = np.array(
+        [
+            [0, 0, 1, 0],
+            [0, 0, 0, 1],
+            [-(k1 + k2) / m1, k2 / m1, -(c1 + c2) / m1, c2 / m1],
+            [k2 / m2, -k2 / m2, c2 / m2, -c2 / m2],
+        ]
+    )
+    return A, np.array([[0], [0], [1 / m1], [0]])
+
+
+def record(seed: int, dt: float = 0.03, n: int = 1500, **factor: float) -> rco.Measurement:
+    """Noise of 3 % on both positions."""
+    rng = np.random.default_rng(seed)
+    force = 10 * rng.standard_normal(n)
+    A, B = matrices(**factor)
+    Ad, Bd, Cd, Dd, _ = cont2discrete((A, B, np.eye(4)[:2], np.zeros((2, 1))), dt)
+    y = dlsim((Ad, Bd, Cd, Dd, dt), force)[1].T
+    return rco.Measurement(
+        force, y + 0.03 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape), dt=dt
+    )
+
+
+BUILT = rco.mass_spring_damper(M, C, K)
+PLAIN = ct.ss(*matrices(), np.eye(4)[:2], np.zeros((2, 1)), states=["q1", "q2", "v1", "v2"])
+
+
+@pytest.mark.parametrize("model", [BUILT, PLAIN], ids=["built", "plain"])
+def test_numbers_that_are_off_are_no_missing_law(model: object) -> None:
+    found = rco.diagnose(model, record(1, **FACTORS))
+    assert found.verdict == "parameters"
+    assert found.best is None
+    assert not found.ranking
+    rows = {row.name: row for row in found.parameters}
+    names = {"m2": "m[q2]", "k1": "k[q1]", "k2": "k[q1-q2]", "c1": "c[q1]"} if model is PLAIN else {}
+    for name, factor in FACTORS.items():
+        row = rows[names.get(name, name)]
+        assert abs(row.value / row.initial - factor) < 4 * row.std / row.initial
+    assert row.std / row.initial < 0.02  # and not just the prior
+    assert "times nominal" in str(found)
+    better = found.refine()
+    assert np.all(better.fit > found.base.fit)
+    assert np.all(better.fit > 96.5)
+    assert rco.diagnose(better, record(2, **FACTORS)).verdict == "adequate"
+    assert found.suggest_experiment().chosen is None
+
+
+def test_masses_of_a_plain_model_float_as_far_as_nothing_rescales_them() -> None:
+    found = rco.diagnose(PLAIN, record(3, **FACTORS))
+    names = {row.name for row in found.parameters}
+    assert names >= {"m[q1]", "m[q2]"}
+    assert "gain[u[0]]" not in names
+
+
+def test_a_single_spring_keeps_its_name() -> None:
+    found = rco.diagnose(BUILT, record(4, k2=0.9))
+    assert found.verdict in ("effect", "ambiguous")
+    assert found.floated is None
+    assert rco.Effect("stiffness", "link2") in found.ambiguous
+    assert found.parameters == ()
+
+
+def test_improve_fits_the_numbers_and_adds_no_law() -> None:
+    ladder = rco.improve(BUILT, record(5, n=3000, **FACTORS))
+    assert [step.action for step in ladder.steps] == ["start", "parameters"]
+    assert ladder.verdict == "adequate"
+    assert ladder.effects == ()
+    first, last = ladder.steps[0], ladder.steps[-1]
+    assert np.all(last.validation_rmse < first.validation_rmse)
