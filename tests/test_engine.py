@@ -70,7 +70,13 @@ def law_cases():
         "quadratic_stiffness": ([20.0], lambda d, v: 20 * d**2),
         "bilinear_stiffness": ([15.0], lambda d, v: 15 * max(d, 0)),
         "clearance": ([50.0, 0.2], lambda d, v: 50 * np.sign(d) * max(abs(d) - 0.2, 0)),
+        "soft_clearance": (
+            [50.0, 0.2, 0.7],
+            lambda d, v: 25 * (2 * d + np.hypot(d - 0.2, 0.14) - np.hypot(d + 0.2, 0.14)),
+        ),
         "coulomb_friction": ([1.0], lambda d, v: s(v)),
+        "smooth_friction": ([1.0, 0.5], lambda d, v: np.tanh(v / 0.5)),
+        "load_friction": ([4.0], lambda d, v: 4 * abs(d) * s(v)),
         "asymmetric_friction": ([1.0, 2.0], lambda d, v: (1.0 if v > 0 else 2.0) * s(v)),
         "asymmetric_damping": ([1.0, 2.0], lambda d, v: (1.0 if v > 0 else 2.0) * v),
         "stribeck_friction": (
@@ -79,6 +85,7 @@ def law_cases():
         ),
         "quadratic_damping": ([2.0], lambda d, v: 2 * v * abs(v)),
         "cubic_damping": ([0.5], lambda d, v: 0.5 * v**3),
+        "power_damping": ([0.8, 1.5], lambda d, v: 0.8 * v * (v * v + WIDTH**2) ** 0.25),
         "stiffness": ([5.0], lambda d, v: 5 * d),
         "damping": ([0.5], lambda d, v: 0.5 * v),
         "constant_force": ([3.0], lambda d, v: 3.0),
@@ -154,6 +161,58 @@ def test_hysteresis_follows_the_path():
     ]
     assert errors[1] < 2e-3
     assert errors[1] < 0.15 * errors[0]
+
+
+@pytest.mark.parametrize("delta", [0.1, 0.004])
+def test_lugre_friction_follows_its_equation(delta):
+    """Bristles as Canudas de Wit wrote them, without their own damping: soft ones and stiff ones."""
+    F, ratio, slow = 2.0, 1.7, 0.4
+    model, w = chain(), force(120)
+    u = held(w, "foh")
+    times = np.arange(w.size) * DT
+
+    def rhs(t, x):
+        v = x[2] - x[3]
+        level = F * (1 + (ratio - 1) * np.exp(-((v / slow) ** 2)))
+        bristles = F / delta  # their stiffness; x[4] is how far they are bent
+        linear = model.A @ x[:4] + model.B[:, 0] * u(t) + PORTS["x1-x2"][1] * bristles * x[4]
+        return np.append(linear, v - bristles * abs(v) / level * x[4])
+
+    truth = model.C @ solve(rhs, np.zeros(5), times)[:4]
+    structure = Structure(model, [Effect("lugre_friction", "x1-x2")])
+    theta = [F, ratio, slow, delta]
+    errors = [
+        np.abs(run(structure, theta, record(w), s).outputs - truth).max() / np.abs(truth).max()
+        for s in (4, 64)
+    ]
+    assert errors[0] < 0.1  # stiff or not, a coarse step stays near
+    assert errors[1] < 2e-3
+    assert errors[1] < 0.15 * errors[0]
+
+
+def test_play_is_dragged_along():
+    k, gap = 30.0, 0.15
+    model, w = chain(), force(120)
+    u = held(w, "foh")
+    fine = np.linspace(0, DT * (w.size - 1), 200 * (w.size - 1) + 1)
+    step = fine[1]
+
+    def dragged(x, z):
+        return np.clip(z, x[0] - x[1] - gap, x[0] - x[1] + gap)
+
+    def rate(t, x, z):
+        return model.A @ x + model.B[:, 0] * u(t) + PORTS["x1-x2"][1] * k * dragged(x, z)
+
+    x, z, states = np.zeros(4), 0.0, []
+    for t in fine[:-1]:  # it may catch at any time: midpoint steps, far finer than the record
+        states.append(x)
+        half = x + 0.5 * step * rate(t, x, z)
+        x = x + step * rate(t + 0.5 * step, half, z)
+        z = dragged(x, z)
+    truth = model.C @ np.array([*states, x]).T[:, ::200]
+    structure = Structure(model, [Effect("play", "x1-x2")])
+    answer = run(structure, [k, gap], record(w), 32).outputs
+    np.testing.assert_allclose(answer, truth, atol=2e-3 * np.abs(truth).max())
 
 
 def test_mass_and_hidden_mode_are_exact():
@@ -272,6 +331,8 @@ def test_first_order_laws():
         ("threshold_flow", [0.6, 1.2], lambda x: 0.6 * max(x - 1.2, 0)),
         ("coulomb_friction", [0.3], lambda x: 0.3 * np.tanh(x / WIDTH)),
         ("quadratic_damping", [0.2], lambda x: 0.2 * x * abs(x)),
+        ("smooth_friction", [0.3, 0.8], lambda x: 0.3 * np.tanh(x / 0.8)),
+        ("power_damping", [0.2, 1.4], lambda x: 0.2 * x * (x * x + WIDTH**2) ** 0.2),
         ("cubic_damping", [0.1], lambda x: 0.1 * x**3),
         ("damping", [0.2], lambda x: 0.2 * x),
     ):

@@ -129,7 +129,7 @@ class OutputPlay(OutputLaw):
         return [{"gap": float(q)} for q in np.quantile(np.abs(seen.signal), (0.1, 0.3))]
 
 
-class Play(PortLaw):
+class Backlash(PortLaw):
     """A joint with play that remembers where it was left."""
 
     formula = "f = k z"
@@ -160,7 +160,7 @@ def chain(n=1200, seed=0):
     ("kind", "place", "law", "theta"),
     [
         ("drag", "link1", Drag, [3.0]),
-        ("play", "link2", Play, [40.0, 0.01]),
+        ("backlash", "link2", Backlash, [40.0, 0.01]),
         ("output_play", "v1", OutputPlay, [0.04]),
     ],
 )

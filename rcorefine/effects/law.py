@@ -41,6 +41,8 @@ class Coefficient:
         What the number means.
     shapes : bool
         Whether it gives the law its shape (a gap, a limit) rather than its strength.
+    widths : tuple of float
+        Bounds in widths of the law (`Law.width_share`), empty for none.
     """
 
     name: str
@@ -50,6 +52,7 @@ class Coefficient:
     default_start: float | None = 0.0
     explanation: str = ""
     shapes: bool = False
+    widths: tuple[float, ...] = ()
 
 
 class Seen(Protocol):
@@ -125,8 +128,12 @@ class Law:
         Whether it adds to what the port moves.
     holds_constant : bool
         Whether it can hold a constant offset.
+    on_request : bool
+        Whether `effect_library` lists it only where it is asked for by name: far-fetched elsewhere.
     covers : tuple of str
-        Laws that it contains.
+        Linear laws that it contains, which do not float beside it.
+    contains : mapping of str to mapping
+        Laws that are special cases of it, each with the shape at which it is that law.
     with_offset : str
         Law that it equals together with a constant offset at the place.
     jumps : bool
@@ -165,7 +172,9 @@ class Law:
     relative: ClassVar[bool] = False
     inertial: ClassVar[bool] = False
     holds_constant: ClassVar[bool] = False
+    on_request: ClassVar[bool] = False
     covers: ClassVar[tuple[str, ...]] = ()
+    contains: ClassVar[Mapping[str, Mapping[str, float]]] = MappingProxyType({})
     with_offset: ClassVar[str] = ""
     jumps: ClassVar[bool] = False
     turns: ClassVar[bool] = False

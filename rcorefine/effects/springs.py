@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -138,6 +139,7 @@ class Clearance(PortLaw):
             explanation="play on either side",
         ),
     )
+    contains = MappingProxyType({"stiffness": {"gap": 0.0}})
     formula = "f = t sgn(d) max(|d| - gap, 0)"
     explanation = "There is play at {place}: a stop is hit once the displacement exceeds a gap."
     needs = frozenset(["position"])
@@ -160,3 +162,58 @@ class Clearance(PortLaw):
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Gaps that the motion reaches now and then."""
         return [{"gap": float(q)} for q in np.quantile(np.abs(seen.d), [0.4, 0.7, 0.9, 0.1])]
+
+
+@register
+class SoftClearance(PortLaw):
+    """Stop that is met gradually: a gap with rounded corners."""
+
+    where = frozenset(["mechanical"])
+    coefficients = (
+        Coefficient("stiffness", "force/position", explanation="stiffness of the contact"),
+        Coefficient(
+            "gap",
+            "position",
+            lower=0.0,
+            default_start=None,
+            shapes=True,
+            explanation="play on either side, to the middle of the corner",
+        ),
+        Coefficient(
+            "softness",
+            "1",
+            lower=0.1,
+            upper=3.0,
+            default_start=None,
+            shapes=True,
+            explanation="rounding of the corner, in gaps",
+        ),
+    )
+    formula = "f = t (d + (r(d - gap) - r(d + gap))/2), r(x) = sqrt(x^2 + (softness gap)^2)"
+    explanation = "There is play at {place}, and its stop is met gradually, as through a layer of rubber."
+    needs = frozenset(["position"])
+    belongs_to = "stiffness"
+    contains = MappingProxyType({"stiffness": {"gap": 0.0}})
+
+    @staticmethod
+    def law(d, stiffness, gap, softness):  # type: ignore[no-untyped-def]
+        """Formula."""
+        corner = softness * gap
+        return stiffness * (d + 0.5 * (math.hypot(d - gap, corner) - math.hypot(d + gap, corner)))
+
+    @staticmethod
+    def slopes(d, stiffness, gap, softness):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        corner = softness * gap
+        near, far = math.hypot(d - gap, corner), math.hypot(d + gap, corner)
+        unit = d + 0.5 * (near - far)
+        near, far = max(near, 1e-300), max(far, 1e-300)
+        by_d = stiffness * (1.0 + 0.5 * ((d - gap) / near - (d + gap) / far))
+        by_corner = 0.5 * stiffness * corner * (1.0 / near - 1.0 / far)
+        by_gap = -0.5 * stiffness * ((d - gap) / near + (d + gap) / far) + softness * by_corner
+        return stiffness * unit, by_d, unit, by_gap, gap * by_corner
+
+    def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
+        """Gaps that the motion reaches now and then."""
+        gaps = np.quantile(np.abs(seen.d), [0.4, 0.7, 0.9])
+        return [{"gap": float(q), "softness": 1.0} for q in gaps]

@@ -28,8 +28,6 @@ from ..systems.linear import Array, LinearModel
 __all__ = ["Discrete", "Matrices", "Parameter", "Structure"]
 
 _TINY_STEP = 1e-30
-_SLOWEST = 3.0  # widths of sgn(v), where it has turned over
-_FASTEST = 1e5  # widths of sgn(v), some hundred times the motion
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,10 +142,11 @@ class Structure:
                 low = max(low, effect.fixed[smaller])
             if name == smaller and larger in effect.fixed:
                 high = min(high, effect.fixed[larger])
-        if name == "velocity" and index in self.constants and "width" not in effect.fixed:
-            # the width of sgn(v) is a share of the motion: what fades within it, or far beyond, is not seen
-            width = self.constants[index]
-            low, high = max(low, _SLOWEST * width), min(high, _FASTEST * width)
+        widths = effect.spec.coefficient(name).widths
+        if widths and index in self.constants and "width" not in effect.fixed:
+            # the width is a share of the motion
+            low = max(low, widths[0] * self.constants[index])
+            high = min(high, widths[1] * self.constants[index])
         self._position[index, name] = len(self.parameters)
         single = len(effect.coefficients) == 1
         label = effect.label if single else f"{effect.label}: {name}"

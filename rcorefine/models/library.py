@@ -64,7 +64,7 @@ def effect_library(
     -----
     Left out unless asked for by `kinds`: springs between a mass and the ground where the model
     has neither spring nor another link at that mass; masses, hidden modes and constant
-    forces between two masses; `custom` laws (which need a law); entries of A that a port
+    forces between two masses; `play`, `load_friction`; `custom` laws (which need a law); entries of A that a port
     explains. Effects that act exactly alike are listed once, at the place whose
     parameter they change (in a series circuit, resistance at the resistor).
 
@@ -149,6 +149,8 @@ def _at_ports(physical: PhysicalModel, asked: tuple[str, ...] | None) -> list[Ef
 
 def _plausible(physical: PhysicalModel, port: Port, law: Law) -> bool:
     """Whether people would look for this law at this port first."""
+    if law.on_request:
+        return False
     joined = _joins(port)
     # a body is one mass or store rather than what joins two
     if law.belongs_to == Mass.name and (joined or _body_elsewhere(physical, port)):
@@ -221,7 +223,7 @@ def _at_channels(physical: PhysicalModel, asked: tuple[str, ...] | None) -> list
             found += [
                 Effect(kind.name, label)
                 for kind in KINDS.values()
-                if channel in kind.where and (asked is None or kind.name in asked)
+                if channel in kind.where and (not kind.on_request if asked is None else kind.name in asked)
             ]
     return found
 
