@@ -25,6 +25,7 @@ from .candidate_fit import (
     prior_cost,
     whitener_of,
 )
+from .families import below_special_cases, contains, in_families, start_from
 from .residual_tests import TestedResidual
 from .starts import at_home, gain_for, imitated, led, observed, plain_cost, regressed
 from .widths import settled_width
@@ -59,6 +60,8 @@ class CandidateFits:
         Filter of the best.
     base_log_likelihood : float
         Of the model without any of them, in the same metric.
+    left : tuple of Candidate
+        Not fitted: they contain laws that do not lead.
     """
 
     fitted: FittedModel
@@ -66,6 +69,7 @@ class CandidateFits:
     ratio: float
     whitener: Whitener
     base_log_likelihood: float
+    left: tuple[Candidate, ...] = ()
     _models: dict[int, FittedModel] = field(default_factory=dict)
 
     def model(self, index: int = 0) -> FittedModel:
@@ -147,8 +151,13 @@ def fit_candidates(
     """
     progress = progress or Progress()
     strong = float(np.min(fitted.refinement.fit)) < _STRONG
-    tasks = [(fitted, c, ratio, thorough, strong) for c in candidates]
-    new = [r for r in progress.map(_laps, tasks, "first laps") if r is not None]
+
+    def begun(some: Sequence[Candidate]) -> list[CandidateFit]:
+        tasks = [(fitted, c, ratio, thorough, strong) for c in some]
+        return [r for r in progress.map(_laps, tasks, "first laps") if r is not None]
+
+    simple, general = in_families(candidates)
+    new = begun(simple)
     old = [
         CandidateFit(r.candidate, continued(fitted, r, ratio, None, 4))
         for r in progress.over(entered, "more laps")
@@ -165,6 +174,9 @@ def fit_candidates(
         return None
     n = fitted.problem.n_points
     _run_laps(fitted, rivals, ratio, progress)
+    leading = {r.effect.place for r in _near(rivals, n)}
+    rivals += begun([c for c in general if c.effect.place in leading])
+    left = tuple(c for c in general if c.effect.place not in leading)
     for _ in range(_EXCHANGES):
         if not _exchange(fitted, rivals, ratio):
             break
@@ -172,9 +184,7 @@ def fit_candidates(
     for rival in rivals:
         rival.free_run = rival.descent
     whitener = whitener_of(min(rivals, key=lambda r: r.descent.cost))
-    best = min(r.descent.cost for r in rivals)
-    near = best * np.exp(_POLISHED[0] / n + _POLISHED[1])
-    polished = [r for r in rivals if r.descent.cost <= near]
+    polished = _near(rivals, n)
     for evaluations in (10, 6):
         for rival in progress.over(polished, "polishing"):
             rival.descent = continued(fitted, rival, ratio, whitener, evaluations, 1e-7)
@@ -192,7 +202,13 @@ def fit_candidates(
     # each holds the model without it: one that is less likely is no estimate
     rivals = [r for r in rivals if r.log_likelihood + price(r, white.size) >= base - LACK]
     rivals.sort(key=lambda r: -r.log_likelihood)
-    return CandidateFits(fitted, rivals, ratio, whitener, base) if rivals else None
+    return CandidateFits(fitted, rivals, ratio, whitener, base, left) if rivals else None
+
+
+def _near(rivals: Sequence[CandidateFit], n: int) -> list[CandidateFit]:
+    """Rivals that may still be the best one under whitening."""
+    best = min(r.descent.cost for r in rivals)
+    return [r for r in rivals if r.descent.cost <= best * np.exp(_POLISHED[0] / n + _POLISHED[1])]
 
 
 def _settle(
@@ -208,8 +224,13 @@ def _settle(
         for rival in rivals:
             rival.settled = rival.lack <= max(LACK, _LACK_SHARE * (top - rival.log_likelihood))
         open_, rounds = [r for r in rivals if not r.settled], rounds + 1
+        near = [r for r in rivals if 2 * (top - r.log_likelihood) <= _NEAR]
+        stuck = below_special_cases(near, fitted.problem.n_points)
         if rounds > _ROUNDS:
             break
+        for rival, special in stuck:
+            start_from(fitted, rival, special, ratio, whitener)
+        open_ = list(dict.fromkeys([*open_, *(rival for rival, _ in stuck)]))
         for rival in progress.over(open_, "polishing"):
             rival.descent = continued(fitted, rival, ratio, whitener, 10, 1e-9)
 
@@ -228,7 +249,7 @@ def _run_laps(fitted: FittedModel, rivals: Sequence[CandidateFit], ratio: float,
 
 
 def _exchange(fitted: FittedModel, rivals: Sequence[CandidateFit], ratio: float) -> bool:
-    """Start the laws at the leader's place again from the leader's force; whether any gained."""
+    """Start laws again from the leader's force, and from a law that they contain; whether any gained."""
     n = fitted.problem.n_points
     leader = min(rivals, key=lambda r: r.descent.cost)
     gained = False
@@ -237,7 +258,11 @@ def _exchange(fitted: FittedModel, rivals: Sequence[CandidateFit], ratio: float)
         if rival is leader or behind <= _AS_GOOD:
             continue
         gain = gain_for(fitted, rival.candidate, ratio)
-        for point in imitated(leader.candidate, leader.descent.point, rival.candidate):
+        inside = [
+            r for r in rivals if contains(rival.effect, r.effect) and r.descent.cost < rival.descent.cost
+        ]
+        givers = dict.fromkeys([leader, *inside])
+        for point in [p for g in givers for p in imitated(g.candidate, g.descent.point, rival.candidate)]:
             again = descend(rival.candidate.problem, point, gain=gain, evaluations=4)
             if n * np.log(max(again.cost, 1e-300) / max(rival.descent.cost, 1e-300)) < -_AS_GOOD:
                 rival.descent, gained = again, True

@@ -23,6 +23,7 @@ from ..refinement.base_fit import base_fit
 from .candidate_fits import CandidateFits, fit_candidates, shortlist
 from .case import OBSERVERS, Case
 from .excitation import no_motion, not_excited, record_remarks
+from .families import hosts, merged, said_of_families
 from .floating import Floated, as_good, explaining_numbers, rivals_of_numbers
 from .holds import best_hold
 from .judging import Judged, beside_force, judge, outweighs, pair_hint, second_chance
@@ -239,16 +240,19 @@ def _named(
     race = judged.race
     likelihoods = [rival.log_likelihood for rival in race.rivals]
     p_of = {c.effect: test.p_value for c, test in zip(scored, scores, strict=True)}
-    rows = ranking(
-        race, [p_of[rival.effect] for rival in race.rivals], probabilities(likelihoods), case.base,
-        validation, case.settings["horizon"],
-    )  # fmt: skip
     lacks = [0.0 if rival.settled else rival.lack for rival in race.rivals]
-    alike = tuple(race.rivals[i].effect for i in tied(likelihoods, lacks, case.levels))
+    ties = tied(likelihoods, lacks, case.levels)
+    held = hosts(race.rivals, ties)
+    alike = tuple(race.rivals[i].effect for i in ties if i not in held)
+    rows = ranking(
+        race, [p_of[rival.effect] for rival in race.rivals], merged(probabilities(likelihoods), held),
+        case.base, validation, case.settings["horizon"],
+    )  # fmt: skip
     several = judged.passed and len(case.records) > 1
     agreement, sentence = amplitude_test(race, case.levels.disagree) if several else (1.0, "")
     word = verdict(judged.passed, agreement, len(alike), case.levels)
     notes = [*_about_record(case), *fit_remarks(race), *remarks(race, scored, batteries)]
+    notes += said_of_families(race.rivals, held)
     notes += [sentence] if sentence else []
     if case.thorough and word == "unexplained":
         with case.progress.step("pairs"):

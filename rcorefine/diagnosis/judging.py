@@ -104,7 +104,7 @@ def second_chance(case: Case, first: Judged, scored: Sequence[Candidate], chosen
     if beside is not None:
         return beside
     race, fitted = first.race, first.race.fitted
-    rest = [c for i, c in enumerate(scored) if i not in set(chosen)]
+    rest = [c for i, c in enumerate(scored) if i not in set(chosen)] + list(race.left)
     again = fit_candidates(fitted, rest, entered=race.rivals, progress=case.progress)
     if again is not None and _ahead(again, race):
         judged = judge(case, again)

@@ -211,7 +211,7 @@ def imitated(giver: Candidate, point: Array, taker: Candidate) -> list[Array]:
     full = np.zeros((starts.shape[0], other.n_states))
     full[:, :n] = starts[:, :n]
     best: tuple[float, Array] | None = None
-    for shape in _shapes(taker, float(np.sqrt(np.mean(d**2)))):
+    for shape in _shapes(giver, theta, taker, float(np.sqrt(np.mean(d**2)))):
         columns = unit_forces(taker.effect, d, v, [shape], np.hstack(ws))
         if columns is None:
             return []
@@ -228,14 +228,19 @@ def imitated(giver: Candidate, point: Array, taker: Candidate) -> list[Array]:
     return [] if best is None else [best[1]]
 
 
-def _shapes(taker: Candidate, rms: float) -> Iterator[dict[str, float]]:
-    """What shapes the law: each start's values, and those at which it turns into another law."""
-    problem = taker.problem
+def _shapes(giver: Candidate, theta: Array, taker: Candidate, rms: float) -> Iterator[dict[str, float]]:
+    """What shapes the law: each start's values, those of the giver, those that make it another law."""
     p = taker.fitted.problem.n_theta
-    own = [q.name for q in problem.structure.parameters[p:]]
-    shaping = [name for name in own if name in taker.effect.spec.shaping]
+    own = [q.name for q in taker.problem.structure.parameters[p:]]
+    given = dict(zip([q.name for q in giver.problem.structure.parameters[p:]], theta[p:], strict=True))
+    law, other = taker.effect.spec, giver.effect.spec
+    same = {name: float(given[name]) for name in other.shaping if name in given}
     for start in taker.starts:
-        yield {name: float(start[p + own.index(name)]) for name in shaping}
-    for name in shaping:
-        for share in _LIMITS.get(name, ()):
-            yield {name: share * rms}
+        shape = {name: float(start[p + own.index(name)]) for name in own if name in law.shaping}
+        yield shape
+        if other.name in law.contains:
+            turned = {**same, **law.contains[other.name]}
+            yield {name: turned.get(name, value) for name, value in shape.items()}
+        for name in shape:
+            for share in _LIMITS.get(name, ()):
+                yield {**shape, name: share * rms}

@@ -14,6 +14,7 @@ __all__ = ["settled_width"]
 _RATIOS = (2.0, 1.4, 1.2)  # of one width to the next, until nothing is gained
 _MOST = 4  # of each
 _MORE = 1.0  # log-likelihood that each further one must earn
+_WIDEST = 16.0  # times the guess: friction that turns over more gently is no jump
 
 
 def settled_width(
@@ -55,6 +56,8 @@ def settled_width(
             moved = False
             for _ in range(_MOST):
                 trial = best[0].with_width(factor)
+                if trial.width > _WIDEST * candidate.width:
+                    break
                 again = polished(trial, best[1].point)
                 if not again.cost < best[1].cost - price:
                     break

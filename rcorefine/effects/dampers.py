@@ -165,12 +165,12 @@ class PowerDamping(PortLaw):
     @staticmethod
     def law(v, damping, power, width):  # type: ignore[no-untyped-def]
         """Formula."""
-        return damping * v * (v * v + width * width) ** (0.5 * power - 0.5)
+        return damping * v * max(v * v + width * width, 1e-300) ** (0.5 * power - 0.5)
 
     @staticmethod
     def slopes(v, damping, power, width):  # type: ignore[no-untyped-def]
         """With its derivatives."""
-        square = v * v + width * width
+        square = max(v * v + width * width, 1e-300)
         unit = v * square ** (0.5 * power - 0.5)
         by_v = damping * square ** (0.5 * power - 0.5) * (1.0 + (power - 1.0) * v * v / square)
         return damping * unit, by_v, unit, 0.5 * damping * unit * math.log(square), 0.0

@@ -70,6 +70,12 @@ class Candidate:
         """The candidate at another number of substeps."""
         return replace(self, _made=(self.at(substeps), self.starts))
 
+    @property
+    def width(self) -> float:
+        """Width of its sgn(v)."""
+        structure = self.problem.structure
+        return structure.constants[len(structure.effects) - 1]
+
     def with_width(self, factor: float) -> Candidate:
         """The candidate with the width of its sgn(v) times a factor."""
         old = self.problem.structure
