@@ -8,6 +8,7 @@ from . import examples
 from .comparison import Comparison, compare
 from .data.measurement import Measurement
 from .diagnosis import Diagnosis, diagnose
+from .diagnosis.checks import Check, CheckRow, check
 from .diagnosis.confirm import confirm
 from .diagnosis.confirmation import Confirmation
 from .diagnosis.stepwise.improve import improve
@@ -51,6 +52,8 @@ from .version import __version__ as __version__
 __all__ = [
     "Alarm",
     "AmplitudeResponse",
+    "Check",
+    "CheckRow",
     "Comparison",
     "Confirmation",
     "ConversionWarning",
@@ -75,6 +78,7 @@ __all__ = [
     "RCOWarning",
     "Refinement",
     "Simulation",
+    "check",
     "compare",
     "confirm",
     "d2c",

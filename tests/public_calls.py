@@ -624,6 +624,11 @@ CALLS: dict[str, Call] = {
         },
     ),
     # the loop
+    "check": Call(
+        lambda: rco.check,
+        lambda: {"model": model(), "data": record(), "information": False},
+        {"model": is_nothing, "data": is_nothing, "information": is_flag},
+    ),
     "compare": Call(
         lambda: rco.compare, lambda: {"model": model(), "data": record()}, {**FIT, "model": is_nothing}
     ),

@@ -1,4 +1,4 @@
-"""`rcorefine compare`, `diagnose` and `improve`: read, compute, print, report."""
+"""`rcorefine check`, `compare`, `diagnose` and `improve`: read, compute, print, report."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Any
 
 from ..comparison.adequacy import best_of, failures_of
 from ..comparison.compare import compare
+from ..diagnosis.checks.check import check
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.stepwise.improve import improve
 from ..effects.effect import Effect
@@ -26,7 +27,7 @@ from ..views.pages.page import check_target
 from .machine import comparison_object, diagnosis_object, improvement_object, json_text, record_object
 from .records import fitted_and_held_out
 
-__all__ = ["run_compare", "run_diagnose", "run_improve", "wanted_candidates"]
+__all__ = ["run_check", "run_compare", "run_diagnose", "run_improve", "wanted_candidates"]
 
 
 def run_compare(arguments: Namespace) -> int:
@@ -60,6 +61,16 @@ def run_compare(arguments: Namespace) -> int:
         {"record": record_object(record)},
         comparison_object(result),
     )
+
+
+def run_check(arguments: Namespace) -> int:
+    """Look over a record and a model beside it; 1 where something must be mended first."""
+    model = read_model(arguments.model)
+    data, _ = fitted_and_held_out(model, arguments)
+    found = check(model, data)
+    sentences = [row.sentence for row in found.looks]
+    about = {"record": record_object(data)}
+    return _finish(arguments, int(found.stops), sentences, str(found), found, about, found.to_dict())
 
 
 def run_diagnose(arguments: Namespace) -> int:

@@ -85,6 +85,7 @@ def _run(arguments: Namespace) -> int:
     from . import analysis
 
     run = {
+        "check": analysis.run_check,
         "compare": analysis.run_compare,
         "diagnose": analysis.run_diagnose,
         "improve": analysis.run_improve,

@@ -24,6 +24,9 @@ _MODEL = (
 )
 _DATA = "record: .csv (with a header line), .mat or .npz"
 _JSON = {
+    "check": "Keys of --json: command, rcorefine, exit_code, answer (a sentence for each row that is not "
+    "ok), record, rows (status, what, where, figure, sentence), detectable (effect, coefficient, "
+    "smallest, unit).",
     "compare": "Keys of --json: command, rcorefine, exit_code, answer (3 sentences), record (name, "
     "samples, dt, hold, inputs, outputs, sha256_inputs, sha256_outputs), models (name; "
     "outputs: name, unit, fit, rmse, bias; failures: role, dimension, where, measure, "
@@ -45,7 +48,7 @@ def build_parser() -> argparse.ArgumentParser:
     Returns
     -------
     ArgumentParser
-        Subcommands demo, compare, diagnose, improve, example.
+        Subcommands demo, check, compare, diagnose, improve, example.
     """
     parser = argparse.ArgumentParser(
         prog="rcorefine",
@@ -55,6 +58,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     _demo(commands)
+    _check(commands)
     _compare(commands)
     _diagnose(commands)
     _improve(commands)
@@ -110,6 +114,25 @@ def _compare(commands: Any) -> None:
     )
     _horizon_option(parser)
     _output_options(parser)
+
+
+def _check(commands: Any) -> None:
+    parser = commands.add_parser(
+        "check",
+        help="what is odd about a record, before anything else",
+        description=textwrap.fill(
+            "Look over the record and the model beside it: units, sign and gain, delay, offset, drift, "
+            "clipping, sampling, closed loop, and the smallest effects that the record could show.",
+            79,
+        ),
+        epilog=_epilog("check"),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("model", type=Path, metavar="MODEL", help=_MODEL)
+    parser.add_argument("data", type=Path, metavar="DATA", help=_DATA)
+    _record_options(parser)
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
+    parser.set_defaults(validation=None, split=None, report=None)
 
 
 def _diagnose(commands: Any) -> None:

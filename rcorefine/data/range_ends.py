@@ -7,10 +7,11 @@ from numpy.typing import NDArray
 
 from ..systems.linear import Array
 
-__all__ = ["cut_off", "longest_run", "resolution"]
+__all__ = ["clipped", "cut_off", "longest_run", "resolution", "runs"]
 
 _RUN = 4  # samples in a row that make a standstill
 _STEPS = 3.0  # of the converter by which a smooth signal may leave a peak that it shows as flat
+_CLIPPED = 0.005  # share of the samples that sit at the very same extreme
 _SAME = 1e-9  # of the range, below which two readings are one
 
 
@@ -67,3 +68,14 @@ def cut_off(y: Array, limit: float) -> bool:
     before, after = np.abs(y[first[whole] - 1] - limit), np.abs(y[end[whole]] - limit)
     slower = min(np.median(before), np.median(after)) if whole.any() else 0.0
     return bool(slower > _STEPS * resolution(y))
+
+
+def clipped(y: Array) -> tuple[float, int] | None:
+    """Extreme at which an output (N,) sits, and the longest time that it does, in samples."""
+    if np.unique(y).size < 20:
+        return None
+    for level in (float(y.max()), float(y.min())):
+        at = y == level
+        if at.mean() >= _CLIPPED and cut_off(y, level):
+            return level, longest_run(at)
+    return None

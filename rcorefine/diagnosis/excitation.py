@@ -7,15 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..data.measurement import Measurement
-from ..data.range_ends import cut_off, longest_run
+from ..data.range_ends import clipped
 from ..inference.doubts import explains_nothing
 from ..inference.refinement import Refinement
-from ..systems.linear import Array
 
 __all__ = ["no_motion", "not_excited", "record_remarks"]
 
 _FEW_LEVELS = 3  # distinct values of an output that does not move but for its last digit
-_CLIPPED = 0.005  # share of the samples that sit at the very same extreme
 
 
 def no_motion(records: Sequence[Measurement]) -> str:
@@ -85,7 +83,7 @@ def record_remarks(records: Sequence[Measurement]) -> list[str]:
     """
     said = []
     for i, label in enumerate(records[0].output_labels):
-        side = _clipped(np.concatenate([record.outputs[i] for record in records]))
+        side = clipped(np.concatenate([record.outputs[i] for record in records]))
         if side:
             said.append(
                 f"{label} stays at exactly {side[0]:.6g} for up to {side[1]} samples: the sensor may be "
@@ -96,14 +94,3 @@ def record_remarks(records: Sequence[Measurement]) -> list[str]:
         if np.ptp(w) > 0 and (w.min() >= 0 or w.max() <= 0) and abs(w.mean()) > 0.2 * np.abs(w).max():
             said.append(f"{label} never changes sign: laws that differ by direction may look alike.")
     return said
-
-
-def _clipped(y: Array) -> tuple[float, int] | None:
-    """Extreme at which an output sits, and the longest time that it does, in samples."""
-    if np.unique(y).size < 20:
-        return None
-    for level in (float(y.max()), float(y.min())):
-        at = y == level
-        if at.mean() >= _CLIPPED and cut_off(y, level):
-            return level, longest_run(at)
-    return None

@@ -2,6 +2,7 @@
 
 from . import (
     amplitude_response,
+    check,
     comparison,
     damage_map,
     diagnosis,
@@ -23,6 +24,7 @@ from .tables import html_table, text_table
 __all__ = [
     "amplitude_response",
     "bode_comparison",
+    "check",
     "comparison",
     "damage_map",
     "diagnosis",

@@ -1,0 +1,157 @@
+"""`check`: one table before everything else."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from ...arguments import as_flag
+from ...arithmetic import own_arithmetic
+from ...comparison.compare import compare
+from ...comparison.result import Comparison
+from ...data.measurement import Measurement
+from ...exceptions import DataError, DivergenceError, RCOWarning
+from ...inference.levels import levels
+from ...inference.sensitivities import candidate_columns
+from ...models.conversion import as_physical
+from ...models.physical_model import PhysicalModel
+from ...progress import Progress
+from ...refinement.base_fit import base_fit
+from ...systems.linear import LinearModel
+from ..case import Case
+from ..ranking import detectable
+from ..residual_tests import TestedResidual
+from ..result import Detectable
+from .gains import gain_rows
+from .result import LOOK, OK, STOP, Check, CheckRow
+from .signals import signal_rows
+from .timing import feedback_rows, sampling_rows
+
+__all__ = ["check"]
+
+_TESTS = 6  # among which one would have to show an effect
+_SETTINGS = {"free": (), "tolerance": 0.0, "offset": True, "noise": None, "horizon": None}
+
+
+def check(model: Any, data: Measurement, *, information: bool = True) -> Check:
+    """Look over a record, and a model beside it, before anything is concluded from them.
+
+    Parameters
+    ----------
+    model : StateSpace, PhysicalModel or Refinement
+        Model.
+    data : Measurement
+        Record; its channels are matched as in `compare`.
+    information : bool
+        Whether to work out the smallest effects that the record could show.
+
+    Returns
+    -------
+    Check
+        A row for each thing that was looked at, *ok*, *look* or *stop*; ``print`` it.
+
+    Raises
+    ------
+    control.ControlArgument
+        If model or data are something else.
+    control.ControlDimension
+        If channels do not fit.
+
+    Notes
+    -----
+    Looked at: constant, repeated, clipped, coarse and spiky signals, dropouts; sampling and length against
+    the model's modes; of each output beside the free run its sign, gain and unit (a gain within its error of
+    9.549 looks like rpm for rad/s), delay, offset and drift; inputs that follow the outputs. The gain's
+    standard deviation comes from the spread over blocks of the record, so the noise may have any color.
+
+    Examples
+    --------
+    >>> motor = rco.dc_motor(gain=2.0, time_constant=0.5, inputs="voltage", outputs="speed")
+    >>> volts = np.random.default_rng(0).standard_normal(1000)
+    >>> y = rco.simulate(motor, rco.Measurement(volts, np.zeros(1000), dt=0.05), "zero").outputs[0]
+    >>> found = rco.check(motor, rco.Measurement(volts, y * 60 / (2 * np.pi), dt=0.05))
+    >>> found.stops, found.looks[0].what
+    (True, 'units')
+    """
+    as_flag(information, "information")
+    if not isinstance(data, Measurement):
+        raise ct.ControlArgument(f"data must be a rcorefine.Measurement, not {type(data).__name__}")
+    with own_arithmetic(), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RCOWarning)
+        compared = _compared(model, data)
+        record = compared.data if compared is not None else data
+        rows = [*signal_rows(record)]
+        linear = LinearModel.from_statespace(getattr(model, "system", model))
+        rows += sampling_rows(linear, record)
+        if compared is None:
+            rows.append(
+                CheckRow(
+                    STOP,
+                    "free run",
+                    "",
+                    "diverges",
+                    "The free run leaves all bounds, so the model cannot be laid beside the record: give "
+                    "compare a short horizon=, or mend its poles.",
+                )
+            )
+            return Check(tuple(rows))
+        rows += [*gain_rows(compared), *feedback_rows(compared)]
+        stopped = any(row.status == STOP for row in rows)
+        shown = _shown(model, record) if information and not stopped else ()
+    rows += _information_rows(shown, as_physical(model) if shown else None)
+    return Check(tuple(rows), shown)
+
+
+def _compared(model: Any, data: Measurement) -> Comparison | None:
+    """The model on the record, None where its free run has no bounds."""
+    try:
+        compared = compare(model, data)
+    except DivergenceError:
+        return None
+    return compared if np.isfinite(compared.runs).all() else None
+
+
+def _shown(model: Any, data: Measurement) -> tuple[Detectable, ...]:
+    """Smallest coefficients that one of the tests of `diagnose` would show."""
+    try:
+        base = base_fit(model, [data], free=(), tolerance=0.0, offset=True, noise=None)
+        case = Case.prepare(base, [data], None, dict(_SETTINGS), 0.01, Progress(), False)
+    except (DataError, ct.ControlArgument):
+        return ()  # too short, or nothing that could be missing: there is no such row then
+    scored = candidate_columns(case.fitted, case.library, case.motions[0], (0.0,))
+    return detectable(TestedResidual(case.fitted), scored, _TESTS, 0.01, levels())
+
+
+def _information_rows(shown: tuple[Detectable, ...], model: PhysicalModel | None) -> list[CheckRow]:
+    """Which parameters the record could show to change by how much of their value."""
+    if model is None:
+        return []
+    nominal = {(q.kind, q.place): abs(q.value) for q in model.parameters}
+    blind = [
+        d.effect.label for d in shown if d.smallest > nominal.get((d.effect.kind, d.effect.place), np.inf)
+    ]
+    rows = []
+    best = ", ".join(f"{d.effect.label} {d.smallest:.3g} {d.unit}".strip() for d in shown[:3])
+    rows.append(
+        CheckRow(
+            OK,
+            "information",
+            "",
+            f"of {len(shown)} effects",
+            f"Would show with 95 % probability: {best}, and others (.detectable).",
+        )
+    )
+    if blind:
+        rows.append(
+            CheckRow(
+                LOOK,
+                "information",
+                "",
+                f"{len(blind)} blind",
+                f"The record does not see these even if they double: {', '.join(blind[:4])}.",
+            )
+        )
+    return rows

@@ -1,0 +1,227 @@
+"""The free run beside each output: sign, units and gain, delay, offset, drift, spikes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import correlate, medfilt
+
+from ...comparison.result import Comparison
+from ...inference.whitening import project, rank_basis
+from ...systems.conversion import to_discrete
+from ...systems.linear import Array, LinearModel
+from .result import LOOK, OK, STOP, CheckRow
+
+__all__ = ["gain_rows"]
+
+#: Record over model, and what that looks like: (record in, model in).
+FACTORS = (
+    (60 / (2 * np.pi), "rpm", "rad/s"),
+    (180 / np.pi, "degrees", "radians"),
+    (2 * np.pi, "rad/s", "Hz"),
+    (9.80665, "m/s^2", "g"),
+    (25.4, "millimeters", "inches"),
+    (3.6, "km/h", "m/s"),
+    (60.0, "per minute", "per second"),
+    (100.0, "percent", "shares of 1"),
+    (1e3, "thousandths", "units"),
+    (1e6, "millionths", "units"),
+    (4.44822, "newtons", "pounds"),
+    (1.8, "Fahrenheit", "Celsius"),
+)
+_BLOCKS = 12
+_SURE = 4.0  # standard deviations
+_LEAST = 0.03  # of a gain that is worth a word
+_NEAR = 0.1  # most that a known factor may be missed by
+_RELATED = 0.3  # correlation below which no gain is read
+_SPIKE = 8.0  # robust standard deviations from the median of five samples
+_NORMAL = 1.4826  # standard deviation over the median absolute deviation, for normal noise
+_LATER = 20.0  # log-likelihood by which a delay must win
+
+
+class _Gain(NamedTuple):
+    """Record over free run: value, standard deviation, correlation, delay in samples, what is left."""
+
+    value: float
+    std: float
+    correlation: float
+    delay: int
+    left: Array
+
+
+def gain_rows(compared: Comparison) -> Iterator[CheckRow]:
+    """Rows on each output beside the free run of the model.
+
+    Parameters
+    ----------
+    compared : Comparison
+        Model on the record.
+
+    Yields
+    ------
+    CheckRow
+    """
+    data, linear = compared.data, compared.models[0]
+    edges = [*compared.starts, data.n_samples]
+    settling = _settling(linear, data.dt, edges)
+    for i, (label, y) in enumerate(zip(data.output_labels, data.outputs, strict=True)):
+        # what an initial state adds is fitted beside the gain: with a wrong gain its estimate is wrong too
+        run = compared.runs[0, i] - np.concatenate(
+            [part[i] @ x0 for part, x0 in zip(settling, compared.initial_states[0], strict=True)]
+        )
+        if not (np.ptp(y) > 0 and np.ptp(run) > 0):
+            continue
+        found = _gain(y, run, [np.column_stack([part[i], np.ones(len(part[i]))]) for part in settling])
+        yield from _delay_row(label, found, data.dt)
+        yield from _gain_row(label, found)
+        if abs(found.correlation) >= _RELATED:
+            if len(settling) == 1:  # where a model integrates, an initial state is an offset
+                yield from _level_rows(label, found.left, y, data.timepts)
+            yield from _spike_row(label, found.left)
+
+
+def _settling(linear: LinearModel, dt: float, edges: list[int]) -> list[Array]:
+    """Free responses of each state in each window, (n_y, N, n)."""
+    step, most = to_discrete(linear, dt).A, int(np.diff(edges).max())
+    rows = np.empty((most, *linear.C.shape))
+    rows[0] = linear.C
+    for k in range(1, most):
+        rows[k] = rows[k - 1] @ step
+    whole = rows.transpose(1, 0, 2)
+    return [whole[:, : j - i] for i, j in pairwise(edges)]
+
+
+def _shifted(run: Array, delay: int) -> Array:
+    if delay == 0:
+        return run
+    moved = np.roll(run, delay)
+    moved[: max(delay, 0)] = run[0]
+    if delay < 0:
+        moved[delay:] = run[-1]
+    return moved
+
+
+def _gain(y: Array, run: Array, nuisances: list[Array]) -> _Gain:
+    """Least squares beside free responses; its spread over blocks, so noise may have a color."""
+    n = y.size
+    ends = np.cumsum([len(part) for part in nuisances])[:-1]
+    bases = [rank_basis(part) for part in nuisances]
+
+    def without(row: Array) -> Array:
+        return np.concatenate([project(part, q) for part, q in zip(np.split(row, ends), bases, strict=True)])
+
+    a, b = without(run), without(y)
+    both = correlate(b, a, mode="full", method="fft") / (np.linalg.norm(a) * np.linalg.norm(b) or 1.0)
+    reach = min(n // 10, 200)
+    near = both[n - 1 - reach : n + reach]
+    best = int(np.argmax(np.abs(near))) - reach
+    now, then = float(near[reach]), float(near[best + reach])
+    later = 0.5 * n * np.log(max(1 - now**2, 1e-12) / max(1 - then**2, 1e-12))
+    delay = best if later > _LATER and abs(then) > _RELATED else 0
+    moved = _shifted(run, delay)
+    a = without(moved)
+    value = float(a @ b) / float(a @ a)
+    left = b - value * a
+    blocks = zip(np.array_split(a, _BLOCKS), np.array_split(left, _BLOCKS), strict=True)
+    std = float(np.linalg.norm([one @ other for one, other in blocks])) / float(a @ a)
+    rest = zip(np.split(y - value * moved, ends), nuisances, strict=True)
+    level = [row - part[:, :-1] @ np.linalg.lstsq(part, row)[0][:-1] for row, part in rest]
+    return _Gain(value, std, then if delay else now, delay, np.concatenate(level))
+
+
+def _delay_row(label: str, found: _Gain, dt: float) -> Iterator[CheckRow]:
+    if not found.delay:
+        return
+    word = "behind" if found.delay > 0 else "ahead of"
+    figure = f"{abs(found.delay)} samples, {abs(found.delay) * dt:.3g} s"
+    cause = "a delay (output_delay, input_delay)" if found.delay > 0 else "clocks that differ"
+    yield CheckRow(
+        LOOK, "delay", label, figure,
+        f"{label} fits the model best {figure} {word} it: {cause}, or dynamics that are too "
+        f"{'fast' if found.delay > 0 else 'slow'}.",
+    )  # fmt: skip
+
+
+def _gain_row(label: str, found: _Gain) -> Iterator[CheckRow]:
+    value, figure = found.value, f"{found.value:.4g} +/- {found.std:.2g}"
+    if abs(found.correlation) < _RELATED:
+        yield CheckRow(
+            LOOK, "gain", label, f"correlation {found.correlation:.2g}",
+            f"The free run has little to do with {label}: no gain, sign or unit can be read. Look at the "
+            "wiring, the order of the channels and the time constants.",
+        )  # fmt: skip
+        return
+    off = abs(value - 1.0)
+    if off <= max(_SURE * found.std, _LEAST):
+        yield CheckRow(OK, "gain", label, figure, f"{label} has the size that the model says.")
+        return
+    size = _unit(abs(value), found.std)
+    if value < 0 and value + _SURE * found.std < 0:
+        more = f", and {size}" if size else ""
+        yield CheckRow(
+            STOP, "sign", label, figure,
+            f"{label} goes against the model{more}: a swapped wire, or another convention of sign.",
+        )  # fmt: skip
+    elif size:
+        yield CheckRow(STOP, "units", label, figure, f"{label}: {size}.")
+    else:
+        yield CheckRow(
+            LOOK, "gain", label, figure,
+            f"{label} is {figure} times what the model says: a gain, a unit, or parameters that are off.",
+        )  # fmt: skip
+
+
+def _unit(value: float, std: float) -> str:
+    """What a factor looks like, empty where it is none that is known."""
+    within = min(max(3.0 * std / value, 0.01), _NEAR)
+    known = [
+        (abs(np.log(value / f)), f"the record looks like {a} where the model has {b}") for f, a, b in FACTORS
+    ]
+    known += [
+        (abs(np.log(value * f)), f"the record looks like {b} where the model has {a}") for f, a, b in FACTORS
+    ]
+    far, words = min(known)
+    return words if far <= within else ""
+
+
+def _level_rows(label: str, left: Array, y: Array, timepts: Array) -> Iterator[CheckRow]:
+    """Offset and drift of what the scaled free run leaves."""
+    parts = np.array_split(left, _BLOCKS)
+    means = np.array([part.mean() for part in parts])
+    times = np.array([part.mean() for part in np.array_split(timepts, _BLOCKS)])
+    spread = y.std()
+    slope, level = np.polyfit(times - times.mean(), means, 1)
+    rest = means - level - slope * (times - times.mean())
+    scatter = float(np.sqrt(rest @ rest / (_BLOCKS - 2)))
+    moved = slope * (timepts[-1] - timepts[0])
+    error = scatter / float(np.linalg.norm(times - times.mean())) * (timepts[-1] - timepts[0])
+    if abs(moved) > max(5.0 * error, 0.05 * spread):
+        yield CheckRow(
+            LOOK, "drift", label, f"{moved:.3g} over the record",
+            f"{label} drifts by {moved:.3g} +/- {error:.2g} from beginning to end where the model does not.",
+        )  # fmt: skip
+    if abs(level) > max(5.0 * scatter / np.sqrt(_BLOCKS), 0.05 * spread):
+        far = abs(level) > 2.0 * spread
+        more = (
+            ": an absolute record about an operating point? Subtract that point from inputs and outputs"
+            if far
+            else ""
+        )
+        yield CheckRow(
+            LOOK, "offset", label, f"{level:.4g}",
+            f"{label} stands {level:.4g} off the free run{more}; constant offsets are fitted as nuisances.",
+        )  # fmt: skip
+
+
+def _spike_row(label: str, left: Array) -> Iterator[CheckRow]:
+    rough = left - medfilt(left, 5)
+    size = _NORMAL * float(np.median(np.abs(rough)))
+    spikes = int(np.sum(np.abs(rough) > _SPIKE * size)) if size > 0 else 0
+    if spikes > max(1, 1e-3 * left.size):
+        yield CheckRow(
+            LOOK, "spikes", label, f"{spikes} samples",
+            f"{label} has {spikes} samples far off between neighbors that are not: they carry the error.",
+        )  # fmt: skip

@@ -1,0 +1,75 @@
+"""What `check` returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from ...results import Result
+from ..result import Detectable
+
+__all__ = ["LOOK", "OK", "STOP", "Check", "CheckRow"]
+
+OK, LOOK, STOP = "ok", "look", "stop"
+
+
+@dataclass(frozen=True, slots=True)
+class CheckRow:
+    """One thing that was looked at.
+
+    Attributes
+    ----------
+    status : str
+        "ok", "look" (go on, but know this) or "stop" (what follows means nothing before it is mended).
+    what, where : str
+        What was looked at, and the signal, "" for the whole record.
+    figure : str
+        What was found, with its unit.
+    sentence : str
+        What it means, and what to do.
+    """
+
+    status: str
+    what: str
+    where: str
+    figure: str
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Check(Result):
+    """A record, and a model beside it, looked over before anything is concluded.
+
+    Attributes
+    ----------
+    rows : tuple of CheckRow
+        All that was looked at.
+    detectable : tuple of Detectable
+        Smallest coefficient of each effect and parameter that this record would show with 95 %
+        probability, the model being otherwise right.
+    """
+
+    rows: tuple[CheckRow, ...]
+    detectable: tuple[Detectable, ...] = ()
+
+    @property
+    def looks(self) -> tuple[CheckRow, ...]:
+        """Rows that ask for attention, those that say stop first."""
+        return tuple(row for status in (STOP, LOOK) for row in self.rows if row.status == status)
+
+    @property
+    def stops(self) -> bool:
+        """Whether something must be mended first."""
+        return any(row.status == STOP for row in self.rows)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The table as plain objects, for JSON.
+
+        Returns
+        -------
+        dict
+            "rows", a list of dicts of strings, and "detectable".
+        """
+        rows = [{name: getattr(row, name) for name in CheckRow.__slots__} for row in self.rows]
+        shown = [{name: getattr(d, name) for name in Detectable.__slots__} for d in self.detectable]
+        return {"rows": rows, "detectable": [{**d, "effect": d["effect"].label} for d in shown]}

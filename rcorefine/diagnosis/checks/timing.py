@@ -1,0 +1,126 @@
+"""Sampling against the model's modes, the hold, and whether the inputs answer the outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy import stats
+
+from ...comparison.result import Comparison
+from ...data.measurement import Measurement
+from ...inference.whitening import Whitener
+from ...systems.linear import Array, LinearModel
+from .result import LOOK, OK, CheckRow
+
+__all__ = ["feedback_rows", "sampling_rows"]
+
+_LAGS = 20
+_FEEDBACK = 1e-6  # p-value of past residuals in the input
+_STRONG = 0.15  # correlation: the innovations of steps are not independent, and make small ones by chance
+_RETURNS = 0.98  # correlation of an input with itself later, from which it is periodic
+
+
+def sampling_rows(linear: LinearModel, data: Measurement) -> Iterator[CheckRow]:
+    """Rows on the sampling time and the length of the record beside the model's modes.
+
+    Parameters
+    ----------
+    linear : LinearModel
+        Model.
+    data : Measurement
+        Record.
+
+    Yields
+    ------
+    CheckRow
+    """
+    poles = np.linalg.eigvals(linear.A) if linear.n_states else np.zeros(0)
+    if not linear.is_continuous:
+        with np.errstate(divide="ignore"):
+            poles = np.log(poles.astype(complex)) / data.dt
+    poles = poles[np.isfinite(poles)]
+    limit = np.pi / data.dt
+    fast = sorted({float(f"{abs(p.imag):.4g}") for p in poles if abs(p.imag) >= limit})
+    figure = f"{data.n_samples} samples, {1 / data.dt:.4g} Hz"
+    if fast:
+        yield CheckRow(
+            LOOK, "sampling", "", figure,
+            f"Modes at {', '.join(f'{w:.4g}' for w in fast[:4])} rad/s lie above half the sampling frequency "
+            f"({limit:.4g} rad/s): what the input does between samples decides what they do.",
+        )  # fmt: skip
+    else:
+        yield CheckRow(OK, "sampling", "", figure, "Every mode lies below half the sampling frequency.")
+    length = data.dt * data.n_samples
+    slow = [abs(p) for p in poles if 0 < abs(p) * length < 2.0]
+    if slow:
+        yield CheckRow(
+            LOOK, "length", "", f"{length:.4g} s",
+            f"The slowest mode ({min(slow):.3g} rad/s) has hardly begun to settle in {length:.4g} s: "
+            "the record says little about it.",
+        )  # fmt: skip
+    unstable = [p for p in poles if p.real * length > 1.0]
+    if unstable:
+        yield CheckRow(
+            LOOK, "stability", "", f"pole at {max(p.real for p in unstable):.3g}",
+            "The model is unstable: its free run grows; use horizon= for short ones.",
+        )  # fmt: skip
+
+
+def feedback_rows(compared: Comparison) -> Iterator[CheckRow]:
+    """Whether an input follows what the outputs did before: the record of a closed loop.
+
+    Parameters
+    ----------
+    compared : Comparison
+        Model on the record.
+
+    Yields
+    ------
+    CheckRow
+
+    Notes
+    -----
+    The innovation of an input that nobody steers by the outputs is independent of every past residual,
+    whatever is wrong with the model. A periodic input has no innovation, so nothing is said there.
+    """
+    data = compared.data
+    residuals = data.outputs - compared.runs[0]
+    # where the input of a sample already shows in its output, only earlier residuals are past
+    at_once = data.hold != "zoh" or bool(compared.models[0].D.any())
+    for label, w in zip(data.input_labels, data.inputs, strict=True):
+        if np.ptp(w) == 0 or _periodic(w) or data.n_samples < 10 * _LAGS:
+            continue
+        new = _white(w)
+        for name, e in zip(data.output_labels, residuals, strict=True):
+            p, most = _follows(new, _white(e), 1 if at_once else 0)
+            if p < _FEEDBACK and most > _STRONG:
+                yield CheckRow(
+                    LOOK, "closed loop", label, f"p = {p:.1g}",
+                    f"{label} follows what {name} did before (correlation up to {most:.2g}): a controller "
+                    "acts. Noise then enters the inputs, and free runs may be biased.",
+                )  # fmt: skip
+                return
+    yield CheckRow(OK, "closed loop", "", "open", "No input is seen to follow the outputs.")
+
+
+def _white(row: Array) -> Array:
+    centered = (row - row.mean())[None]
+    return Whitener.fit([centered]).apply([centered])
+
+
+def _periodic(w: Array) -> bool:
+    centered = w - w.mean()
+    spectrum = np.abs(np.fft.rfft(centered, 2 * w.size)) ** 2
+    own = np.fft.irfft(spectrum)[: w.size // 2] / np.arange(w.size, w.size - w.size // 2, -1)
+    below = np.flatnonzero(own < 0.5 * own[0])
+    return bool(below.size and np.max(own[below[0] :], initial=0.0) > _RETURNS * own[0])
+
+
+def _follows(new: Array, past: Array, first: int) -> tuple[float, float]:
+    """p-value that an input's innovation is independent of past residuals, and the largest correlation."""
+    n = min(new.size, past.size)
+    new, past = new[-n:], past[-n:]
+    r = np.array([new[k:] @ past[: n - k] for k in range(first, _LAGS + first)])
+    r = r / (np.linalg.norm(new) * np.linalg.norm(past))
+    return float(stats.chi2.sf(n * float(r @ r), _LAGS)), float(np.abs(r).max())

@@ -1,0 +1,160 @@
+"""`check`: what was put into a record is found, and nothing is found in a clean one."""
+
+from __future__ import annotations
+
+import json
+
+import control as ct
+import numpy as np
+import pytest
+from hidden.wider import wider_record
+
+import rcorefine as rco
+from rcorefine.commands.cli import main
+
+DT, N = 0.02, 2000
+MODEL = ct.ss([[0, 1], [-40, -2]], [[0], [40]], [[1, 0]], [[0]], inputs=["u"], outputs=["y"])
+
+
+def outputs(w: np.ndarray) -> np.ndarray:
+    return ct.forced_response(MODEL.sample(DT), np.arange(w.size) * DT, w).outputs
+
+
+def drive(seed: int = 0, n: int = N) -> np.ndarray:
+    return np.repeat(np.random.default_rng(seed).standard_normal(n // 5), 5)
+
+
+def look(w, y, model=MODEL, **options) -> dict[str, rco.CheckRow]:
+    found = rco.check(
+        model, rco.Measurement(w, y, dt=DT, input_labels="u", output_labels="y"), information=False
+    )
+    return {row.what: row for row in found.looks}
+
+
+def noisy(w, seed=1, share=0.02):
+    y = outputs(w)
+    return y + share * y.std() * np.random.default_rng(seed).standard_normal(y.size)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("name", ["chain", "servo", "motor", "half car", "RC ladder", "thermal", "pendulum"])
+@pytest.mark.parametrize("how", ["steady", "steps", "prbs", "multisine"])
+def test_clean_records_pass(name, how, seed):
+    record = wider_record(700 + seed, plant=name, kind=None, drive_kind=how, samples=1000)
+    assert rco.check(record.plant.model, record.data, information=False).looks == ()
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [
+        (60 / (2 * np.pi), "rpm where the model has rad/s"),
+        (2 * np.pi / 60, "rad/s where the model has rpm"),
+        (180 / np.pi, "degrees where the model has radians"),
+        (9.80665, "m/s^2 where the model has g"),
+        (1 / 25.4, "inches where the model has millimeters"),
+        (1e-3, "units where the model has thousandths"),
+    ],
+)
+def test_units(factor, words):
+    w = drive()
+    row = look(w, factor * noisy(w))["units"]
+    assert row.status == "stop"
+    assert words in row.sentence
+
+
+def test_sign_with_units():
+    w = drive()
+    found = look(w, -1e3 * noisy(w))
+    assert found["sign"].status == "stop"
+    assert "thousandths" in found["sign"].sentence
+
+
+def test_a_gain_of_no_unit_is_a_look():
+    w = drive()
+    assert look(w, 1.3 * noisy(w))["gain"].status == "look"
+    assert "gain" not in look(w, 1.01 * noisy(w))
+
+
+def test_delay_and_lead():
+    w = drive()
+    assert look(w, np.roll(noisy(w), 7))["delay"].figure == "7 samples, 0.14 s"
+    assert "ahead" in look(w, np.roll(noisy(w), -7))["delay"].sentence
+
+
+def test_offset_drift_spikes_dropouts_clipping_steps():
+    w, rng = drive(), np.random.default_rng(3)
+    y = noisy(w)
+    assert "operating point" in look(w, y + 24.0)["offset"].sentence
+    assert look(w, y + 2.0 * y.std() * np.linspace(-0.5, 0.5, N))["drift"].status == "look"
+    spiky = y.copy()
+    spiky[rng.permutation(N)[:20]] += 5 * y.std()
+    assert look(w, spiky)["spikes"].status == "look"
+    lost = y + 3.0
+    lost[500:504] = lost[900:903] = 0.0
+    assert look(w, lost)["dropouts"].figure == "2 samples read 0" or "dropouts" in look(w, lost)
+    assert look(w, np.minimum(y, 0.8 * y.max()))["clipping"].status == "look"
+    assert look(w, np.round(outputs(w) / (0.3 * y.std())) * 0.3 * y.std())["resolution"].status == "look"
+
+
+def test_constant_repeated_and_one_sided_signals():
+    w = drive()
+    y = noisy(w)
+    two = ct.ss([[-1.0]], [[1.0, 1.0]], [[1.0]], [[0.0, 0.0]], inputs=["u", "v"], outputs=["y"])
+    found = rco.check(two, rco.Measurement(np.array([w, 2 * w + 1]), y, dt=DT), information=False)
+    assert any(row.what == "repeated" for row in found.looks)
+    found = rco.check(two, rco.Measurement(np.array([w, 0 * w]), y, dt=DT), information=False)
+    assert [row.where for row in found.looks if row.what == "motion"] == ["u[1]"]
+    assert look(np.abs(w) + 0.5, noisy(np.abs(w) + 0.5))["sign"].status == "look"
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_closed_loop(seed):
+    """u(k) = r(k) - 2 y(k) with process noise: seen; the same inputs played open loop: not."""
+    rng = np.random.default_rng([seed, 5])
+    d = MODEL.sample(DT)
+    r, x, u, y = rng.standard_normal(N), np.zeros(2), np.zeros(N), np.zeros(N)
+    for k in range(N):
+        y[k] = (d.C @ x)[0] + 0.2 * rng.standard_normal()
+        u[k] = r[k] - 2 * y[k]
+        x = d.A @ x + d.B[:, 0] * (u[k] + 0.3 * rng.standard_normal())
+    assert "closed loop" in look(u, y)
+    assert "closed loop" not in look(u, outputs(u) + 0.2 * rng.standard_normal(N))
+
+
+def test_sampling_length_and_stability():
+    w = drive()
+    fast = ct.ss([[0, 1], [-(200.0**2), -4]], [[0], [1]], [[1, 0]], [[0]])
+    assert "lie above half" in look(w, w, fast)["sampling"].sentence
+    slow = ct.ss([[-0.001]], [[1.0]], [[1.0]], [[0.0]])
+    assert look(w, np.cumsum(w) * DT, slow)["length"].status == "look"
+    assert "horizon" in look(w, w, ct.ss([[0.3]], [[1.0]], [[1.0]], [[0.0]]))["stability"].sentence
+
+
+def test_information_says_what_would_be_seen():
+    """One standard deviation of a gain is that of least squares; 95 % needs the level and 1.645 more."""
+    w = drive()
+    data = rco.Measurement(w, noisy(w), dt=DT, input_labels="u", output_labels="y")
+    found = rco.check(MODEL, data)
+    smallest = next(d.smallest for d in found.detectable if d.effect.kind == "input_gain")
+    run = outputs(w)
+    std = 0.02 * run.std() / np.linalg.norm(run - run.mean())
+    assert 4 * std < smallest < 8 * std
+    assert found.to_dict()["rows"][0]["status"] == "ok"
+    assert "Would show" in str(found)
+
+
+def test_bad_arguments():
+    with pytest.raises(ct.ControlArgument, match="data must be"):
+        rco.check(MODEL, np.zeros(3))
+    with pytest.raises(ct.ControlArgument, match="information"):
+        rco.check(MODEL, rco.Measurement(drive(), drive(), dt=DT), information="no")
+
+
+def test_the_command(tmp_path, capsys):
+    assert main(["example", "--write", str(tmp_path)]) == 0
+    capsys.readouterr()
+    model, record = tmp_path / "mass_spring_damper.toml", tmp_path / "mass_spring_damper.csv"
+    assert main(["check", str(model), str(record), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert {row["what"] for row in found["rows"]} >= {"gain", "sampling"}
+    assert found["detectable"]
