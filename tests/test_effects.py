@@ -52,6 +52,7 @@ TABLE = {
     "output_lag": ("output", ("time_constant",)),
     "output_saturation": ("output", ("limit",)),
     "output_rectification": ("output", ("fraction",)),
+    "clock": ("input", ("slow",)),
     "custom": ("mechanical first_order any", ("scale",)),
 }
 
@@ -119,7 +120,7 @@ class TestKinds:
         linear = {name for name, kind in KINDS.items() if kind.linear}
         assert linear == {
             "stiffness", "damping", "mass", "hidden_mode", "coefficient", "input_gain", "input_delay",
-            "input_lag", "output_gain", "output_delay", "output_lag",
+            "input_lag", "output_gain", "output_delay", "output_lag", "clock",
         }  # fmt: skip
 
 

@@ -8,6 +8,8 @@ import pytest
 from scipy.signal import cont2discrete, dlsim
 
 import rcorefine as rco
+from rcorefine.engine.engine import Engine
+from rcorefine.engine.structure import Structure
 
 M, C, K = (1.0, 0.6), (0.4, 0.3), (120.0, 90.0)  # two masses on the ground and on each other
 FACTORS = {"m2": 0.97, "k1": 1.03, "k2": 0.98, "c1": 1.04}
@@ -88,3 +90,25 @@ def test_improve_fits_the_numbers_and_adds_no_law() -> None:
     assert ladder.effects == ()
     first, last = ladder.steps[0], ladder.steps[-1]
     assert np.all(last.validation_rmse < first.validation_rmse)
+
+
+@pytest.mark.parametrize("slow", [0.002, -0.003])
+def test_a_clock_that_is_off_is_found_as_such(slow: float) -> None:
+    true = record(6, dt=0.03 * (1 + slow))
+    data = rco.Measurement(true.inputs, true.outputs, dt=0.03)
+    found = rco.diagnose(PLAIN, data)
+    assert found.verdict == "effect"
+    assert found.best is not None
+    assert found.best.effect.kind == "clock"
+    value, std = found.best.coefficients["slow"], found.best.std["slow"]
+    assert abs(value - slow) < 4 * std < 0.0004
+    assert "correct the record" in str(found).replace("\n", " ")
+
+
+def test_a_clock_speeds_up_every_state_and_leaves_what_sensors_read() -> None:
+    model = rco.mass_spring_damper(M, C, K, sensors=("acceleration", 1))
+    slow = Structure(model, [rco.Effect("clock", "force", fixed={"slow": 0.01})])
+    force = np.random.default_rng(8).standard_normal(400)
+    stated, true = (rco.Measurement(force, np.zeros(400), dt=dt) for dt in (0.03, 0.0303))
+    here = Engine(slow, stated).run(np.zeros(0)).outputs
+    np.testing.assert_allclose(here, Engine(Structure(model), true).run(np.zeros(0)).outputs, atol=1e-9)

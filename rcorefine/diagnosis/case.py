@@ -12,6 +12,7 @@ import numpy as np
 from ..data.channels import match_channels, record_for
 from ..data.measurement import Measurement
 from ..effects.effect import Effect
+from ..effects.law import KINDS
 from ..exceptions import DataError
 from ..inference.fitted import FittedModel, fitted_from
 from ..inference.levels import Levels, levels
@@ -20,10 +21,11 @@ from ..inference.starts import Motion
 from ..inference.whitening import FTest
 from ..inference.windows import windows
 from ..models.library import effect_library
+from ..models.physical_model import PhysicalModel
 from ..progress import Progress
 from .verdict import passes
 
-__all__ = ["OBSERVERS", "Case", "not_held"]
+__all__ = ["OBSERVERS", "Case", "candidates_of", "not_held"]
 
 OBSERVERS = (1.0, 0.1)  # a high gain follows the record, a low one tells candidates apart
 _SHORTEST = 200  # samples of a record that can be tested
@@ -102,7 +104,7 @@ class Case:
         motions = [Motion(fitted.structure, fitted.theta, record) for record in segments]
         if len(records) > 1:
             motions[0].companions = motions[1:]
-        library = not_held(effect_library(physical) if asked is None else asked, base.effects)
+        library = not_held(candidates_of(physical) if asked is None else asked, base.effects)
         if not library:
             raise ct.ControlArgument("no candidate is left that the model does not hold already")
         given = (tuple(records), settings, significance, progress, thorough)
@@ -128,6 +130,13 @@ class Case:
     def passes(self, tests: Sequence[FTest], fitted: FittedModel) -> bool:
         """Whether the residual of a model is noise."""
         return passes(tests, self.excess(fitted), self.significance, self.levels)
+
+
+def candidates_of(physical: PhysicalModel) -> list[Effect]:
+    """What could be missing from a model, and what may be wrong with a record as a whole."""
+    inputs = physical.linear.input_labels[:1]  # such a fault is the same at all of them
+    faults = [Effect(law.name, place) for law in KINDS.values() if law.of_record for place in inputs]
+    return [*effect_library(physical), *faults]
 
 
 def not_held(candidates: Sequence[Effect], held: Sequence[Effect]) -> list[Effect]:

@@ -280,6 +280,12 @@ class Diagnosis(Reported):
                 )
             if self.verdict == "parameters":
                 lines.append(numbers_that_moved(self.parameters))
+            if self.best is not None and self.best.effect.spec.of_record:
+                (share,) = self.best.coefficients.values()
+                lines.append(
+                    f"{self.best.effect.explanation} Here that are {100 * share:.3g} %: correct the record, "
+                    "not the model."
+                )
             if self.best is not None:
                 lines.append(
                     "p is the chance of such a score with nothing missing; probability compares the "

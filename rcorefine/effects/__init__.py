@@ -9,6 +9,6 @@ from .law import KINDS, Coefficient, register
 
 # the order in which laws are listed to people
 from . import springs, dampers, friction, hysteresis, bodies, flows, entries  # noqa: F401, isort: skip
-from . import input_path, output_path, custom  # noqa: F401, isort: skip
+from . import input_path, output_path, record, custom  # noqa: F401, isort: skip
 
 __all__ = ["KINDS", "Coefficient", "InputLaw", "OutputLaw", "PortLaw", "register"]

@@ -27,6 +27,8 @@ class Assembly:
         r = Uw [w; 1].
     output_gain, output_offset : ndarray, shape (n_y,)
     input_lags, output_lags : list of (channel, state, time constant)
+    pace : float or complex
+        Time that passes over the time that the record says.
     """
 
     A: NDArray[Any]
@@ -38,6 +40,7 @@ class Assembly:
     output_offset: NDArray[Any]
     input_lags: list[tuple[int, int, Any]]
     output_lags: list[tuple[int, int, Any]]
+    pace: Any = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -148,6 +148,8 @@ class Law:
         Whether it is a force (or a change of a signal) along a known motion.
     delays : bool
         Whether it shifts its signal in time.
+    of_record : bool
+        Whether it is a fault of the record as a whole, which `diagnose` asks for itself.
     signal : str
         What its coefficient multiplies, where the law is linear in it: ``"displacement"``,
         ``"velocity"``, ``"acceleration"``, ``"value"``, ``"constant"``, ``"rate"``; or what it takes
@@ -182,6 +184,7 @@ class Law:
     secant: ClassVar[bool] = False
     along_motion: ClassVar[bool] = True
     delays: ClassVar[bool] = False
+    of_record: ClassVar[bool] = False
     signal: ClassVar[str] = ""
 
     def __init_subclass__(cls, **kwargs: Any) -> None:

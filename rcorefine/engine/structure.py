@@ -283,6 +283,7 @@ class Structure:
         D = D * into.output_gain[:, None]
         G = G * into.output_gain[:, None]
         D[:, nw] += into.output_offset
+        A, B, E = into.pace * A, into.pace * B, into.pace * E
         sense = np.hstack([P[:, :n] + P[:, n:] @ Ux, P[:, n:] @ Uw])
         return Matrices(A, B, E, C, D, G, sense)
 

@@ -14,8 +14,8 @@ from ...exceptions import IdentifiabilityWarning
 from ...inference.assembly import check_settings
 from ...inference.windows import as_records, check_validation
 from ...models.conversion import as_physical
-from ...models.library import effect_library
 from ...progress import Progress
+from ..case import candidates_of
 from .backward import drop_needless, drop_undetermined, return_trust, shorten, swap_better
 from .forward import climb
 from .improvement import Improvement
@@ -122,7 +122,7 @@ def improve(
             model, parts, free=free, settings=settings, significance=significance, progress=bar
         )
         physical = ladder.current.physical_model
-        library = effect_library(physical) if candidates is None else candidates
+        library = candidates_of(physical) if candidates is None else candidates
         _climb(ladder, library, max_effects)
         back = _end(ladder)
         verdict = ladder.verdict(library)
