@@ -56,6 +56,7 @@ record = _quiet(small_record)
 model = _quiet(small_model)
 refinement = _quiet(lambda: rco.refine(small_model(), record(), [EFFECT]))
 comparison = _quiet(lambda: rco.compare(small_model(), record()))
+checked = _quiet(lambda: rco.check(small_model(), record(), information=False))
 in_frequency = _quiet(lambda: rco.compare(small_model(), response()))
 response = _quiet(lambda: record().frequency_response(segment_length=60))
 diagnosis = _quiet(
@@ -700,6 +701,7 @@ CALLS: dict[str, Call] = {
         {**FIT, "force_ratio": is_level},
         work="rcorefine.diagnosis.confirm._alone",
     ),
+    "Check.to_dict": Call(_method(checked, "to_dict"), dict),
     "Confirmation.plot": _plot(confirmation),
     "Confirmation.sentences": Call(_method(confirmation, "sentences"), dict),
     "localize_damage": Call(
