@@ -37,7 +37,7 @@ from .models.builders import (
     thermal_network,
     two_tanks,
 )
-from .models.conversion import ports
+from .models.conversion import physical, ports
 from .models.library import effect_library
 from .models.parameters import NominalParameter
 from .models.physical_model import PhysicalModel
@@ -92,6 +92,7 @@ __all__ = [
     "localize_damage",
     "mass_spring_damper",
     "mechanical",
+    "physical",
     "ports",
     "quarter_car",
     "refine",

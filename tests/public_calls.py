@@ -525,6 +525,23 @@ CALLS: dict[str, Call] = {
         lambda: {"sys": ct.ss([[0.5]], [[1.0]], [[1.0]], 0, True), "dt": DT},
         {"sys": is_nothing, "dt": is_positive},
     ),
+    "physical": Call(
+        lambda: rco.physical,
+        lambda: {
+            "system": ct.ss([[0.5]], [[1.0]], [[1.0]], 0, True, states=["T"]),
+            "links": {"leak": {"T": 1.0}},
+            "units": {"T": "K"},
+            "parameters": {"G": ("damping", "T", 0.5)},
+            "dt": DT,
+        },
+        {
+            "system": is_nothing,
+            "links": lambda v: v is None or v == {},
+            "units": lambda v: v is None or v == {},
+            "parameters": lambda v: v is None or v == {},
+            "dt": is_positive,
+        },
+    ),
     "PhysicalModel.port": Call(_method(model, "port"), lambda: {"name": "link1"}, {"name": is_text}),
     "PhysicalModel.entry": Call(_method(model, "entry"), lambda: {"place": "A[0,1]"}, {"place": is_text}),
     "PhysicalModel.check": Call(_method(model, "check"), lambda: {"effect": EFFECT}, {"effect": is_nothing}),

@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import control as ct
+import numpy as np
 
+from ..arguments import as_list, as_mapping, as_number, as_text, shown
+from ..effects.bodies import Mass
+from ..effects.effect import Effect
+from ..effects.law import KINDS
+from ..exceptions import ModelError
 from ..systems.discretization import check_sampling_time
+from .detection import recognized
+from .link_ports import Declared, weighted
+from .parameters import NominalParameter
 from .physical_model import PhysicalModel
 from .ports import Port
+from .units import combine_units
 
-__all__ = ["as_physical", "ports"]
+__all__ = ["as_physical", "physical", "ports"]
 
 
 def as_physical(model: Any, *, dt: float | None = None) -> PhysicalModel:
@@ -77,6 +89,197 @@ def ports(model: ct.StateSpace | Any, *, dt: float | None = None) -> tuple[Port,
     >>> [port.name for port in ports(model)]
     ['x1', 'x2', 'x1-x2']
     """
-    from .conversion import as_physical
-
     return as_physical(model, dt=dt).ports
+
+
+def physical(
+    system: ct.StateSpace | Any,
+    *,
+    links: Mapping[str, Mapping[str, float]] | None = None,
+    units: Mapping[str, str] | None = None,
+    parameters: Mapping[str, tuple[str, str, float]] | None = None,
+    dt: float | None = None,
+) -> PhysicalModel:
+    """Say what is known about a plain model: its links, units and masses.
+
+    Parameters
+    ----------
+    system : StateSpace or PhysicalModel
+        Linear model in physical coordinates.
+    links : mapping of str to mapping of str to float, optional
+        ``{name: {state: weight}}``: the link senses d = sum of weight times state, and its force acts
+        back along the same weights. The states are displacements (a shaft behind a gear,
+        ``{"th1": 1/5, "th2": -1}``), speeds, or stores (a flow between two levels). The other end may
+        be an input, with the unit of these states: ``{"wheel": 1, "road": -1}``.
+    units : mapping of str to str, optional
+        ``{signal: unit}`` of states, inputs and outputs. States of different units are not
+        subtracted where links are searched for.
+    parameters : mapping of str to (kind, place, value), optional
+        Numbers that the model was built from: ``{"J1": ("mass", "th1", 0.01), "k": ("stiffness",
+        "shaft", 120.0)}``. A mass makes the forces at its place, and at all that is linked to
+        it, physical ones; the others name what `refine` and `diagnose` report.
+    dt : float, optional
+        Sampling time [s] of a discrete-time `StateSpace` that does not tell its own.
+
+    Returns
+    -------
+    PhysicalModel
+        What was declared, and beside it what the matrices tell; see `PhysicalModel.from_statespace`.
+
+    Raises
+    ------
+    ModelError
+        If a link, a unit or a parameter names what does not exist, or a link joins what cannot be
+        added; the message says which.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> g, J, k = np.array([1 / 5, -1.0]), np.array([[0.01], [0.3]]), 120.0
+    >>> A = np.block([[np.zeros((2, 2)), np.eye(2)], [-k * np.outer(g, g) / J, -0.1 * np.eye(2)]])
+    >>> drive = ct.ss(A, [[0], [0], [100], [0]], [[0, 0, 1, 0]], 0, states=["th1", "th2", "w1", "w2"])
+    >>> model = physical(drive, links={"shaft": {"th1": 1 / 5, "th2": -1}}, units={"th1": "rad"})
+    >>> round(next(q.value for q in model.parameters if q.place == "shaft"))
+    120
+    """
+    given = {name: _weights(name, ends) for name, ends in as_mapping(links, "links", "weights").items()}
+    named = {k: as_text(v, f"unit of {k!r}") for k, v in as_mapping(units, "units", "units").items()}
+    numbers = {k: _number(k, v) for k, v in as_mapping(parameters, "parameters", "parameters").items()}
+    if isinstance(system, ct.StateSpace):
+        masses = {place: value for kind, place, value in numbers.values() if kind == Mass.name}
+        model = PhysicalModel(**recognized(system, dt, Declared(given, named, masses)))
+    else:
+        model = as_physical(system, dt=dt)
+    own = {port.name for port in model.ports}
+    more = [_sum_port(model, name, ends) for name, ends in given.items() if name not in own]
+    model = _in_units(replace(model, ports=(*model.ports, *more)), named)
+    return replace(model, parameters=_named(model, numbers))
+
+
+def _weights(name: str, ends: Any) -> dict[str, float]:
+    weights = as_mapping(ends, f"link {name!r}", "weights")
+    found = {k: as_number(v, f"weight of {k!r} in link {name!r}") for k, v in weights.items()}
+    if not name or not found or not all(found.values()):
+        raise ModelError(f"link {name!r} needs a name, and states with weights that are not zero")
+    return found
+
+
+def _number(name: str, given: Any) -> tuple[str, str, float]:
+    entry = as_list(given, f"parameter {name!r}", "kind, place and value")
+    if len(entry) != 3 or not isinstance(entry[0], str) or not isinstance(entry[1], str):
+        raise ct.ControlArgument(
+            f"parameter {name!r} must be (kind, place, value) such as ('mass', 'x1', 2.0), not {shown(given)}"
+        )
+    if entry[0] not in KINDS or not KINDS[entry[0]].is_parameter:
+        known = ", ".join(kind for kind, law in KINDS.items() if law.is_parameter)
+        raise ModelError(f"parameter {name!r} cannot be of kind {entry[0]!r}; the kinds are {known}")
+    return entry[0], entry[1], as_number(entry[2], f"value of parameter {name!r}")
+
+
+def _sum_port(model: PhysicalModel, name: str, weights: Mapping[str, float]) -> Port:
+    """Port of a link that joins places of the model, or a place and an input."""
+    linear = model.linear
+    states = [label for label in weights if label in linear.state_labels]
+    inputs = [label for label in weights if label not in linear.state_labels]
+    for label in inputs:
+        if label not in linear.input_labels:
+            raise ModelError(
+                f"link {name!r} names {label!r}, which is neither a state ({', '.join(linear.state_labels)}) "
+                f"nor an input ({', '.join(linear.input_labels)})"
+            )
+    if not states:
+        raise ModelError(f"link {name!r} joins inputs alone; give it a state to act on")
+    ends = [(_own_port(model, name, label), weights[label]) for label in states]
+    kinds = {(port.kind, port.has_position) for port, _ in ends}
+    if len(kinds) > 1:
+        raise ModelError(
+            f"link {name!r} adds {', '.join(states)}, which are not of one sort (displacements, speeds, "
+            "stores); write it in states of one sort"
+        )
+    direct = np.zeros(linear.n_inputs)
+    for label in inputs:
+        direct[linear.input_labels.index(label)] = weights[label]
+    (kind, positioned), nothing = kinds.pop(), np.zeros(linear.n_inputs)
+    total = {
+        key: sum(size * getattr(port, key) for port, size in ends)
+        for key in ("act", "position", "velocity", "velocity_input", "acceleration_input")
+    }
+    if positioned and inputs:  # the rate of the input is in no matrix
+        total["velocity"], total["velocity_input"] = np.zeros(linear.n_states), nothing
+    return Port(
+        name,
+        kind,
+        position_input=direct if positioned else nothing,
+        **(total if positioned else {**total, "velocity_input": total["velocity_input"] + direct}),
+        description=f"declared, {'d' if positioned else 'v'} = {weighted(weights)}",
+    )
+
+
+def _own_port(model: PhysicalModel, name: str, label: str) -> Port:
+    """The port that senses one state alone."""
+    state = model.linear.state_labels.index(label)
+    row = np.eye(model.linear.n_states)[state]
+    for port in model.ports:
+        if not port.position_input.any() and np.array_equal(port.position, row):
+            return port
+    for port in model.ports:
+        if not port.velocity_input.any() and np.flatnonzero(port.velocity).tolist() == [state]:
+            sign, none = np.sign(port.velocity[state]), np.zeros_like(row)
+            return replace(
+                port,
+                position=none,
+                position_input=0.0 * port.position_input,
+                velocity=row,
+                act=sign * port.act,
+            )
+    sensed = ", ".join(port.name for port in model.ports) or "none"
+    raise ModelError(
+        f"link {name!r} needs state {label!r}, at which no force of its own is known; the places are "
+        f"{sensed}. Give the model in displacements, velocities and stores"
+    )
+
+
+def _in_units(model: PhysicalModel, units: Mapping[str, str]) -> PhysicalModel:
+    """The model with units of its signals, and those that follow from them at its ports."""
+    linear = model.linear
+    signals = (linear.state_labels, linear.input_labels, linear.output_labels)
+    for label in units:
+        if not any(label in labels for labels in signals):
+            raise ModelError(
+                f"units names {label!r}, which is no signal; there are {', '.join(sum(signals, ()))}"
+            )
+    old = (model.state_units, model.input_units, model.output_units)
+    state, entry, shown_in = (
+        tuple(units.get(label, unit) for label, unit in zip(labels, given, strict=True))
+        for labels, given in zip(signals, old, strict=True)
+    )
+    ports = []
+    for port in model.ports:
+        position = port.position_unit or _unit_of(port.position, state)
+        rate = combine_units("position/s", {"position": position})
+        velocity = port.velocity_unit or rate or _unit_of(port.velocity, state)
+        ports.append(replace(port, position_unit=position, velocity_unit=velocity))
+    return replace(model, ports=tuple(ports), state_units=state, input_units=entry, output_units=shown_in)
+
+
+def _unit_of(row: np.ndarray[Any, Any], units: tuple[str, ...]) -> str:
+    """Unit of a sum: that of the state that counts whole."""
+    entries = np.flatnonzero(row)
+    if not entries.size:
+        return ""
+    return units[int(entries[np.argmin(np.abs(np.abs(row[entries]) - 1.0))])]
+
+
+def _named(
+    model: PhysicalModel, numbers: Mapping[str, tuple[str, str, float]]
+) -> tuple[NominalParameter, ...]:
+    """The parameters that were declared, and those that were read out of the matrices."""
+    declared = []
+    for name, (kind, place, value) in numbers.items():
+        try:
+            effect = model.check(Effect(kind, place))
+        except ModelError as error:
+            raise ModelError(f"parameter {name!r}: {error}") from error
+        declared.append(NominalParameter(name, value, model.unit(effect, effect.free[0]), kind, place))
+    held = {(item.kind, item.place) for item in declared}
+    return (*declared, *(item for item in model.parameters if (item.kind, item.place) not in held))

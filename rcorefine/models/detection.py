@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from itertools import combinations
 from typing import Any
 
 import control as ct
@@ -12,8 +12,9 @@ import numpy as np
 from ..exceptions import ModelError
 from ..systems.conversion import d2c
 from ..systems.discretization import check_sampling_time
-from ..systems.linear import Array, LinearModel
+from ..systems.linear import LinearModel
 from .displacements import Displacement, find_displacements
+from .link_ports import Declared, find_links, row_of
 from .masses import MassScale, exchanging, relative_masses
 from .parameters import NominalParameter
 from .ports import Port
@@ -22,10 +23,10 @@ from .readout import find_rate_sensors, read_parameters
 __all__ = ["displacement_port", "find_ports", "recognized"]
 
 
-def recognized(sys: ct.StateSpace, dt: float | None) -> dict[str, Any]:
+def recognized(sys: ct.StateSpace, dt: float | None, declared: Declared | None = None) -> dict[str, Any]:
     """What a `PhysicalModel` is made of, found in a plain model; see `PhysicalModel.from_statespace`."""
     linear, tolerance = _in_continuous_time(sys, dt)
-    ports, parameters = find_ports(linear, tolerance)
+    ports, parameters = find_ports(linear, tolerance, declared)
     rate = find_rate_sensors(linear, tolerance)
     return {
         "linear": linear,
@@ -57,7 +58,7 @@ def _in_continuous_time(sys: ct.StateSpace, dt: float | None) -> tuple[LinearMod
 
 
 def find_ports(
-    linear: LinearModel, tolerance: float = 1e-9
+    linear: LinearModel, tolerance: float = 1e-9, declared: Declared | None = None
 ) -> tuple[tuple[Port, ...], tuple[NominalParameter, ...]]:
     """Ports and nominal parameters of a plain model.
 
@@ -67,6 +68,8 @@ def find_ports(
         Continuous-time model.
     tolerance : float, optional
         Relative size below which an entry counts as zero.
+    declared : Declared, optional
+        Links, units and masses that are known.
 
     Returns
     -------
@@ -76,7 +79,9 @@ def find_ports(
         Nonzero stiffness, damping and coefficients, and the input gains.
     """
     displacements = find_displacements(linear, tolerance)
-    masses = relative_masses(linear, displacements, tolerance)
+    declared = declared or Declared()
+    known = _known_masses(linear, displacements, declared)
+    masses = relative_masses(linear, displacements, tolerance, known)
     owned = {item.moving for item in displacements if item.absolute}
     others = {item.other for item in displacements} | {item.moving for item in displacements}
     taken = {item.state for item in displacements} | owned
@@ -85,31 +90,30 @@ def find_ports(
     for i in range(linear.n_states):
         if i not in taken:
             by_state[i] = _state_port(linear, i, masses, mechanical=i in others)
-    absolute = [item for item in displacements if item.absolute]
-    between = {
-        (one, two): _between_masses(linear, one, two, masses)
-        for one, two in combinations(absolute, 2)
-        if masses.linked(_velocity(one), _velocity(two))
-    }
+    links, open_ = find_links(linear, displacements, masses, tolerance, declared)
+    for item, words in open_.items():
+        port = by_state[item.state]
+        by_state[item.state] = replace(port, description=f"{port.description}; {words}")
     stores = [i for i in by_state if i not in taken and i not in others]
     exchange = [
         _exchange_port(linear, source, sink, masses)
         for source, sink in exchanging(linear.A, sorted(stores), tolerance)
     ]
-    found = (*(by_state[i] for i in sorted(by_state)), *between.values(), *exchange)
-    return found, read_parameters(linear, displacements, by_state, between, masses, tolerance)
+    found = (*(by_state[i] for i in sorted(by_state)), *(link.port for link in links), *exchange)
+    return found, read_parameters(linear, displacements, by_state, links, masses, tolerance)
 
 
-def _velocity(item: Displacement) -> int:
-    assert item.moving is not None  # absolute displacements have one
-    return item.moving
-
-
-def _row(size: int, entries: dict[int, float]) -> Array:
-    row = np.zeros(size)
-    for index, value in entries.items():
-        row[index] = value
-    return row
+def _known_masses(
+    linear: LinearModel, displacements: Sequence[Displacement], declared: Declared
+) -> dict[int, float]:
+    """Declared masses by the velocity, or the store, that they belong to."""
+    velocity = {item.state: item.moving for item in displacements if item.absolute}
+    found = {}
+    for i, label in enumerate(linear.state_labels):
+        if label in declared.masses:
+            moving = velocity.get(i)
+            found[i if moving is None else moving] = declared.masses[label]
+    return found
 
 
 def displacement_port(linear: LinearModel, item: Displacement, masses: MassScale) -> Port:
@@ -130,7 +134,8 @@ def displacement_port(linear: LinearModel, item: Displacement, masses: MassScale
         Mechanical port named after the displacement state.
     """
     n, labels = linear.n_states, linear.state_labels
-    ends = {state: sign for state, sign in ((item.moving, 1.0), (item.other, -1.0)) if state is not None}
+    both = (item.moving, 1.0), (item.other, -item.ratio)
+    ends = {state: sign for state, sign in both if state is not None}
     sources = "; ".join(dict.fromkeys(masses.origin[state] for state in ends))
     speed = " and ".join(labels[state] for state in ends)
     if item.absolute:
@@ -141,10 +146,10 @@ def displacement_port(linear: LinearModel, item: Displacement, masses: MassScale
     return Port(
         labels[item.state],
         "mechanical",
-        act=_row(n, {state: -sign / masses.mass[state] for state, sign in ends.items()}),
-        position=_row(n, {item.state: 1.0}),
+        act=row_of(n, {state: -sign / masses.mass[state] for state, sign in ends.items()}),
+        position=row_of(n, {item.state: 1.0}),
         position_input=nothing,
-        velocity=_row(n, {state: sign * item.scale for state, sign in ends.items()}),
+        velocity=row_of(n, {state: sign * item.scale for state, sign in ends.items()}),
         velocity_input=nothing if item.absolute else linear.B[item.state],
         acceleration_input=masses.base_acceleration if item.absolute else nothing,
         description=description,
@@ -158,10 +163,10 @@ def _state_port(linear: LinearModel, i: int, masses: MassScale, *, mechanical: b
     return Port(
         label,
         "mechanical" if mechanical else "first_order",
-        act=_row(linear.n_states, {i: -1.0 / masses.mass[i]}),
+        act=row_of(linear.n_states, {i: -1.0 / masses.mass[i]}),
         position=np.zeros(linear.n_states),
         position_input=nothing,
-        velocity=_row(linear.n_states, {i: 1.0}),
+        velocity=row_of(linear.n_states, {i: 1.0}),
         velocity_input=nothing,
         acceleration_input=masses.base_acceleration if mechanical else nothing,
         description=f"speed {label}; {origin}" if mechanical else f"state {label}; {_stored(origin)}",
@@ -170,30 +175,6 @@ def _state_port(linear: LinearModel, i: int, masses: MassScale, *, mechanical: b
 
 def _stored(origin: str) -> str:
     return origin.replace("mass", "storage").replace("forces are", "flows are")
-
-
-def _between_masses(linear: LinearModel, one: Displacement, two: Displacement, masses: MassScale) -> Port:
-    """Port between two masses that a spring or a damper joins."""
-    first, second = _velocity(one), _velocity(two)
-    n, labels = linear.n_states, linear.state_labels
-    name = f"{labels[one.state]}-{labels[two.state]}"
-    # displacements in different units are brought to that of the first
-    factor = one.scale / two.scale
-    nothing = np.zeros(linear.n_inputs)
-    return Port(
-        name,
-        "mechanical",
-        act=_row(n, {first: -1.0 / masses.mass[first], second: 1.0 / masses.mass[second]}),
-        position=_row(n, {one.state: 1.0, two.state: -factor}),
-        position_input=nothing,
-        velocity=_row(n, {first: one.scale, second: -one.scale}),
-        velocity_input=nothing,
-        acceleration_input=nothing,
-        description=(
-            f"between {labels[one.state]} and {labels[two.state]}, d = {name}; mass ratio "
-            f"{masses.mass[second] / masses.mass[first]:.4g} from the symmetry of A; {masses.origin[first]}"
-        ),
-    )
 
 
 def _exchange_port(linear: LinearModel, source: int, sink: int, masses: MassScale) -> Port:
@@ -211,10 +192,10 @@ def _exchange_port(linear: LinearModel, source: int, sink: int, masses: MassScal
     return Port(
         name,
         "first_order",
-        act=_row(linear.n_states, {source: -1.0 / masses.mass[source], sink: float(gain)}),
+        act=row_of(linear.n_states, {source: -1.0 / masses.mass[source], sink: float(gain)}),
         position=np.zeros(linear.n_states),
         position_input=nothing,
-        velocity=_row(linear.n_states, {source: 1.0, sink: -1.0} if both else {source: 1.0}),
+        velocity=row_of(linear.n_states, {source: 1.0, sink: -1.0} if both else {source: 1.0}),
         velocity_input=nothing,
         acceleration_input=nothing,
         description=f"{words}; {_stored(masses.origin[source])}",

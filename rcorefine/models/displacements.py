@@ -21,11 +21,13 @@ class Displacement:
     state : int
         Index of the displacement.
     moving, other : int or None
-        Velocity states: d' = scale x_moving - scale x_other + input part.
+        Velocity states: d' = scale (x_moving - ratio x_other) + input part.
     absolute : bool
         Whether the state belongs to one mass (and not to a link, an elongation).
     scale : float
         1 unless displacement and velocity have different units.
+    ratio : float
+        Of the other end, as of a gear.
     """
 
     state: int
@@ -33,6 +35,7 @@ class Displacement:
     other: int | None
     absolute: bool
     scale: float
+    ratio: float = 1.0
 
 
 def is_companion(A: Array, tolerance: float = 1e-9) -> bool:
@@ -178,22 +181,25 @@ def _unit_pairs(unit: dict[int, int], entries: list[NDArray[np.intp]]) -> dict[i
 def _elongation(
     A: Array, driven: Array, i: int, entries: NDArray[np.intp], taken: set[int]
 ) -> Displacement | None:
-    """State whose derivative is v_j - v_k, v_j - w or w - v_k, with a spring acting back."""
-    if i in entries or any(int(j) in taken for j in entries):
+    """State whose derivative is v_j - v_k, v_j - w, w - v_k or v_j / N - v_k, with a spring acting back."""
+    if i in entries or any(int(j) in taken for j in entries) or not 0 < entries.size <= 2:
         return None
-    plus = [int(j) for j in entries if A[i, j] > 0]
-    minus = [int(j) for j in entries if A[i, j] < 0]
-    if len(plus) > 1 or len(minus) > 1 or not plus + minus:
+    if any(A[i, j] * A[j, i] >= 0 for j in entries):
         return None
-    size = np.abs(A[i, entries])
-    if len(plus) + len(minus) == 1:
-        if not _from_input(A, driven, i, int(entries[0])):
+    one = int(next((j for j in entries if A[i, j] > 0), entries[0]))
+    size = float(abs(A[i, one]))
+    if entries.size == 1:
+        if not _from_input(A, driven, i, one):
             return None
-    elif driven.size or np.ptp(size) > 1e-6 * size.max():
+        moving, other = (one, None) if A[i, one] > 0 else (None, one)
+        return Displacement(i, moving, other, False, size)
+    if driven.size:
         return None
-    if any(A[j, i] >= 0 for j in plus) or any(A[k, i] <= 0 for k in minus):
-        return None
-    return Displacement(i, plus[0] if plus else None, minus[0] if minus else None, False, float(size.max()))
+    end = int(entries[entries != one][0])
+    ratio = float(-A[i, end] / A[i, one])
+    if abs(ratio - 1.0) <= 1e-6:
+        ratio = 1.0
+    return Displacement(i, one, end, False, float(A[i, one]), ratio)
 
 
 def _from_input(A: Array, driven: Array, i: int, j: int) -> bool:

@@ -174,8 +174,8 @@ def _plausible(physical: PhysicalModel, port: Port, law: Law) -> bool:
 
 
 def _joins(port: Port) -> bool:
-    """Whether the force acts on two bodies."""
-    return _opposed(port.act)
+    """Whether the force acts on two bodies, or along more than one displacement."""
+    return _opposed(port.act) or bool(np.count_nonzero(port.velocity) > 1)
 
 
 def _opposed(row: Array) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -43,7 +43,10 @@ class MassScale:
 
 
 def relative_masses(
-    linear: LinearModel, displacements: Sequence[Displacement], tolerance: float
+    linear: LinearModel,
+    displacements: Sequence[Displacement],
+    tolerance: float,
+    declared: Mapping[int, float] | None = None,
 ) -> MassScale:
     """Masses that make the couplings in A symmetric, scaled by an input where one tells.
 
@@ -55,6 +58,8 @@ def relative_masses(
         Its displacement states.
     tolerance : float
         Relative size below which an entry counts as zero.
+    declared : mapping of int to float, optional
+        Masses of states that are known.
 
     Returns
     -------
@@ -73,7 +78,11 @@ def relative_masses(
     base = _base_acceleration(linear, sorted(velocities))
     mass = np.ones(n)
     origin = [f"forces are per unit mass of {label}" for label in labels]
-    anchors = _anchors(linear, base, tolerance)
+    anchors = {
+        state: (size, j, f"the input {linear.input_labels[j]}")
+        for state, (size, j) in _anchors(linear, base, tolerance).items()
+    }
+    anchors |= {state: (size, -1, "what was declared") for state, size in (declared or {}).items()}
     for members in group:
         known = [state for state in members if state in anchors]
         anchor = min(known, key=lambda state: anchors[state][1]) if known else members[0]
@@ -81,8 +90,7 @@ def relative_masses(
         for state in members:
             mass[state] = size * np.exp(logs[state] - logs[anchor])
             if known:
-                source = linear.input_labels[anchors[anchor][1]]
-                origin[state] = f"mass {mass[state]:.4g} from the input {source}"
+                origin[state] = f"mass {mass[state]:.4g} from {anchors[anchor][2]}"
                 if state != anchor:
                     origin[state] += " and the symmetry of A"
             else:
@@ -146,7 +154,7 @@ def _ratios(
     for item in displacements:
         if not item.absolute and item.moving is not None and item.other is not None:
             pair = (min(item.moving, item.other), max(item.moving, item.other))
-            ratio = float(np.log(-A[item.moving, item.state] / A[item.other, item.state]))
+            ratio = float(np.log(-item.ratio * A[item.moving, item.state] / A[item.other, item.state]))
             found.setdefault(pair, ratio if pair[0] == item.moving else -ratio)
     return found
 

@@ -148,9 +148,12 @@ class PhysicalModel(Result):
         (canonical) forms are not mechanical, and their states are taken as
         first-order ones.
 
-        *Relative ports.* Masses whose rows of A are coupled both ways give ``"x1-x2"``. Their mass ratio
+        *Links.* Masses whose rows of A are coupled both ways are linked. Their mass ratio
         follows from the symmetry of the stiffness matrix, A_ij / A_ji = m_j / m_i. A pair that no
-        choice of masses makes symmetric is not a link and gives none.
+        choice of masses makes symmetric is not a link and gives none. The rank-one factors of
+        stiffness and damping are the directions of the links: ``"x1-x2"``, ``"0.2*th1-th2"`` (a gear),
+        ``"z-1.2*theta-zf"`` (a suspension). Where there is more than one factorization,
+        the description of the displacements says so, and `physical` takes the links by hand.
 
         *Masses.* The mass is 1/B where exactly one input drives exactly one velocity (so forces are
         in units of that input). Otherwise forces are per unit mass. An input

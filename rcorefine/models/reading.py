@@ -17,6 +17,7 @@ from ..data.matlab import read_matlab
 from ..exceptions import ModelError
 from ..systems.linear import Array
 from . import builders
+from .conversion import physical
 from .physical_model import PhysicalModel
 
 __all__ = ["MATRICES", "builder_names", "read_model"]
@@ -24,6 +25,7 @@ __all__ = ["MATRICES", "builder_names", "read_model"]
 #: Table of a TOML file that holds matrices; the others are named like the builders.
 MATRICES = "state_space"
 _LABELS = ("inputs", "outputs", "states")
+_KNOWN = ("links", "units", "parameters")  # what `physical` takes beside the matrices
 _MAPS = ("force", "force_map")  # a list of lists is a matrix there
 _MOST_STATES = 1000  # of a model in a file; a chain of 500 masses takes seconds, one of 2000 minutes
 # what Python raises where a value is not of the kind that a builder expects
@@ -47,15 +49,16 @@ def read_model(path: str | PathLike[str]) -> ct.StateSpace | PhysicalModel:
     Parameters
     ----------
     path : str or path
-        ``.toml``: one table, ``[state_space]`` with A, B, C, D (and dt, inputs, outputs, states, name)
-        or a table named like a builder (``[mass_spring_damper]``, ``[series_rlc]``, ...) with its
-        parameters. ``.npz`` or ``.mat``: arrays A, B, C, and D, dt, inputs, outputs, states, name
-        where they are not 0 and not the default names.
+        ``.toml``: one table, ``[state_space]`` with A, B, C, D (and dt, inputs, outputs, states, name,
+        and links, units, parameters as in `physical`), or a table named like a builder
+        (``[mass_spring_damper]``, ``[series_rlc]``, ...) with its parameters. ``.npz`` or ``.mat``:
+        arrays A, B, C, and D, dt, inputs, outputs, states, name where they are not 0 and not the
+        default names.
 
     Returns
     -------
     StateSpace or PhysicalModel
-        Matrices give a `StateSpace`, builders a `PhysicalModel`.
+        Matrices give a `StateSpace`, with links, units or parameters and from builders a `PhysicalModel`.
 
     Raises
     ------
@@ -118,7 +121,9 @@ def _from_toml(file: Path) -> ct.StateSpace | PhysicalModel:
     where = f"{file}, [{kind}]"
     if kind == MATRICES:
         holds = f"the table holds {', '.join(table) or 'nothing'}"
-        return _state_space(table, where, holds, _name_of(file))
+        declared = {key: table.pop(key) for key in _KNOWN if key in table}
+        plain = _state_space(table, where, holds, _name_of(file))
+        return _physical(plain, declared, where) if declared else plain
     builder = getattr(builders, kind)
     _check_keys(table, builder, where)
     for key, value in table.items():
@@ -131,6 +136,13 @@ def _from_toml(file: Path) -> ct.StateSpace | PhysicalModel:
     except _WRONG_KIND as error:  # text where a number belongs, and the like
         raise ModelError(f"{where}: a value is of the wrong kind: {error}") from error
     return model
+
+
+def _physical(plain: ct.StateSpace, known: Mapping[str, Any], where: str) -> PhysicalModel:
+    try:
+        return physical(plain, **known)
+    except (ModelError, ct.ControlArgument) as error:
+        raise ModelError(f"{where}: {error}") from error
 
 
 def _name_of(file: Path) -> str:
@@ -192,7 +204,7 @@ def _state_space(values: Mapping[str, Any], where: str, holds: str, name: str) -
     allowed = ("A", "B", "C", "D", "dt", *_LABELS, "name")
     unknown = [key for key in values if key not in allowed]
     if unknown:
-        raise ModelError(f"{where}: no key {', '.join(unknown)}; there are {', '.join(allowed)}")
+        raise ModelError(f"{where}: no key {', '.join(unknown)}; there are {', '.join(allowed + _KNOWN)}")
     missing = [key for key in ("A", "B", "C") if key not in values]
     if missing:
         raise ModelError(f"{where}: {', '.join(missing)} missing; {holds}")

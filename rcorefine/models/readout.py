@@ -12,6 +12,7 @@ from ..effects.input_path import InputGain
 from ..effects.springs import Stiffness
 from ..systems.linear import Array, LinearModel
 from .displacements import Displacement, find_displacements, significant
+from .link_ports import Link
 from .masses import MassScale
 from .parameters import NominalParameter
 from .ports import Port
@@ -19,13 +20,14 @@ from .ports import Port
 __all__ = ["find_rate_sensors", "read_parameters"]
 
 _LEFT = 1e-9  # relative size of what cancellation leaves behind
+_ROUNDED = 2e-3  # and of what four digits of the entries leave of a coupling
 
 
 def read_parameters(
     linear: LinearModel,
     displacements: Sequence[Displacement],
     by_state: Mapping[int, Port],
-    between: Mapping[tuple[Displacement, Displacement], Port],
+    links: Sequence[Link],
     masses: MassScale,
     tolerance: float,
 ) -> tuple[NominalParameter, ...]:
@@ -39,8 +41,8 @@ def read_parameters(
         Its displacement states.
     by_state : mapping of int to Port
         Absolute ports and elongations by their state.
-    between : mapping of pairs of Displacement to Port
-        Relative ports.
+    links : sequence of Link
+        Links between displacements.
     masses : MassScale
         Masses of the velocity states.
     tolerance : float
@@ -53,15 +55,15 @@ def read_parameters(
 
     Notes
     -----
-    The links are taken off a copy of A one by one, the off-diagonal entries first, as each of these
-    belongs to one link. What is left over (first-order states, one-way couplings) is
-    listed entry by entry.
+    The links are taken off a copy of A, then springs and dampers to the ground. What is left over
+    (first-order states, one-way couplings) is listed entry by entry.
     """
     rest = _Rest(linear, tolerance)
-    for (one, two), port in between.items():
-        if one.moving is not None and two.moving is not None:
-            rest.take(port, Stiffness.name, one.moving, two.state)
-            rest.take(port, Damping.name, one.moving, two.moving)
+    for link in links:
+        rest.off(link.port, Stiffness.name, link.stiffness)
+        rest.off(link.port, Damping.name, link.damping)
+    if links:
+        rest.round_off([(i.moving, i.state) for i in displacements if i.absolute and i.moving is not None])
     for item in displacements:
         if not item.absolute:
             _take_elongation(rest, by_state[item.state], item)
@@ -98,18 +100,31 @@ class _Rest:
         """Find the coefficient that explains what is left of an entry, and take all its part off."""
         sensed = port.position if kind == Stiffness.name else port.velocity
         if abs(self.left[row, column]) > _LEFT * self.scale[row, column]:
-            self._off(port, kind, float(self.left[row, column] / (port.act[row] * sensed[column])), sensed)
+            self.off(port, kind, float(self.left[row, column] / (port.act[row] * sensed[column])))
 
     def take_from_input(self, port: Port, row: int) -> None:
         """A damper whose other end is an input: it shows in B."""
         column = int(np.argmax(np.abs(port.velocity_input)))
         value = float(self.B[row, column] / (port.act[row] * port.velocity_input[column]))
         if abs(self.B[row, column]) > self.tolerance * np.abs(self.B[:, column]).max():
-            self._off(port, Damping.name, value, port.velocity)
+            self.off(port, Damping.name, value)
 
-    def _off(self, port: Port, kind: str, value: float, sensed: Array) -> None:
-        letter = "k" if kind == Stiffness.name else "c"
-        self.found.append(NominalParameter(f"{letter}[{port.name}]", value, "", kind, port.name, False))
+    def round_off(self, masses: Sequence[tuple[int, int]]) -> None:
+        """Forget what rounding left of the links at masses, given as (velocity, displacement)."""
+        for row, own in masses:
+            left = self.left[row]
+            rounded = np.abs(left) <= _ROUNDED * self.scale[row]
+            rounded[[row, own]] &= left[[row, own]] > 0  # a soft spring to the ground may be there
+            left[rounded] = 0.0
+
+    def off(self, port: Port, kind: str, value: float) -> None:
+        """Enter a coefficient, and take its part off."""
+        if not value:
+            return
+        letter, sensed = ("k", port.position) if kind == Stiffness.name else ("c", port.velocity)
+        self.found.append(
+            NominalParameter(f"{letter}[{port.name}]", float(value), "", kind, port.name, False)
+        )
         self.left -= value * np.outer(port.act, sensed)
         self.left[np.abs(self.left) <= _LEFT * self.scale] = 0.0
 

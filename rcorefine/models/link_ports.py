@@ -1,0 +1,210 @@
+"""Ports of the links between displacements: found, and declared."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..systems.linear import Array, LinearModel
+from .bodies import Groups, parallel, strengths
+from .displacements import Displacement, significant
+from .links import factors
+from .masses import MassScale
+from .ports import Port
+
+__all__ = ["Declared", "Link", "find_links", "row_of", "weighted"]
+
+_ANGLES = frozenset("th theta phi psi alpha beta gamma pitch roll yaw angle rotation".split())
+_UNEXPLAINED = 0.01  # of a damping coupling: more than rounding leaves of what the springs' links explain
+
+
+@dataclass(frozen=True, slots=True)
+class Declared:
+    """What the user knows of a plain model, by the names of its signals.
+
+    Parameters
+    ----------
+    links : dict
+        ``{name: {state: weight}}``.
+    units : dict
+        ``{signal: unit}``.
+    masses : dict
+        ``{displacement: mass}``.
+    """
+
+    links: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    masses: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Link:
+    """A port between displacements, with its spring and damper."""
+
+    port: Port
+    stiffness: float
+    damping: float
+
+
+def find_links(
+    linear: LinearModel,
+    displacements: Sequence[Displacement],
+    masses: MassScale,
+    tolerance: float,
+    declared: Declared,
+) -> tuple[list[Link], dict[Displacement, str]]:
+    """Links in the stiffness and the damping matrix; words for the displacements where they stay open."""
+    absolute = [item for item in displacements if item.absolute and item.moving is not None]
+    v = [item.moving for item in absolute if item.moving is not None]
+    q, scale = [item.state for item in absolute], np.array([item.scale for item in absolute])
+    n, A = len(absolute), significant(linear.A, tolerance)
+    linked = np.array([[i == j or masses.linked(i, j) for j in v] for i in v], dtype=bool).reshape(n, n)
+
+    def force(X: Array) -> Array:  # the symmetric part, where masses make it symmetric
+        X = -masses.mass[v][:, None] * X
+        return np.where(linked, 0.5 * (X + X.T), 0.0)
+
+    K, C = force(A[np.ix_(v, q)] * scale), force(A[np.ix_(v, v)])
+    labels = [linear.state_labels[i] for i in q]
+    alike = _alike(labels, [declared.units.get(label, "") for label in labels])
+    given = {
+        name: np.array([weights.get(label, 0.0) for label in labels]) * scale
+        for name, weights in declared.links.items()
+        if set(weights) <= set(labels)
+    }
+    directions, open_ = _directions(K, C, alike, list(given.values()))
+    springs, dampers = strengths(K, directions, open_), strengths(C, directions, open_)
+    links = []
+    for g, k, c in zip(directions, springs, dampers, strict=True):
+        name = next((name for name, own in given.items() if own is g), "")
+        whole = int(np.argmin(np.abs(np.abs(g / scale if name else g) - 1.0)))
+        size = float(scale[whole])  # unit of the displacement that counts whole
+        if name:
+            g, k, c = g / size, size**2 * k, size**2 * c
+        port = _link_port(linear, absolute, g, masses, size, name)
+        links.append(Link(port, float(k) / size, float(c) / size))
+    return links, _open_words(linear, absolute, open_)
+
+
+def _directions(
+    K: Array, C: Array, alike: NDArray[np.bool_], given: Sequence[Array]
+) -> tuple[list[Array], Groups]:
+    """Links that were declared, and what the rest of stiffness and damping adds; bodies that stay open."""
+    found, open_ = factors(K, C, alike)
+    new = [g for g in given if not any(parallel(g, other) for other in found)]
+    # a found link inside the ends of a declared one is another reading of the same coupling
+    found = [g for g in found if not any(set(np.flatnonzero(g)) <= set(np.flatnonzero(h)) for h in given)]
+    found += given
+    open_ = [body for body in open_ if not any(set(np.flatnonzero(g)) & set(body) for g in new)]
+    for X, Y, share in ((K, C, _UNEXPLAINED if new else 1.0), (C, K, _UNEXPLAINED)):
+        parts = zip(strengths(X, found, open_), found, strict=True)
+        rest = X - sum((k * np.outer(g, g) for k, g in parts), 0.0 * X)
+        rest[~np.eye(len(X), dtype=bool) & (np.abs(rest) <= share * np.abs(X))] = 0.0
+        for body in open_:
+            rest[np.ix_(body, body)] *= np.eye(len(body))
+        more, also = factors(rest, Y, alike)
+        found += [g for g in more if not any(parallel(g, other) for other in found)]
+        open_ = [*open_, *also]
+    return sorted(found, key=lambda g: np.flatnonzero(g).tolist()), open_
+
+
+def _alike(labels: Sequence[str], units: Sequence[str]) -> NDArray[np.bool_]:
+    """Whether displacements have the same unit: as declared, or angles and lengths as they are called."""
+
+    def angle(label: str) -> bool:
+        return re.split(r"[^a-z]", label.lower())[0] in _ANGLES
+
+    pairs = list(zip(labels, units, strict=True))
+    return np.array(
+        [[a == b if a and b else angle(x) == angle(y) for y, b in pairs] for x, a in pairs], dtype=bool
+    ).reshape(len(pairs), len(pairs))
+
+
+def _open_words(
+    linear: LinearModel, absolute: Sequence[Displacement], open_: Groups
+) -> dict[Displacement, str]:
+    """What is not known about the links of some displacements, in words."""
+    found = {}
+    for body in open_:
+        names = ", ".join(linear.state_labels[absolute[i].state] for i in body)
+        words = (
+            f"the couplings of {names} to each other and to the ground are links in more than one way: "
+            "declare them by physical(system, links=...)"
+        )
+        found.update({absolute[i]: words for i in body})
+    return found
+
+
+def row_of(size: int, entries: Mapping[int, float]) -> Array:
+    """Row of zeros but for the given entries."""
+    row = np.zeros(size)
+    for index, value in entries.items():
+        row[index] = value
+    return row
+
+
+def _link_port(
+    linear: LinearModel,
+    absolute: Sequence[Displacement],
+    g: Array,
+    masses: MassScale,
+    unit: float = 1.0,
+    name: str = "",
+) -> Port:
+    """Port of a link.
+
+    Parameters
+    ----------
+    linear : LinearModel
+        Continuous-time model.
+    absolute : sequence of Displacement
+        Displacements of masses.
+    g : ndarray, shape (number of displacements,)
+        Direction: how much of each displacement, brought to one unit, is in d.
+    masses : MassScale
+        Masses of the velocity states.
+    unit : float, optional
+        That unit, as displacement over the integral of a velocity.
+    name : str, optional
+        Name, by default the sum in words.
+
+    Returns
+    -------
+    Port
+    """
+    n, labels = linear.n_states, linear.state_labels
+    ends = [
+        (item, item.moving, float(g[i]))
+        for i, item in enumerate(absolute)
+        if g[i] and item.moving is not None
+    ]
+    v = [moving for _, moving, _ in ends]
+    nothing = np.zeros(linear.n_inputs)
+    what = weighted({labels[item.state]: size for item, _, size in ends})
+    sources = "; ".join(dict.fromkeys(masses.origin[j] for j in v))
+    ratio = f"mass ratio {masses.mass[v[1]] / masses.mass[v[0]]:.4g} from the symmetry of A; "
+    between = " and ".join(labels[item.state] for item, *_ in ends)
+    return Port(
+        name or what,
+        "mechanical",
+        act=row_of(n, {j: -size / masses.mass[j] for _, j, size in ends}),
+        position=row_of(n, {item.state: unit * size / item.scale for item, _, size in ends}),
+        position_input=nothing,
+        velocity=row_of(n, {j: unit * size for _, j, size in ends}),
+        velocity_input=nothing,
+        acceleration_input=nothing,
+        description=f"between {between}, d = {what}; {ratio if len(v) == 2 else ''}{sources}",
+    )
+
+
+def weighted(terms: Mapping[str, float]) -> str:
+    """A sum in words: ``"0.2*th1-th2"``."""
+    text = ""
+    for label, size in terms.items():
+        factor = "" if abs(abs(size) - 1.0) < 1e-3 else f"{abs(size):.3g}*"
+        text += f"{'-' if size < 0 else '+' if text else ''}{factor}{label}"
+    return text
