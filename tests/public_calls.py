@@ -315,7 +315,16 @@ def _reader(name: str, path: str, work: str | None = None) -> Call:
     return Call(
         lambda: getattr(rco.Measurement, name),
         lambda: {"path": files()[path], "inputs": "u", "outputs": "y", "dt": DT},
-        {**LABELS, "path": is_path, "time": is_text, "dt": is_positive, "delimiter": is_text, **OPTIONAL},
+        {
+            **LABELS,
+            "path": is_path,
+            "time": is_text,
+            "dt": is_positive,
+            "delimiter": is_text,
+            "decimal": is_text,
+            "header": is_texts,
+            **OPTIONAL,
+        },
         work=work,
         more=tuple(UNITS),
     )
@@ -353,7 +362,14 @@ CALLS: dict[str, Call] = {
     "Measurement": Call(
         lambda: MEASURE,
         lambda: {"inputs": np.arange(7.0), "outputs": np.arange(7.0), "dt": DT},
-        {**UNITS, "inputs": is_signal, "outputs": is_signal, "dt": is_positive, "timepts": is_state},
+        {
+            **UNITS,
+            "inputs": is_signal,
+            "outputs": is_signal,
+            "dt": is_positive,
+            "timepts": is_state,
+            "notes": is_words,
+        },
     ),
     "Measurement.check_excitation": Call(
         _method(record, "check_excitation"), dict, {"purpose": is_text, "stacklevel": is_whole}

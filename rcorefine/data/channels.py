@@ -136,17 +136,13 @@ def aligned(model: LinearModel, channels: Channels, data: Measurement, outputs: 
 def _selected(data: Measurement, inputs: Sequence[int], outputs: Sequence[int]) -> Measurement:
     if list(inputs) == list(range(data.n_inputs)) and list(outputs) == list(range(data.n_outputs)):
         return data
-    return Measurement(
-        data.inputs[list(inputs)],
-        data.outputs[list(outputs)],
-        dt=data.dt,
-        timepts=data.timepts,
-        hold=data.hold,
+    return data._changed(
+        inputs=data.inputs[list(inputs)],
+        outputs=data.outputs[list(outputs)],
         input_labels=[data.input_labels[i] for i in inputs],
         output_labels=[data.output_labels[i] for i in outputs],
         input_units=[data.input_units[i] for i in inputs],
         output_units=[data.output_units[i] for i in outputs],
-        name=data.name,
     )
 
 

@@ -1,11 +1,9 @@
-"""Columns out of CSV files, MATLAB files, NumPy files and data frames, for `Measurement`."""
+"""Columns out of MATLAB files, NumPy files and data frames, for `Measurement`."""
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import control as ct
 import numpy as np
@@ -13,13 +11,18 @@ import numpy as np
 from ..archives import read_archive
 from ..arguments import as_choice, as_number, as_text, as_texts
 from ..exceptions import DataError, MissingExtraError
-from ..systems.linear import Array
 from .matlab import Other, read_matlab
 from .signals import HOLDS
 
-__all__ = ["names_of", "read_csv", "read_frame", "read_mat", "read_npz", "wanted_columns"]
+__all__ = ["Columns", "names_of", "read_frame", "read_mat", "read_npz", "wanted_columns"]
 
-_DELIMITERS = ",;\t|"
+
+class Columns(NamedTuple):
+    """Columns of a file by name, the units that stand there, and what was assumed in reading."""
+
+    values: dict[str, Any]
+    units: dict[str, str] = {}  # noqa: RUF012
+    notes: tuple[str, ...] = ()
 
 
 def names_of(values: str | Sequence[str], what: str) -> list[str]:
@@ -57,131 +60,6 @@ def wanted_columns(
     return list(dict.fromkeys((*names_of(inputs, "inputs"), *names_of(outputs, "outputs"), *times)))
 
 
-def read_csv(path: Any, names: Sequence[str], *, delimiter: str | None = None) -> dict[str, Array]:
-    """Named columns of a CSV file with a header line.
-
-    Parameters
-    ----------
-    path : str or path
-        Text file in UTF-8 (a byte order mark is accepted).
-    names : sequence of str
-        Columns to read; the others are not looked at.
-    delimiter : str, optional
-        Default: the one of comma, semicolon, tab, bar (or blanks) that
-        splits the header into the names asked for.
-
-    Returns
-    -------
-    dict of ndarray
-        One array of shape (N,) per name.
-
-    Raises
-    ------
-    DataError
-        A column that is not there (those that are, are listed), a missing or
-        unreadable cell (line and column are named), a quote that its line does
-        not close, a line with more cells than the header, no data lines.
-    """
-    if delimiter is not None and (
-        not isinstance(delimiter, str) or len(delimiter) != 1 or delimiter in '"\r\n'
-    ):
-        raise ct.ControlArgument(f"delimiter must be one character such as ';', not {delimiter!r}")
-    try:
-        lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
-    except UnicodeDecodeError as error:
-        raise DataError(f"{path} is not a text file in UTF-8: {error}") from error
-    start = _header_line(lines, names)
-    if start is None:
-        raise DataError(f"{path} holds no header line with the names of the columns")
-    head = lines[start].lstrip("#% ")
-    here = f"{path}, line"
-    split_at = _sniff(head, names, here, start) if delimiter is None else delimiter
-    reader = _rows([head, *lines[start + 1 :]], split_at, here, start)
-    header = [cell.strip() for cell in next(reader)[1]]
-    _require(names, header, f"{here} {start + 1}")
-    found = list(_table(reader, header, names, here, split_at))
-    if not found:
-        raise DataError(f"{path} has a header but no data lines")
-    return dict(zip(names, np.array(found).T.copy(), strict=True))
-
-
-def _table(
-    reader: Iterator[tuple[int, list[str]]], header: list[str], names: Sequence[str], here: str, split_at: str
-) -> Iterator[list[float]]:
-    """Numbers of the named columns, line by line."""
-    where = [(name, header.index(name)) for name in names]
-    blank: int | None = None
-    for line, row in reader:
-        if not any(cell.strip() for cell in row):
-            blank = line if blank is None else blank
-            continue
-        if blank is not None:
-            raise DataError(f"{here} {blank} is empty in the midst of the data; remove it or fill the gap")
-        if any(row[len(header) :]):
-            raise DataError(
-                f"{here} {line} has {len(row)} cells and the header {len(header)}; remove a delimiter, or "
-                "name every column"
-            )
-        yield [
-            _number(
-                row[index].strip() if index < len(row) else "",
-                f"{here} {line}, column {name!r} ({index + 1})",
-                split_at,
-            )
-            for name, index in where
-        ]
-
-
-def _header_line(lines: list[str], names: Sequence[str]) -> int | None:
-    """First line that is no comment, or a comment that holds the names (as numpy.savetxt writes it)."""
-    for index, line in enumerate(lines):
-        comment = line.lstrip().startswith(("#", "%"))
-        if line.strip() and (not comment or all(name in line for name in names)):
-            return index
-    return None
-
-
-def _sniff(header: str, names: Sequence[str], here: str, start: int) -> str:
-    """Delimiter that finds most of the names; ties go to the one that splits most."""
-
-    def score(delimiter: str) -> tuple[int, int]:
-        cells = [cell.strip() for cell in next(_rows([header], delimiter, here, start))[1]]
-        return sum(name in cells for name in names), len(cells)
-
-    best: str = max([*_DELIMITERS, " "], key=score)
-    return best
-
-
-def _rows(lines: list[str], delimiter: str, here: str, start: int) -> Iterator[tuple[int, list[str]]]:
-    """Pairs of line number in the file and cells; a quote that is left open would swallow lines."""
-    reader = csv.reader([*lines, ""], delimiter=delimiter, skipinitialspace=True)
-    try:
-        for number, row in enumerate(reader, start=1):
-            if reader.line_num != number:
-                raise DataError(
-                    f"{here} {start + number}: a quote opens a cell that does not close in this line; "
-                    "close it or remove it"
-                )
-            if number <= len(lines):
-                yield start + number, row
-    except csv.Error as error:
-        raise DataError(f"{here} {start + reader.line_num} cannot be read: {error}") from error
-
-
-def _number(cell: str, place: str, delimiter: str) -> float:
-    if cell == "":
-        raise DataError(f"{place} is missing; fill the gap or cut the file before it")
-    try:
-        if "_" in cell:  # which Python would take as a separator of digits
-            raise ValueError
-        return float(cell)
-    except ValueError:
-        hint = ""
-        if delimiter != "," and cell.count(",") == 1 and cell.replace(",", "").lstrip("+-").isdigit():
-            hint = " (a decimal comma? write decimal points)"
-        raise DataError(f"{place} is not a number: {cell!r}{hint}") from None
-
-
 def _require(names: Sequence[str], present: Sequence[str], place: str) -> None:
     for name in names:
         if name not in present:
@@ -191,7 +69,7 @@ def _require(names: Sequence[str], present: Sequence[str], place: str) -> None:
             raise DataError(f"{place}: column {name!r} stands there twice; rename one")
 
 
-def read_mat(path: Any, names: Sequence[str]) -> dict[str, Array]:
+def read_mat(path: Any, names: Sequence[str]) -> Columns:
     """Named variables of a MATLAB file (up to version 7.2), as 1-D arrays.
 
     Parameters
@@ -204,7 +82,7 @@ def read_mat(path: Any, names: Sequence[str]) -> dict[str, Array]:
 
     Returns
     -------
-    dict of ndarray
+    Columns
         One array of shape (N,) per name.
 
     Raises
@@ -216,7 +94,7 @@ def read_mat(path: Any, names: Sequence[str]) -> dict[str, Array]:
     return _vectors(path, read_matlab(path), names)
 
 
-def read_npz(path: Any, names: Sequence[str]) -> dict[str, Array]:
+def read_npz(path: Any, names: Sequence[str]) -> Columns:
     """Named arrays of a file of `numpy.savez`, as 1-D arrays.
 
     Parameters
@@ -228,7 +106,7 @@ def read_npz(path: Any, names: Sequence[str]) -> dict[str, Array]:
 
     Returns
     -------
-    dict of ndarray
+    Columns
         One array of shape (N,) per name.
 
     Raises
@@ -240,7 +118,7 @@ def read_npz(path: Any, names: Sequence[str]) -> dict[str, Array]:
     return _vectors(path, read_archive(path), names)
 
 
-def _vectors(path: Any, variables: dict[str, Any], names: Sequence[str]) -> dict[str, Array]:
+def _vectors(path: Any, variables: dict[str, Any], names: Sequence[str]) -> Columns:
     """Variables as 1-D arrays of numbers."""
     listed = ", ".join(f"{key} {_shape(value)}" for key, value in variables.items()) or "none"
     columns = {}
@@ -253,7 +131,7 @@ def _vectors(path: Any, variables: dict[str, Any], names: Sequence[str]) -> dict
                 f"{path}: variable {name!r} is {_shape(value)}, not a vector of numbers; there are: {listed}"
             )
         columns[name] = value.ravel()
-    return columns
+    return Columns(columns)
 
 
 def _is_vector(value: Any) -> bool:
@@ -281,7 +159,7 @@ def _shape(value: Any) -> str:
     return " x ".join(map(str, value.shape)) + ("" if value.dtype.kind in "fiub" else f" {value.dtype}")
 
 
-def read_frame(frame: Any, names: Sequence[str]) -> dict[str, Array]:
+def read_frame(frame: Any, names: Sequence[str]) -> Columns:
     """Named columns of a data frame (pandas, or whatever has columns and to_numpy).
 
     Raises
@@ -317,4 +195,4 @@ def read_frame(frame: Any, names: Sequence[str]) -> dict[str, Array]:
                 f"({int(missing.sum())} rows); fill the gaps or drop a stretch"
             )
         columns[name] = column.to_numpy()
-    return columns
+    return Columns(columns)

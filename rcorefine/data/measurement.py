@@ -14,7 +14,7 @@ from ..arguments import as_choice, as_labels, as_list, as_text, as_texts, as_who
 from ..exceptions import DataError, ExcitationWarning
 from ..results import Options, Result, picture, show
 from ..systems.linear import Array
-from .parts import RecordParts
+from .parts import FIELDS, RecordParts
 from .reading import RecordReaders
 from .signals import HOLDS, as_signals, as_time_grid, check_finite, default_labels
 
@@ -23,10 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["HOLDS", "Measurement", "as_records"]
 
-_FIELDS = (
-    "inputs", "outputs", "dt", "timepts", "hold", "input_labels", "output_labels",
-    "input_units", "output_units", "name",
-)  # fmt: skip
 _ARRAYS = ("inputs", "outputs", "timepts")
 
 
@@ -59,6 +55,9 @@ class Measurement(Result, RecordReaders, RecordParts):
         Units for labels of plots and tables.
     name : str, optional
         Name of the record, default "measured".
+    notes : sequence of str
+        How the record came about: what a reader of files assumed, how it was
+        resampled. They stand below its table.
 
     Attributes
     ----------
@@ -106,6 +105,7 @@ class Measurement(Result, RecordReaders, RecordParts):
     input_units: tuple[str, ...]
     output_units: tuple[str, ...]
     name: str
+    notes: tuple[str, ...]
 
     def __init__(
         self,
@@ -120,6 +120,7 @@ class Measurement(Result, RecordReaders, RecordParts):
         input_units: str | Sequence[str] | None = None,
         output_units: str | Sequence[str] | None = None,
         name: str | None = None,
+        notes: Sequence[str] = (),
     ) -> None:
         w = as_signals(inputs, "inputs")
         y = as_signals(outputs, "outputs")
@@ -141,16 +142,17 @@ class Measurement(Result, RecordReaders, RecordParts):
             array.setflags(write=False)
         w_units = _units(input_units, "input_units", w.shape[0])
         y_units = _units(output_units, "output_units", y.shape[0])
-        values = (w, y, step, times, hold, w_labels, y_labels, w_units, y_units, name or "measured")
-        for field, value in zip(_FIELDS, values, strict=True):
+        said = as_texts(notes, "notes")
+        values = (w, y, step, times, hold, w_labels, y_labels, w_units, y_units, name or "measured", said)
+        for field, value in zip(FIELDS, values, strict=True):
             object.__setattr__(self, field, value)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {field: getattr(self, field) for field in _FIELDS}
+        return {field: getattr(self, field) for field in FIELDS}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         # neither pickle nor deepcopy keeps the read-only flag of an array
-        for field in _FIELDS:
+        for field in FIELDS:
             if field in _ARRAYS:
                 state[field].setflags(write=False)
             object.__setattr__(self, field, state[field])

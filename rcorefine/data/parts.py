@@ -11,7 +11,12 @@ from ..exceptions import DataError
 from ..systems.linear import Array
 from .signals import HOLDS
 
-__all__ = ["RecordParts"]
+__all__ = ["FIELDS", "RecordParts"]
+
+FIELDS = (
+    "inputs", "outputs", "dt", "timepts", "hold", "input_labels", "output_labels",
+    "input_units", "output_units", "name", "notes",
+)  # fmt: skip
 
 
 class RecordParts:
@@ -25,11 +30,7 @@ class RecordParts:
         dt: float
         timepts: Array
         hold: str
-        input_labels: tuple[str, ...]
-        output_labels: tuple[str, ...]
-        input_units: tuple[str, ...]
-        output_units: tuple[str, ...]
-        name: str
+        notes: tuple[str, ...]
 
         def __init__(self, inputs: Any, outputs: Any, **options: Any) -> None: ...
 
@@ -129,15 +130,13 @@ class RecordParts:
         return self if hold == self.hold else self._part(slice(None), hold)
 
     def _part(self, where: slice, hold: str | None = None) -> Self:
-        return type(self)(
-            self.inputs[:, where],
-            self.outputs[:, where],
-            dt=self.dt,
+        return self._changed(
+            inputs=self.inputs[:, where],
+            outputs=self.outputs[:, where],
             timepts=self.timepts[where],
             hold=hold or self.hold,
-            input_labels=self.input_labels,
-            output_labels=self.output_labels,
-            input_units=self.input_units,
-            output_units=self.output_units,
-            name=self.name,
         )
+
+    def _changed(self, **changes: Any) -> Self:
+        """The record with some of its fields otherwise."""
+        return type(self)(**{name: getattr(self, name) for name in FIELDS} | changes)

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any, Self
 import control as ct
 import numpy as np
 
-from ..arguments import as_path, as_text, shown
+from ..arguments import as_choice, as_path, as_text, as_texts, shown
 from ..exceptions import DataError
-from .columns import names_of, read_csv, read_frame, read_mat, read_npz, wanted_columns
+from .columns import Columns, names_of, read_frame, read_mat, read_npz, wanted_columns
+from .tables import read_csv
+from .units import seconds_per
 
 __all__ = ["RecordReaders"]
 
@@ -36,22 +38,34 @@ class RecordReaders:
         time: str | None = None,
         dt: float | None = None,
         delimiter: str | None = None,
+        decimal: str | None = None,
+        header: Sequence[str] | None = None,
         **options: Any,
     ) -> Self:
-        r"""Read a CSV file with a header line.
+        r"""Read a text file as labs write it (CSV, LabVIEW .lvm, serial logs).
 
         Parameters
         ----------
         path : str or path
-            Text file; other columns than those named are not looked at.
+            Text file in UTF-8, or else in Latin-1 (Windows-1252); other
+            columns than those named are not looked at. Lines before the
+            header are skipped; ``name:value`` pairs and the clock of a serial
+            monitor (``12:00:01.250 ->``) are taken off.
         inputs, outputs : str or sequence of str
-            Columns by name, which become the signal labels.
+            Columns by name, which become the signal labels: "F", or
+            "F [N]" in full, where the header says ``F [N]``.
         time : str, optional
-            Column of times in s; else give `dt`.
+            Column of times, in s or in the unit that its header names (ms,
+            min, ...); else give `dt`.
         dt : float, optional
             Sampling time in s.
         delimiter : str, optional
-            Default: found from the header (comma, semicolon, tab, bar, blanks).
+            Default: what splits the header into the names (comma, semicolon,
+            tab, bar, blanks).
+        decimal : {".", ","}, optional
+            Decimal mark; default: what the numbers tell.
+        header : sequence of str, optional
+            Names of all columns, for a file without a header line.
         **options
             `hold`, `input_labels`, `output_labels`, `input_units`,
             `output_units`, `name` as in `Measurement`.
@@ -59,13 +73,16 @@ class RecordReaders:
         Returns
         -------
         Measurement
-            Named after the file.
+            Named after the file, with the units of its header or of the line
+            below; its `notes` say what was taken for what.
 
         Raises
         ------
         DataError
             No such column (those that exist are listed), a missing or
-            unreadable cell (line and column are named).
+            unreadable cell (line and column are named), or more than one way
+            to read the file: numbers such as 1,234 alone, a name that fits
+            two columns, a header that two separators cut.
 
         Examples
         --------
@@ -75,11 +92,23 @@ class RecordReaders:
         >>> data = rco.Measurement.from_csv(path, "voltage", "rpm", time="time")
         >>> data.dt, data.output_labels, data.name
         (0.1, ('rpm',), 'motor')
+        >>> _ = path.write_text("bench 3\n\nt;U;n\nms;V;rpm\n0;1,5;0\n100;1,5;5\n")
+        >>> data = rco.Measurement.from_csv(path, "U", "n", time="t")
+        >>> data.dt, data.output_units, data.inputs
+        (0.1, ('rpm',), array([[1.5, 1.5]]))
+        >>> data.notes[0]
+        'motor.csv: header in line 3, units in line 4, cells separated by semicolon, decimal comma'
         """
         if delimiter is not None and len(as_text(delimiter, "delimiter")) != 1:
             raise ct.ControlArgument(f"delimiter must be one character, not {shown(delimiter)}")
+        if delimiter is not None and delimiter in '"\r\n':
+            raise ct.ControlArgument(f"delimiter must be one character such as ';', not {delimiter!r}")
+        if decimal is not None:
+            as_choice(decimal, "decimal", (".", ","))
+        if header is not None:
+            header = as_texts(header, "header")
         path, names = as_path(path), wanted_columns(inputs, outputs, time, dt, options)
-        columns = read_csv(path, names, delimiter=delimiter)
+        columns = read_csv(path, names, delimiter=delimiter, decimal=decimal, header=header)
         return cls._from_columns(columns, inputs, outputs, time, dt, {"name": Path(path).stem} | options)
 
     @classmethod
@@ -306,24 +335,32 @@ class RecordReaders:
     @classmethod
     def _from_columns(
         cls,
-        columns: dict[str, Any],
+        columns: Columns,
         inputs: str | Sequence[str],
         outputs: str | Sequence[str],
         time: str | None,
         dt: float | None,
         options: dict[str, Any],
     ) -> Self:
+        """The record of named columns: units and notes go with them."""
+        values, units, notes = columns
         w_names, y_names = names_of(inputs, "inputs"), names_of(outputs, "outputs")
-        lengths = {name: len(column) for name, column in columns.items()}
+        lengths = {name: len(column) for name, column in values.items()}
         if len(set(lengths.values())) > 1:
             listed = ", ".join(f"{name!r} {length}" for name, length in lengths.items())
             raise ct.ControlDimension(
                 f"the signals differ in length: {listed} samples; nothing is cut for you"
             )
-        return cls(
-            np.array([columns[name] for name in w_names]),
-            np.array([columns[name] for name in y_names]),
-            dt=dt,
-            timepts=None if time is None else columns[time],
-            **({"input_labels": w_names, "output_labels": y_names} | options),
-        )
+        times = None if time is None else values[time]
+        if time is not None and time in units and (step := seconds_per(units[time], time)) != 1.0:
+            times = np.asarray(times) * step
+            notes = (*notes, f"times of column {time!r} were brought from {units[time]} to s")
+        own = {
+            "input_labels": w_names,
+            "output_labels": y_names,
+            "input_units": [units.get(name, "") for name in w_names],
+            "output_units": [units.get(name, "") for name in y_names],
+            "notes": notes,
+        }
+        signals = (np.array([values[name] for name in names]) for names in (w_names, y_names))
+        return cls(*signals, dt=dt, timepts=times, **(own | options))

@@ -44,6 +44,7 @@ def measurement_table(data: Measurement) -> Table:
         notes.append(
             f"Constant over the record, so it drives nothing that could be seen: {', '.join(still)}."
         )
+    notes += [f"{note}." for note in data.notes]
     return Table(headers, rows, title, notes, left=3)
 
 

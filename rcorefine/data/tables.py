@@ -1,0 +1,144 @@
+"""Columns of numbers out of text files as labs write them, by NumPy's reader."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Sequence
+from operator import methodcaller
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..exceptions import DataError
+from ..systems.linear import Array
+from .columns import Columns
+from .layout import Layout, find_layout, rows_of
+from .serial_logs import unwrapped
+
+__all__ = ["read_csv"]
+
+
+def read_csv(
+    path: Any,
+    names: Sequence[str],
+    *,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+    header: Sequence[str] | None = None,
+) -> Columns:
+    """Named columns of a text file.
+
+    Parameters
+    ----------
+    path : str or path
+        Text file in UTF-8, or else in Windows-1252 (which holds Latin-1).
+    names : sequence of str
+        Columns to read; the others are not looked at.
+    delimiter, decimal, header
+        As in `Measurement.from_csv`.
+
+    Returns
+    -------
+    Columns
+        One array of shape (N,) per name, its units, and what was taken for what.
+
+    Raises
+    ------
+    DataError
+        As in `Measurement.from_csv`.
+    """
+    text, notes = _text(path)
+    lines = text.splitlines()
+    lines, more = unwrapped(lines, names, path)
+    layout = find_layout(lines, names, str(path), delimiter, decimal, header)
+    body = lines[layout.first :]
+    while body and not body[-1].strip(f'" {layout.delimiter}'):
+        body.pop()
+    if not body:
+        raise DataError(f"{path} has a header but no data lines")
+    table = _by_numpy(body, layout)
+    if table is None:
+        found = list(_by_line(body, layout, f"{path}, line"))
+        table = np.array(found).T.copy()
+    said = f"{Path(path).name}: " + "; ".join((layout.text, *notes, *more))
+    return Columns(dict(zip(names, table, strict=True)), layout.units, (said,))
+
+
+def _text(path: Any) -> tuple[str, tuple[str, ...]]:
+    """The file, and how it was decoded where that is not plain."""
+    raw = Path(path).read_bytes()
+    try:
+        if b"\0" in raw:
+            raise DataError(f"{path} is not a text file in UTF-8 or Latin-1 (it holds zero bytes)")
+        return raw.decode("utf-8-sig"), ()
+    except UnicodeDecodeError as error:
+        try:
+            return raw.decode("cp1252"), ("read as Latin-1 (Windows-1252), for it is not UTF-8",)
+        except UnicodeDecodeError:
+            raise DataError(f"{path} is not a text file in UTF-8 or Latin-1: {error}") from error
+
+
+def _by_numpy(body: list[str], layout: Layout) -> Array | None:
+    """Columns asked for, None where a line is not plain: then the other parser reads it, or says which."""
+    delimiter, columns = layout.delimiter, list(layout.places.values())
+    comma = layout.decimal == ","
+    if comma and delimiter == ",":
+        return None
+    text = "\n".join(body)
+    if comma:  # a point in the midst of decimal commas must not pass for one
+        body = text.translate({ord(","): ".", ord("."): "_"}).split("\n")
+    try:
+        if '"' in text:
+            widths = [len(row) for row in csv.reader(body, delimiter=delimiter)]
+            if len(widths) != len(body) or max(widths) > layout.width:
+                return None
+        elif delimiter == " ":
+            if max(len(line.split()) for line in body) > layout.width:
+                return None
+        elif max(map(methodcaller("count", delimiter), body)) >= layout.width:
+            return None
+        table = np.loadtxt(
+            body, delimiter=None if delimiter == " " else delimiter, usecols=columns, comments=None,
+            quotechar='"', ndmin=2,
+        )  # fmt: skip
+    except (ValueError, csv.Error):
+        return None
+    whole = len(table) == len(body) and np.isfinite(table).all()
+    return np.ascontiguousarray(table.T) if whole else None
+
+
+def _by_line(body: list[str], layout: Layout, here: str) -> Iterator[list[float]]:
+    """Numbers of the columns asked for, line by line, with a word on the first that is wrong."""
+    for line, row in rows_of(body, layout.delimiter, here, layout.first):
+        if not any(cell.strip() for cell in row):
+            raise DataError(f"{here} {line} is empty in the midst of the data; remove it or fill the gap")
+        if any(cell.strip() for cell in row[layout.width :]):
+            hint = " (decimal commas between commas cannot be told apart)" if layout.delimiter == "," else ""
+            raise DataError(
+                f"{here} {line} has {len(row)} cells and the header {layout.width}{hint}; remove a "
+                "delimiter, or name every column"
+            )
+        yield [
+            _number(
+                row[index].strip() if index < len(row) else "",
+                f"{here} {line}, column {name!r} ({index + 1})",
+                layout.decimal,
+            )
+            for name, index in layout.places.items()
+        ]
+
+
+def _number(cell: str, place: str, decimal: str) -> float:
+    if cell == "":
+        raise DataError(f"{place} is missing; fill the gap or cut the file before it")
+    other = "." if decimal == "," else ","
+    try:
+        if "_" in cell or other in cell:  # Python would take the first as a separator of digits
+            raise ValueError
+        return float(cell.replace(decimal, "."))
+    except ValueError:
+        hint = ""
+        if other in cell:
+            hint = f" (the decimal mark of this file is {decimal!r}; another one is given by decimal=)"
+        raise DataError(f"{place} is not a number: {cell!r}{hint}") from None

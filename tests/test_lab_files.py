@@ -1,0 +1,182 @@
+"""Files as labs write them: what is read, what is said of it, what is refused by name."""
+
+from __future__ import annotations
+
+import csv
+import time
+
+import control as ct
+import numpy as np
+import pytest
+
+from rcorefine import DataError, Measurement
+
+SEMICOLONS = "Prüfstand 3;;\nDatum;12.03.2024;\n\nt;U;n\ns;V;rpm\n0,00;1,5;0\n0,01;1,5;-2,25\n0,02;0;1e1\n"
+
+
+def read(tmp_path, text, *columns, encoding="utf-8", **options):
+    path = tmp_path / "log.csv"
+    path.write_bytes(text.encode(encoding))
+    inputs, outputs = columns or ("u", "y")
+    return Measurement.from_csv(path, inputs, outputs, **({"dt": 0.01} | options))
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "latin-1"])
+def test_semicolons_decimal_commas_units_and_a_preamble(tmp_path, encoding):
+    data = read(tmp_path, SEMICOLONS, "U", "n", encoding=encoding, time="t", dt=None)
+    assert data.dt == 0.01
+    assert data.inputs.tolist() == [[1.5, 1.5, 0]]
+    assert data.outputs.tolist() == [[0, -2.25, 10]]
+    assert (data.input_units, data.output_units) == (("V",), ("rpm",))
+    assert "header in line 4, units in line 5, cells separated by semicolon, decimal comma" in data.notes[0]
+    assert ("Latin-1" in data.notes[0]) == (encoding == "latin-1")
+    assert data.notes[0] in " ".join(str(data).split())
+    assert data.split(0.7)[1].notes == data.segment(0.01).notes == data.with_hold("foh").notes == data.notes
+
+
+@pytest.mark.parametrize(
+    "header, unit", [("F [N]", "N"), ("F (mN)", "mN"), ("F / N", "N"), ("F [m/s²]", "m/s²"), ("F", "")]
+)
+def test_units_in_the_header(tmp_path, header, unit):
+    data = read(tmp_path, f"t;{header};y\n0;1;2\n1;2;3\n", "F", "y")
+    assert (data.input_labels, data.input_units) == (("F",), (unit,))
+    assert read(tmp_path, f"{header};y\n1;2\n2;3\n", header, "y").inputs.tolist() == [[1, 2]]
+    assert read(tmp_path, f"{header};y\n1;2\n2;3\n", "F", "y", input_units="kN").input_units == ("kN",)
+
+
+@pytest.mark.parametrize("unit, step", [("ms", 1e-3), ("s", 1.0), ("µs", 1e-6), ("min", 60.0)])
+def test_times_are_brought_to_seconds_and_it_is_said(tmp_path, unit, step):
+    data = read(tmp_path, f"t ({unit})\tu\ty\n0\t1\t2\n5\t1\t2\n10\t1\t4\n", time="t", dt=None)
+    np.testing.assert_allclose(data.dt, 5 * step, rtol=1e-12)
+    assert any(f"from {unit} to s" in note for note in data.notes) == (unit != "s")
+
+
+def test_labview(tmp_path):
+    text = (
+        "LabVIEW Measurement\t\nWriter_Version\t2\nSeparator\tTab\nDecimal_Separator\t,\nTime\t10:11:12,5\n"
+        "***End_of_Header***\t\n\t\nChannels\t2\nSamples\t3\t3\nX0\t0,0\t0,0\nDelta_X\t0,001\t0,001\n"
+        "***End_of_Header***\t\t\t\nX_Value\tVoltage\tSpeed\tComment\n0,0000\t1,25\t0,5\tstart\n"
+        "0,0010\t-1,25\t0,75\n0,0020\t0,0\t1,0\n"
+    )
+    data = read(tmp_path, text, "Voltage", "Speed", time="X_Value", dt=None)
+    assert data.dt == 0.001
+    assert data.inputs.tolist() == [[1.25, -1.25, 0]]
+    assert data.outputs.tolist() == [[0.5, 0.75, 1]]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "ets Jun  8 2016 00:22:57\nrst:0x1 (POWERON_RESET)\n.3,2\nu,y\n1,2.5\n3,4\n",
+        "10:00:00.100 -> u,y\n10:00:00.110 -> 1,2.5\n10:00:00.120 -> 3,4\n",
+        "y:2.5\nu:1,y:2.5\nu:3,y:4\n",
+        "12:00:00.100 -> u: 1 y: 2.5\n12:00:00.200 -> u: 3 y: 4\n",
+        "u y\n  1   2.5 \n  3   4 \n",
+        "u|y\n1|2.5\n3|4\n",
+        '"u","y"\n"1","2.5"\n"3","4"\n',
+        '"u","y"\n"1,0","2,5"\n"3,0","4,00"\n',
+        "% a log of u and y\n% u y\n1 2.5\n3 4\n",
+    ],
+)
+def test_serial_logs_and_other_tables(tmp_path, text):
+    data = read(tmp_path, text)
+    assert data.inputs.tolist() == [[1, 3]]
+    assert data.outputs.tolist() == [[2.5, 4]]
+
+
+def test_a_file_without_a_header(tmp_path):
+    data = read(tmp_path, "boot 1 2\n0.5 1 2\n0.6 3 4\n", header=["t", "u", "y"], time="t", dt=None)
+    assert data.inputs.tolist() == [[1, 3]]
+    assert "names by header=, 1 lines skipped" in data.notes[0]
+
+
+@pytest.mark.parametrize(
+    "text, options, message",
+    [
+        ("u;y\n1,234;5,678\n2,345;6,789\n", {}, "decimal comma or a separator of thousands.*give decimal="),
+        ("u;y\n1.234,5;1\n2,5;2\n", {}, r"not a number: '1\.234,5'"),
+        ("u;y\n1,5;1\n2.5;2\n2,5;2.5\n", {}, "comma and point cannot both"),
+        ("u;y\n1,5;1\n2;2\n2.5;2\n", {}, r"line 4, column 'u' .* not a number: '2\.5' .*decimal="),
+        ("u,y\n1,5,2,5\n2,5,3,5\n", {}, "line 2 has 4 cells and the header 2 .decimal commas between"),
+        ("F [N];F [kN];y\n1;2;3\n", {"inputs": "F"}, r"'F' could be 'F \[N\]' or 'F \[kN\]'"),
+        ("u;y\noff;off\n1;2\n", {}, "line 2, column 'u' .* not a number: 'off'"),
+        ("u;y\nV;rpm\nV;rpm\n1;2\n", {}, "line 3, column 'u'|line 2, column 'u'"),
+        ("t [furlong];u;y\n0;1;2\n1;1;2\n", {"time": "t", "dt": None}, "no column 't'"),
+        ("t [V];u;y\n0;1;2\n1;1;2\n", {"time": "t", "dt": None}, "times is in 'V', not in one of s"),
+        ("u:1 y:2\nu:1\n", {}, "line 2 is not labeled u, y"),
+        ("u y\n1 2\nu y\n1 2\n", {}, "line 3, column 'u' .* not a number"),
+        ("1;2\n3;4\n", {}, "no column 'u'"),
+        ("1;2\n3;4\n", {"header": ["a", "u", "y"]}, "no line of 3 cells"),
+        ("1;2\n3;4\n", {"header": ["a", "b"]}, "header= for .*no column 'u'"),
+        ("u;y\n1;2\n\0;4\n", {}, "UTF-8 or Latin-1"),
+        ("u;y\n0;1\n;2\n", {}, r"line 3, column 'u' \(1\) is missing"),
+        ("u;y\n0;1\n\n3;2\n", {}, "line 3 is empty in the midst"),
+    ],
+)
+def test_what_cannot_be_told_is_refused_by_name(tmp_path, text, options, message):
+    with pytest.raises(DataError, match=message):
+        read(tmp_path, text, options.pop("inputs", "u"), "y", **options)
+
+
+@pytest.mark.parametrize(
+    "options", [{"decimal": ";"}, {"decimal": 1}, {"header": [1]}, {"delimiter": "--"}, {"delimiter": "\n"}]
+)
+def test_options_that_are_none(tmp_path, options):
+    with pytest.raises(ct.ControlArgument, match=next(iter(options))):
+        read(tmp_path, "u;y\n1;2\n", **options)
+
+
+def test_what_is_ambiguous_can_be_said(tmp_path):
+    assert read(tmp_path, "u;y\n1,234;5,678\n", decimal=",").inputs.tolist() == [[1.234]]
+    assert read(tmp_path, "u;y\n1,234;1500\n").inputs.tolist() == [[1.234]]  # 1500 has no separator
+    assert read(tmp_path, "u;y\n1,234;0,5\n").inputs.tolist() == [[1.234]]
+
+
+def test_both_parsers_read_the_same(tmp_path):
+    """Values drawn at random, written as labs do, against Python's own csv and float."""
+    rng = np.random.default_rng(0)
+    for trial in range(60):
+        delimiter, decimal = [(",", "."), (";", ","), ("\t", ","), (" ", "."), ("|", ".")][trial % 5]
+        values = rng.standard_normal((rng.integers(3, 9), 3)) * 10.0 ** rng.integers(-8, 9)
+        rows = [[f"{x:.{rng.integers(4, 17)}g}".replace(".", decimal) for x in row] for row in values]
+        damaged = rng.random() < 0.4
+        if damaged:
+            where = tuple(int(rng.integers(n)) for n in values.shape)
+            rows[where[0]][where[1]] = rng.choice(["", "x", "1_0", "1 2", "--", "1.2.3", "1,2,3"])
+        text = "\n".join(delimiter.join(row) for row in [["t", "u", "y"], *rows])
+        path = tmp_path / "log.csv"
+        path.write_text(text)
+        expected = [[float(cell.replace(decimal, ".")) for cell in row] for row in rows if not damaged]
+        if damaged:
+            with pytest.raises(DataError):
+                Measurement.from_csv(path, ["t", "u"], "y", dt=1, delimiter=delimiter, decimal=decimal)
+        else:
+            data = Measurement.from_csv(path, ["t", "u"], "y", dt=1, delimiter=delimiter, decimal=decimal)
+            assert np.vstack([data.inputs, data.outputs]).T.tolist() == expected
+
+
+@pytest.mark.benchmark
+def test_fast(tmp_path):
+    """At least a quarter of the speed of NumPy's own reader, and faster than Python's csv alone."""
+    n = 50_000
+    table = np.column_stack([np.arange(n) * 1e-3, np.random.default_rng(0).standard_normal((n, 2))])
+    path = tmp_path / "long.csv"
+    np.savetxt(path, table, delimiter=",", header="t,u,y", comments="", fmt="%.6g")
+
+    def seconds(call):
+        taken = []
+        for _ in range(3):
+            start = time.process_time()
+            call()
+            taken.append(time.process_time() - start)
+        return min(taken)
+
+    def by_hand():
+        with path.open() as file:
+            rows = csv.reader(file)
+            next(rows)
+            return [[float(cell) for cell in row] for row in rows]
+
+    ours = seconds(lambda: Measurement.from_csv(path, "u", "y", time="t"))
+    assert ours < 4 * seconds(lambda: np.loadtxt(path, delimiter=",", skiprows=1))
+    assert ours < seconds(by_hand)
