@@ -251,6 +251,7 @@ UNITS = {
     "output_units": is_words,
     "name": is_text,
 }
+TABLE = {"delimiter": is_text, "decimal": is_text, "header": is_texts}
 OPTIONAL = {key: or_none(kind) for key, kind in UNITS.items()}
 FIT = {
     "model": is_nothing,
@@ -320,7 +321,7 @@ def _reader(name: str, path: str, work: str | None = None) -> Call:
             "path": is_path,
             "time": is_text,
             "dt": is_positive,
-            "delimiter": is_text,
+            **TABLE,
             "decimal": is_text,
             "header": is_texts,
             **OPTIONAL,

@@ -15,7 +15,8 @@ _PREFIXED = (
 _ALONE = (
     "°", "%", "‰", "°C", "°F", "degC", "degF", "deg", "rpm", "rps", "min", "h", "d", "psi", "in", "inch",
     "ft", "lb", "lbf", "kgf", "mph", "kph", "kn", "rev", "cnt", "cnts", "count", "counts", "ticks", "steps",
-    "px", "dB", "sec", "secs", "seconds", "hr", "grad", "ppm", "Volt", "Volts", "volts", "Amp", "Amps", "Newton",
+    "px", "dB", "sec", "secs", "seconds", "hr", "grad", "ppm", "Volt", "Volts", "volts", "Amp", "Amps",
+    "Newton",
 )  # fmt: skip
 _KNOWN = frozenset(_ALONE) | {
     prefix + base for base in _PREFIXED for prefix in ("", *"kMGmuµμnpcd", "da", "h")
