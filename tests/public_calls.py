@@ -322,8 +322,6 @@ def _reader(name: str, path: str, work: str | None = None) -> Call:
             "time": is_text,
             "dt": is_positive,
             **TABLE,
-            "decimal": is_text,
-            "header": is_texts,
             **OPTIONAL,
         },
         work=work,
@@ -398,7 +396,7 @@ CALLS: dict[str, Call] = {
     "Comparison.seen_by": Call(_method(comparison, "seen_by"), lambda: {"index": 0}, {"index": is_number}),
     "Measurement.with_hold": Call(_method(record, "with_hold"), lambda: {"hold": "foh"}, {"hold": is_text}),
     "Measurement.from_csv": _reader("from_csv", "a.csv"),
-    "Measurement.from_mat": _reader("from_mat", "a.mat", work="rcorefine.data.reading.read_mat"),
+    "Measurement.from_mat": _reader("from_mat", "a.mat", work="rcorefine.data.formats.read_mat"),
     "Measurement.from_npz": _reader("from_npz", "a.npz"),
     "Measurement.from_frame": Call(
         lambda: MEASURE.from_frame,

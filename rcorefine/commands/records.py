@@ -17,6 +17,8 @@ _READERS = {
     ".csv": Measurement.from_csv,
     ".tsv": Measurement.from_csv,
     ".txt": Measurement.from_csv,
+    ".lvm": Measurement.from_csv,
+    ".log": Measurement.from_csv,
     ".mat": Measurement.from_mat,
     ".npz": Measurement.from_npz,
 }
@@ -28,7 +30,7 @@ def read_record(path: Path, model: Any, arguments: Namespace) -> Measurement:
     Parameters
     ----------
     path : Path
-        CSV (.csv, .tsv, .txt), .mat or .npz.
+        Text (.csv, .tsv, .txt, .lvm, .log), .mat or .npz.
     model : StateSpace or PhysicalModel
         Model whose signals are looked for where the command line names none.
     arguments : Namespace
@@ -47,7 +49,7 @@ def read_record(path: Path, model: Any, arguments: Namespace) -> Measurement:
     """
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
-        raise DataError(f"{path}: a record is a .csv, .tsv, .txt, .mat or .npz file")
+        raise DataError(f"{path}: a record is a .csv, .tsv, .txt, .lvm, .log, .mat or .npz file")
     linear = LinearModel.from_statespace(getattr(model, "system", model))
     inputs, input_labels = _columns(arguments.input, linear.input_labels)
     outputs, output_labels = _columns(arguments.output, linear.output_labels)
