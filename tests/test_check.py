@@ -69,6 +69,18 @@ def test_sign_with_units():
     assert "thousandths" in found["sign"].sentence
 
 
+def test_units_beside_parameters_that_are_off():
+    w = drive()
+    assert "degrees" in look(w, 1.13 * 180 / np.pi * noisy(w))["units"].sentence
+
+
+def test_a_converter_and_fast_transients_are_no_spikes():
+    w = np.repeat(np.random.default_rng(8).standard_normal(N // 200), 200)
+    y = outputs(w)
+    wrong = ct.ss([[0, 1], [-44, -2]], [[0], [40]], [[1, 0]], [[0]])
+    assert "spikes" not in look(w, np.round(y / 0.002) * 0.002, wrong)
+
+
 def test_a_gain_of_no_unit_is_a_look():
     w = drive()
     assert look(w, 1.3 * noisy(w))["gain"].status == "look"

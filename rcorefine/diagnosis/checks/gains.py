@@ -10,6 +10,7 @@ import numpy as np
 from scipy.signal import correlate, medfilt
 
 from ...comparison.result import Comparison
+from ...data.range_ends import resolution
 from ...inference.whitening import project, rank_basis
 from ...systems.conversion import to_discrete
 from ...systems.linear import Array, LinearModel
@@ -36,6 +37,7 @@ _BLOCKS = 12
 _SURE = 4.0  # standard deviations
 _LEAST = 0.03  # of a gain that is worth a word
 _NEAR = 0.1  # most that a known factor may be missed by
+_FAR, _ABOUT = 5.0, 0.25  # a factor that no parameter makes; the log by which a unit may then be missed
 _RELATED = 0.3  # correlation below which no gain is read
 _SPIKE = 8.0  # robust standard deviations from the median of five samples
 _NORMAL = 1.4826  # standard deviation over the median absolute deviation, for normal noise
@@ -80,7 +82,7 @@ def gain_rows(compared: Comparison) -> Iterator[CheckRow]:
         if abs(found.correlation) >= _RELATED:
             if len(settling) == 1:  # where a model integrates, an initial state is an offset
                 yield from _level_rows(label, found.left, y, data.timepts)
-            yield from _spike_row(label, found.left)
+            yield from _spike_row(label, found.left, resolution(y))
 
 
 def _settling(linear: LinearModel, dt: float, edges: list[int]) -> list[Array]:
@@ -176,15 +178,12 @@ def _gain_row(label: str, found: _Gain) -> Iterator[CheckRow]:
 
 def _unit(value: float, std: float) -> str:
     """What a factor looks like, empty where it is none that is known."""
-    within = min(max(3.0 * std / value, 0.01), _NEAR)
-    known = [
-        (abs(np.log(value / f)), f"the record looks like {a} where the model has {b}") for f, a, b in FACTORS
-    ]
-    known += [
-        (abs(np.log(value * f)), f"the record looks like {b} where the model has {a}") for f, a, b in FACTORS
-    ]
-    far, words = min(known)
-    return words if far <= within else ""
+    # parameters that are off make a gain of 1.3 and not of 60
+    within = _ABOUT if abs(np.log(value)) > np.log(_FAR) else min(max(3.0 * std / value, 0.01), _NEAR)
+    both = [*FACTORS, *((1 / factor, model, record) for factor, record, model in FACTORS)]
+    near = sorted((abs(np.log(value / factor)), record, model) for factor, record, model in both)
+    words = [f"{record} where the model has {model}" for far, record, model in near if far <= within]
+    return f"the record looks like {', or '.join(words)}" if words else ""
 
 
 def _level_rows(label: str, left: Array, y: Array, timepts: Array) -> Iterator[CheckRow]:
@@ -216,10 +215,13 @@ def _level_rows(label: str, left: Array, y: Array, timepts: Array) -> Iterator[C
         )  # fmt: skip
 
 
-def _spike_row(label: str, left: Array) -> Iterator[CheckRow]:
+def _spike_row(label: str, left: Array, step: float) -> Iterator[CheckRow]:
     rough = left - medfilt(left, 5)
-    size = _NORMAL * float(np.median(np.abs(rough)))
-    spikes = int(np.sum(np.abs(rough) > _SPIKE * size)) if size > 0 else 0
+    far = np.abs(rough)
+    size = max(_NORMAL * float(np.median(far)), step)
+    # a spike stands alone: where a residual moves fast all samples are far from their median
+    beside = np.max([np.roll(far, k) for k in (-4, -3, -2, 2, 3, 4)], axis=0)
+    spikes = int(np.sum(far > _SPIKE * np.maximum(size, beside))) if size > 0 else 0
     if spikes > max(1, 1e-3 * left.size):
         yield CheckRow(
             LOOK, "spikes", label, f"{spikes} samples",
