@@ -112,3 +112,17 @@ def test_a_clock_speeds_up_every_state_and_leaves_what_sensors_read() -> None:
     stated, true = (rco.Measurement(force, np.zeros(400), dt=dt) for dt in (0.03, 0.0303))
     here = Engine(slow, stated).run(np.zeros(0)).outputs
     np.testing.assert_allclose(here, Engine(Structure(model), true).run(np.zeros(0)).outputs, atol=1e-9)
+
+
+def test_inputs_that_run_otherwise_between_the_samples_are_no_missing_law() -> None:
+    rng = np.random.default_rng(9)
+    force = 10 * rng.standard_normal(1500)
+    system = ct.ss(*matrices(), np.eye(4)[:2], np.zeros((2, 1)))
+    y = ct.forced_response(system, 0.03 * np.arange(1500), force).outputs  # linear between the samples
+    data = rco.Measurement(
+        force, y + 0.03 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape), dt=0.03
+    )
+    found = rco.diagnose(BUILT, data)
+    assert found.verdict == "adequate"
+    assert found.refine().hold == "foh"
+    assert "The hold matters" in str(found)

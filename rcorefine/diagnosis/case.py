@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import control as ct
@@ -23,6 +24,7 @@ from ..inference.windows import windows
 from ..models.library import effect_library
 from ..models.physical_model import PhysicalModel
 from ..progress import Progress
+from .holds import best_hold
 from .verdict import passes
 
 __all__ = ["OBSERVERS", "Case", "candidates_of", "not_held"]
@@ -119,6 +121,17 @@ class Case:
             "significance": self.significance,
             "settings": self.settings,
         }
+
+    @cached_property
+    def hold(self) -> tuple[str, str]:
+        """The hold that suits the records, and a sentence where it is not the declared one."""
+        with self.progress.step("holds"):
+            return best_hold(self.base, self.ordered, self.options)
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Options of fitting other than what floats."""
+        return {name: self.settings[name] for name in ("tolerance", "offset", "noise", "horizon")}
 
     def excess(self, fitted: FittedModel) -> float:
         """Residual over the declared noise, 0 where none was declared."""

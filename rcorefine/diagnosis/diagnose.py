@@ -20,12 +20,12 @@ from ..inference.windows import as_records, check_validation
 from ..models.conversion import as_physical
 from ..progress import Progress
 from ..refinement.base_fit import base_fit
+from ..refinement.refine import refit
 from .candidate_fits import CandidateFits, fit_candidates, shortlist
 from .case import OBSERVERS, Case
 from .excitation import no_motion, not_excited, record_remarks
 from .families import hosts, merged, said_of_families
 from .floating import Floated, as_good, explaining_numbers, rivals_of_numbers
-from .holds import best_hold
 from .judging import Judged, beside_force, judge, outweighs, pair_hint, second_chance
 from .ranking import detectable, ranking
 from .remarks import amplitude_test, fit_remarks, remarks
@@ -207,6 +207,10 @@ def investigate(
         force, numbers = (None, numbers) if both[0] > both[1] else (force, None)
     if numbers is not None and not rivals_of_numbers(case, numbers, scored):
         return _parameters(case, numbers, tests), None
+    if thorough and force is None and numbers is None:
+        mended = _under_another_hold(case)
+        if mended is not None:
+            return mended, None
     batteries = [free_run, *(TestedResidual(case.fitted, r) for r in OBSERVERS)]
     chosen, scores = shortlist(scored, batteries)
     race = fit_candidates(case.fitted, [scored[i] for i in chosen], progress=progress)
@@ -261,13 +265,31 @@ def _named(
     return Diagnosis(word, rows, alike, (), tuple(judged.tests), (), **own)
 
 
+def _under_another_hold(case: Case) -> Diagnosis | None:
+    """The verdict where the inputs run otherwise between the samples than declared, and no law is missing.
+
+    A missing law can look like a wrong hold, so that only counts if every test passes with it.
+    """
+    hold, sentence = case.hold
+    if not sentence:
+        return None
+    base = refit(case.base.with_hold(hold), case.records, **case.options)
+    given = (case.library, case.settings, case.significance, case.progress, case.thorough)
+    other = Case.prepare(base, case.records, *given)
+    scored = candidate_columns(other.fitted, other.library, other.motions[0], (0.0,))
+    free_run = TestedResidual(other.fitted)
+    tests = run_tests(free_run, scored, other.motions)
+    if other.passes(tests, other.fitted):
+        return replace(_adequate(other, Explained(free_run, scored, tests)), notes=(sentence,))
+    numbers = explaining_numbers(other)
+    return None if numbers is None else replace(_parameters(other, numbers, tests), notes=(sentence,))
+
+
 def _about_record(case: Case) -> list[str]:
     """What the record itself, and its hold, have to say; only where the case is looked into thoroughly."""
     if not case.thorough:
         return []
-    options = {name: case.settings[name] for name in ("tolerance", "offset", "noise", "horizon")}
-    with case.progress.step("holds"):
-        _, sentence = best_hold(case.base, case.ordered, options)
+    sentence = case.hold[1]
     return [*([sentence] if sentence else []), *record_remarks(case.ordered)]
 
 

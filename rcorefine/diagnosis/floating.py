@@ -64,13 +64,12 @@ def explaining_numbers(case: Case) -> Floated | None:
     numbers = _numbers(case)
     if not numbers:
         return None
-    options = {name: case.settings[name] for name in ("tolerance", "offset", "noise", "horizon")}
     with warnings.catch_warnings(), case.progress.step("parameters"):
         warnings.simplefilter("ignore", IdentifiabilityWarning)  # the priors settle what the record cannot
-        refined = base_fit(case.base, case.records, free=numbers, **options)
+        refined = base_fit(case.base, case.records, free=numbers, **case.options)
         problem = case.fitted.problem
         noise = 1.0 / problem.weights  # in the units of the noise that the candidates are compared in
-        fitted = fitted_from(refined, problem.records, tolerance=options["tolerance"], noise=noise)
+        fitted = fitted_from(refined, problem.records, tolerance=case.options["tolerance"], noise=noise)
         battery = TestedResidual(fitted)
         motions = [Motion(fitted.structure, fitted.theta, m.data) for m in case.motions]
         if case.excess(fitted) > case.levels.noise_excess:
