@@ -358,3 +358,104 @@ class TestDeclared:
         kinds = {effect.kind for effect in rco.effect_library(model, places="shaft")}
         assert {"stiffness", "clearance", "coulomb_friction"} <= kinds
         assert "mass" not in kinds
+
+
+class TestModes:
+    W, ZETA = np.array([3.0, 7.0, 12.0]), np.array([0.01, 0.02, 0.015])
+    PHI = np.array([[0.8, 0.5, -0.3], [0.2, -0.7, 0.6]])  # at the force, at the sensor
+
+    def oscillators(self):
+        n, W, ZETA = 3, self.W, self.ZETA
+        A = np.block([[np.zeros((n, n)), np.eye(n)], [-np.diag(W**2), -np.diag(2 * ZETA * W)]])
+        B, C = np.zeros((2 * n, 1)), np.zeros((1, 2 * n))
+        B[n:, 0], C[0, :n] = self.PHI
+        return ct.ss(A, B, C, 0, states=[f"q{i}" for i in range(n)] + [f"dq{i}" for i in range(n)])
+
+    def rotations(self, rng):
+        """The same system in blocks [[s, w], [-w, s]], each turned by an angle of its own."""
+        T = np.zeros((6, 6))
+        for i, (w, zeta) in enumerate(zip(self.W, self.ZETA, strict=True)):
+            s, wd = -zeta * w, w * np.sqrt(1 - zeta**2)
+            angle = rng.uniform(0, 2 * np.pi)
+            turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+            T[2 * i : 2 * i + 2, [i, 3 + i]] = turn @ np.array([[1.0, 0.0], [-s / wd, 1 / wd]])
+        return transformed(self.oscillators(), T)
+
+    def test_frequencies_and_dampings(self, rng):
+        for sys in (self.oscillators(), self.rotations(rng)):
+            model = rco.physical(sys)
+            assert len(model.ports) == 3
+            found = {kind: sorted(q.value for q in model.parameters if q.kind == kind) for kind in
+                     ("stiffness", "damping", "coefficient", "mass")}  # fmt: skip
+            assert found["stiffness"] == pytest.approx(self.W**2)
+            assert found["damping"] == pytest.approx(sorted(2 * self.ZETA * self.W))
+            assert not found["coefficient"]
+            assert not found["mass"]
+            kinds = {e.kind for e in rco.effect_library(model) if e.place in {p.name for p in model.ports}}
+            assert kinds == {"stiffness", "damping"}
+
+    def test_change_of_stiffness_moves_the_frequency_alone(self, rng):
+        for sys in (self.oscillators(), self.rotations(rng)):
+            for port in rco.ports(sys):
+                A = sys.A + 0.5 * np.outer(port.act, port.position)
+                assert np.trace(A) == pytest.approx(np.trace(sys.A))
+                old, new = (np.sort(np.linalg.eigvals(X).imag ** 2 + np.linalg.eigvals(X).real ** 2)[::2]
+                            for X in (sys.A, A))  # fmt: skip
+                np.testing.assert_allclose(np.sort(new - old), [0, 0, 0.5], atol=1e-9)
+                # and the refined model is one in modal coordinates again, with the same modal mass
+                v = sys.A + 0.1 * np.outer(port.act, port.velocity)
+                assert np.trace(v) == pytest.approx(np.trace(sys.A) - 0.1)
+
+    def test_masses_of_their_own_are_no_modes(self):
+        sys = self.oscillators()
+        apart = ct.ss(sys.A, sys.B, np.eye(6)[:3], 0, states=sys.state_labels)
+        assert "clearance" in {e.kind for e in rco.effect_library(apart, places="q0")}
+
+    def test_outputs_do_not_change_with_the_coordinates(self, rng):
+        """A change of stiffness is the same system in both, to first order and beyond."""
+        one, two = self.oscillators(), self.rotations(rng)
+        s = 1j * np.linspace(1, 15, 40)
+        changed = []
+        for sys in (one, two):
+            port = min(rco.ports(sys), key=lambda p: float(p.description.split()[2]))
+            A = sys.A + 0.5 * np.outer(port.act, port.position)
+            changed.append([complex((sys.C @ np.linalg.solve(x * np.eye(6) - A, sys.B))[0, 0]) for x in s])
+        np.testing.assert_allclose(changed[0], changed[1], rtol=1e-9)
+
+
+class TestRateThroughTheInput:
+    def test_road_velocity(self):
+        """The velocity across a tire is that of the wheel minus an input."""
+        ms, mu, ks, cs, kt = 250.0, 35.0, 16e3, 1e3, 160e3
+        A = [
+            [0, 1, 0, -1],
+            [-ks / ms, -cs / ms, 0, cs / ms],
+            [0, 0, 0, 1],
+            [ks / mu, cs / mu, -kt / mu, -cs / mu],
+        ]
+        sys = ct.ss(A, [[0], [0], [-1], [0]], [[1, 0, 0, 0]], 0, states=["susp", "vs", "tire", "vu"])
+        tire = rco.physical(sys).port("tire")
+        np.testing.assert_allclose(tire.velocity, [0, 0, 0, 1])
+        np.testing.assert_allclose(tire.velocity_input, [-1])
+
+    def test_a_declared_end_that_is_an_input(self):
+        sys = ct.ss([[-2.0]], [[1.0]], [[1.0]], 0, states=["v"], inputs=["belt"])
+        port = rco.physical(sys, links={"slip": {"v": 1, "belt": -1}}).port("slip")
+        np.testing.assert_allclose(port.velocity_input, [-1])
+
+
+class TestLadder:
+    def test_branches_and_shunts(self):
+        """Two inductors and two capacitors without losses: L i' = v - v', C v' = i - i'."""
+        L, C = [0.5, 0.8], [0.1, 0.2]
+        A = np.zeros((4, 4))
+        A[0, 2], A[1, 2], A[1, 3] = -1 / L[0], 1 / L[1], -1 / L[1]
+        A[2, 0], A[2, 1], A[3, 1] = 1 / C[0], -1 / C[0], 1 / C[1]
+        labels = ["i1", "i2", "v1", "v2"]
+        sys = ct.ss(A, [[1 / L[0]], [0], [0], [0]], np.eye(4)[3:], 0, states=labels, inputs=["u"])
+        found = {port.name: port for port in rco.ports(sys)}
+        assert set(found) == {"v1", "v2", "shunt v1", "shunt v2", "i1"}  # the branch of i2 is v2
+        np.testing.assert_allclose(found["shunt v1"].act, [0, 0, -1 / C[0], 0])
+        np.testing.assert_allclose(found["shunt v2"].act, [0, 0, 0, -1 / C[1]])
+        np.testing.assert_allclose(found["i1"].act, [-1 / L[0], 0, 0, 0])
+        assert "threshold_flow" in {e.kind for e in rco.effect_library(sys, places="shunt v1")}

@@ -27,6 +27,7 @@ from .excitation import no_motion, not_excited, record_remarks
 from .families import hosts, merged, said_of_families
 from .floating import Floated, as_good, explaining_numbers, rivals_of_numbers
 from .judging import Judged, beside_force, judge, outweighs, pair_hint, second_chance
+from .places import in_race
 from .ranking import detectable, ranking
 from .remarks import amplitude_test, fit_remarks, remarks
 from .residual_tests import TestedResidual, run_tests
@@ -190,9 +191,10 @@ def investigate(
         )
         return unknown, None
     with progress.step("tests"):
-        scored = candidate_columns(case.fitted, case.library, case.motions[0], (0.0, *OBSERVERS))
+        near = in_race(case.fitted, case.library, (0.0, *OBSERVERS))
+        scored = candidate_columns(case.fitted, near, case.motions[0], (0.0, *OBSERVERS))
         free_run = TestedResidual(case.fitted)
-        tests = run_tests(free_run, scored, case.motions)
+        tests = run_tests(free_run, scored, case.motions, len(case.library) - len(near))
     if case.passes(tests, case.fitted):
         adequate = _adequate(case, Explained(free_run, scored, tests))
         if thorough or overall(tests, equal=True) >= significance:
@@ -304,6 +306,9 @@ def _parameters(case: Case, numbers: Floated, tests: Sequence[FTest]) -> Diagnos
 def _adequate(case: Case, explained: Explained) -> Diagnosis:
     """Nothing is missing; say what the record would have shown."""
     count = len(explained.tests)
-    shown = detectable(explained.battery, explained.scored, count, case.significance, case.levels)
+    known, battery = {c.effect for c in explained.scored}, explained.battery
+    far = [e for e in case.library if e not in known and len(e.coefficients) == 1]
+    scored = [*explained.scored, *candidate_columns(battery.fitted, far, case.motions[0], (battery.ratio,))]
+    shown = detectable(battery, scored, count, case.significance, case.levels)
     tests, ratio = tuple(explained.tests), explained.battery.ratio
     return Diagnosis("adequate", (), (), tests, (), shown, force_ratio=ratio, **case.about)

@@ -22,6 +22,7 @@ from ..systems.linear import Array
 from .candidate_fit import log_likelihood, prior_cost
 from .candidate_fits import CandidateFits, fit_candidates
 from .case import Case, not_held
+from .places import in_race
 from .residual_tests import TestedResidual, run_tests
 from .verdict import keeps_name, overall
 
@@ -77,7 +78,9 @@ def explaining_numbers(case: Case) -> Floated | None:
         if overall(run_tests(battery, [], motions)) < case.significance:
             return None  # the library cannot mend what fails without it
         library = not_held(case.library, fitted.structure.effects)
-        tests = run_tests(battery, candidate_columns(fitted, library, motions[0], (0.0,)), motions)
+        near = in_race(fitted, library, (0.0,))
+        scored = candidate_columns(fitted, near, motions[0], (0.0,))
+        tests = run_tests(battery, scored, motions, len(library) - len(near))
         if overall(tests) < case.significance:
             return None
     return Floated(fitted, battery, tests, _evidence(battery, case.fitted.problem.n_theta))

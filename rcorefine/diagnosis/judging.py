@@ -13,6 +13,7 @@ from ..inference.starts import Motion
 from ..inference.whitening import FTest
 from .candidate_fits import CandidateFits, fit_candidates
 from .case import OBSERVERS, Case, not_held
+from .places import in_race
 from .residual_tests import TestedResidual, run_tests
 from .unmeasured_force import likely_forces
 from .verdict import overall
@@ -47,8 +48,9 @@ def judge(case: Case, race: CandidateFits) -> Judged:
     rest = not_held(case.library, fitted.structure.effects)
     moved = [Motion(fitted.structure, fitted.theta, motion.data) for motion in case.motions]
     try:
-        scored = candidate_columns(fitted, rest, moved[0], (race.ratio,))
-        tests = run_tests(TestedResidual(fitted, race.ratio), scored, moved)
+        near = in_race(fitted, rest, (race.ratio,))
+        scored = candidate_columns(fitted, near, moved[0], (race.ratio,))
+        tests = run_tests(TestedResidual(fitted, race.ratio), scored, moved, len(rest) - len(near))
     except ModelError:  # its linear model runs away within one sample: what cannot be tested has not passed
         return Judged(race, [], False)
     return Judged(race, tests, case.passes(tests, fitted))

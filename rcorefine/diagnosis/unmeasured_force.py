@@ -11,6 +11,7 @@ from ..inference.levels import Levels
 from ..inference.sensitivities import Candidate, candidate_columns
 from ..inference.whitening import FTest
 from .case import Case
+from .places import in_race
 from .residual_tests import TestedResidual, run_tests
 from .verdict import overall
 
@@ -91,8 +92,9 @@ def explaining_force(case: Case, free_run: TestedResidual) -> Explained | None:
     for led in case.progress.over(likely, "unmeasured force"):
         if overall(run_tests(led, [], case.motions)) < case.significance:
             continue  # the library cannot mend what fails without it
-        scored = candidate_columns(led.fitted, case.library, case.motions[0], (led.ratio,))
-        tests = run_tests(led, scored, case.motions)
+        near = in_race(led.fitted, case.library, (led.ratio,))
+        scored = candidate_columns(led.fitted, near, case.motions[0], (led.ratio,))
+        tests = run_tests(led, scored, case.motions, len(case.library) - len(near))
         if overall(tests) >= case.significance:
             return Explained(led, scored, tests)
     return None

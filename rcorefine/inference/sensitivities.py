@@ -14,7 +14,7 @@ from ..engine.structure import Structure
 from ..jit import compiled
 from ..systems.discretization import discretize
 from ..systems.linear import Array
-from .fitted import FittedModel, evaluated
+from .fitted import FittedModel
 from .problem import Problem
 from .starts import Motion, law_widths, shape_starts
 
@@ -230,25 +230,25 @@ def _sensitivities(
 
 def _own_columns(candidate: Candidate, ratio: float) -> list[Array]:
     fitted, problem = candidate.fitted, candidate.problem
-    p = fitted.structure.n_parameters
+    p, secant = fitted.problem.n_theta, candidate.effect.spec.secant
     gain = fitted.gain(ratio)
     K = None if gain is None else np.pad(gain, ((0, problem.n_states - gain.shape[0]), (0, 0)))
     wide: list[list[Array]] = [[] for _ in problem.records]
     for start in candidate.starts:
-        if candidate.effect.spec.secant:  # a difference: no derivatives, which take most of the time
-            theta, states = problem.unpack(start)
-            judged = fitted.problem.judged(fitted.theta)
-            for i, engine in enumerate(problem.engines):
-                run = engine.run(theta, states[i], sensitivity=False, gain=K, check=False)
-                weights = problem.weights[:, None] * judged[i]
-                residual = weights * (run.outputs - engine.data.outputs)
-                ok = run.blew_up < 0 and np.isfinite(residual).all()
-                change = residual - fitted.blocks(ratio)[i][0] if ok else np.zeros_like(residual)
-                wide[i].append(change[:, :, None])
-            continue
-        for i, (_, jacobian) in enumerate(evaluated(problem, start, K)):
-            wide[i].append(jacobian[:, :, p : problem.n_theta])
-    return [np.nan_to_num(np.concatenate(parts, axis=2)) for parts in wide]
+        theta, states = problem.unpack(start)
+        judged = fitted.problem.judged(fitted.theta) if secant else problem.judged(theta)
+        for i, engine in enumerate(problem.engines):
+            # a secant is a difference: no derivatives, which take most of the time
+            run = engine.run(theta, states[i], sensitivity=not secant, gain=K, check=False)
+            weights = problem.weights[:, None] * judged[i]
+            if secant:
+                change = weights * (run.outputs - engine.data.outputs) - fitted.blocks(ratio)[i][0]
+                column = change[:, :, None]
+            else:
+                column = weights[:, :, None] * run.sensitivity[:, :, p:]
+            ok = run.blew_up < 0 and np.isfinite(run.outputs).all() and np.isfinite(column).all()
+            wide[i].append(column if ok else np.zeros_like(column))
+    return [np.concatenate(parts, axis=2) for parts in wide]
 
 
 def generic_forces(fitted: FittedModel, ratio: float, record: int) -> list[tuple[str, Array]]:

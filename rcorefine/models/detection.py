@@ -15,6 +15,7 @@ from ..systems.discretization import check_sampling_time
 from ..systems.linear import LinearModel
 from .displacements import Displacement, find_displacements
 from .link_ports import Declared, find_links, row_of
+from .modes import find_modes
 from .masses import MassScale, exchanging, relative_masses
 from .parameters import NominalParameter
 from .ports import Port
@@ -79,6 +80,9 @@ def find_ports(
         Nonzero stiffness, damping and coefficients, and the input gains.
     """
     displacements = find_displacements(linear, tolerance)
+    modes = find_modes(linear, displacements, tolerance)
+    modal = {state for mode in modes for state in mode.states}
+    displacements = [item for item in displacements if item.state not in modal]
     declared = declared or Declared()
     known = _known_masses(linear, displacements, declared)
     masses = relative_masses(linear, displacements, tolerance, known)
@@ -87,20 +91,22 @@ def find_ports(
     taken = {item.state for item in displacements} | owned
 
     by_state = {item.state: displacement_port(linear, item, masses) for item in displacements}
+    by_state |= {mode.states[0]: mode.port for mode in modes}
     for i in range(linear.n_states):
-        if i not in taken:
+        if i not in taken | modal:
             by_state[i] = _state_port(linear, i, masses, mechanical=i in others)
     links, open_ = find_links(linear, displacements, masses, tolerance, declared)
     for item, words in open_.items():
         port = by_state[item.state]
         by_state[item.state] = replace(port, description=f"{port.description}; {words}")
-    stores = [i for i in by_state if i not in taken and i not in others]
+    stores = [i for i in by_state if i not in taken and i not in others and i not in modal]
     exchange = [
         _exchange_port(linear, source, sink, masses)
         for source, sink in exchanging(linear.A, sorted(stores), tolerance)
     ]
-    found = (*(by_state[i] for i in sorted(by_state)), *(link.port for link in links), *exchange)
-    return found, read_parameters(linear, displacements, by_state, links, masses, tolerance)
+    shunts = [_shunt_port(linear, item) for item in displacements if _is_voltage(linear, item, declared)]
+    found = (*(by_state[i] for i in sorted(by_state)), *(link.port for link in links), *exchange, *shunts)
+    return found, read_parameters(linear, displacements, by_state, links, modes, masses, tolerance)
 
 
 def _known_masses(
@@ -175,6 +181,31 @@ def _state_port(linear: LinearModel, i: int, masses: MassScale, *, mechanical: b
 
 def _stored(origin: str) -> str:
     return origin.replace("mass", "storage").replace("forces are", "flows are")
+
+
+def _is_voltage(linear: LinearModel, item: Displacement, declared: Declared) -> bool:
+    """Whether a state is the voltage of a capacitor between currents, by its unit or as it is called."""
+    label = linear.state_labels[item.state]
+    ends = [linear.state_labels[i] for i in (item.moving, item.other) if i is not None]
+    if label in declared.units:
+        return declared.units[label] == "V"
+    return label[0] in "vVuU" and all(end[0] in "iI" for end in ends)
+
+
+def _shunt_port(linear: LinearModel, item: Displacement) -> Port:
+    """Port of a current past a capacitor; its own port is a voltage in series with it."""
+    label, nothing = linear.state_labels[item.state], np.zeros(linear.n_inputs)
+    return Port(
+        f"shunt {label}",
+        "first_order",
+        act=row_of(linear.n_states, {item.state: -item.scale}),
+        position=np.zeros(linear.n_states),
+        position_input=nothing,
+        velocity=row_of(linear.n_states, {item.state: 1.0}),
+        velocity_input=nothing,
+        acceleration_input=nothing,
+        description=f"current past the capacitor of {label}, capacitance {1.0 / item.scale:.4g}",
+    )
 
 
 def _exchange_port(linear: LinearModel, source: int, sink: int, masses: MassScale) -> Port:

@@ -11,6 +11,7 @@ import numpy as np
 from ..arguments import as_texts
 from ..effects.bodies import Mass
 from ..effects.custom import Custom
+from ..effects.dampers import Damping
 from ..effects.effect import Effect
 from ..effects.entries import Entry
 from ..effects.law import KINDS, Law
@@ -152,6 +153,8 @@ def _plausible(physical: PhysicalModel, port: Port, law: Law) -> bool:
     """Whether people would look for this law at this port first."""
     if law.on_request:
         return False
+    if port.modal:  # a change of its frequency or of its damping; other laws act at places
+        return law.name in (Stiffness.name, Damping.name)
     joined = _joins(port)
     # a body is one mass or store rather than what joins two
     if law.belongs_to == Mass.name and (joined or _body_elsewhere(physical, port)):

@@ -155,6 +155,9 @@ class PhysicalModel(Result):
         ``"z-1.2*theta-zf"`` (a suspension). Where there is more than one factorization,
         the description of the displacements says so, and `physical` takes the links by hand.
 
+        *Modes.* In modal coordinates (blocks of two states, inputs and outputs that share them) each
+        mode is a place, with a stiffness (its frequency) and a damping.
+
         *Masses.* The mass is 1/B where exactly one input drives exactly one velocity (so forces are
         in units of that input). Otherwise forces are per unit mass. An input
         with -1 on every mass is the acceleration of the base.

@@ -52,6 +52,8 @@ class Port:
         Units, ``""`` where they are unknown.
     description : str
         The place in words.
+    modal : bool
+        Whether it is a mode, and no place that a force from elsewhere could reach alone.
 
     Raises
     ------
@@ -86,6 +88,7 @@ class Port:
     velocity_unit: str = ""
     force_unit: str = ""
     description: str = ""
+    modal: bool = False
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:

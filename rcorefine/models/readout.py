@@ -14,6 +14,7 @@ from ..systems.linear import Array, LinearModel
 from .displacements import Displacement, find_displacements, significant
 from .link_ports import Link
 from .masses import MassScale
+from .modes import Mode
 from .parameters import NominalParameter
 from .ports import Port
 
@@ -28,6 +29,7 @@ def read_parameters(
     displacements: Sequence[Displacement],
     by_state: Mapping[int, Port],
     links: Sequence[Link],
+    modes: Sequence[Mode],
     masses: MassScale,
     tolerance: float,
 ) -> tuple[NominalParameter, ...]:
@@ -43,6 +45,8 @@ def read_parameters(
         Absolute ports and elongations by their state.
     links : sequence of Link
         Links between displacements.
+    modes : sequence of Mode
+        Modes, where the coordinates are modal.
     masses : MassScale
         Masses of the velocity states.
     tolerance : float
@@ -59,6 +63,10 @@ def read_parameters(
     (first-order states, one-way couplings) is listed entry by entry.
     """
     rest = _Rest(linear, tolerance)
+    for mode in modes:
+        rest.off(mode.port, Stiffness.name, mode.stiffness)
+        rest.off(mode.port, Damping.name, mode.damping)
+        rest.left[list(mode.states)] = 0.0
     for link in links:
         rest.off(link.port, Stiffness.name, link.stiffness)
         rest.off(link.port, Damping.name, link.damping)
