@@ -15,8 +15,8 @@ from ..systems.discretization import check_sampling_time
 from ..systems.linear import LinearModel
 from .displacements import Displacement, find_displacements
 from .link_ports import Declared, find_links, row_of
-from .modes import find_modes
 from .masses import MassScale, exchanging, relative_masses
+from .modes import find_modes
 from .parameters import NominalParameter
 from .ports import Port
 from .readout import find_rate_sensors, read_parameters
