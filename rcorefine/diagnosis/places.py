@@ -13,7 +13,7 @@ from .residual_tests import TestedResidual
 __all__ = ["in_race"]
 
 _MOST = 8  # places up to which none is left out: their laws cost less than a choice that errs
-_BEST = 3  # that each residual keeps
+_BEST = 3  # that each residual keeps; twice as many for what has a motion of its own
 
 
 def in_race(fitted: FittedModel, library: Sequence[Effect], ratios: Sequence[float]) -> list[Effect]:
@@ -32,28 +32,28 @@ def in_race(fitted: FittedModel, library: Sequence[Effect], ratios: Sequence[flo
     Returns
     -------
     list of Effect
-        In the order of the library. Effects at inputs, outputs and entries of A are all kept, and those
-        with a motion of their own, which no force along the motion stands for.
+        In the order of the library. Effects at inputs, outputs and entries of A are all kept, and what
+        has a motion of its own, which a force along the motion only resembles, at more places.
     """
     ports = {port.name for port in fitted.structure.model.ports}
     places = {effect.place for effect in library if effect.place in ports}
     if len(places) <= _MOST:
         return list(library)
-    kept: set[str] = set()
-    for ratio in ratios:
-        kept.update(_best(TestedResidual(fitted, ratio), places))
+    orders = [_order(TestedResidual(fitted, ratio), places) for ratio in ratios]
+    near, far = ({place for order in orders for place in order[:count]} for count in (_BEST, 2 * _BEST))
     return [
         effect
         for effect in library
-        if effect.place not in ports or effect.place in kept or effect.spec.secant
+        if effect.place not in ports or effect.place in (far if effect.spec.secant else near)
     ]
 
 
-def _best(battery: TestedResidual, places: set[str]) -> list[str]:
+def _order(battery: TestedResidual, places: set[str]) -> list[str]:
+    """The places, that first where a force of any form explains most."""
     names, blocks = battery.generic
     tests = []
     for place in dict.fromkeys(names):
         if place in places:
             mine = np.array([name == place for name in names])
             tests.append(battery.test(place, [block[:, :, mine] for block in blocks]))
-    return [t.name for t in sorted(tests, key=lambda t: (t.p_value, -t.statistic))[:_BEST]]
+    return [t.name for t in sorted(tests, key=lambda t: (t.p_value, -t.statistic))]
