@@ -42,8 +42,9 @@ class TestInRace:
     def test_few_places_all_stay(self):
         model = rco.mass_spring_damper([1.0, 1.0], [0.1, 0.1], [100.0, 100.0], sensors=[("velocity", 2)])
         rng = np.random.default_rng(0)
-        w = rng.standard_normal(400)
-        data = rco.Measurement(w, rng.standard_normal(400), dt=0.05)
+        blank = rco.Measurement(rng.standard_normal(400), np.zeros(400), dt=0.05)
+        y = rco.simulate(model, blank, "zero").outputs[0]
+        data = rco.Measurement(blank.inputs, y + 0.1 * y.std() * rng.standard_normal(400), dt=0.05)
         fitted = fitted_from(rco.refine(model, data), [data], tolerance=0.0)
         library = rco.effect_library(model)
         assert in_race(fitted, library, (0.0,)) == library
