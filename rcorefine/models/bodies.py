@@ -120,11 +120,13 @@ def _groupings(K: Array) -> Iterator[Groups]:
     pairs = list(combinations(range(n), 2))
     for a, b in pairs:
         # a bar between nodes (a, b) and (c, d): four couplings, of rank one
-        both = [j for j in range(n) if j not in (a, b) and coupled[a, j] and coupled[b, j]]
-        for c, d in combinations(both, 2):
-            minor = K[a, c] * K[b, d] - K[a, d] * K[b, c]
-            if abs(minor) <= ROUNDING * abs(K[a, c] * K[b, d]):
-                joined[a, b] = joined[b, a] = joined[c, d] = joined[d, c] = True
+        both = np.flatnonzero(coupled[a] & coupled[b])
+        ratio = K[a, both] / K[b, both]
+        same = np.abs(1.0 - ratio[:, None] / ratio) <= ROUNDING
+        np.fill_diagonal(same, False)
+        joined[np.ix_(both, both)] |= same
+        joined[a, b] |= same.any()
+        joined[b, a] |= same.any()
     single = {group[0] for group in connected(joined) if len(group) == 1}
     maybe = [(a, b) for a, b in pairs if a in single and b in single and coupled[a, b]][:_MOST_MERGED]
     for count in range(len(maybe) + 1):
