@@ -373,6 +373,21 @@ CALLS: dict[str, Call] = {
     "Measurement.check_excitation": Call(
         _method(record, "check_excitation"), dict, {"purpose": is_text, "stacklevel": is_whole}
     ),
+    "Measurement.decimate": Call(_method(record, "decimate"), lambda: {"factor": 2}, {"factor": is_whole}),
+    "Measurement.from_timestamps": Call(
+        lambda: MEASURE.from_timestamps,
+        lambda: {"timepts": np.arange(7.0), "inputs": np.arange(7.0), "outputs": np.arange(7.0), "dt": DT},
+        {
+            **OPTIONAL,
+            "timepts": is_state,
+            "output_timepts": or_none(is_state),
+            "inputs": is_signal,
+            "outputs": is_signal,
+            "dt": is_positive,
+            "longest_gap": is_positive,
+        },
+        more=tuple(key for key in UNITS if key != "hold"),
+    ),
     "Measurement.frequency_response": Call(
         _method(record, "frequency_response"),
         lambda: {"segment_length": 60},

@@ -9,10 +9,12 @@ from typing import Any, Self
 import control as ct
 import numpy as np
 
-from ..arguments import as_choice, as_text, as_texts, shown
+from ..arguments import as_choice, as_number, as_text, as_texts, shown
 from ..exceptions import DataError
 from .columns import read_frame, wanted_columns
 from .formats import FileReaders
+from .resampling import as_stamps, regular
+from .signals import HOLDS, as_signals, check_finite, default_labels
 from .tables import read_csv
 
 __all__ = ["RecordReaders"]
@@ -228,3 +230,97 @@ class RecordReaders(FileReaders):
             output_units=output_units,
             name=(response.sysname or None) if name is None else name,
         )
+
+    @classmethod
+    def from_timestamps(
+        cls,
+        timepts: Any,
+        inputs: Any,
+        outputs: Any,
+        *,
+        dt: float | None = None,
+        output_timepts: Any = None,
+        longest_gap: float | None = None,
+        hold: str = "zoh",
+        **options: Any,
+    ) -> Self:
+        """Bring samples that a clock stamped as it could to a regular grid.
+
+        Parameters
+        ----------
+        timepts : array_like of shape (N,)
+            Times in s (or dates), in any order, with jitter, lost and doubled
+            stamps; those of inputs and outputs, or of the inputs alone.
+        inputs : array_like of shape (N,) or (n_w, N)
+            What drove the system.
+        outputs : array_like of shape (M,) or (n_y, M)
+            What was measured; M = N unless they have their own times.
+        dt : float, optional
+            Sampling time of the record in s. Default: the usual step of the
+            outputs' stamps. A longer one goes through `decimate`, so nothing
+            is aliased.
+        output_timepts : array_like of shape (M,), optional
+            Times of the outputs where they have their own clock, counted
+            from the same zero; the stretch that both cover is kept.
+        longest_gap : float, optional
+            In s; longer ones between stamps are refused. Default: three
+            steps. Held inputs may be stamped only when they change.
+        hold : {"zoh", "foh", "bandlimited"}
+            How the inputs run between their stamps.
+        **options
+            Labels, units, name as in `Measurement`.
+
+        Returns
+        -------
+        Measurement
+            Its `notes` say what was sorted, merged and interpolated, by which
+            rule, and how large the error is.
+
+        Raises
+        ------
+        DataError
+            Gaps (all are listed), stamps that are not finite or all alike, clocks
+            without a common stretch, samples that are not finite.
+        control.ControlDimension
+            Numbers of stamps and samples that differ.
+
+        Notes
+        -----
+        Stamps that lie closer than a fifth of a step count as doubled: held
+        inputs keep the last value, others their mean. Outputs are
+        interpolated by a cubic spline, whose rms error is
+        bounded by leaving out every other sample (half the bandwidth, so far
+        more than the error itself). Held inputs become their mean over each
+        step of the grid: a switch between two grid points is shared by two
+        samples, so the impulse that the system got is kept, and what is left
+        is of second order in the step. Clocks that run apart cannot be told
+        from a delay; `diagnose` may name it.
+
+        Examples
+        --------
+        >>> rng = np.random.default_rng(0)
+        >>> t = np.arange(200) * 0.01 + 0.001 * rng.standard_normal(200)
+        >>> data = rco.Measurement.from_timestamps(t, np.sign(np.sin(9 * t)), np.sin(5 * t), dt=0.01)
+        >>> data.dt, bool(np.abs(data.outputs - np.sin(5 * data.timepts)).max() < 1e-6)
+        (0.01, True)
+        """
+        as_choice(hold, "hold", HOLDS)
+        if dt is not None:
+            as_number(dt, "dt", above=0.0, what="a time in seconds", error=DataError)
+        if longest_gap is not None:
+            as_number(longest_gap, "longest_gap", above=0.0, what="a time in seconds", error=DataError)
+        own = "timepts" if output_timepts is None else "output_timepts"
+        t_w = as_stamps(timepts, "timepts")
+        t_y = t_w if output_timepts is None else as_stamps(output_timepts, "output_timepts")
+        w, y = as_signals(inputs, "inputs"), as_signals(outputs, "outputs")
+        for rows, stamps, what, clock in ((w, t_w, "inputs", "timepts"), (y, t_y, "outputs", own)):
+            if rows.shape[1] != stamps.size:
+                raise ct.ControlDimension(
+                    f"{what} have {rows.shape[1]} samples and {clock} {stamps.size} times"
+                )
+            check_finite(rows, default_labels(what[0], len(rows)), stamps, what[:-1])
+        found = regular((t_w, t_y), w, y, dt, hold, longest_gap)
+        return cls(
+            found.inputs, found.outputs, dt=found.dt, timepts=found.timepts, hold=found.hold,
+            **({"notes": found.notes} | options),
+        )  # fmt: skip

@@ -147,8 +147,8 @@ def _check_regular(times: Array, steps: Array, mean: float) -> None:
             f"sample {k} (t = {times[k]:.9g} s) is {off_grid[k]:.3g} s off the regular grid of {mean:.6g} s"
         )
     raise DataError(
-        f"time is irregular: {where}. Resample the record on a regular grid "
-        "(numpy.interp, scipy.signal.resample), or use a stretch without the gap"
+        f"time is irregular: {where}. Bring it to a regular grid "
+        "(Measurement.from_timestamps), or use a stretch without the gap"
     )
 
 

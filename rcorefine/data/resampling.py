@@ -1,0 +1,254 @@
+"""A regular grid out of whatever a clock gave, and a slower one behind a filter that keeps the relation."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import control as ct
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.signal import fftconvolve
+
+from ..arguments import as_array
+from ..exceptions import DataError
+from ..systems.linear import Array
+
+__all__ = ["Resampled", "as_stamps", "decimated", "regular"]
+
+_DOUBLED = 0.2  # of a step: stamps that are closer count as one
+_GAP = 3.0  # steps
+_PASSES = 0.75  # of the new Nyquist frequency: up to there the filter is flat
+_HALF = 20  # new samples on either side that it takes
+_BETA = 7.857  # Kaiser's window for 80 dB
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+
+
+class Resampled(NamedTuple):
+    """Signals on a regular grid."""
+
+    inputs: Array
+    outputs: Array
+    dt: float
+    timepts: Array
+    hold: str
+    notes: tuple[str, ...]
+
+
+def decimated(inputs: Array, outputs: Array, dt: float, timepts: Array, hold: str, factor: int) -> Resampled:
+    """Every `factor`-th sample behind a low-pass that inputs, as they are held, and outputs pass alike.
+
+    Parameters
+    ----------
+    inputs, outputs : ndarray, shape (n_w, N) and (n_y, N)
+        Signals.
+    dt : float
+        Their sampling time.
+    timepts : ndarray, shape (N,)
+        Their times.
+    hold : {"zoh", "foh", "bandlimited"}
+        How the inputs run between the samples.
+    factor : int
+        How many times slower.
+
+    Returns
+    -------
+    Resampled
+        Band-limited. Shorter by 20 new samples at either end, where the filter is not full.
+
+    Raises
+    ------
+    DataError
+        If nothing would be left.
+
+    Notes
+    -----
+    With f(t) the filter's impulse response (a sinc under Kaiser's window, even in t), outputs become
+    sum_n dt f(n dt) y(k - n). An input is a function of time by its hold, u(t) = sum_k u(k) p(t - k dt),
+    and becomes the samples of f * u, sum_n u(k - n) int f(n dt + s) p(-s) ds. As f * (G u) = G (f * u) for
+    any linear time-invariant G, the new samples belong to the same model under band-limited inputs: nothing
+    has to be added to it. Content above the new Nyquist frequency is 80 dB down.
+    """
+    half = _HALF * factor
+    if outputs.shape[1] < 2 * (half + 1) + 2 * factor:
+        raise DataError(
+            f"{outputs.shape[1]} samples are too few to be decimated by {factor}: the filter takes {half} at "
+            f"either end; at least {2 * (half + 1) + 2 * factor} are needed"
+        )
+    lags: Array = np.arange(-half - 1, half + 2, dtype=float) * dt
+    taps = _response(lags, dt, factor)
+    held = taps
+    if hold != "bandlimited":
+        held = np.zeros_like(taps)
+        for start in (-1.0,) if hold == "zoh" else (-1.0, 0.0):
+            for node, weight in zip(_NODES, _WEIGHTS, strict=True):
+                s = start + (node + 1) / 2
+                kernel = 1.0 if hold == "zoh" else 1.0 - abs(s)
+                held += weight / 2 * kernel * _response(lags + s * dt, dt, factor)
+
+    def through(signals: Array, weights: Array) -> Array:
+        # constants pass exactly, and a large one costs no digits of the rest
+        level = signals.mean(axis=1, keepdims=True)
+        passed = fftconvolve(signals - level, (weights / weights.sum())[None], mode="valid", axes=1)
+        found: Array = passed[:, ::factor] + level
+        return found
+
+    edge = np.pi / (factor * dt)
+    note = (
+        f"decimated by {factor}: inputs (as held, {hold}) and outputs passed the same zero-phase low-pass, "
+        f"flat to {_PASSES * edge:.4g} rad/s and 80 dB down above {edge:.4g}, so a linear model keeps its "
+        f"relation to both; {half + 1} samples at either end and all faster content, that of jumps and kinks "
+        "included, are gone"
+    )
+    times = timepts[half + 1 : timepts.size - half - 1 : factor]
+    return Resampled(
+        through(inputs, held), through(outputs, taps), factor * dt, times, "bandlimited", (note,)
+    )
+
+
+def _response(t: Array, dt: float, factor: int) -> Array:
+    """Impulse response of the low-pass at times `t`, times dt."""
+    edge = (1 + _PASSES) / 2 / (factor * dt)  # twice the cutoff in Hz
+    inside = np.clip(1.0 - (t / (_HALF * factor * dt)) ** 2, 0.0, None)
+    found: Array = dt * edge * np.sinc(edge * t) * np.i0(_BETA * np.sqrt(inside)) / np.i0(_BETA)
+    return np.where(inside > 0.0, found, 0.0)
+
+
+def as_stamps(values: Any, name: str) -> Array:
+    """Times in s, shape (N,), as they were stamped; dates count from the first.
+
+    Raises
+    ------
+    control.ControlDimension
+        If they are no vector.
+    DataError
+        If one is missing, or there are fewer than four.
+    """
+    dates = np.asarray(values) if isinstance(values, np.ndarray) else None
+    if dates is not None and dates.dtype.kind == "M" and dates.size:
+        values = (dates - dates.min()) / np.timedelta64(1, "s")
+    stamps = as_array(values, f"{name} (in seconds)", finite=False)
+    if stamps.ndim != 1:
+        raise ct.ControlDimension(f"{name} has shape {stamps.shape}; give one time per sample, shape (N,)")
+    if not np.isfinite(stamps).all():
+        raise DataError(
+            f"{name} is not finite at sample {int(np.argmin(np.isfinite(stamps)))}; drop that sample"
+        )
+    if stamps.size < 4:
+        raise DataError(f"{name} holds {stamps.size} times; a grid is found from at least 4")
+    return stamps
+
+
+def regular(
+    stamps: tuple[Array, Array],
+    inputs: Array,
+    outputs: Array,
+    dt: float | None,
+    hold: str,
+    longest_gap: float | None,
+) -> Resampled:
+    """Signals with stamps of their own on one regular grid, see `Measurement.from_timestamps`."""
+    notes: list[str] = []
+    t_w, inputs = _in_order(stamps[0], inputs, hold == "zoh", "inputs", notes)
+    t_y, outputs = _in_order(stamps[1], outputs, False, "outputs", notes)
+    step = _step(t_y)
+    for times, name, held in ((t_w, "inputs", hold == "zoh"), (t_y, "outputs", False)):
+        if not held:  # a held input may be stamped only when it changes
+            _check_gaps(times, name, longest_gap)
+    dt = float(f"{step:.12g}") if dt is None else dt
+    factor = 1 if dt <= 1.1 * step else int(np.ceil(dt / step * (1 - 1e-9)))
+    first, last = max(t_w[0], t_y[0]), min(t_w[-1] if hold != "zoh" else np.inf, t_y[-1])
+    count = int(np.floor((last - first) / (dt / factor) * (1 + 1e-12))) + 1
+    if last <= first or count < 2:
+        raise DataError(
+            f"inputs (t = {t_w[0]:g} ... {t_w[-1]:g} s) and outputs ({t_y[0]:g} ... {t_y[-1]:g} s) have "
+            "no stretch of time in common that holds two samples; bring both clocks to one zero"
+        )
+    grid = first + dt / factor * np.arange(count)
+    fine_y = np.array([_spline(t_y, row, grid) for row in outputs])
+    if hold == "zoh":
+        edges = np.append(grid, grid[-1] + dt / factor)
+        fine_w = np.array([_held_mean(t_w, row, edges) for row in inputs])
+        how = "inputs: mean of the held value over each step, which keeps what they drive"
+    elif hold == "foh":
+        fine_w = np.array([np.interp(grid, t_w, row) for row in inputs])
+        how = "inputs: straight lines between their stamps"
+    else:
+        fine_w = np.array([_spline(t_w, row, grid) for row in inputs])
+        how = "inputs: a cubic spline"
+    scatter = np.std(np.diff(t_y) / step - np.maximum(np.round(np.diff(t_y) / step), 1.0))
+    errors = ", ".join(f"{_left_out(t_y, row):.3g}" for row in outputs)
+    said = (
+        f"resampled to dt = {dt:.6g} s from stamps whose steps scatter by {100 * scatter:.2g} % of "
+        f"{step:.6g} s; {how}; outputs: a cubic spline, whose rms error, noise included, is at most "
+        f"{errors} (found by leaving out every other sample)"
+    )
+    notes.insert(0, said)
+    if factor == 1:
+        return Resampled(fine_w, fine_y, dt, grid, hold, tuple(notes))
+    slow = decimated(fine_w, fine_y, dt / factor, grid, hold, factor)
+    return slow._replace(dt=dt, notes=(*notes, *slow.notes))
+
+
+def _in_order(times: Array, rows: Array, last: bool, name: str, notes: list[str]) -> tuple[Array, Array]:
+    """Stamps that increase; what is stamped alike (or nearly so) becomes one sample."""
+    order = np.argsort(times, kind="stable")
+    late = int(np.sum(np.diff(times) < 0))
+    times, rows = times[order], rows[:, order]
+    step = float(np.median(np.diff(np.unique(times)))) if times[-1] > times[0] else 0.0
+    if step == 0.0:
+        raise DataError(f"all {name} are stamped {times[0]:g} s; give the time of every sample")
+    new = np.concatenate([[True], np.diff(times) > _DOUBLED * step])
+    starts = np.flatnonzero(new)
+    sizes = np.diff(np.append(starts, times.size))
+    if late:
+        notes.append(f"{name}: {late} stamps lay before the one ahead of them and were sorted")
+    if starts.size < times.size:
+        rule = "the last value was kept" if last else "their mean was taken"
+        notes.append(
+            f"{name}: {times.size - starts.size} stamps were double (closer than {_DOUBLED:g} steps); {rule}"
+        )
+        if last:
+            return times[starts], rows[:, np.append(starts[1:], times.size) - 1]
+        return np.add.reduceat(times, starts) / sizes, np.add.reduceat(rows, starts, axis=1) / sizes
+    return times, rows
+
+
+def _step(times: Array) -> float:
+    """Usual step, lost samples not counted: the span over the number of steps in it."""
+    steps = np.diff(times)
+    usual = np.median(steps)
+    counts = np.where(steps > 1.75 * usual, np.round(steps / usual), 1.0)  # jitter is not a lost sample
+    return float((times[-1] - times[0]) / counts.sum())
+
+
+def _check_gaps(times: Array, name: str, longest: float | None) -> None:
+    steps, usual = np.diff(times), _step(times)
+    most = _GAP * usual if longest is None else longest
+    gaps = np.flatnonzero(steps > most)
+    if gaps.size:
+        listed = ", ".join(f"{times[k]:.6g} ... {times[k + 1]:.6g} s" for k in gaps[:5])
+        raise DataError(
+            f"{name}: {gaps.size} gap(s) of more than {most:.3g} s ({listed}); one step is {usual:.3g} s. "
+            "Make a record of each stretch between them, or set longest_gap= to have them filled in"
+        )
+
+
+def _spline(times: Array, values: Array, at: Array) -> Array:
+    found: Array = CubicSpline(times, values)(at)
+    return found
+
+
+def _held_mean(times: Array, values: Array, edges: Array) -> Array:
+    """Mean over each step of a value that is held until the next stamp."""
+    ends = np.append(times, max(times[-1], edges[-1]) + 1.0)
+    area = np.concatenate([[0.0], np.cumsum(values * np.diff(ends))])
+    found: Array = np.diff(np.interp(edges, ends, area)) / np.diff(edges)
+    return found
+
+
+def _left_out(times: Array, values: Array) -> float:
+    """Rms error at every other sample of the spline through the rest."""
+    inside = slice(1, None if times.size % 2 else -1, 2)  # between samples that are kept
+    if times.size < 8:
+        return float(np.std(values))
+    return float(np.sqrt(np.mean((_spline(times[::2], values[::2], times[inside]) - values[inside]) ** 2)))
