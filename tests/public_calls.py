@@ -405,6 +405,12 @@ CALLS: dict[str, Call] = {
     "Measurement.split": Call(_method(record, "split"), lambda: {"fraction": 0.5}, {"fraction": is_share}),
     "Measurement.to_response": Call(_method(record, "to_response"), dict),
     "PhysicalModel.held": Call(_method(model, "held"), lambda: {"data": record()}, {"data": is_nothing}),
+    **{
+        f"Refinement.to_{language}": Call(
+            _method(refinement, f"to_{language}"), dict, {"path": or_none(is_path)}
+        )
+        for language in ("python", "c", "matlab", "modelica")
+    },
     "Refinement.with_hold": Call(
         _method(refinement, "with_hold"), lambda: {"hold": "foh"}, {"hold": or_none(is_text)}
     ),

@@ -19,7 +19,8 @@ PACKAGE = Path(rco.__file__).parent
 #: Each may import those before it, and none after it.
 ORDER = (
     "version", "exceptions", "arithmetic", "jit", "arguments", "progress", "writing", "archives", "results",
-    "systems", "gauss_newton", "data", "effects", "models", "engine", "inference", "comparison", "refinement",
+    "systems", "gauss_newton", "data", "effects", "models", "engine", "export", "inference", "comparison",
+    "refinement",
     "diagnosis", "localization", "streaming", "examples", "views", "commands", "__main__",
 )  # fmt: skip
 

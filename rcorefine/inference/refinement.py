@@ -17,6 +17,7 @@ from ..engine.nonlinear import nonlinear_system
 from ..engine.simulation import simulate
 from ..engine.structure import Structure
 from ..exceptions import ModelError
+from ..export.exports import CodeExports
 from ..models.physical_model import PhysicalModel
 from ..results import Options, ReportedModel, picture, show
 from ..systems.linear import Array
@@ -63,7 +64,7 @@ class EstimatedParameter:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Refinement(ReportedModel):
+class Refinement(ReportedModel, CodeExports):
     """A model refined with effects, and how well it is known.
 
     Passes as a model to `compare`, `refine` and the other functions.
