@@ -51,6 +51,9 @@ WITH_KEYWORDS: dict[str, Callable[[], object]] = {
     "Measurement.from_frame": lambda: _read_with_unknown_keyword("frame"),
     "Measurement.from_mat": lambda: _read_with_unknown_keyword("mat"),
     "Measurement.from_npz": lambda: _read_with_unknown_keyword("npz"),
+    "Measurement.from_timestamps": lambda: rco.Measurement.from_timestamps(
+        np.arange(9.0), np.zeros(9), np.zeros(9), no_such_keyword=1
+    ),
 }
 # Rows of a table: nobody makes them by hand, the object that holds them has the example.
 ROWS = {"NominalParameter"}

@@ -306,9 +306,11 @@ class RecordReaders(FileReaders):
         """
         as_choice(hold, "hold", HOLDS)
         if dt is not None:
-            as_number(dt, "dt", above=0.0, what="a time in seconds", error=DataError)
+            dt = as_number(dt, "dt", above=0.0, what="a time in seconds", error=DataError)
         if longest_gap is not None:
-            as_number(longest_gap, "longest_gap", above=0.0, what="a time in seconds", error=DataError)
+            longest_gap = as_number(
+                longest_gap, "longest_gap", above=0.0, what="a time in seconds", error=DataError
+            )
         own = "timepts" if output_timepts is None else "output_timepts"
         t_w = as_stamps(timepts, "timepts")
         t_y = t_w if output_timepts is None else as_stamps(output_timepts, "output_timepts")
