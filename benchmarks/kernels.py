@@ -50,8 +50,7 @@ class PlainNumpy:
     """The same recursion, one numpy call per product."""
 
     def __init__(self, refiner: rco.RCORefiner) -> None:
-        part = refiner._physical
-        assert part is not None
+        part = refiner._estimator.filter
         self.setup, self.part = part.setup, part
         lay, memory = part.setup.layout, part.memory
         self.v = {name: lay.view(memory.packed, name).copy() for name in lay.shapes}
@@ -60,7 +59,7 @@ class PlainNumpy:
 
     def discretize(self) -> None:
         s, n, nu = self.setup.structure(self.part.memory.widths), self.setup.layout.n, self.setup.layout.nu
-        d = s.discretize(self.centre, self.setup.dt)
+        d = s.discretize(self.centre, self.setup.settings.dt)
         self.Phi, self.dPhi = d.M[:, :n], d.dM[:, :, :n]
         self.Gam, self.dGam = (m[..., n : n + nu] + m[..., n + nu : n + 2 * nu] for m in (d.M, d.dM))
         self.O, self.dO = d.O, d.dO
@@ -122,8 +121,7 @@ def timed(run: Callable[[], Any]) -> float:
 def stage(n: int, n_samples: int, repeats: int) -> list[str]:
     refiner, w, y = chain(n, 0.02, WARM_UP + n_samples)
     refiner.update(w[:, :WARM_UP], y[:, :WARM_UP])
-    part = refiner._physical
-    assert part is not None
+    part = refiner._estimator.filter
     start = part.memory
     ahead = slice(WARM_UP, WARM_UP + n_samples)
     rest, measured = w[:, ahead], y[:, ahead]
@@ -160,6 +158,45 @@ def stage(n: int, n_samples: int, repeats: int) -> list[str]:
         each = 1e6 * np.median(spent[name]) / n_samples
         gap = "" if name == "numpy" else f"{difference:.1e}"
         lines.append(f"{2 * n:4d} states  {name:18}{each:10.2f} us{ratio:9.1f} x   {gap}")
+    return lines
+
+
+def streams(n_samples: int, repeats: int) -> list[str]:
+    """What else streams: laws in a chain of three masses, and the refiner to which nothing was named."""
+    plain, w, y = chain(3, 0.02, WARM_UP + n_samples)
+    one = rco.mass_spring_damper([1.0], [0.2], [10.0], sensors="displacement")
+    two = rco.mass_spring_damper([1.0, 1.0], [0.2, 0.2], [10.0, 8.0], sensors="displacement", force=2)
+    cases: dict[str, tuple[Any, np.ndarray, int]] = {}
+    for kind in ("clearance", "cubic_stiffness", "coulomb_friction"):
+        effects = [rco.Effect(kind, "link2")]
+        for size in (1, 1000):
+            refiner = rco.RCORefiner(plain.model, dt=0.02, effects=effects, use_estimated_states=False)
+            cases[f"{kind}, {size}"] = refiner, y, size
+    rng = np.random.default_rng(1)
+    for model, name in ((one, "one mass"), (two, "two masses")):
+        record = rco.Measurement(w, np.zeros((model.system.noutputs, w.shape[1])), dt=0.02)
+        out = rco.simulate(model, record, "zero").outputs
+        out += 0.05 * out.std(axis=1, keepdims=True) * rng.standard_normal(out.shape)
+        for size in (1, 10, 1000):
+            cases[f"default, {name}, {size}"] = rco.RCORefiner(model, dt=0.02), out, size
+    for refiner, out, _ in (*cases.values(), (plain, y, 0)):
+        refiner.update(w[:, :WARM_UP], out[:, :WARM_UP])
+    spent: dict[str, list[float]] = {name: [] for name in ("numpy", *cases)}
+    ahead = range(WARM_UP, WARM_UP + n_samples)
+    columns = [(w[:, k].copy(), y[:, k].copy()) for k in ahead]
+    for _ in range(repeats):
+        loop = PlainNumpy(plain)
+        spent["numpy"].append(timed(lambda loop=loop: [loop.sample(*c) for c in columns]))
+        for name, (refiner, out, size) in cases.items():
+            parts = [slice(k, k + size) if size > 1 else k for k in ahead[::size]]
+            blocks = [(w[:, part].copy(), out[:, part].copy()) for part in parts]
+            spent[name].append(
+                timed(lambda refiner=refiner, blocks=blocks: [refiner.update(*b) for b in blocks])
+            )
+    lines = []
+    for name, times in spent.items():
+        ratio = np.median(np.array(spent["numpy"]) / np.array(times))
+        lines.append(f"{name:31}{1e6 * np.median(times) / n_samples:10.2f} us{ratio:9.1f} x")
     return lines
 
 
@@ -223,6 +260,8 @@ def main() -> None:
     print(f"{'size':13}{'':18}{'per sample':>11}{'numpy /':>11}   largest relative difference")
     for n in (3, 6):
         print("\n".join(stage(n, options.samples, options.repeats)))
+    print("law or model, samples a call")
+    print("\n".join(streams(options.samples, options.repeats)))
     peer = adaptive_filter(options.samples)
     if peer:
         print(peer)
