@@ -33,7 +33,6 @@ LONGER = {
     "effects/law.py": "the base class that a user's law derives from, and its coefficients",
     "engine/kernels.py": "the march: one compiled loop",
     "engine/structure.py": "the matrices of a model in feedback with effects",
-    "streaming/coefficients/kernel.py": "the march of the joint filter: one compiled loop",
     "streaming/rcmr/kernels.py": "the paper's equations, compiled",
     "streaming/refiner.py": "one public class: most of it says what its arguments and results are",
 }

@@ -19,8 +19,8 @@ from ..systems.conversion import to_discrete
 from ..systems.linear import Array, LinearModel
 from ..systems.stability import growth, stabilized
 from .coefficients.estimator import CoefficientFilter
+from .coefficients.packed import CoefficientRecord
 from .coefficients.setup import Setup
-from .coefficients.stage import CoefficientRecord
 from .free_run import free_run_cost
 from .gaps import Block
 from .restoring import check_like
@@ -145,7 +145,7 @@ class FilterBank:
         while position < total:
             size = min(total - position, _end(self.n_samples) - self.n_samples)
             part = slice(position, position + size)
-            piece = Block(block.inputs[part], block.outputs[part], block.known[part], block.use[part])
+            piece = block.part(position, position + size)
             form = self.chosen[0] if predict else ""
             for name in self.running:
                 record = self._learn(name, piece, name == form)
@@ -167,12 +167,12 @@ class FilterBank:
     def _learn(self, name: str, block: Block, record: bool) -> CoefficientRecord | None:
         one = self.filters[name]
         try:
-            taken = one.taken(block.inputs, block.known, block.outputs, block.use, record)
+            taken = one.taken(block, record)
         except DivergenceError as error:
             if name != INITIAL:
                 self._stop(name, f"diverged: {str(error).split(';')[0]}")
             return None
-        one.commit(taken, block.outputs, block.use)
+        one.commit(taken, block)
         return taken[1]
 
     def _stop(self, name: str, why: str) -> None:

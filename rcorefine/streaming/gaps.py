@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import control as ct
 import numpy as np
@@ -20,9 +19,8 @@ __all__ = ["Block", "as_missing", "block_with_gaps", "whole_block"]
 RAISE, HOLD_OUT = "raise", "hold-out"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Block:
-    """Samples with gaps bridged, and which of them were measured.
+class Block(NamedTuple):
+    """Samples with gaps bridged, and which of them were measured, as kernels take them.
 
     Parameters
     ----------
@@ -42,20 +40,18 @@ class Block:
     @property
     def whole(self) -> bool:
         """Whether nothing is missing."""
-        return bool(self.known.all() and self.use.all())
+        # of a single sample ten times as fast as .all()
+        return b"\0" not in self.use.tobytes() and b"\0" not in self.known.tobytes()
 
     def part(self, start: int, stop: int) -> Block:
         """Samples from `start` up to `stop`."""
-        return Block(*(column[start:stop] for column in self._columns))
+        rows = slice(start, stop)
+        return Block(self.inputs[rows], self.outputs[rows], self.known[rows], self.use[rows])
 
     @staticmethod
     def joined(blocks: Sequence[Block]) -> Block:
         """Blocks one after the other."""
-        return Block(*map(np.concatenate, zip(*(block._columns for block in blocks), strict=True)))
-
-    @property
-    def _columns(self) -> tuple[NDArray[Any], ...]:
-        return self.inputs, self.outputs, self.known, self.use
+        return Block(*map(np.concatenate, zip(*blocks, strict=True)))
 
 
 @lru_cache(maxsize=16)

@@ -103,7 +103,7 @@ class JointStages:
             if len(self._waiting) >= _PENDING:
                 self._flush()
             self._waiting.append(block)
-        elif self.first is None and block.whole and self._static.one(block.inputs, block.outputs):
+        elif self.first is None and self._static.one(block):
             return
         else:
             self._learn(block)
@@ -111,9 +111,7 @@ class JointStages:
     def _flush(self) -> None:
         """Learn from the single samples that wait."""
         if self._waiting:
-            self._learn(
-                Block(*(np.concatenate([getattr(b, part) for b in self._waiting]) for part in _PARTS))
-            )
+            self._learn(Block.joined(self._waiting))
             self._waiting = []
 
     def _learn(self, block: Block) -> None:
@@ -125,10 +123,10 @@ class JointStages:
                 if beside:
                     self._run_beside(block, outputs)
             return
-        taken = static.taken(block.inputs, block.known, block.outputs, block.use, predict)
+        taken = static.taken(block, predict)
         if beside:
             self._run_beside(block, taken[1].predicted)
-        static.commit(taken, block.outputs, block.use)
+        static.commit(taken, block)
 
     def _run_beside(self, block: Block, predicted: Array) -> None:
         """Stage 1 on the same samples; in a gap it sees what the static stage predicts."""
@@ -228,6 +226,3 @@ class JointStages:
         self.stopped = state["stopped"]
         if self.first is not None:
             self.first.restore(state["first"])
-
-
-_PARTS = ("inputs", "outputs", "known", "use")

@@ -23,7 +23,7 @@ from ..models.ports import Port
 from ..systems.linear import LinearModel
 from ..writing import replacing
 from .coefficients.memory import CoefficientMemory
-from .coefficients.stage import CoefficientRecord
+from .coefficients.packed import CoefficientRecord
 from .filter_bank import FilterBankMemory, Frozen
 from .rcmr.kernels import Design, Plant, Record, Stage
 from .rcmr.memory import Memory, Tuned

@@ -295,9 +295,9 @@ class RCORefiner(Result, Learned):
         """
         model, step = self._sampled.initial, self._sampled.step
         if self.missing == "raise":
-            block = whole_block(*checked_block(model, step, w, y, self.n_samples))
+            block = whole_block(*checked_block(model, step, w, y, self._estimator.n_samples))
         else:
-            block = block_with_gaps(model, step, w, y, self.n_samples, self._latest)
+            block = block_with_gaps(model, step, w, y, self._estimator.n_samples, self._latest)
         self._estimator.take(block)
         self._latest = block.inputs[-1].copy()
 

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...effects.compiled import raise_pending
 from ...engine.engine import Engine
 from ...engine.structure import Structure
 from ...systems.linear import Array
@@ -133,14 +132,8 @@ def _over(
     fixed = kernel.fixed.copy()
     floor = np.maximum(kernel.floor, R)
     fixed[floor_at(lay)] = floor
-    none = np.zeros((0, lay.p)), np.zeros((0, lay.ny)), np.zeros((0, lay.n))
-    W = np.column_stack([memory.inputs, np.ones(len(memory.inputs))])
-    done, _ = kernel.run(
-        kernel.sizes, fixed, packed, counters, W, memory.known, memory.outputs, memory.use, True, *none,
-        *kernel.rest,
-    )  # fmt: skip
-    raise_pending()
-    if done < W.shape[0] or not np.isfinite(packed).all():
+    done, _ = replace(kernel, fixed=fixed).over(packed, counters, memory.first, lay.record(0), frozen=True)
+    if done < len(memory.inputs) or not np.isfinite(packed).all():
         return None
     cost, count = lay.view(packed, "cost")
     power = np.where(count > 0, cost / np.maximum(count, 1.0), R)

@@ -19,9 +19,11 @@ from ...models.consistency import check_stream_hold
 from ...models.conversion import as_physical
 from ...models.physical_model import PhysicalModel
 from ...systems.linear import Array, LinearModel
-from . import kernel
-from .memory import CoefficientMemory, Layout
-from .setup import FilterSettings, Kernel, Setup, checked_settings, held_columns
+from .kernel import Kernel
+from .memory import CoefficientMemory
+from .packed import Layout
+from .setup import FilterSettings, Setup, checked_settings, held_columns
+from .with_laws import Laws
 
 __all__ = ["EffectsSetup", "make_effects_setup"]
 
@@ -188,7 +190,7 @@ def compile_kernel(setup: EffectsSetup, memory: CoefficientMemory) -> Kernel:
     if setup.fast:
         M, dM = held_columns(disc.M[None], n, nu, hold)[0], held_columns(disc.dM, n, nu, hold)
         fixed = np.concatenate([*head, M.ravel(), disc.O.ravel(), dM.ravel(), disc.dO.ravel(), disc.linear])
-        return Kernel(kernel.advance, sizes, fixed, (), floor)
+        return Kernel(sizes, fixed, None, floor)
     pieces = 16 if s.jumps else 1
     fine = s.discretize(memory.centre, step / pieces) if pieces > 1 else disc
     codes, values, columns, widths = s.laws(memory.centre)
@@ -202,12 +204,12 @@ def compile_kernel(setup: EffectsSetup, memory: CoefficientMemory) -> Kernel:
         statics[i, :2] = 0 if law.delays else law.code, channel
         statics[i, 2 : 2 + len(law.coefficients)] = s.law_columns(index)
         levels[i, : len(found)] = found
-    rest = (
+    laws = Laws(
         np.stack([disc.M, fine.M]), np.stack([disc.dM, fine.dM]), pieces, disc.linear, disc.O, disc.dO,
         disc.P, disc.dP, codes, values, columns, widths,
         statics, levels, outcodes, outvalues, outcolumns, setup.substeps, hold == "foh", dt,
     )  # fmt: skip
-    return Kernel(kernel.advance_general, sizes, np.concatenate(head), rest, floor)
+    return Kernel(sizes, np.concatenate(head), laws, floor)
 
 
 @lru_cache(maxsize=64)

@@ -11,10 +11,11 @@ import numpy as np
 from ...effects.entries import Entry
 from ...systems.exponential import exponential
 from ...systems.linear import Array, LinearModel
-from .kernel import advance
-from .memory import CoefficientMemory, Layout
+from .kernel import Kernel
+from .memory import CoefficientMemory
+from .packed import Layout
 from .restart import go_over
-from .setup import NEVER, FilterSettings, Kernel, Setup
+from .setup import NEVER, FilterSettings, Setup
 
 __all__ = ["EntriesSetup"]
 
@@ -187,8 +188,8 @@ class EntriesSetup(Setup):
         inputs = base.B * level * (self.settings.dt if base.is_continuous else 1.0)
         head, floor = self.head(memory, self.bounds, inputs * self.settings.disturbance, inputs)
         fixed = np.concatenate([*head, M.ravel(), O.ravel(), dM.ravel(), dO.ravel(), np.arange(float(p))])
-        sizes = np.array([n, p, nu, ny, p, 0], dtype=np.int64)
-        return Kernel(advance, sizes, fixed, (), floor)
+        sizes = np.array([n, p, nu, ny, p, 0, 0, 0], dtype=np.int64)
+        return Kernel(sizes, fixed, None, floor)
 
     def prior_covariance(self, spread: Array) -> Array:
         """Covariance of the coefficients before the first sample, shape (p, p).

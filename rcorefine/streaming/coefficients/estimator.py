@@ -7,17 +7,17 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ...effects.compiled import raise_pending
 from ...systems.conversion import to_discrete
 from ...systems.linear import Array, LinearModel
+from ..gaps import Block
 from ..restoring import check_course, check_like, check_range
 from .guard import cautions
 from .kernel import DONE
 from .memory import CoefficientMemory
+from .packed import CoefficientRecord
 from .setup import Setup
-from .stage import CoefficientRecord, take
+from .stage import take
 
 __all__ = ["CoefficientFilter", "joined"]
 
@@ -38,10 +38,7 @@ class CoefficientFilter:
 
     def __init__(self, setup: Setup, keep: bool) -> None:
         self.setup, self.keep = setup, keep
-        lay = setup.layout
-        self._row = np.ones((1, lay.nu))
-        self._there = np.ones(1, np.uint8), np.ones((1, lay.ny), np.uint8)
-        self._none = np.zeros((0, lay.p)), np.zeros((0, lay.ny)), np.zeros((0, lay.n))
+        self._unrecorded = setup.layout.record(0)
         self.reset()
 
     def reset(self) -> None:
@@ -49,38 +46,27 @@ class CoefficientFilter:
         self.memory: CoefficientMemory = self.setup.begin()
         self.records: list[tuple[CoefficientRecord, Array]] = []
 
-    def taken(
-        self, inputs: Array, known: NDArray[np.uint8], outputs: Array, use: NDArray[np.uint8], record: bool
-    ) -> tuple[CoefficientMemory, CoefficientRecord]:
+    def taken(self, block: Block, record: bool) -> tuple[CoefficientMemory, CoefficientRecord]:
         """Memory and course after some samples; nothing changes until `commit`."""
-        return take(self.setup, self.memory, inputs, known, outputs, use, keep=self.keep or record)
+        return take(self.setup, self.memory, block, keep=self.keep or record)
 
-    def one(self, inputs: Array, outputs: Array) -> bool:
+    def one(self, block: Block) -> bool:
         """Learn from a single sample on the shortest way; False, and nothing done, where that is not open."""
         memory = self.memory
         kernel = memory.kernel
         if self.keep or kernel is None or memory.inputs.size or memory.rounds == 0:
             return False
-        W = self._row
-        W[0, :-1] = inputs[0]
         after = memory.copied()
-        done, why = kernel.run(
-            kernel.sizes, kernel.fixed, after.packed, after.counters, W, self._there[0], outputs,
-            self._there[1], False, *self._none, *kernel.rest,
-        )  # fmt: skip
-        raise_pending()
-        if done != 1 or why != DONE:
+        if kernel.over(after.packed, after.counters, block, self._unrecorded) != (1, DONE):
             return False
         self.memory = after
         return True
 
-    def commit(
-        self, taken: tuple[CoefficientMemory, CoefficientRecord], outputs: Array, use: NDArray[np.uint8]
-    ) -> None:
+    def commit(self, taken: tuple[CoefficientMemory, CoefficientRecord], block: Block) -> None:
         """Make what was taken the present."""
         self.memory, record = taken
         if self.keep:
-            self.records.append((record, np.where(use, outputs, np.nan)))
+            self.records.append((record, np.where(block.use, block.outputs, np.nan)))
 
     def finish(self) -> None:
         """Learn from what is still held back, however short."""
@@ -141,7 +127,8 @@ class CoefficientFilter:
         )
         use = np.zeros((inputs.shape[0], setup.layout.ny), np.uint8)
         known = np.ones(inputs.shape[0], np.uint8)
-        _, record = take(setup, memory, inputs, known, np.zeros(use.shape), use, keep=True)
+        block = Block(inputs, np.zeros(use.shape), known, use)
+        _, record = take(setup, memory, block, keep=True)
         return np.ascontiguousarray(record.predicted.T[:, -total:])
 
     def state(self) -> list[Any]:
@@ -161,8 +148,7 @@ class CoefficientFilter:
         target = setup.milestone(memory.rounds)
         check_range(memory.counters, 0, [target - 1 if target > 0 else np.inf, np.inf, 1], "memory.counters")
         check_range(memory.sizes, 0.0, np.inf, "memory.sizes")
-        rows = CoefficientRecord(*(np.zeros((0, width)) for width in (lay.p, lay.ny, lay.n)))
-        check_course(records, rows, lay.ny)
+        check_course(records, lay.record(0), lay.ny)
         self.memory, self.records = memory, records
 
     def cautions(self) -> list[str]:

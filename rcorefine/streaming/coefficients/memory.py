@@ -1,7 +1,4 @@
-"""All that the physical stage remembers and knows, packed into two plain arrays.
-
-One array to copy makes a call all or nothing at no cost, and one array to write makes a save exact.
-"""
+"""All that a filter for coefficients remembers between two calls."""
 
 from __future__ import annotations
 
@@ -12,68 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...systems.linear import Array
+from ..gaps import Block
 
-__all__ = ["CoefficientMemory", "Layout"]
-
-
-@dataclass(frozen=True, slots=True)
-class Layout:
-    """Sizes, and where each quantity stands in the packed memory.
-
-    Parameters
-    ----------
-    n, p, nu, ny, m : int
-        States, coefficients, inputs with the constant one, outputs, inner states of laws.
-    lag : int
-        Samples of the input that delays look back on.
-    kept : int
-        Input laws, where one of them has an inner state.
-    """
-
-    n: int
-    p: int
-    nu: int
-    ny: int
-    m: int
-    lag: int
-    kept: int = 0
-
-    @property
-    def shapes(self) -> dict[str, tuple[int, ...]]:
-        """Names and shapes in the order of the memory."""
-        n, p, nu, ny = self.n, self.p, self.nu, self.ny
-        return {
-            "theta": (p,),
-            "delta": (p,),
-            "x": (n,),
-            "S": (p, n),
-            "Pb": (n, n),
-            "Pt": (p, p),
-            "level": (2, ny),
-            "count": (ny,),
-            "cost": (2, ny),
-            "power": (2, ny),
-            "surprise": (1,),
-            "w": (nu,),
-            "z": (self.m,),
-            "ring": (self.lag, nu),
-            "kept": (self.kept, 6),
-        }
-
-    @property
-    def size(self) -> int:
-        """Length of the memory."""
-        return sum(int(np.prod(shape)) for shape in self.shapes.values())
-
-    def view(self, memory: Array, name: str) -> Array:
-        """One quantity, as a view into the memory."""
-        at = 0
-        for key, shape in self.shapes.items():
-            length = int(np.prod(shape))
-            if key == name:
-                return memory[at : at + length].reshape(shape)
-            at += length
-        raise KeyError(name)
+__all__ = ["CoefficientMemory"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +72,11 @@ class CoefficientMemory:
     renewed: int
     doubted: int
     kernel: Any = None
+
+    @property
+    def first(self) -> Block:
+        """The first samples, as far as they are kept."""
+        return Block(self.inputs, self.outputs, self.known, self.use)
 
     @property
     def n_samples(self) -> int:

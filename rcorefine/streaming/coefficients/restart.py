@@ -14,9 +14,9 @@ import numpy as np
 from ...systems.conversion import to_discrete
 from ...systems.linear import Array
 from ..free_run import state_power
-from .kernel import DIVERGED, MOVED, SURPRISED
 from .memory import CoefficientMemory
 from .setup import DOUBT
+from .stage import advanced
 
 if TYPE_CHECKING:
     from .entries import EntriesSetup
@@ -47,40 +47,12 @@ def go_over(setup: EntriesSetup, memory: CoefficientMemory) -> CoefficientMemory
         kernel=None,
         doubted=0,
     )
-    found = _run(setup, about)
-    if found is not None:
+    found, done = advanced(setup, about, about.first, lay.record(0))
+    if done == len(about.inputs) and np.isfinite(found.packed).all():
         return found
     if memory.rounds == 0:  # from now on sample by sample: the guard says where it fails
         return about
     return replace(memory, rounds=memory.rounds + 1, kernel=None)
-
-
-def _run(setup: EntriesSetup, memory: CoefficientMemory) -> CoefficientMemory | None:
-    """Filter over all samples that are kept; None where it diverges."""
-    lay = setup.layout
-    none = np.zeros((0, lay.p)), np.zeros((0, lay.ny)), np.zeros((0, lay.n))
-    total = len(memory.inputs)
-    W = np.column_stack([memory.inputs, np.ones(total)])
-    position = 0
-    memory = replace(memory, kernel=setup.compile(memory))
-    while position < total:
-        kernel = memory.kernel
-        done, why = kernel.run(
-            kernel.sizes, kernel.fixed, memory.packed, memory.counters, W[position:], memory.known[position:],
-            memory.outputs[position:], memory.use[position:], False, *none,
-        )  # fmt: skip
-        position += done
-        if why == DIVERGED or not np.isfinite(memory.packed).all():
-            return None
-        if why == SURPRISED:
-            memory = setup.renewed(memory)
-            if memory.kernel is None:
-                memory = replace(memory, kernel=setup.compile(memory))
-        if why == MOVED:
-            centre = lay.view(memory.packed, "theta").copy()
-            memory = replace(memory, centre=centre, discretized=memory.discretized + 1)
-            memory = replace(memory, kernel=setup.compile(memory))
-    return memory
 
 
 def _sized(setup: EntriesSetup, memory: CoefficientMemory) -> CoefficientMemory:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,9 +13,11 @@ from numpy.typing import NDArray
 from ...arguments import as_noise, as_number, as_text
 from ...exceptions import ModelError
 from ...systems.linear import Array, LinearModel
-from .memory import CoefficientMemory, Layout
+from .kernel import Kernel
+from .memory import CoefficientMemory
+from .packed import Layout
 
-__all__ = ["SHARE", "FilterSettings", "Kernel", "Setup", "checked_settings", "floor_at", "held_columns"]
+__all__ = ["SHARE", "FilterSettings", "Setup", "checked_settings", "floor_at", "held_columns"]
 
 SHARE = 1.0  # of its standard deviation that a coefficient may move before the model is discretized anew
 _SOON = 500  # samples within which a second surprise means that not the state alone was wrong
@@ -24,17 +25,6 @@ DOUBT = 50.0  # samples that the first guess of the noise, the size of the outpu
 _LIMIT = 1e12  # state over its size, beyond which the filter has diverged
 NEVER = 1e300  # a threshold that nothing reaches, and still a finite number
 _CHANGING = 0.03  # unknown force over the input where coefficients may change
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Kernel:
-    """A discretized model, ready for the loop over samples."""
-
-    run: Callable[..., tuple[int, int]]
-    sizes: NDArray[np.int64]
-    fixed: Array
-    rest: tuple[Any, ...]
-    floor: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)

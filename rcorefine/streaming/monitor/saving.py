@@ -67,7 +67,7 @@ def content_of(monitor: Monitor) -> dict[str, Any]:
         "count": monitor._count,
         "latest": monitor._latest,
         "remarks": monitor.remarks,
-        "waiting": [_shallow(block) for block in monitor._waiting],
+        "waiting": [block._asdict() for block in monitor._waiting],
         "watch": watch,
         "course": monitor._course.content(),
         "stream": None

@@ -1,0 +1,193 @@
+"""Inputs behind their laws and delays over one sample, on a stream, and their derivatives."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...effects.compiled import COUNT, evaluate
+from ...jit import compiled
+from ...systems.linear import Array
+
+__all__ = ["Inputs", "drive", "hold", "inputs_of", "keep_first"]
+
+
+class Inputs(NamedTuple):
+    """Inputs over the last interval, and room to find them.
+
+    W : nodes of the substeps, (rows, nu); Wout : at both ends; dW, dWout : their derivatives by the
+    coefficients in `driven`; free : law and place of each of these, (c, 2); changed : whether an input
+    has a law; delays, out, slopes, total, kept : room.
+    """
+
+    W: Array
+    Wout: Array
+    dW: Array
+    dWout: Array
+    driven: NDArray[np.int64]
+    free: NDArray[np.int64]
+    changed: NDArray[np.bool_]
+    delays: Array
+    out: Array
+    slopes: Array
+    total: Array
+    kept: Array
+
+
+@compiled
+def inputs_of(statics, substeps, foh, nu, kept):
+    """Room for the inputs of a model with these laws.
+
+    Parameters
+    ----------
+    statics : ndarray of int64, shape (r, 6)
+        Input laws: as `evaluate` takes it, 0 for a delay; channel; four columns in theta or -1.
+    substeps, foh : int, bool
+        Substeps per sample; whether inputs are linear between samples.
+    nu : int
+        Inputs, the constant one included.
+    kept : ndarray, shape (r or 0, 6)
+        Inner states of the laws, where one of them has one.
+    """
+    r = statics.shape[0]
+    rows = substeps + 1 if foh else substeps
+    free = np.zeros((4 * r, 2), dtype=np.int64)
+    driven = np.zeros(4 * r, dtype=np.int64)
+    changed = np.zeros(nu, dtype=np.bool_)
+    count = 0
+    for i in range(r):
+        changed[statics[i, 1]] = True
+        for c in range(4):
+            if statics[i, 2 + c] >= 0:
+                driven[count] = statics[i, 2 + c]
+                free[count, 0], free[count, 1] = i, c
+                count += 1
+    return Inputs(
+        np.zeros((rows, nu)), np.zeros((2, nu)), np.zeros((count, rows, nu)), np.zeros((count, 2, nu)),
+        driven[:count], free[:count], changed, np.zeros(nu), np.zeros((r, COUNT)), np.zeros((r, 4)),
+        np.zeros((r, 4)), kept if kept.shape[0] else np.zeros((r, 6)),
+    )  # fmt: skip
+
+
+@compiled
+def _through(value, channel, statics, levels, room, keep):
+    """The laws of one input in turn.
+
+    `room.slopes` takes the derivatives by their coefficients, the slope by the value is returned;
+    `room.kept` holds inner state, its derivatives and the value of the sample before, and takes those
+    of this one where `keep` is set.
+    """
+    kept, slopes, out = room.kept, room.slopes, room.out
+    slopes[:, :] = 0.0
+    passed = 1.0
+    for r in range(statics.shape[0]):
+        if statics[r, 1] != channel or statics[r, 0] == 0:
+            continue
+        evaluate(statics[r, 0], value, 0.0, kept[r, 5], kept[r, 0], levels, r, 1.0, slopes[r], out)
+        for before in range(r):
+            if statics[before, 1] == channel:
+                for c in range(4):
+                    slopes[before, c] *= out[r, 1]
+        for c in range(4):
+            slopes[r, c] = out[r, 9 + c] + out[r, 4] * kept[r, 1 + c]
+            if keep:
+                kept[r, 1 + c] = out[r, 13 + c] + out[r, 8] * kept[r, 1 + c]
+        if keep:
+            kept[r, 0], kept[r, 5] = out[r, 5], value
+        value = out[r, 0]
+        passed *= out[r, 1]
+    return value, passed
+
+
+@compiled
+def keep_first(w, statics, levels, room):
+    """Inner states of the laws at the first sample."""
+    for channel in range(w.shape[0]):
+        _through(w[channel], channel, statics, levels, room, True)
+
+
+@compiled
+def _input_at(ring, channel, when, foh):
+    """Raw input at `when` samples before the latest (0 or negative), and its slope per sample."""
+    last = ring.shape[0] - 1
+    cell = int(np.floor(when + 1e-9))
+    if cell < -last:
+        return ring[0, channel], 0.0
+    if cell >= 0:
+        return ring[last, channel], 0.0
+    start = ring[last + cell, channel]
+    if not foh:
+        return start, 0.0
+    rise = ring[last + cell + 1, channel] - start
+    return start + (when - cell) * rise, rise
+
+
+@compiled
+def _node(when, channel, ring, statics, levels, dt, foh, room, found, slopes):
+    """One input at one time: its value into `found`, its derivatives into `slopes` (c, nu)."""
+    raw, rise = _input_at(ring, channel, when, foh)
+    found[channel], passed = _through(raw, channel, statics, levels, room, False)
+    for i in range(room.free.shape[0]):
+        r, c = room.free[i, 0], room.free[i, 1]
+        if statics[r, 1] == channel:
+            slopes[i, channel] = -rise * passed / dt if statics[r, 0] == 0 else room.slopes[r, c]
+
+
+@compiled
+def _mean(early, late, channel, ring, statics, levels, dt, room, s):
+    """Mean of a held input over a substep, so that no impulse is lost where an edge falls inside it."""
+    turn = min(max(np.floor(early + 1e-9) + 1.0, early), late)
+    share = (turn - early) / (late - early)
+    total = room.total
+    first, _ = _through(_input_at(ring, channel, early, False)[0], channel, statics, levels, room, False)
+    for r in range(statics.shape[0]):
+        for c in range(4):
+            total[r, c] = share * room.slopes[r, c]
+    last, _ = _through(_input_at(ring, channel, late, False)[0], channel, statics, levels, room, False)
+    room.W[s, channel] = share * first + (1.0 - share) * last
+    for i in range(room.free.shape[0]):
+        r, c = room.free[i, 0], room.free[i, 1]
+        if statics[r, 1] == channel:
+            if statics[r, 0] == 0:
+                room.dW[i, s, channel] = -(last - first) / (late - early) / dt
+            else:
+                room.dW[i, s, channel] = total[r, c] + (1.0 - share) * room.slopes[r, c]
+
+
+@compiled
+def hold(ring, substeps, foh, W, Wout):
+    """Inputs over the last interval as they are, at the nodes of the substeps and at both ends."""
+    last = ring.shape[0] - 1
+    for channel in range(ring.shape[1]):
+        start, end = ring[last - 1, channel], ring[last, channel]
+        Wout[0, channel], Wout[1, channel] = start, end
+        for s in range(W.shape[0]):
+            W[s, channel] = start + s / substeps * (end - start) if foh else start
+
+
+@compiled
+def drive(ring, statics, levels, substeps, foh, dt, room):
+    """Inputs that have laws, over the last interval behind these and their delays, and their derivatives."""
+    delays = room.delays
+    room.dW[:, :, :] = 0.0
+    room.dWout[:, :, :] = 0.0
+    delays[:] = 0.0
+    for r in range(statics.shape[0]):
+        if statics[r, 0] == 0:
+            delays[statics[r, 1]] += levels[r, 0]
+    for channel in range(ring.shape[1]):
+        if not room.changed[channel]:
+            continue
+        delay = delays[channel] / dt
+        for edge in range(2):
+            when = edge - 1.0 - delay
+            _node(when, channel, ring, statics, levels, dt, foh, room, room.Wout[edge], room.dWout[:, edge])
+        for s in range(room.W.shape[0]):
+            early = s / substeps - 1.0 - delay
+            if foh:
+                _node(early, channel, ring, statics, levels, dt, foh, room, room.W[s], room.dW[:, s])
+            else:
+                _mean(early, early + 1.0 / substeps, channel, ring, statics, levels, dt, room, s)
+        _through(_input_at(ring, channel, -delay, foh)[0], channel, statics, levels, room, True)
