@@ -7,6 +7,7 @@ from typing import Any, Protocol
 
 from ..systems.linear import Array, LinearModel
 from .gaps import Block
+from .rcmr.scaling import Scales
 from .summary import Summary
 
 __all__ = ["Estimator"]
@@ -23,6 +24,31 @@ class Estimator(Protocol):
     @property
     def n_learned(self) -> int:
         """Samples learned from."""
+        ...
+
+    @property
+    def form(self) -> str:
+        """Form of the static correction that the refined model has."""
+        ...
+
+    @property
+    def scores(self) -> dict[str, float]:
+        """Fit in % of each form's free run, where several compete."""
+        ...
+
+    @property
+    def scales(self) -> Scales | None:
+        """Sizes that stage 1 divides signals by, None while they are not known or where it does not run."""
+        ...
+
+    @property
+    def parameters(self) -> tuple[Any, ...]:
+        """One row per static coefficient; an `RCOError` where coefficients are no parameters."""
+        ...
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the static coefficients; an `RCOError` where it is not known."""
         ...
 
     def take(self, block: Block, *, keep_sound: bool = False) -> None:
@@ -55,6 +81,10 @@ class Estimator(Protocol):
 
     def deviation(self) -> Callable[[Array], Array] | None:
         """Standard deviation of the refined response by frequency, None where it is not known."""
+        ...
+
+    def dynamic_theta(self) -> Array:
+        """Coefficients of stage 1, empty where it does not run."""
         ...
 
     def static_theta(self) -> Array:

@@ -7,7 +7,7 @@ over the stretch that follows (Dawid's prequential principle, J. Royal Statistic
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,11 +19,11 @@ from ..systems.conversion import to_discrete
 from ..systems.linear import Array, LinearModel
 from ..systems.stability import growth, stabilized
 from .coefficients.estimator import CoefficientFilter
-from .coefficients.packed import CoefficientRecord
 from .coefficients.setup import Setup
 from .free_run import free_run_cost
 from .gaps import Block
 from .restoring import check_like
+from .summary import Summary, summarize_race
 
 __all__ = ["INITIAL", "FilterBank", "FilterBankMemory", "Frozen"]
 
@@ -128,15 +128,14 @@ class FilterBank:
     def all_or_nothing(self) -> Iterator[None]:
         """Undo what the forms learned where not all of them could."""
         before = self.memory
-        held = [(one, one.memory, len(one.records)) for one in self.filters.values()]
-        try:
-            yield
-        except BaseException:
-            self.memory = before
-            for one, memory, count in held:
-                one.memory = memory
-                del one.records[count:]
-            raise
+        with ExitStack() as forms:
+            for one in self.filters.values():
+                forms.enter_context(one.all_or_nothing())
+            try:
+                yield
+            except BaseException:
+                self.memory = before
+                raise
 
     def take(self, block: Block, *, predict: bool = False) -> Array:
         """Learn from a block; with `predict` what the best form expected, one sample ahead."""
@@ -148,9 +147,9 @@ class FilterBank:
             piece = block.part(position, position + size)
             form = self.chosen[0] if predict else ""
             for name in self.running:
-                record = self._learn(name, piece, name == form)
-                if name == form and record is not None:
-                    expected[part] = record.predicted
+                found = self._learn(name, piece, name == form)
+                if name == form and found is not None:
+                    expected[part] = found
             memory = self.memory
             self.memory = replace(
                 memory,
@@ -164,16 +163,13 @@ class FilterBank:
                 self._turn()
         return expected
 
-    def _learn(self, name: str, block: Block, record: bool) -> CoefficientRecord | None:
-        one = self.filters[name]
+    def _learn(self, name: str, block: Block, predict: bool) -> Array | None:
         try:
-            taken = one.taken(block, record)
+            return self.filters[name].take(block, predict=predict)
         except DivergenceError as error:
             if name != INITIAL:
                 self._stop(name, f"diverged: {str(error).split(';')[0]}")
             return None
-        one.commit(taken, block)
-        return taken[1]
 
     def _stop(self, name: str, why: str) -> None:
         self.memory = replace(self.memory, stopped={**self.memory.stopped, name: why})
@@ -243,10 +239,26 @@ class FilterBank:
             return self._judged()[0]
         return memory.chosen
 
+    waits = True  # single samples wait for one another: many forms learn from them
+
+    @property
+    def form(self) -> str:
+        """Form that predicts best."""
+        return self.chosen[0]
+
+    @property
+    def scores(self) -> dict[str, float]:
+        """Fit in % of each form's free run on the last stretch it had not seen."""
+        return {name: float(100.0 * (1.0 - np.sqrt(s))) for name, s in self.memory.scores.items()}
+
+    def summary(self, model: LinearModel, stopped: str) -> Summary:
+        """Cells and sentences of `str`."""
+        return summarize_race(model, self, stopped)
+
     @property
     def filter(self) -> CoefficientFilter:
         """Filter of the form that predicts best."""
-        return self.filters[self.chosen[0]]
+        return self.filters[self.form]
 
     def system(self, name: str) -> LinearModel:
         """Best model, in the timebase that it is estimated in; it grows only where the data say so."""

@@ -11,14 +11,15 @@ import numpy as np
 from ..exceptions import RCOError
 from ..systems.linear import Array, LinearModel
 from ..systems.nearest import nearest_continuous
-from . import summary
 from .coefficients.estimator import CoefficientFilter, joined
 from .coefficients.history import CoefficientHistory
 from .filter_bank import FilterBank
 from .gaps import Block
 from .rcmr.history import pole_samples, poles_of
 from .rcmr.paper import PaperStages
+from .rcmr.scaling import Scales
 from .restoring import check_like
+from .summary import Summary
 from .uncertainty import response_deviation, variants
 
 __all__ = ["JointStages"]
@@ -71,23 +72,14 @@ class JointStages:
         return self._static
 
     @property
-    def stage_one(self) -> PaperStages | None:
-        """Stage 1, all samples learned."""
-        self._flush()
-        return self.first
-
-    @property
     def filter(self) -> CoefficientFilter:
         """Filter of the coefficients that the refined model has."""
-        static = self.static
-        return static.filter if isinstance(static, FilterBank) else static
+        return self.static.filter
 
     @property
     def n_samples(self) -> int:
         """Samples taken."""
-        static = self._static
-        learned = static.n_samples if isinstance(static, FilterBank) else static.memory.n_samples
-        return learned + len(self._waiting)
+        return self._static.n_samples + len(self._waiting)
 
     @property
     def n_learned(self) -> int:
@@ -99,13 +91,11 @@ class JointStages:
         if len(block.inputs) > 1:
             self._flush()
             self._learn(block)
-        elif isinstance(self._static, FilterBank):
+        elif self._static.waits:
             if len(self._waiting) >= _PENDING:
                 self._flush()
             self._waiting.append(block)
-        elif self.first is None and self._static.one(block):
-            return
-        else:
+        elif self.first is not None or not self._static.filter.one(block):
             self._learn(block)
 
     def _flush(self) -> None:
@@ -115,18 +105,11 @@ class JointStages:
             self._waiting = []
 
     def _learn(self, block: Block) -> None:
-        static, beside = self._static, self.first is not None and not self.stopped
-        predict = beside and not block.whole
-        if isinstance(static, FilterBank):
-            with static.all_or_nothing():
-                outputs = static.take(block, predict=predict)
-                if beside:
-                    self._run_beside(block, outputs)
-            return
-        taken = static.taken(block, predict)
-        if beside:
-            self._run_beside(block, taken[1].predicted)
-        static.commit(taken, block)
+        beside = self.first is not None and not self.stopped
+        with self._static.all_or_nothing():
+            expected = self._static.take(block, predict=beside and not block.whole)
+            if beside:
+                self._run_beside(block, expected)
 
     def _run_beside(self, block: Block, predicted: Array) -> None:
         """Stage 1 on the same samples; in a gap it sees what the static stage predicts."""
@@ -159,6 +142,37 @@ class JointStages:
     def predict(self, inputs: Array) -> Array:
         """Free run on further inputs of shape (N, n_w); outputs of shape (n_y, N)."""
         return self.filter.predict(inputs)
+
+    @property
+    def form(self) -> str:
+        """Form of the static correction."""
+        return self.static.form
+
+    @property
+    def scores(self) -> dict[str, float]:
+        """Fit in % of each form's free run, where several compete."""
+        return self.static.scores
+
+    @property
+    def parameters(self) -> tuple[Any, ...]:
+        """One row per coefficient."""
+        return self.filter.parameters
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the coefficients."""
+        return self.filter.covariance
+
+    @property
+    def scales(self) -> Scales | None:
+        """Sizes that stage 1 divides signals by."""
+        self._flush()
+        return None if self.first is None else self.first.scales
+
+    def dynamic_theta(self) -> Array:
+        """Coefficients of stage 1."""
+        self._flush()
+        return np.zeros((0, 0)) if self.first is None else self.first.theta(0)
 
     def static_theta(self) -> Array:
         """Static coefficients, shape (1, p)."""
@@ -206,12 +220,9 @@ class JointStages:
             output_labels=self.model.output_labels,
         )
 
-    def summary(self) -> summary.Summary:
+    def summary(self) -> Summary:
         """Cells and sentences of `str`."""
-        static = self.static
-        if isinstance(static, FilterBank):
-            return summary.summarize_race(self.model, static, self.stopped)
-        return summary.summarize_coefficients(self.model, static, self.stopped)
+        return self.static.summary(self.model, self.stopped)
 
     def state(self) -> dict[str, Any]:
         """All that is remembered, for a file."""

@@ -14,10 +14,7 @@ from ..exceptions import RCOError
 from ..systems.linear import Array
 from .coefficients.history import CoefficientHistory
 from .estimator import Estimator
-from .filter_bank import FilterBank
-from .joint import JointStages
 from .rcmr.history import History
-from .rcmr.paper import PaperStages
 from .rcmr.scaling import Scales
 from .rcmr.setup import Sampled
 
@@ -69,26 +66,19 @@ class Learned:
         "nonzero", "discrete", "input", or "initial" where no form predicts better than
         the initial model.
         """
-        estimator = self._estimator
-        if not isinstance(estimator, JointStages):
-            return "paper"
-        static = estimator.static
-        return static.chosen[0] if isinstance(static, FilterBank) else "coefficients"
+        return self._estimator.form
 
     @property
     @alone
     def scores(self) -> dict[str, float]:
         """In a race: fit in % of each form's free run on the last stretch it had not seen."""
-        static = self._joint("scores").static
-        scores = static.memory.scores if isinstance(static, FilterBank) else {}
-        return {name: float(100.0 * (1.0 - np.sqrt(score))) for name, score in scores.items()}
+        return self._estimator.scores
 
     @property
     @alone
     def scales(self) -> Scales | None:
         """Sizes that stage 1 divides signals by, None while they are not known yet."""
-        first = self._stage_one()
-        return None if first is None else first.scales
+        return self._estimator.scales
 
     @property
     @alone
@@ -97,8 +87,7 @@ class Learned:
 
         Empty, of shape (0, 0), where stage 1 does not run.
         """
-        first = self._stage_one()
-        return np.zeros((0, 0)) if first is None else first.theta(0)
+        return self._estimator.dynamic_theta()
 
     @property
     @alone
@@ -134,7 +123,7 @@ class Learned:
         RCOError
             By the paper's equations: their coefficients are no parameters.
         """
-        return self._joint("parameters").filter.parameters
+        return self._estimator.parameters
 
     @property
     @alone
@@ -146,7 +135,7 @@ class Learned:
         RCOError
             By the paper's equations.
         """
-        return self._joint("covariance").filter.covariance
+        return self._estimator.covariance
 
     @property
     @alone
@@ -188,15 +177,3 @@ class Learned:
 
     def _name(self) -> str:
         return f"{self._sampled.initial.name}$refined"
-
-    def _stage_one(self) -> PaperStages | None:
-        estimator = self._estimator
-        return estimator.stage_one if isinstance(estimator, JointStages) else cast(PaperStages, estimator)
-
-    def _joint(self, what: str) -> JointStages:
-        if not isinstance(self._estimator, JointStages):
-            raise RCOError(
-                f"{what} belong to the joint filter; leave out window, markov and static_..., or name "
-                "effects=[...] (static_theta has the paper's coefficients)"
-            )
-        return self._estimator

@@ -48,19 +48,11 @@ class RCORefiner(Result, Learned):
     >>> print(f"{1e3 * inductance:.3f} mH")
     55.000 mH
 
-    Stage 1 puts a *dynamic* correction in feedback with the model and adapts
-    it until the simulated output follows the measured one; its state then
-    estimates the true state. Stage 2 fits a *static* correction to the motion,
-    which turns the model into a refined one of the same order.
-
-    With nothing but a model and `dt` the static stage is a Kalman filter for
-    the state and the coefficients jointly, linearized at every sample about
-    the refined model of that sample: retrospective optimization with the exact
-    response of the present model in the place of a few Markov parameters of the
-    initial one. Several forms of the correction run side by side, each judged by what its
-    frozen model predicts; the initial model is one of them. The paper's own
-    equations are there to the letter for whoever gives `window`, `markov` or
-    one of the ``static_...`` settings.
+    Stage 1 adapts a *dynamic* correction until the simulated output follows the measured one; its
+    state then estimates the true one. Stage 2 fits a *static* correction to that motion: a refined
+    model of the same order. With nothing but a model and `dt` several forms of the static correction
+    run as exact filters and compete; `window`, `markov` or a ``static_...`` setting asks for the
+    paper's own equations. How both work is in ``docs/refiner.md``.
 
     Parameters
     ----------
@@ -69,139 +61,72 @@ class RCORefiner(Result, Learned):
     dt : float, optional
         Sampling time in s of the samples; a continuous model needs it.
     static : {"auto", "nonzero", "discrete", "input"} or sequence, optional
-        Coefficients of the static stage: "nonzero" entries of the model, all entries of
-        the "discrete" model, the paper's u = theta [x; w] through the "input"
-        (`correction_input`); "auto" lets these three compete. Or entries by name, such as
-        ``["A[1,0]", "B[1,0]"]``, or effects.
-    order : int, optional
-        n_c, memory of the dynamic correction in samples, 0 or more.
-    window : int, optional
-        p, samples in the sliding window; asks for the paper's equations (default there 800).
-    markov : int, optional
-        mu, number of Markov parameters of the path u -> y, counted from the first that is
-        not zero (above 1e-10 of its terms); asks for the paper's equations (default there 20).
-        Raise it where that path has zeros outside the unit circle.
-    learning_rate : float, optional
-        alpha, weight of the change of theta, default 1e5; larger is slower. Signals have
-        unit size inside, so that it does not depend on units.
-    static_order : int, optional
-        n_c of the paper's stage 2; above 0 the refined model gets more states.
-    static_window, static_markov : int, optional
-        p and mu of the paper's stage 2; default those of stage 1.
-    static_learning_rate : float, optional
-        alpha of the paper's stage 2; default that of stage 1.
-    static_average : int, optional
-        The refined model takes the mean of the paper's static coefficients over that many of
-        the last samples, default two windows. The paper takes the last ones (1), which see
-        one window only: with noise, or where the correction cannot be exact, 5 to 10 windows
-        scatter several times less.
-    correction_input : array_like of shape (n,) or (n, l_u), optional
-        B_u, where the correction acts on the state (in continuous time for a
-        continuous model). Default: B of the model.
-    correction_feedthrough : array_like of shape (n_y,) or (n_y, l_u), optional
-        D_u, how it acts on the outputs directly. Default: D of the model
-        where `correction_input` is not given, else zero.
-    use_estimated_states : bool, optional
-        With False stage 1 does not run; the paper's stage 2 then runs on the states of
-        its own model (the paper's figure 6).
-    scale : "auto" or mapping, optional
-        Typical size of the signals for stage 1 and the paper's equations: ``{"inputs": ...,
-        "outputs": ...}``, one number or one per signal, and optionally "states" and
-        "corrections". With "auto" they are the rms values of the first samples, see Notes.
+        What may change: "nonzero" entries of the model, all entries of the "discrete" model, the paper's
+        u = theta [x; w] through the "input"; "auto" lets these compete. Or entries by name
+        (``["A[1,0]", "B[1,0]"]``), or effects.
+    effects : sequence of Effect, optional
+        Physical effects, as ``static=[...]`` takes them too; estimated in continuous time.
     history : bool, optional
         Keep both stages' course of every sample; otherwise memory is constant.
     missing : {"raise", "hold-out"}, optional
-        With "hold-out" samples that are NaN or masked are predicted over and
-        not learned from; one of several sensors may drop out.
-    effects : sequence of Effect, optional
-        Physical effects for the static stage, as ``static=[...]`` takes them too: estimated
-        in continuous time from a continuous model.
+        With "hold-out" samples that are NaN or masked are predicted over, not learned from.
+
+    Other Parameters
+    ----------------
+    order, static_order : int, optional
+        n_c, memory of the correction in samples: of stage 1 (default 5), of the paper's stage 2 (0).
+    window, static_window : int, optional
+        p, samples in the sliding window: 800 by the paper's equations, 100 beside the filters.
+    markov, static_markov : int, optional
+        mu, Markov parameters of u -> y from the first above 1e-10 of its terms, default 20; more where
+        that path has zeros outside the unit circle.
+    learning_rate, static_learning_rate : float, optional
+        alpha, weight of the change of theta, default 1e5 for signals of unit size; larger is slower.
+    static_average : int, optional
+        Samples whose static coefficients the paper's refined model averages, default two windows.
+    correction_input, correction_feedthrough : array_like of shape (n, l_u), (n_y, l_u), optional
+        B_u and D_u, where the correction acts, in the timebase of the model; default B and D (zero
+        where B_u is given).
+    use_estimated_states : bool, optional
+        With False stage 1 does not run; the paper's stage 2 then sees its own model's states.
+    scale : "auto" or mapping, optional
+        Typical size of signals for the paper's equations: ``{"inputs": ..., "outputs": ...}``, a number
+        or one per signal, and "states", "corrections"; "auto" takes the first samples' rms.
     noise : float or array_like of shape (n_y,), optional
-        Sensor noise (standard deviation, units of the outputs); estimated from
-        the innovations where it is not declared.
+        Sensor noise (standard deviation, units of the outputs); else from the innovations.
     hold : {"zoh", "foh"}, optional
         The input between samples: held, or linear.
     disturbance : float, optional
-        Unknown force on the model over the measured input, rms. With 0 (the
-        default) all that is not sensor noise is explained by the coefficients; 0.03
-        with `forgetting`, since a certain state follows no change.
+        Unknown force over the measured input, rms; default 0, with `forgetting` 0.03.
     forgetting : float, optional
-        Share of what is known along the direction that a sample informs about
-        which it leaves standing; 1 forgets nothing, 0.998 follows changes over
-        about 500 samples. Without excitation nothing is forgotten.
+        What a sample leaves standing of what is known along its direction: 1 forgets nothing, 0.998
+        follows changes over about 500 samples.
     substeps : int, optional
         Steps per sample for nonlinear effects, default 4 (second order).
 
     Attributes
     ----------
-    n_samples : int
-        Number of samples taken.
-    n_learned : int
-        Number of samples learned from: 0 while the first are held back.
+    n_samples, n_learned : int
+        Samples taken, and learned from: 0 while the first are held back.
 
     Raises
     ------
     control.ControlArgument
-        If the model is no `StateSpace` (the message says what to convert),
-        a setting has the wrong type, or settings exclude one another.
+        If the model is no `StateSpace`, a setting has the wrong type, or settings exclude one another.
     control.ControlDimension
         If B_u, D_u or a scale has the wrong shape.
     ModelError
-        If a setting is out of range (n_c < 0, p < 1, mu < 1, alpha <= 0), a
-        continuous model comes without dt, dt contradicts the model's, or
-        the correction reaches no output.
+        If a setting is out of range, a continuous model comes without dt, dt contradicts the model's,
+        or the correction reaches no output.
 
     Notes
     -----
-    *The race.* After 32, 64, ... 2048 samples, then every 2048, the model of each form is frozen
-    and runs free over the stretch that follows, its initial state fitted. The best
-    one is `system` (`form` and `scores` say which and why); of two within 2 % in mean
-    square the first of nonzero, input, discrete. A form that is far behind twice stops;
-    one that diverges stops, and the others go on. Where the initial model is stable
-    the refined one is, unless an unstable one predicts twice as well.
-
-    *The joint filter.* Coefficients begin at those of the model, uncertain by half of their size;
-    the model is discretized anew where one has moved by 0.3 of its standard
-    deviation. The first 2048 samples are kept, and gone over again each time that
-    their number has doubled, since a wrong start spoils what is learned from
-    them; later samples are seen once. Where innovations are three times what the filter was
-    sure of over some 32 samples, it doubts its state (a bump); where that does not help for
-    long it begins anew with the initial coefficients (a dead zone that opens, a part that
-    breaks). Stage 1 runs beside it by the paper's equations; where it diverges it stops, which
-    `str` says and does no harm.
-
-    *Scales* (the paper's equations, and stage 1). With ``scale="auto"`` the first 50 to 100
-    samples are held back, then learned all at once; so scales are causal and do not
-    depend on how the stream is cut into blocks. Where an input is still
-    constant, or a signal's rms over the second half of them is more than 3
-    times that over the first half, twice as many are held back, and so on up
-    to 16 times. States are scaled by the rms of the initial model's states
-    on these inputs; a correction by the size that first moves the outputs
-    by theirs (its first Markov parameter is 1). Until then `system` is the
-    initial model. With declared scales learning starts at once.
-
-    *Order of the paper's coefficients.* psi = [x(k) ... x(k-n_c), w(k) ... w(k-n_c),
-    u(k-1) ... u(k-n_c)]; w also reaches the model through B, so theta = 0 is
-    the initial model.
-
-    *What to expect.* The paper's static correction, and the form "input", is exact only
-    where the uncertainty is matched, i.e. lies in the columns of B_u.
-
-    *Threads.* One refiner may be used by several threads; calls wait for one another.
+    One refiner may be used by several threads; calls wait for one another.
 
     References
     ----------
     "Damage localization for structural health monitoring using retrospective
     cost model refinement", equations (23) to (46).
-
-    Examples
-    --------
-    The same by the paper's equations and settings:
-
-    >>> paper = rco.RCORefiner(example.initial, dt=example.dt, **example.settings).run(data)
-    >>> inductance = 250.0 / float((paper.system.C @ paper.system.B)[0, 0])
-    >>> print(f"{1e3 * inductance:.3f} mH")
-    55.000 mH
     """
 
     def __init__(

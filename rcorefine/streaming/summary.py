@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..systems.linear import Array, LinearModel
-from .coefficients.estimator import CoefficientFilter
 from .rcmr.history import History
 from .rcmr.kernels import Record
 from .rcmr.memory import Memory, Settings
 
 if TYPE_CHECKING:
+    from .coefficients.estimator import CoefficientFilter
     from .filter_bank import FilterBank
 
 __all__ = [

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -12,6 +13,7 @@ from ...systems.conversion import to_discrete
 from ...systems.linear import Array, LinearModel
 from ..gaps import Block
 from ..restoring import check_course, check_like, check_range
+from ..summary import Summary, summarize_coefficients
 from .guard import cautions
 from .kernel import DONE
 from .memory import CoefficientMemory
@@ -46,9 +48,33 @@ class CoefficientFilter:
         self.memory: CoefficientMemory = self.setup.begin()
         self.records: list[tuple[CoefficientRecord, Array]] = []
 
-    def taken(self, block: Block, record: bool) -> tuple[CoefficientMemory, CoefficientRecord]:
-        """Memory and course after some samples; nothing changes until `commit`."""
-        return take(self.setup, self.memory, block, keep=self.keep or record)
+    @property
+    def n_samples(self) -> int:
+        """Samples taken."""
+        return self.memory.n_samples
+
+    @property
+    def filter(self) -> CoefficientFilter:
+        """Filter of the coefficients that the refined model has."""
+        return self
+
+    @contextmanager
+    def all_or_nothing(self) -> Iterator[None]:
+        """Undo what was learned where an error follows."""
+        memory, count = self.memory, len(self.records)
+        try:
+            yield
+        except BaseException:
+            self.memory = memory
+            del self.records[count:]
+            raise
+
+    def take(self, block: Block, *, predict: bool = False) -> Array:
+        """Learn from a block; with `predict` what was expected, one sample ahead."""
+        self.memory, record = take(self.setup, self.memory, block, keep=self.keep or predict)
+        if self.keep:
+            self.records.append((record, np.where(block.use, block.outputs, np.nan)))
+        return record.predicted
 
     def one(self, block: Block) -> bool:
         """Learn from a single sample on the shortest way; False, and nothing done, where that is not open."""
@@ -61,12 +87,6 @@ class CoefficientFilter:
             return False
         self.memory = after
         return True
-
-    def commit(self, taken: tuple[CoefficientMemory, CoefficientRecord], block: Block) -> None:
-        """Make what was taken the present."""
-        self.memory, record = taken
-        if self.keep:
-            self.records.append((record, np.where(block.use, block.outputs, np.nan)))
 
     def finish(self) -> None:
         """Learn from what is still held back, however short."""
@@ -103,6 +123,18 @@ class CoefficientFilter:
     def noise(self) -> Array:
         """Level of the innovations, shape (n_y,)."""
         return np.asarray(np.sqrt(self.setup.layout.view(self.memory.packed, "level")[1]))
+
+    form = "coefficients"
+    waits = False  # single samples are learned from at once
+
+    @property
+    def scores(self) -> dict[str, float]:
+        """Nothing competes."""
+        return {}
+
+    def summary(self, model: LinearModel, stopped: str) -> Summary:
+        """Cells and sentences of `str`."""
+        return summarize_coefficients(model, self, stopped)
 
     def system(self, name: str) -> LinearModel:
         """Refined linear model, in the timebase that it is estimated in."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...exceptions import ModelError
+from ...exceptions import ModelError, RCOError
 from ...systems.linear import Array, LinearModel
 from ...systems.nearest import nearest_continuous
 from .. import summary
@@ -103,6 +103,30 @@ class PaperStages:
         theta = memory.stages[0].theta if stage == 0 else memory.static_theta()
         return in_units(theta, memory.tuned.scales, self.setup.settings[stage].order)
 
+    @property
+    def form(self) -> str:
+        """The paper's equations."""
+        return "paper"
+
+    @property
+    def scores(self) -> dict[str, float]:
+        """No forms compete."""
+        raise _no("scores")
+
+    @property
+    def parameters(self) -> tuple[Any, ...]:
+        """The paper's coefficients are no parameters."""
+        raise _no("parameters")
+
+    @property
+    def covariance(self) -> Array:
+        """The paper's coefficients have none."""
+        raise _no("covariance")
+
+    def dynamic_theta(self) -> Array:
+        """Coefficients of stage 1."""
+        return self.theta(0)
+
     def static_theta(self) -> Array:
         """Static coefficients."""
         return self.theta(1)
@@ -197,3 +221,10 @@ class PaperStages:
         latest = stage.past_u[stage.counters[3]] * scales.corrections
         past_u = np.concatenate([latest, psi[first_u : first_u + (order - 1) * l_u]])
         return np.concatenate([x, psi[: order * n], psi[first_w : first_w + order * n_w], past_u])
+
+
+def _no(what: str) -> RCOError:
+    return RCOError(
+        f"{what} belong to the joint filter; leave out window, markov and static_..., or name "
+        "effects=[...] (static_theta has the paper's coefficients)"
+    )
