@@ -40,14 +40,6 @@ _SETTINGS = (
 class RCORefiner(Result, Learned):
     """Refine a linear model on measured samples, in two concurrent stages.
 
-    >>> example = rco.examples.rlc()
-    >>> data = example.record()
-    >>> refiner = rco.RCORefiner(example.initial, dt=example.dt).run(data)
-    >>> plot = refiner.bode_plot(data)                 # initial, refined and measured
-    >>> inductance = 250.0 / float((refiner.system.C @ refiner.system.B)[0, 0])
-    >>> print(f"{1e3 * inductance:.3f} mH")
-    55.000 mH
-
     Stage 1 adapts a *dynamic* correction until the simulated output follows the measured one; its
     state then estimates the true one. Stage 2 fits a *static* correction to that motion: a refined
     model of the same order. With nothing but a model and `dt` several forms of the static correction
@@ -127,6 +119,20 @@ class RCORefiner(Result, Learned):
     ----------
     "Damage localization for structural health monitoring using retrospective
     cost model refinement", equations (23) to (46).
+
+    Examples
+    --------
+    >>> example = rco.examples.rlc()
+    >>> data = example.record()
+    >>> refiner = rco.RCORefiner(example.initial, dt=example.dt).run(data)
+    >>> plot = refiner.bode_plot(data)                 # initial, refined and measured
+    >>> inductance = 250.0 / float((refiner.system.C @ refiner.system.B)[0, 0])
+    >>> print(f"{1e3 * inductance:.3f} mH")
+    55.000 mH
+
+    The same by the paper's equations and settings:
+
+    >>> paper = rco.RCORefiner(example.initial, dt=example.dt, **example.settings).run(data)
     """
 
     def __init__(
