@@ -321,14 +321,14 @@ def test_threads_lose_no_sample(settings):
 
 def test_a_member_that_diverges_leaves_the_others_running(monkeypatch):
     start, dt, w, y = stream()
-    taken = CoefficientFilter.taken
+    take = CoefficientFilter.take
 
-    def failing(self, inputs, *rest):
+    def failing(self, block, **how):
         if self.memory.n_samples >= 300 and len(self.setup.labels) == 20:  # all entries of a discrete 4 + 1
             raise rco.DivergenceError("the static stage diverged; nothing helps")
-        return taken(self, inputs, *rest)
+        return take(self, block, **how)
 
-    monkeypatch.setattr(CoefficientFilter, "taken", failing)
+    monkeypatch.setattr(CoefficientFilter, "take", failing)
     refiner = RCORefiner(start, dt=dt)
     refiner.update(w, y)
     assert "discrete diverged" in " ".join(str(refiner).split())

@@ -457,20 +457,20 @@ def test_a_call_that_raises_changes_none_of_the_forms(monkeypatch: pytest.Monkey
     tried = RCORefiner(example.initial, dt=example.dt)
     for refiner in (fine, tried):
         refiner.update(w[:, :100], y[:, :100])
-    taken, calls = CoefficientFilter.taken, []
+    take, calls = CoefficientFilter.take, []
 
-    def once(self: Any, *block: Any) -> Any:
+    def once(self: Any, block: Any, **how: Any) -> Any:
         calls.append(self)
         if len(calls) == 2:
             raise MemoryError("forced")
-        return taken(self, *block)
+        return take(self, block, **how)
 
     def feed() -> None:
         for k in range(100, 140, samples):
             tried.update(w[:, k : k + samples], y[:, k : k + samples])
 
     with monkeypatch.context() as patch:
-        patch.setattr(CoefficientFilter, "taken", once)
+        patch.setattr(CoefficientFilter, "take", once)
         with pytest.raises(MemoryError):
             feed()
     at = tried.n_samples
