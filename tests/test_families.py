@@ -7,9 +7,10 @@ import pytest
 from test_rivals import friction_record
 
 import rcorefine as rco
-from rcorefine.diagnosis.families import contains, hosts, merged
+from rcorefine.diagnosis import families
 from rcorefine.effects import KINDS
 from rcorefine.effects.along_motion import unit_forces
+from rcorefine.inference.levels import levels
 
 LIMITS = {"displacement": 1e-6, "velocity": 1e3, "softness": 0.1, "static_ratio": 1.0}
 NESTED = [(law.name, inside) for law in KINDS.values() for inside in law.contains]
@@ -35,32 +36,42 @@ def test_a_law_contains_what_it_says(general, special):
     assert np.linalg.norm(left[moving]) < 0.02 * np.linalg.norm(wanted[moving])
 
 
-def test_what_contains_a_likelier_law_is_no_rival():
-    def rival(kind, place="a"):
-        return SimpleNamespace(effect=rco.Effect(kind, place))
-
-    rivals = [
-        rival(kind)
-        for kind in ("quadratic_damping", "power_damping", "damping", "asymmetric_damping", "cubic_damping")
-    ]
-    assert contains(rivals[1].effect, rivals[4].effect)
-    assert not contains(rivals[4].effect, rivals[1].effect)
-    assert not contains(rivals[1].effect, rco.Effect("cubic_damping", "b"))
-    held = hosts(rivals, range(5))
-    assert held == {1: 0, 3: 2}
-    np.testing.assert_allclose(merged(np.array([0.5, 0.2, 0.2, 0.06, 0.04]), held), [0.7, 0, 0.26, 0, 0.04])
-    assert hosts(rivals[1:], range(4)) == {2: 1}  # the power law leads: it is likelier than what it contains
-
-
-def test_the_simplest_law_that_does_is_named():
+@pytest.fixture(scope="module")
+def friction():
     model, data, _ = friction_record(12, 0.005)
     offered = [rco.Effect(f"{kind}_friction", "link1") for kind in ("asymmetric", "coulomb", "stribeck")]
-    found = rco.diagnose(model, data, candidates=offered)
-    assert found.verdict == "effect"
-    assert found.best.effect.kind == "coulomb_friction"
-    assert any("asymmetric_friction at link1 contains coulomb_friction" in note for note in found.notes)
-    assert sum(row.probability for row in found.ranking) == pytest.approx(1.0)
-    gain = {row.effect.kind: row.log_likelihood_gain for row in found.ranking}
-    price = 0.5 * np.log(data.n_samples)
+    return rco.diagnose(model, data, candidates=offered)
+
+
+def test_the_simplest_law_that_does_is_named(friction):
+    assert friction.verdict == "effect"
+    assert friction.best.effect.kind == "coulomb_friction"
+    assert any("asymmetric_friction at link1 contains coulomb_friction" in note for note in friction.notes)
+    assert sum(row.probability for row in friction.ranking) == pytest.approx(1.0)
+
+
+def test_no_law_ends_below_one_that_it_contains(friction):
+    gain = {row.effect.kind: row.log_likelihood_gain for row in friction.ranking}
+    price = 0.5 * np.log(friction.records[0].n_samples)
     assert gain["asymmetric_friction"] + price >= gain["coulomb_friction"] - 0.5
     assert gain["stribeck_friction"] + 2 * price >= gain["coulomb_friction"] - 0.5
+
+
+@pytest.mark.parametrize(("power", "rival"), [(2.02, False), (1.6, True)])
+def test_what_contains_a_law_is_a_rival_where_its_force_is_another(monkeypatch, power, rival):
+    """|v|^2.02 is |v|^2 to a percent; |v|^1.6 is not, and a record that cannot tell them says so."""
+    v = np.random.default_rng(0).standard_normal(2000)
+    forces = {"quadratic_damping": v * abs(v), "power_damping": 1.1 * np.sign(v) * abs(v) ** power + 0.3}
+    monkeypatch.setattr(families, "force_along", lambda kind, _: (forces[kind],))
+
+    def fit(kind, place="a"):
+        return SimpleNamespace(
+            effect=rco.Effect(kind, place), candidate=kind, descent=SimpleNamespace(point=None)
+        )
+
+    quadratic, wider = fit("quadratic_damping"), fit("power_damping")
+    forces["power_damping"] *= 1.0 if rival else 1 / 1.1
+    assert families.hosts([quadratic, wider], [0, 1], levels()) == ({} if rival else {1: 0})
+    assert families.hosts([wider, quadratic], [0, 1], levels()) == {}  # likelier than what it contains
+    elsewhere = [fit("quadratic_damping", "b"), wider]
+    assert families.hosts(elsewhere, [0, 1], levels()) == {}

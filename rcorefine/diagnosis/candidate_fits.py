@@ -25,7 +25,7 @@ from .candidate_fit import (
     prior_cost,
     whitener_of,
 )
-from .families import below_special_cases, contains, in_families, start_from
+from .families import contains, in_families, start_from, stuck_fits
 from .residual_tests import TestedResidual
 from .starts import at_home, gain_for, imitated, led, observed, plain_cost, regressed
 from .widths import settled_width
@@ -225,12 +225,11 @@ def _settle(
             rival.settled = rival.lack <= max(LACK, _LACK_SHARE * (top - rival.log_likelihood))
         open_, rounds = [r for r in rivals if not r.settled], rounds + 1
         near = [r for r in rivals if 2 * (top - r.log_likelihood) <= _NEAR]
-        stuck = below_special_cases(near, fitted.problem.n_points)
         if rounds > _ROUNDS:
             break
-        for rival, special in stuck:
-            start_from(fitted, rival, special, ratio, whitener)
-        open_ = list(dict.fromkeys([*open_, *(rival for rival, _ in stuck)]))
+        for rival, giver in stuck_fits(near, fitted.problem.n_points, rounds == 1):
+            if start_from(fitted, rival, giver, ratio, whitener):
+                open_ = [*(r for r in open_ if r is not rival), rival]
         for rival in progress.over(open_, "polishing"):
             rival.descent = continued(fitted, rival, ratio, whitener, 10, 1e-9)
 

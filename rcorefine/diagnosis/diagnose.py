@@ -24,7 +24,7 @@ from ..refinement.refine import refit
 from .candidate_fits import CandidateFits, fit_candidates, shortlist
 from .case import OBSERVERS, Case
 from .excitation import no_motion, not_excited, record_remarks
-from .families import hosts, merged, said_of_families
+from .families import hosts, said_of_families
 from .floating import Floated, as_good, explaining_numbers, rivals_of_numbers
 from .judging import Judged, beside_force, judge, outweighs, pair_hint, second_chance
 from .places import in_race
@@ -248,11 +248,11 @@ def _named(
     p_of = {c.effect: test.p_value for c, test in zip(scored, scores, strict=True)}
     lacks = [0.0 if rival.settled else rival.lack for rival in race.rivals]
     ties = tied(likelihoods, lacks, case.levels)
-    held = hosts(race.rivals, ties)
+    held = hosts(race.rivals, ties, case.levels)
     alike = tuple(race.rivals[i].effect for i in ties if i not in held)
     rows = ranking(
-        race, [p_of[rival.effect] for rival in race.rivals], merged(probabilities(likelihoods), held),
-        case.base, validation, case.settings["horizon"],
+        race, [p_of[rival.effect] for rival in race.rivals], probabilities(likelihoods), case.base,
+        validation, case.settings["horizon"],
     )  # fmt: skip
     several = judged.passed and len(case.records) > 1
     agreement, sentence = amplitude_test(race, case.levels.disagree) if several else (1.0, "")

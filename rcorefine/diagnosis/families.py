@@ -9,20 +9,19 @@ import numpy as np
 from ..effects.effect import Effect
 from ..inference.descent import descend
 from ..inference.fitted import FittedModel
+from ..inference.levels import Levels
 from ..inference.sensitivities import Candidate
 from ..inference.whitening import Whitener
-from ..systems.linear import Array
 from .candidate_fit import LACK, CandidateFit, price
-from .starts import gain_for, imitated
+from .starts import force_along, gain_for, imitated
 
 __all__ = [
-    "below_special_cases",
     "contains",
     "hosts",
     "in_families",
-    "merged",
     "said_of_families",
     "start_from",
+    "stuck_fits",
 ]
 
 
@@ -46,7 +45,7 @@ def in_families(candidates: Sequence[Candidate]) -> tuple[list[Candidate], list[
     return [c for c in candidates if c not in general], general
 
 
-def hosts(rivals: Sequence[CandidateFit], alike: Sequence[int]) -> dict[int, int]:
+def hosts(rivals: Sequence[CandidateFit], alike: Sequence[int], levels: Levels) -> dict[int, int]:
     """Rivals among those alike that merely contain another one of them, and that one.
 
     Parameters
@@ -55,39 +54,31 @@ def hosts(rivals: Sequence[CandidateFit], alike: Sequence[int]) -> dict[int, int
         The most likely first.
     alike : sequence of int
         Those that the record does not tell from the first.
+    levels : Levels
+        Of the difference of forces.
 
     Returns
     -------
     dict
         ``{index of the containing law: index of the most likely one that it contains}``. What
-        is likelier than each law that it contains, the price of its coefficients paid, is a rival.
+        is likelier than each law that it contains, the price of its coefficients paid, is a
+        rival, and so is what ends at another force.
     """
     found = {}
     for i in alike:
         inside = [j for j in alike if j < i and contains(rivals[i].effect, rivals[j].effect)]
-        if inside:
+        if inside and _same_force(rivals[inside[0]], rivals[i], levels.same_force):
             found[i] = inside[0]
-    return {i: found.get(j, j) for i, j in found.items()}
-
-
-def merged(probabilities: Array, held: dict[int, int]) -> Array:
-    """Probabilities with those of containing laws counted where they belong.
-
-    Parameters
-    ----------
-    probabilities : ndarray, shape (n,)
-    held : dict
-        As `hosts` gives it.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-    """
-    found = np.array(probabilities)
-    for i, j in held.items():
-        found[j] += found[i]
-        found[i] = 0.0
     return found
+
+
+def _same_force(special: CandidateFit, general: CandidateFit, level: float) -> bool:
+    """Whether two rivals are one force, but for a constant, which an offset may hold for either."""
+    simple, more = (force_along(r.candidate, r.descent.point) for r in (special, general))
+    if simple is None or more is None:
+        return False
+    one, other = (force - force.mean() for *_, force in (simple, more))
+    return bool(np.linalg.norm(other - one) <= level * np.linalg.norm(one))
 
 
 def said_of_families(rivals: Sequence[CandidateFit], held: dict[int, int]) -> list[str]:
@@ -99,10 +90,10 @@ def said_of_families(rivals: Sequence[CandidateFit], held: dict[int, int]) -> li
     ]
 
 
-def below_special_cases(
-    rivals: Sequence[CandidateFit], samples: int
+def stuck_fits(
+    rivals: Sequence[CandidateFit], samples: int, simpler: bool
 ) -> list[tuple[CandidateFit, CandidateFit]]:
-    """Laws that fit worse than one that they contain: stuck, whatever their gradient says.
+    """Laws that fit worse than one that they contain, whatever their gradient says.
 
     Parameters
     ----------
@@ -110,43 +101,52 @@ def below_special_cases(
         With their likelihoods.
     samples : int
         By which coefficients were priced.
+    simpler : bool
+        Whether to add what the best rival contains: it may do the same with fewer coefficients.
 
     Returns
     -------
     list of (CandidateFit, CandidateFit)
-        The law, and the best of those that it contains.
+        The law, and the one that it may start from.
     """
-    found = []
+    gain = {r: r.log_likelihood + price(r, samples) for r in rivals}
+    leader = max(rivals, key=lambda r: r.log_likelihood)
+    found = [(r, leader) for r in rivals if simpler and contains(leader.effect, r.effect)]
     for rival in rivals:
-        inside = [r for r in rivals if contains(rival.effect, r.effect)]
-        gain = {r: r.log_likelihood + price(r, samples) for r in [rival, *inside]}
-        best = max(gain, key=lambda r: gain[r])
+        best = max(
+            (r for r in rivals if r is rival or contains(rival.effect, r.effect)), key=gain.__getitem__
+        )
         if gain[best] > gain[rival] + LACK:
             found.append((rival, best))
     return found
 
 
 def start_from(
-    fitted: FittedModel, rival: CandidateFit, special: CandidateFit, ratio: float, whitener: Whitener
-) -> None:
-    """Put a law where one that it contains ended, with its width, if that is better.
+    fitted: FittedModel, rival: CandidateFit, giver: CandidateFit, ratio: float, whitener: Whitener
+) -> bool:
+    """Put a law where another one of its family ended, with its width; whether that is better.
 
     Parameters
     ----------
     fitted : FittedModel
         Model without them.
-    rival, special : CandidateFit
-        The law, which is changed, and the one that it contains.
+    rival, giver : CandidateFit
+        The law, which is changed, and the other one.
     ratio : float
         Unmeasured force that is allowed for.
     whitener : Whitener
         Metric.
+
+    Returns
+    -------
+    bool
     """
-    candidate = rival.candidate
-    if rival.effect.spec.jumps and special.effect.spec.jumps and "width" not in rival.effect.fixed:
-        candidate = candidate.with_width(special.candidate.width / candidate.width)
+    candidate, better = rival.candidate, False
+    if rival.effect.spec.jumps and giver.effect.spec.jumps and "width" not in rival.effect.fixed:
+        candidate = candidate.with_width(giver.candidate.width / candidate.width)
     gain = gain_for(fitted, candidate, ratio)
-    for point in imitated(special.candidate, special.descent.point, candidate):
+    for point in imitated(giver.candidate, giver.descent.point, candidate):
         again = descend(candidate.problem, point, gain=gain, whitener=whitener, evaluations=8)
         if again.cost < rival.descent.cost:
-            rival.candidate, rival.descent = candidate, again
+            rival.candidate, rival.descent, better = candidate, again, True
+    return better

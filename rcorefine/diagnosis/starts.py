@@ -15,7 +15,7 @@ from ..inference.search import starting_states
 from ..inference.sensitivities import Candidate
 from ..systems.linear import Array
 
-__all__ = ["at_home", "gain_for", "imitated", "led", "observed", "plain_cost", "regressed"]
+__all__ = ["at_home", "force_along", "gain_for", "imitated", "led", "observed", "plain_cost", "regressed"]
 
 _OBSERVERS = (1.0, 0.1)
 _FALLING = (1.0, 0.1, 0.01)
@@ -176,56 +176,78 @@ def imitated(giver: Candidate, point: Array, taker: Candidate) -> list[Array]:
     list of ndarray
         The best imitation, empty where either is no force at a port or nothing moves.
     """
-    problem = giver.problem
-    names = {port.name for port in problem.structure.model.ports}
-    if taker.effect.place != giver.effect.place or taker.effect.place not in names:
+    if taker.effect.place != giver.effect.place:
         return []
     if set(taker.effect.fixed) & set(taker.effect.coefficients):
         return []
-    theta, starts = problem.unpack(point)
-    port = problem.structure.model.port(taker.effect.place)
-    ds, vs, ws, forces = [], [], [], []
-    for engine, start in zip(problem.engines, starts, strict=True):
-        run = engine.run(theta, start, sensitivity=False, histories=True, check=False)
-        x, w = run.states[: port.act.size], engine.data.inputs
-        ds.append(port.position @ x + port.position_input @ w)
-        vs.append(port.velocity @ x + port.velocity_input @ w)
-        ws.append(w)
-        if giver.effect.spec.is_element:
-            unit = unit_forces(giver.effect, ds[-1], vs[-1], [])
-            if unit is None:
-                return []
-            forces.append(theta[-1] * unit[0])
-        elif (
-            problem.structure.port_effects
-            and problem.structure.port_effects[-1] == len(problem.structure.effects) - 1
-        ):
-            forces.append(run.forces[-1])
-        else:
-            return []
-    d, v, force = (np.concatenate(parts) for parts in (ds, vs, forces))
-    if not (np.isfinite(d).all() and np.isfinite(v).all() and np.isfinite(force).all() and force.any()):
+    found = force_along(giver, point)
+    if found is None or not found[-1].any():
         return []
+    d, v, w, force = found
+    theta, starts = giver.problem.unpack(point)
     other = taker.problem
     p, n = giver.fitted.problem.n_theta, giver.fitted.structure.n_states
     full = np.zeros((starts.shape[0], other.n_states))
     full[:, :n] = starts[:, :n]
     best: tuple[float, Array] | None = None
     for shape in _shapes(giver, theta, taker, float(np.sqrt(np.mean(d**2)))):
-        columns = unit_forces(taker.effect, d, v, [shape], np.hstack(ws))
+        columns = unit_forces(taker.effect, d, v, [shape], w)
         if columns is None:
             return []
         free = [name for name in taker.effect.free if name not in shape]
         F = np.array(columns).T
         if F.shape[1] != len(free):
             return []
-        values = np.linalg.lstsq(F, force, rcond=1e-10)[0]
-        values = {**dict(zip(free, values, strict=True)), **shape}
+        levels = np.linalg.lstsq(F, force, rcond=1e-10)[0]
+        values = {**dict(zip(free, levels, strict=True)), **shape}
         own = np.concatenate([theta[:p], [values[name] for name in taker.effect.free]])
-        rest = float(np.sum((force - F @ np.array([values[name] for name in free])) ** 2))
+        rest = float(np.sum((force - F @ levels) ** 2))
         if best is None or rest < best[0]:
             best = rest, other.inside(other.pack(own, full))
     return [] if best is None else [best[1]]
+
+
+def force_along(candidate: Candidate, point: Array) -> tuple[Array, Array, Array, Array] | None:
+    """Force of a candidate at a point, along the motion that it then has.
+
+    Parameters
+    ----------
+    candidate : Candidate
+    point : ndarray
+        Of its problem.
+
+    Returns
+    -------
+    d, v : ndarray, shape (N,)
+        Displacement and velocity at its port, all records one after the other.
+    w : ndarray, shape (n_w, N)
+        Inputs.
+    force : ndarray, shape (N,)
+        None in place of all where it is no force at a port, or no number.
+    """
+    problem, effect = candidate.problem, candidate.effect
+    structure = problem.structure
+    port = next((port for port in structure.model.ports if port.name == effect.place), None)
+    own = len(structure.effects) - 1
+    at_port = bool(structure.port_effects) and structure.port_effects[-1] == own
+    if port is None or not (effect.spec.is_element or at_port):
+        return None
+    theta, starts = problem.unpack(point)
+    rows: list[tuple[Array, ...]] = []
+    for engine, start in zip(problem.engines, starts, strict=True):
+        run = engine.run(theta, start, sensitivity=False, histories=True, check=False)
+        x, w = run.states[: port.act.size], engine.data.inputs
+        d = port.position @ x + port.position_input @ w
+        v = port.velocity @ x + port.velocity_input @ w
+        if at_port:
+            rows.append((d, v, w, run.forces[-1]))
+        else:
+            unit = unit_forces(effect, d, v, [])
+            if unit is None:
+                return None
+            rows.append((d, v, w, theta[-1] * unit[0]))
+    d, v, w, force = (np.concatenate(parts, axis=-1) for parts in zip(*rows, strict=True))
+    return (d, v, w, force) if np.isfinite([d, v, force]).all() else None
 
 
 def _shapes(giver: Candidate, theta: Array, taker: Candidate, rms: float) -> Iterator[dict[str, float]]:

@@ -24,6 +24,9 @@ class Levels:
     rival : float
         Twice the log-likelihood between two candidates, chi-squared of one degree of freedom by
         chance. Within it they are tied; 9.2 are odds of 100 to 1.
+    same_force : float
+        Rms difference of two forces over their rms, within which a law that contains another one
+        merely contains it: no rival.
     disagree : float
         p-value of Wald's test that two amplitudes ask for the same coefficients, uniform by
         chance. Below it the law only mimics the true one: unexplained.
@@ -55,6 +58,7 @@ class Levels:
 
     noise_excess: float = 1.2
     rival: float = 9.2
+    same_force: float = 0.1
     disagree: float = 0.005
     off: float = 0.05
     power: float = 1.645
