@@ -83,6 +83,11 @@ def law_cases():
             [1.0, 2.0, 0.5],
             lambda d, v: (1 + np.exp(-((v / 0.5) ** 2))) * s(v),
         ),
+        "gravity": ([8.0], lambda d, v: 8 * np.sin(d)),
+        "cogging": (
+            [2.0, 1.0, 0.6],
+            lambda d, v: 2 * np.sin(d * np.pi / 0.3) + np.cos(d * np.pi / 0.3) - 1,
+        ),
         "quadratic_damping": ([2.0], lambda d, v: 2 * v * abs(v)),
         "cubic_damping": ([0.5], lambda d, v: 0.5 * v**3),
         "power_damping": ([0.8, 1.5], lambda d, v: 0.8 * v * (v * v + WIDTH**2) ** 0.25),
@@ -256,12 +261,48 @@ def test_input_delay_to_a_fraction_of_a_sample(hold, delay):
     np.testing.assert_allclose(answer.outputs[:, : w.size - 5], truth, atol=5e-3 * scale)
 
 
+def dragged(w, gap):
+    """What follows w with play, sample by sample."""
+    found, last = np.zeros(w.size), 0.0
+    for k, value in enumerate(w):
+        found[k] = last = np.clip(last, value - gap, value + gap)
+    return found
+
+
+def test_an_actuator_acts_by_a_power_of_its_command():
+    model, w = chain(), force(150)
+    u = held(np.sign(w) * 6.0 * np.abs(w / 6.0) ** 1.6, "zoh")
+    times = np.arange(w.size) * DT
+    truth = model.C @ solve(lambda t, x: model.A @ x + model.B[:, 0] * u(t), np.zeros(4), times)
+    answer = run(Structure(model, [Effect("input_power", "f")]), [1.6, 6.0], record(w, "zoh"), 1)
+    np.testing.assert_allclose(answer.outputs, truth, atol=1e-6)
+
+
+def test_a_magnet_pulls_by_its_current_over_its_distance():
+    A, B = np.array([[0, 1], [-40.0, -0.6]]), np.array([[0, 0], [1.0, 0]])
+    model = ct.ss(A, B, [[1.0, 0]], 0, inputs=["f", "i"], outputs=["x"], states=["x", "v"])
+    rng = np.random.default_rng(4)
+    w = np.stack([force(120, 3.0), 2.0 + 0.3 * rng.standard_normal(120)])
+    times = np.arange(120) * DT
+
+    def rhs(t, x):
+        push, current = (np.interp(t, times, row) for row in w)
+        return A @ x + np.array([0.0, push + 0.9 * current**2 / (0.7 - x[0]) ** 2])
+
+    truth = solve(rhs, np.zeros(2), times)[:1]
+    data = Measurement(w, np.zeros((1, 120)), dt=DT, hold="foh")
+    pull = Effect("magnetic_force", "x", fixed={"gap": 0.7, "current": 2})
+    answer = run(Structure(model, [pull]), [0.9], data, 16)
+    np.testing.assert_allclose(answer.outputs, truth, atol=2e-3 * np.abs(truth).max())
+
+
 def test_input_statics_and_their_derivatives():
     model, w = chain(), force(150)
     times = np.arange(w.size) * DT
     for kind, level, law in (
         ("input_deadzone", 4.0, lambda w: np.sign(w) * np.maximum(np.abs(w) - 4.0, 0)),
         ("input_saturation", 6.0, lambda w: np.clip(w, -6, 6)),
+        ("input_play", 2.0, lambda w: dragged(w, 2.0)),
     ):
         u = held(law(w), "zoh")
         truth = model.C @ solve(lambda t, x, u=u: model.A @ x + model.B[:, 0] * u(t), np.zeros(4), times)
@@ -331,6 +372,7 @@ def test_first_order_laws():
         ("threshold_flow", [0.6, 1.2], lambda x: 0.6 * max(x - 1.2, 0)),
         ("coulomb_friction", [0.3], lambda x: 0.3 * np.tanh(x / WIDTH)),
         ("quadratic_damping", [0.2], lambda x: 0.2 * x * abs(x)),
+        ("radiation", [1e-8], lambda x: 1e-8 * ((x + 293.15) ** 4 - 293.15**4)),
         ("smooth_friction", [0.3, 0.8], lambda x: 0.3 * np.tanh(x / 0.8)),
         ("power_damping", [0.2, 1.4], lambda x: 0.2 * x * (x * x + WIDTH**2) ** 0.2),
         ("cubic_damping", [0.1], lambda x: 0.1 * x**3),

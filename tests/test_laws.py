@@ -40,21 +40,21 @@ def catalogue():
     yield
     law._LAWS.clear()
     law._LAWS.update(before)
-    for name in ("power_drag", "magnetic_force", "input_play"):
+    for name in ("power_drag", "magnet_pull", "actuator_play"):
         sys.modules.pop(name, None)
 
 
 EXAMPLES = {
     "power_drag": ("mass1", {}),
-    "magnetic_force": ("x", {"gap": 1.0}),
-    "input_play": ("force", {}),
+    "magnet_pull": ("x", {"gap": 1.0}),
+    "actuator_play": ("force", {}),
 }
 
 
 def effect_of(name, **more):
     module = loaded(name)
     place, fixed = EXAMPLES[name]
-    law = module.MagneticForce if name == "magnetic_force" else None
+    law = module.MagnetPull if name == "magnet_pull" else None
     return rco.Effect(name, place, law=law, fixed={**fixed, **more.pop("fixed", {})}, **more)
 
 
@@ -241,9 +241,9 @@ def test_on_a_stream_a_users_law_gives_what_the_built_in_one_gives(law, tmp_path
 
 
 def test_play_at_an_input_on_a_stream():
-    module = loaded("input_play")
+    module = loaded("actuator_play")
     data = module.record(3000)
-    refiner = rco.RCORefiner(module.MODEL, dt=data.dt, hold="foh", effects=[effect_of("input_play")])
+    refiner = rco.RCORefiner(module.MODEL, dt=data.dt, hold="foh", effects=[effect_of("actuator_play")])
     refiner.update(data.inputs, data.outputs)
     assert np.ravel(refiner.static_theta)[0] == pytest.approx(0.7, rel=0.02)
 

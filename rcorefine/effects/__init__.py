@@ -8,7 +8,7 @@ from .formula import InputLaw, OutputLaw, PortLaw
 from .law import KINDS, Coefficient, register
 
 # the order in which laws are listed to people
-from . import springs, dampers, friction, hysteresis, bodies, flows, entries  # noqa: F401, isort: skip
+from . import springs, dampers, friction, hysteresis, fields, bodies, flows, entries  # noqa: F401, isort: skip
 from . import input_path, output_path, record, custom  # noqa: F401, isort: skip
 
 __all__ = ["KINDS", "Coefficient", "InputLaw", "OutputLaw", "PortLaw", "register"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import MappingProxyType
 
 import numpy as np
 
@@ -83,3 +84,30 @@ class ThresholdFlow(PortLaw):
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Rims that the level reaches."""
         return [{"threshold": float(q)} for q in np.quantile(seen.v, [0.7, 0.9, 0.5])]
+
+
+@register
+class Radiation(PortLaw):
+    """Heat that is radiated."""
+
+    where = frozenset(["first_order"])
+    coefficients = (
+        Coefficient("radiation", "force/velocity^4", explanation="emissivity times area times 5.67e-8"),
+    )
+    constants = MappingProxyType({"temperature": 293.15})
+    formula = "f = t ((T0 + x)^4 - T0^4), T0 the absolute `temperature` where x = 0"
+    explanation = "Heat is radiated at {place}, by the fourth power of the absolute temperature."
+    on_request = True  # only who knows that the state is a temperature can say so
+
+    @staticmethod
+    def law(v, radiation, temperature):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return radiation * ((temperature + v) ** 4 - temperature**4)
+
+    @staticmethod
+    def slopes(v, radiation, temperature):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        absolute = temperature + v
+        unit = absolute**4 - temperature**4
+        by_temperature = 4.0 * radiation * (absolute**3 - temperature**3)
+        return radiation * unit, 4.0 * radiation * absolute**3, unit, by_temperature

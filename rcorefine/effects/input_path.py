@@ -171,3 +171,84 @@ class InputSaturation(InputLaw):
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Limits that the input reaches."""
         return [{"limit": float(q)} for q in np.quantile(np.abs(seen.signal), [0.97, 0.85, 0.6])]
+
+
+@register
+class InputPower(InputLaw):
+    """Actuator that acts by a power of its command."""
+
+    where = frozenset(["input"])
+    coefficients = (
+        Coefficient(
+            "power",
+            "1",
+            lower=0.2,
+            upper=5.0,
+            default_start=None,
+            shapes=True,
+            explanation="exponent of the command",
+        ),
+        Coefficient(
+            "level",
+            "signal",
+            lower=0.0,
+            default_start=None,
+            shapes=True,
+            explanation="command at which it acts as the model says",
+        ),
+    )
+    formula = "w -> sgn(w) level |w/level|^p"
+    explanation = "The input {place} acts by a power of its size: the thrust of a fan, the flow of a valve."
+    on_request = True  # about a large offset it is a gain
+
+    @staticmethod
+    def law(w, power, level):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return math.copysign(level * (abs(w) / level) ** power, w)
+
+    @staticmethod
+    def slopes(w, power, level):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        share = max(abs(w) / level, 1e-6)
+        r = math.copysign(level * share**power, w)
+        return r, power * share ** (power - 1.0), r * math.log(share), (1.0 - power) * r / level
+
+    def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
+        """Squares and roots about the size of the command."""
+        rms = float(np.sqrt(np.mean(seen.signal**2)))
+        return [{"power": p, "level": rms} for p in (2.0, 0.6, 1.4)]
+
+
+@register
+class InputPlay(InputLaw):
+    """Backlash of an actuator: inside the gap nothing moves on."""
+
+    where = frozenset(["input"])
+    coefficients = (
+        Coefficient(
+            "gap", "signal", lower=0.0, default_start=None, shapes=True, explanation="play on either side"
+        ),
+    )
+    formula = "r follows w with play of +- gap, w -> r"
+    explanation = "The input {place} has play: it acts again only a gap after it has turned."
+    on_request = True  # a force has no play, a position or an angle that is commanded has
+
+    @staticmethod
+    def law(w, z_start, gap):  # type: ignore[no-untyped-def]
+        """Formula."""
+        r = min(max(z_start, w - gap), w + gap)
+        return r, r
+
+    @staticmethod
+    def slopes(w, z_start, gap):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        row = (z_start, 0.0, 1.0, 0.0)
+        if w - gap > z_start:
+            row = (w - gap, 1.0, 0.0, -1.0)
+        elif w + gap < z_start:
+            row = (w + gap, 1.0, 0.0, 1.0)
+        return row, row
+
+    def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
+        """Gaps in shares of the command."""
+        return [{"gap": float(q)} for q in np.quantile(np.abs(seen.signal), [0.1, 0.3, 0.6])]

@@ -8,7 +8,7 @@ import rcorefine as rco
 from rcorefine.effects import Coefficient, PortLaw
 
 
-class MagneticForce(PortLaw):
+class MagnetPull(PortLaw):
     """Pull of a magnet at a distance `gap` from rest; the second input is its current."""
 
     formula = "f = -k i^2 / (gap - d)^2"
@@ -50,7 +50,7 @@ def main():
     exact = record()
     noise = 0.01 * exact.outputs.std() * np.random.default_rng(4).standard_normal(exact.outputs.shape)
     data = rco.Measurement(exact.inputs, exact.outputs + noise, dt=exact.dt, hold="foh")
-    return rco.refine(MODEL, data, [rco.Effect("custom", "x", law=MagneticForce, fixed={"gap": GAP})])
+    return rco.refine(MODEL, data, [rco.Effect("custom", "x", law=MagnetPull, fixed={"gap": GAP})])
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from rcorefine.effects import Coefficient, InputLaw, register
 
 
 @register
-class InputPlay(InputLaw):
+class ActuatorPlay(InputLaw):
     """Backlash: inside the gap nothing moves on."""
 
     formula = "r follows w with play of +- gap"
@@ -54,7 +54,7 @@ def main():
     exact = record()
     noise = 0.01 * exact.outputs.std() * np.random.default_rng(6).standard_normal(exact.outputs.shape)
     data = rco.Measurement(exact.inputs, exact.outputs + noise, dt=exact.dt, hold="foh")
-    return rco.refine(MODEL, data, [rco.Effect("input_play", "force")])
+    return rco.refine(MODEL, data, [rco.Effect("actuator_play", "force")])
 
 
 if __name__ == "__main__":
