@@ -24,6 +24,8 @@ __all__ = [
     "stuck_fits",
 ]
 
+_MOVING = 0.98  # of the samples: friction turns over in the others
+
 
 def contains(general: Effect, special: Effect) -> bool:
     """Whether one effect is a special case of another one."""
@@ -73,12 +75,16 @@ def hosts(rivals: Sequence[CandidateFit], alike: Sequence[int], levels: Levels) 
 
 
 def _same_force(special: CandidateFit, general: CandidateFit, level: float) -> bool:
-    """Whether two rivals are one force, but for a constant, which an offset may hold for either."""
+    """Whether two rivals are one force, but for a constant, which an offset may hold for either.
+
+    The few moments of turning are left out: a law of two levels holds its constant nowhere else.
+    """
     simple, more = (force_along(r.candidate, r.descent.point) for r in (special, general))
     if simple is None or more is None:
         return False
-    one, other = (force - force.mean() for *_, force in (simple, more))
-    return bool(np.linalg.norm(other - one) <= level * np.linalg.norm(one))
+    one, other = (force - np.median(force) for *_, force in (simple, more))
+    apart = np.sort(np.abs(other - one - np.median(other - one)))[: int(_MOVING * one.size)]
+    return bool(np.linalg.norm(apart) <= level * np.linalg.norm(one))
 
 
 def said_of_families(rivals: Sequence[CandidateFit], held: dict[int, int]) -> list[str]:
