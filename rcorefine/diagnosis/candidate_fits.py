@@ -15,6 +15,7 @@ from ..inference.search import step_matters
 from ..inference.sensitivities import Candidate
 from ..inference.whitening import FTest, Whitener
 from ..progress import Progress
+from ..systems.linear import Array
 from .candidate_fit import (
     LACK,
     CandidateFit,
@@ -44,6 +45,8 @@ _POLISHED = (60.0, 0.02)  # twice the log-likelihood behind the best, plus that 
 _NEAR = 60.0  # twice the log-likelihood behind the leader within which rivals get its substeps
 _STEP_SHARE = 0.25  # of a standard deviation that halving the substep may shift a coefficient
 _MOST_HALVINGS = 4
+
+_Task = tuple[FittedModel, Candidate, float, bool, bool, tuple[Array, ...]]
 
 
 @dataclass(eq=False)
@@ -151,32 +154,27 @@ def fit_candidates(
     """
     progress = progress or Progress()
     strong = float(np.min(fitted.refinement.fit)) < _STRONG
-
-    def begun(some: Sequence[Candidate]) -> list[CandidateFit]:
-        tasks = [(fitted, c, ratio, thorough, strong) for c in some]
-        return [r for r in progress.map(_laps, tasks, "first laps") if r is not None]
-
     simple, general = in_families(candidates)
-    new = begun(simple)
+    tasks: list[_Task] = [(fitted, c, ratio, thorough, strong, ()) for c in simple]
+    new = [r for r in progress.map(_laps, tasks, "first laps") if r is not None]
     old = [
         CandidateFit(r.candidate, continued(fitted, r, ratio, None, 4))
         for r in progress.over(entered, "more laps")
     ]
-    better: dict[Effect, CandidateFit] = {}  # the same effect from an earlier race and from new starts
-    for rival in (*old, *new):
-        best_yet = better.get(rival.effect)
-        if np.isfinite(rival.descent.cost) and (
-            best_yet is None or rival.descent.cost < best_yet.descent.cost
-        ):
-            better[rival.effect] = rival
-    rivals = list(better.values())
+    rivals = _best_of_each([*old, *new])
     if not rivals:
         return None
     n = fitted.problem.n_points
     _run_laps(fitted, rivals, ratio, progress)
     leading = {r.effect.place for r in _near(rivals, n)}
-    rivals += begun([c for c in general if c.effect.place in leading])
     left = tuple(c for c in general if c.effect.place not in leading)
+    tasks = []
+    for c in [c for c in general if c not in left]:
+        inside = [r for r in rivals if contains(c.effect, r.effect)]
+        points = [p for r in inside for p in imitated(r.candidate, r.descent.point, c, _SHAPES)]
+        tasks.append((fitted, c, ratio, thorough, strong, tuple(points)))
+    new = [r for r in progress.map(_laps, tasks, "first laps") if r is not None]
+    rivals = _best_of_each([*rivals, *new])
     for _ in range(_EXCHANGES):
         if not _exchange(fitted, rivals, ratio):
             break
@@ -203,6 +201,16 @@ def fit_candidates(
     rivals = [r for r in rivals if r.log_likelihood + price(r, white.size) >= base - LACK]
     rivals.sort(key=lambda r: -r.log_likelihood)
     return CandidateFits(fitted, rivals, ratio, whitener, base, left) if rivals else None
+
+
+def _best_of_each(rivals: Sequence[CandidateFit]) -> list[CandidateFit]:
+    """One fit of each effect: it may come from an earlier race, and from new starts."""
+    better: dict[Effect, CandidateFit] = {}
+    for rival in rivals:
+        other = better.get(rival.effect)
+        if np.isfinite(rival.descent.cost) and (other is None or rival.descent.cost < other.descent.cost):
+            better[rival.effect] = rival
+    return list(better.values())
 
 
 def _near(rivals: Sequence[CandidateFit], n: int) -> list[CandidateFit]:
@@ -307,13 +315,16 @@ def _settle_substeps(
     return whitener
 
 
-def _laps(task: tuple[FittedModel, Candidate, float, bool, bool]) -> CandidateFit | None:
-    """First laps of one candidate: from absent, and from where an observer takes it."""
-    fitted, candidate, ratio, thorough, strong = task
+def _laps(task: _Task) -> CandidateFit | None:
+    """First laps of one candidate: from absent and from where an observer takes it, or from points given."""
+    fitted, candidate, ratio, thorough, strong, given = task
     problem = candidate.problem
     gain = gain_for(fitted, candidate, ratio)
     starts = candidate.starts[: 6 if thorough else _SHAPES]
-    if thorough:
+    if given and not (strong or thorough):
+        order = np.argsort([plain_cost(problem, point, gain) for point in given])[:2]
+        runs = [descend(problem, given[i], gain=gain, evaluations=4) for i in order]
+    elif thorough:
         points = [*starts, *(observed(fitted, candidate, start, ratio) for start in starts)]
         runs = [descend(problem, point, gain=gain, evaluations=12) for point in points]
     else:

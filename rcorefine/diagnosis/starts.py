@@ -155,7 +155,7 @@ def led(fitted: FittedModel, candidate: Candidate, start: Array, ratio: float) -
     return descend(problem, best, gain=gain, evaluations=8)
 
 
-def imitated(giver: Candidate, point: Array, taker: Candidate) -> list[Array]:
+def imitated(giver: Candidate, point: Array, taker: Candidate, most: int = 1) -> list[Array]:
     """Starts of a law from the optimum of another one at the same place.
 
     All but its own coefficients are those of the giver, its own imitate the giver's
@@ -170,11 +170,13 @@ def imitated(giver: Candidate, point: Array, taker: Candidate) -> list[Array]:
         That optimum.
     taker : Candidate
         At the same port.
+    most : int
+        Shapes to return.
 
     Returns
     -------
     list of ndarray
-        The best imitation, empty where either is no force at a port or nothing moves.
+        The best imitations, empty where either is no force at a port or nothing moves.
     """
     if taker.effect.place != giver.effect.place:
         return []
@@ -189,7 +191,7 @@ def imitated(giver: Candidate, point: Array, taker: Candidate) -> list[Array]:
     p, n = giver.fitted.problem.n_theta, giver.fitted.structure.n_states
     full = np.zeros((starts.shape[0], other.n_states))
     full[:, :n] = starts[:, :n]
-    best: tuple[float, Array] | None = None
+    tries: list[tuple[float, Array]] = []
     for shape in _shapes(giver, theta, taker, float(np.sqrt(np.mean(d**2)))):
         columns = unit_forces(taker.effect, d, v, [shape], w)
         if columns is None:
@@ -202,9 +204,8 @@ def imitated(giver: Candidate, point: Array, taker: Candidate) -> list[Array]:
         values = {**dict(zip(free, levels, strict=True)), **shape}
         own = np.concatenate([theta[:p], [values[name] for name in taker.effect.free]])
         rest = float(np.sum((force - F @ levels) ** 2))
-        if best is None or rest < best[0]:
-            best = rest, other.inside(other.pack(own, full))
-    return [] if best is None else [best[1]]
+        tries.append((rest, other.inside(other.pack(own, full))))
+    return [start for _, start in sorted(tries, key=lambda pair: pair[0])[:most]]
 
 
 def force_along(candidate: Candidate, point: Array) -> tuple[Array, Array, Array, Array] | None:
