@@ -14,6 +14,12 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from first_compilation import compile_once
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile what all workers need in one of them."""
+    compile_once(session.config)
 
 
 @pytest.fixture(autouse=True)

@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from hidden.generator import Law, held_motion
 
 import rcorefine as rco
 from rcorefine.progress import Progress
@@ -21,19 +22,13 @@ def plant():
 
 @pytest.fixture(scope="module")
 def data(plant):
-    """A spring that hardens, solved by scipy."""
-    from scipy.integrate import solve_ivp
-
+    """A spring that hardens."""
     rng = np.random.default_rng(11)
-    force, dt, x, seen = 6 * rng.standard_normal(1500), 0.02, np.zeros(2), []
-
-    def rate(t, x, held):
-        return [x[1], held - 0.5 * x[1] - 60.0 * x[0] - 500.0 * x[0] ** 3]
-
-    for held in force:
-        seen.append(x[1])
-        x = solve_ivp(rate, (0, dt), x, args=(held,), rtol=1e-7, atol=1e-9).y[:, -1]
-    y = np.array(seen)
+    force, dt = 6 * rng.standard_normal(1500), 0.02
+    spring = Law("cubic_stiffness", np.array([500.0, 0.0, 0.0]))
+    rows = (np.array([0.0, -1.0]), np.array([1.0, 0.0]), np.array([0.0, 1.0]))
+    A = [[0.0, 1.0], [-60.0, -0.5]]
+    y = held_motion(A, np.outer(force, [0.0, 1.0]), dt, [(spring, *rows)])[:, 1]
     return rco.Measurement(force, y + 0.02 * y.std() * rng.standard_normal(y.size), dt=dt)
 
 

@@ -45,6 +45,16 @@ def test_text_table_is_never_wider_than_asked():
     assert "..." in table
 
 
+def test_text_that_stands_in_every_row_is_told_once_before_names_are_cut():
+    names = ["a name of twenty-four letters", "another of some more letters"]
+    rows = [[name, "resistor_voltage", "V", "1.25"] for name in names]
+    lines = text_table(["model", "output", "unit", "fit"], rows, title="two", left=3, width=50).splitlines()
+    assert lines[:2] == ["two", "output: resistor_voltage, unit: V"]
+    assert [line.split("  ")[0] for line in lines[4:]] == names
+    wide = text_table(["model", "output", "unit", "fit"], rows, left=3, width=80)
+    assert "output:" not in wide
+
+
 def test_text_table_columns_line_up():
     lines = text_table(["m", "fit"], [["a", "1.0"], ["long", "100.0"]]).splitlines()
     assert lines == ["m       fit", "----  -----", "a       1.0", "long  100.0"]

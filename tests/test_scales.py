@@ -15,7 +15,7 @@ M, K, D = (
     np.array([[260.0, -140.0], [-140.0, 140.0]]),
     np.array([[0.9, -0.4], [-0.4, 0.4]]),
 )
-DT, N = 0.03, 1500
+DT = 0.03
 
 
 def rates(stiffness, damping=D):
@@ -23,12 +23,12 @@ def rates(stiffness, damping=D):
     return np.block([[np.zeros((2, 2)), np.eye(2)], [-inverse @ stiffness, -inverse @ damping]])
 
 
-def signals(change=0, friction=0.0, level=0.02):
-    """Input and output; from sample `change` on 12 % of the spring between the masses are lost."""
+def signals(n=700, change=0, friction=0.0, level=0.02):
+    """Input and output of n samples; from sample `change` on 12 % of the inner spring are lost."""
     rng = np.random.default_rng(17)
-    w = lfilter([1.0], [1.0, -0.6], rng.standard_normal(N))
+    w = lfilter([1.0], [1.0, -0.6], rng.standard_normal(n))
     lost = 0.12 * 140.0 * np.array([[1.0, -1.0], [-1.0, 1.0]])
-    x, y = np.zeros(4), np.zeros(N)
+    x, y = np.zeros(4), np.zeros(n)
     pieces = 30
     steps = []
     for A in (rates(K), rates(K - lost)):
@@ -37,12 +37,12 @@ def signals(change=0, friction=0.0, level=0.02):
         block[2, 5], block[3, 5] = 1 / 0.8, -1 / 1.1
         whole = expm(block * DT / pieces)
         steps.append((whole[:4, :4], whole[:4, 4], whole[:4, 5]))
-    for i in range(N):
+    for i in range(n):
         y[i] = x[2]
         Phi, G, F = steps[int(0 < change <= i)]
         for _ in range(pieces):
             x = Phi @ x + G * w[i] + F * friction * np.tanh((x[3] - x[2]) / 1e-3)
-    return w, y + level * y.std() * rng.standard_normal(N)
+    return w, y + level * y.std() * rng.standard_normal(n)
 
 
 def in_units(of_inputs, of_outputs):
@@ -139,7 +139,7 @@ def improved(of_inputs, of_outputs, pair):
         (compared, {"friction": 0.6}),
         (refined, {"friction": 0.6}),
         (localized, {"change": 1}),
-        (watched, {"change": 900}),
+        (watched, {"n": 1500, "change": 900}),
         (streamed, {"change": 1}),
         (adequate, {}),
         (diagnosed, {"friction": 0.6}),

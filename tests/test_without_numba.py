@@ -38,14 +38,14 @@ def model():
 
 
 def figures():
-    """Coefficients with and without free parameters, and the order of a diagnosis."""
+    """Coefficients with and without free parameters, the verdict of a diagnosis, and its order."""
     data = record()
     friction, spring = rco.Effect("coulomb_friction", "link1"), rco.Effect("cubic_stiffness", "link1")
     alone = rco.refine(model(), data, [friction])
     joint = rco.refine(model(), data, [friction, spring], free="linear")
     found = rco.diagnose(model(), data, candidates=[friction, rco.Effect("damping", "link1")])
     values = [row.value for row in (*alone.parameters, *joint.parameters)]
-    return np.array(values), " ".join(row.effect.label for row in found.ranking)
+    return np.array(values), ", ".join([found.verdict, *(row.effect.label for row in found.ranking)])
 
 
 def test_friction_and_cubic_springs_run_without_numba_to_the_same_figures():

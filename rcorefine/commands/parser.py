@@ -95,20 +95,14 @@ def _demo(commands: Any) -> None:
 
 
 def _compare(commands: Any) -> None:
-    parser = commands.add_parser(
+    parser = _reading(
+        commands,
         "compare",
-        help="how well one or several models explain a record, and where they fail",
-        description=textwrap.fill(
-            "Free run of each model over the record, its initial state estimated: fit in percent, typical "
-            "error, and where the best of the models fails.",
-            79,
-        ),
-        epilog=_epilog("compare"),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "how well one or several models explain a record, and where they fail",
+        "Free run of each model over the record, its initial state estimated: fit in percent, typical "
+        "error, and where the best of the models fails.",
+        several=True,
     )
-    parser.add_argument("models", nargs="+", type=Path, metavar="MODEL", help=_MODEL)
-    parser.add_argument("data", type=Path, metavar="DATA", help=_DATA)
-    _record_options(parser)
     parser.add_argument(
         "--x0", choices=("estimate", "zero"), default="estimate", help="initial state (%(default)s)"
     )
@@ -136,40 +130,49 @@ def _check(commands: Any) -> None:
 
 
 def _diagnose(commands: Any) -> None:
-    parser = commands.add_parser(
+    parser = _reading(
+        commands,
         "diagnose",
-        help="which physical effect is missing",
-        description="Rank the physical effects that the model may lack, and say how sure that is.",
-        epilog=_epilog("diagnose"),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "which physical effect is missing",
+        "Rank the physical effects that the model may lack, and say how sure that is.",
     )
-    parser.add_argument("model", type=Path, metavar="MODEL", help=_MODEL)
-    parser.add_argument("data", type=Path, metavar="DATA", help=_DATA)
-    _record_options(parser)
     _search_options(parser)
     _output_options(parser)
 
 
 def _improve(commands: Any) -> None:
-    parser = commands.add_parser(
+    parser = _reading(
+        commands,
         "improve",
-        help="add one effect after the other and watch the error fall",
-        description=textwrap.fill(
-            "Diagnose, add the effect, fit all together, test again, until nothing earns its place; the "
-            "error is judged on a part of the record that took part in nothing.",
-            79,
-        ),
-        epilog=_epilog("improve"),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "add one effect after the other and watch the error fall",
+        "Diagnose, add the effect, fit all together, test again, until nothing earns its place; the "
+        "error is judged on a part of the record that took part in nothing.",
     )
-    parser.add_argument("model", type=Path, metavar="MODEL", help=_MODEL)
-    parser.add_argument("data", type=Path, metavar="DATA", help=_DATA)
-    _record_options(parser)
     _search_options(parser)
     parser.add_argument(
         "--max-effects", type=_count, default=4, metavar="N", help="effects at most (default: %(default)s)"
     )
     _output_options(parser)
+
+
+def _reading(
+    commands: Any, name: str, summary: str, description: str, several: bool = False
+) -> argparse.ArgumentParser:
+    """A command that reads one model or several, and a record."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        name,
+        help=summary,
+        description=textwrap.fill(description, 79),
+        epilog=_epilog(name),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    if several:
+        parser.add_argument("models", nargs="+", type=Path, metavar="MODEL", help=_MODEL)
+    else:
+        parser.add_argument("model", type=Path, metavar="MODEL", help=_MODEL)
+    parser.add_argument("data", type=Path, metavar="DATA", help=_DATA)
+    _record_options(parser)
+    return parser
 
 
 def _example(commands: Any) -> None:

@@ -15,7 +15,6 @@ from ..effects.effect import Effect
 from ..inference.refinement import EstimatedParameter, Refinement
 from ..inference.whitening import FTest
 from ..results import Look, Reported, picture, show
-from ..systems.linear import Array
 from .absorbed import numbers_that_moved, what_was_absorbed
 
 if TYPE_CHECKING:
@@ -331,8 +330,3 @@ _VERDICTS = {
     "ambiguous": "This record cannot tell apart: {alike}. Most probable: {best}.",
     "unexplained": "Something is missing that no candidate explains. Closest: {best}.",
 }
-
-
-def mean_fit(values: Array) -> float:
-    """Mean fit over the outputs, in percent."""
-    return float(np.mean(values))

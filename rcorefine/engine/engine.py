@@ -7,6 +7,7 @@ form), or windows (filter for a while, then run free), by one schedule.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +85,8 @@ class Engine:
         self.substeps = substeps
         at_rest = initial is not None and not initial.any()
         self._signal = InputSignal(data.inputs, data.dt, data.hold, substeps, at_rest)
-        self._measured = np.ascontiguousarray(data.outputs.T)
+        # a copy: a read-only view would have the march compiled once more
+        self._measured = np.array(data.outputs.T, order="C")
 
     def run(
         self,
@@ -140,24 +142,15 @@ class Engine:
         Ms, dMs = np.stack([disc.M, fine.M]), np.stack([disc.dM, fine.dM])
         drive = self._signal.drive(s, theta)
         codes, values, columns, widths = s.laws(theta)
+        outcodes, outvalues, outcolumns = s.output_laws(theta)
         driven, dW, dWout = drive.driven, drive.dW, drive.dWout
         if not sensitivity:
-            columns = np.full_like(columns, -1)
+            columns, outcolumns = np.full_like(columns, -1), np.full_like(outcolumns, -1)
             driven, dW, dWout = driven[:0], dW[:0], dWout[:0]
-        outcodes, outvalues, outcolumns = s.output_laws(theta)
-        if not sensitivity:
-            outcolumns = np.full_like(outcolumns, -1)
         x = np.zeros(n) if x0 is None else np.array(x0, dtype=float)
-        S = np.zeros((p, n))
-        if initial_state:
-            S[p - n :] = np.eye(n)
-        if gain is None:
-            flags, K = np.zeros((N, ny), dtype=np.uint8), np.zeros((n, ny))
-        else:
-            flags = np.ones((N, ny), dtype=np.uint8) if use is None else use.astype(np.uint8)
-            K = np.ascontiguousarray(gain, dtype=float)
-        delays = [(i, c) for i, c in s.output_delays]
-        keep = histories or bool(delays)
+        S = np.eye(p, n, n - p if initial_state else n)  # zero, but for the initial states, which come last
+        flags, K = self._corrections(gain, use)
+        keep = histories or bool(s.output_delays)
         Yout = np.full((N, ny), np.nan)
         SY = np.zeros((N, ny, p))
         X = np.full((N if keep else 0, n), np.nan)
@@ -168,7 +161,7 @@ class Engine:
                     "the model with these effects grows beyond all numbers within one sample; start from "
                     "other coefficients or bound them"
                 )
-            return Trajectory(Yout.T, np.moveaxis(SY, 1, 0), X.T, F.T, 0)
+            return _trajectory(Yout, SY, X, F, 0)
         limit = 1e12 * (1.0 + float(np.abs(x).max(initial=0.0)) + self._state_bound())
         with np.errstate(all="ignore"):  # it notices what overflows; plain Python is as silent as compiled
             blew_up = kernels.march(
@@ -182,16 +175,18 @@ class Engine:
                 f"the simulation left all bounds at sample {blew_up} (t = {blew_up * data.dt:.6g} s): the "
                 "model with these effects is unstable; start from other coefficients or bound them"
             )
-        for index, channel in delays:
+        for index, channel in s.output_delays:
             if np.isfinite(Yout[:, channel]).all():  # where it blew up there is nothing to shift
                 self._delay_output(theta, index, channel, Yout, SY, sensitivity)
-        return Trajectory(
-            np.ascontiguousarray(Yout.T),
-            np.ascontiguousarray(np.moveaxis(SY, 1, 0)),
-            np.ascontiguousarray(X.T),
-            np.ascontiguousarray(F.T),
-            int(blew_up),
-        )
+        return _trajectory(Yout, SY, X, F, int(blew_up))
+
+    def _corrections(self, gain: Array | None, use: NDArray[np.bool_] | None) -> tuple[NDArray[Any], Array]:
+        """Where the observer corrects, shape (N, n_y), and its gain; nowhere in a free run."""
+        shape = self._measured.shape
+        if gain is None:
+            return np.zeros(shape, dtype=np.uint8), np.zeros((self.structure.n_states, shape[1]))
+        flags = np.ones(shape, dtype=np.uint8) if use is None else use.astype(np.uint8)
+        return flags, np.ascontiguousarray(gain, dtype=float)
 
     def unjudged(self, theta: Array) -> NDArray[np.int64]:
         """First samples of each output that say nothing about the model, shape (n_y,).
@@ -236,3 +231,11 @@ class Engine:
             if sensitivity and column >= 0:
                 SY[:, channel, column] = np.where(grid > delay, -spline(shifted, 1), 0.0)
         Y[:, channel] = spline(shifted)
+
+
+def _trajectory(Y: Array, SY: Array, X: Array, F: Array, blew_up: int) -> Trajectory:
+    """Signals of the march, which run down the rows, in the order of the package."""
+    outputs, sensitivity, states, forces = (
+        np.ascontiguousarray(one) for one in (Y.T, np.moveaxis(SY, 1, 0), X.T, F.T)
+    )
+    return Trajectory(outputs, sensitivity, states, forces, blew_up)

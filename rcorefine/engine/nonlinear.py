@@ -43,25 +43,12 @@ def nonlinear_system(structure: Structure, theta: Array, name: str | None = None
     `control.input_output_response` interpolates inputs linearly: it agrees with
     rcorefine for records with ``hold="foh"``.
     """
-    delays = [e.label for e in structure.effects if e.spec.delays]
-    if delays:
-        raise ModelError(
-            f"{delays[0]} has no state equation; simulate with Refinement.simulate, or replace the delay "
-            "by control.pade"
-        )
+    _refuse_without_equation(structure)
     matrices = structure.matrices(theta.astype(float))
     codes, values, _, widths = structure.laws(theta)
     laws = [structure.effects[index].spec for index in structure.port_effects]
     memory = [i for i, law in enumerate(laws) if law.inner_states]
     rates = {i: law.rate for i, law in enumerate(laws) if isinstance(law, PortLaw) and law.rate is not None}
-    turning = [structure.effects[structure.port_effects[i]] for i in memory if i not in rates]
-    turning += [e for e in structure.effects if e.spec.at_channel and isinstance(e.spec, FormulaLaw)]
-    turning = [effect for effect in turning if effect.spec.inner_states]
-    if turning:
-        raise ModelError(
-            f"{turning[0].label}: its inner state has no differential equation; simulate with "
-            "Refinement.simulate, or give its law a `rate`"
-        )
     n, m, nw = structure.n_states, structure.n_ports, structure.n_inputs
 
     def force(i: int, d: float, v: float, z: float, w: Array) -> float:
@@ -114,3 +101,19 @@ def nonlinear_system(structure: Structure, theta: Array, name: str | None = None
         states=labels,
         name=name or linear.name,
     )
+
+
+def _refuse_without_equation(structure: Structure) -> None:
+    """A delay has no finite state; a law whose inner state is updated sample by sample has no rate."""
+    for effect in structure.effects:
+        law = effect.spec
+        if law.delays:
+            raise ModelError(
+                f"{effect.label} has no state equation; simulate with Refinement.simulate, or replace the "
+                "delay by control.pade"
+            )
+        if isinstance(law, FormulaLaw) and law.inner_states and (law.at_channel or law.rate is None):
+            raise ModelError(
+                f"{effect.label}: its inner state has no differential equation; simulate with "
+                "Refinement.simulate, or give its law a `rate`"
+            )

@@ -1,9 +1,4 @@
-"""The initial model in feedback with effects, as matrices of the coefficients.
-
-Linear effects are absorbed exactly into A, B, C, D; the others keep a port of
-their own. Everything is an analytic function of the coefficients, so that exact
-derivatives follow from a complex step.
-"""
+"""The initial model in feedback with effects: which coefficients are free, and where each effect enters."""
 
 from __future__ import annotations
 
@@ -15,19 +10,17 @@ import control as ct
 import numpy as np
 from numpy.typing import NDArray
 
-from ..effects.absorbed import AbsorbedLaw, Assembly, Site
+from ..effects.absorbed import AbsorbedLaw
 from ..effects.compiled import MAX_COEFFICIENTS
 from ..effects.effect import Effect
 from ..effects.formula import FormulaLaw, InputLaw, OutputLaw, PortLaw
 from ..models.conversion import as_physical
 from ..models.physical_model import PhysicalModel
-from ..systems.discretization import power_of_two
-from ..systems.exponential import exponential
 from ..systems.linear import Array, LinearModel
+from .matrices import Matrices, continuous_matrices, site_of
+from .substep import Discrete, discretized
 
-__all__ = ["Discrete", "Matrices", "Parameter", "Structure"]
-
-_TINY_STEP = 1e-30
+__all__ = ["Parameter", "Structure"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,32 +32,6 @@ class Parameter:
     label: str
     lower: float
     upper: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Matrices:
-    """Continuous-time matrices; the last column of B and D drives a constant one."""
-
-    A: NDArray[Any]
-    B: NDArray[Any]
-    E: NDArray[Any]
-    C: NDArray[Any]
-    D: NDArray[Any]
-    G: NDArray[Any]
-    P: NDArray[Any]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Discrete:
-    """One substep, with derivatives for the parameters listed in `linear`."""
-
-    M: Array
-    dM: Array
-    O: Array
-    dO: Array
-    P: Array
-    dP: Array
-    linear: NDArray[np.int64]
 
 
 class Structure:
@@ -101,17 +68,17 @@ class Structure:
         self.n_inputs, self.n_outputs = base.n_inputs, base.n_outputs
         self.parameters: list[Parameter] = []
         self._position: dict[tuple[int, str], int] = {}
-        self._extra: list[tuple[int, str]] = []  # (effect, what) of the added states
+        self.added_states: list[tuple[int, str]] = []  # (effect, what) of the added states
         self._port_effects: list[int] = []
         self._input_statics: list[int] = []
         self._output_statics: list[int] = []
         self._delayed_outputs: list[int] = []
         for index, effect in enumerate(self.effects):
             self._register(index, effect)
-        self.n_states = base.n_states + len(self._extra)
+        self.n_states = base.n_states + len(self.added_states)
         self.n_ports = len(self._port_effects)
-        self._sites = {
-            index: self._site(index)
+        self.sites = {
+            index: site_of(self, index)
             for index, effect in enumerate(self.effects)
             if isinstance(effect.spec, AbsorbedLaw)
         }
@@ -123,7 +90,7 @@ class Structure:
             self._add_parameter(index, effect, name)
         law = effect.spec
         if isinstance(law, AbsorbedLaw):
-            self._extra += [(index, what) for what in law.states]
+            self.added_states += [(index, what) for what in law.states]
         elif isinstance(law, InputLaw):
             self._input_statics.append(index)
         elif isinstance(law, OutputLaw):
@@ -199,100 +166,17 @@ class Structure:
         return theta
 
     # ----------------------------------------------------------------- matrices
-    def _site(self, index: int) -> Site:
-        """Where an absorbed effect sits."""
-        effect, base, n = self.effects[index], self.linear_model, self.n_states
-        where = effect.spec.where
-        rows, inputs = [np.zeros(n)] * 3, [np.zeros(self.n_inputs)] * 3
-        channel, entry = -1, (0, 0)
-        if "input" in where:
-            channel = base.input_labels.index(effect.place)
-        elif "output" in where:
-            channel = base.output_labels.index(effect.place)
-        elif "any" in where:
-            entry = self.model.entry(effect.place)
-        else:
-            port = self.model.port(effect.place)
-            rows = [np.pad(row, (0, n - row.size)) for row in (port.act, port.position, port.velocity)]
-            inputs = [port.position_input, port.velocity_input, port.acceleration_input]
-        states = [base.n_states + i for i, (owner, _) in enumerate(self._extra) if owner == index]
-        (act, position, velocity), (d_w, v_w, a_w) = rows, inputs
-        state = states[0] if states else -1
-        return Site(act, position, velocity, d_w, v_w, a_w, channel, entry, state)
-
     def matrices(self, theta: NDArray[Any]) -> Matrices:
         """Continuous-time matrices at `theta` (real, or complex for derivatives)."""
-        model, base = self.model, self.linear_model
-        n0, n, nw, ny, m = base.n_states, self.n_states, self.n_inputs, self.n_outputs, self.n_ports
-        kind_of = theta.dtype if theta.size else np.dtype(float)
-        A = np.zeros((n, n), kind_of)
-        A[:n0, :n0] = base.A
-        Bu = np.zeros((n, nw), kind_of)
-        Bu[:n0] = base.B
-        constant = np.zeros(n, kind_of)
-        inertia = np.eye(n, dtype=kind_of)
-        E = np.zeros((n, m), kind_of)
-        P = np.zeros((2 * m, n + nw), kind_of)
-        Ux = np.zeros((nw, n), kind_of)
-        Uw = np.hstack([np.eye(nw, dtype=kind_of), np.zeros((nw, 1), kind_of)])
-        into = Assembly(A, Bu, inertia, constant, Uw, np.ones(ny, kind_of), np.zeros(ny, kind_of), [], [])
-        port_row = 0
-        for index, effect in enumerate(self.effects):
-            law = effect.spec
-            if isinstance(law, AbsorbedLaw):
-                values = [self.value(theta, index, name) for name in effect.coefficients]
-                law.absorb(into, self._sites[index], *values)
-            elif index in self._port_effects:
-                port = model.port(effect.place)
-                E[:n0, port_row] = port.act
-                P[port_row, :n0], P[port_row, n:] = port.position, port.position_input
-                P[m + port_row, :n0], P[m + port_row, n:] = port.velocity, port.velocity_input
-                port_row += 1
-
-        lag_drive = []
-        for i, state, lag in into.input_lags:
-            Ux[i, state] = 1.0
-            A[state, state] = -1.0 / lag
-            lag_drive.append((state, Uw[i] / lag))
-            Uw[i] = 0.0
-
-        A = self.adjusted_rates(A, theta)
-        right = np.hstack([A, Bu, E, constant[:, None]])
-        solved = np.linalg.solve(inertia, right) if self._has_mass else right
-        A, Bu, E, constant = solved[:, :n], solved[:, n : n + nw], solved[:, n + nw : -1], solved[:, -1]
-        B = Bu @ Uw
-        B[:, nw] += constant
-        A = A + Bu @ Ux
-        for state, drive in lag_drive:
-            B[state] += drive
-        Co = np.zeros((ny, n), kind_of)
-        Co[:, :n0] = model.output_state
-        Ca = np.zeros((ny, n), kind_of)
-        Ca[:, :n0] = model.output_rate
-        C = Co + model.output_input @ Ux + Ca @ A
-        D = model.output_input @ Uw + Ca @ B
-        G = Ca @ E
-        for i, state, lag in into.output_lags:
-            A[state] = C[i] / lag
-            A[state, state] -= 1.0 / lag
-            B[state] = D[i] / lag
-            E[state] = G[i] / lag
-            C[i], D[i], G[i] = 0.0, 0.0, 0.0
-            C[i, state] = 1.0
-        C = C * into.output_gain[:, None]
-        D = D * into.output_gain[:, None]
-        G = G * into.output_gain[:, None]
-        D[:, nw] += into.output_offset
-        A, B, E = into.pace * A, into.pace * B, into.pace * E
-        sense = np.hstack([P[:, :n] + P[:, n:] @ Ux, P[:, n:] @ Uw])
-        return Matrices(A, B, E, C, D, G, sense)
+        return continuous_matrices(self, theta)
 
     def adjusted_rates(self, A: NDArray[Any], theta: NDArray[Any]) -> NDArray[Any]:
         """State matrix before masses are divided by: a place for rules that tie its entries together."""
         return A
 
     @property
-    def _has_mass(self) -> bool:
+    def has_mass(self) -> bool:
+        """Whether an effect adds mass, by which the matrices are to be divided."""
         return any(effect.spec.inertial for effect in self.effects)
 
     @property
@@ -302,65 +186,9 @@ class Structure:
         skip |= set(self._output_statics) | set(self._delayed_outputs)
         return np.array([i for i, q in enumerate(self.parameters) if q.effect not in skip], dtype=np.int64)
 
-    def _inner_scale(self, A: NDArray[Any]) -> Array:
-        """Powers of two that bring the states of effects, in units of a signal, to those of the model."""
-        scale = np.ones(self.n_states)
-        for j in range(self.linear_model.n_states, self.n_states):
-            others = np.arange(self.n_states) != j
-            up, down = np.abs(A[others, j]).max(initial=0.0), np.abs(A[j, others]).max(initial=0.0)
-            if up > 0 or down > 0:
-                scale[j] = np.sqrt(up / down) if up > 0 and down > 0 else up or 1.0 / down
-        return power_of_two(scale)
-
     def discretize(self, theta: Array, step: float, *, derivatives: bool = True) -> Discrete:
-        """One substep of length `step` seconds, exact for the linear part.
-
-        Inputs and port forces run linearly over the substep; a held input is the
-        special case of equal ends.
-        """
-        linear = self.absorbed if derivatives else np.zeros(0, dtype=np.int64)
-        points = [theta.astype(float)]
-        for column in linear:
-            shifted = theta.astype(complex)
-            shifted[column] += 1j * _TINY_STEP
-            points.append(shifted)
-        sets = [self.matrices(point) for point in points]
-        n, drive = self.n_states, self.n_inputs + 1 + self.n_ports
-        size = n + 2 * drive
-        blocks = np.zeros((len(sets), size, size), complex if len(linear) else float)
-        # units of inputs, outputs and forces must not cost digits of A
-        states = self._inner_scale(sets[0].A)[:, None]
-        pushes = [states * np.hstack([matrices.B, matrices.E]) for matrices in sets]
-        columns = power_of_two(np.abs(pushes[0]).max(axis=0, initial=0.0))
-        for block, matrices, push in zip(blocks, sets, pushes, strict=True):
-            block[:n, :n] = states * matrices.A / states.T * step
-            block[:n, n : n + drive] = push / columns * step
-            block[n : n + drive, n + drive :] = np.eye(drive)
-        with np.errstate(over="ignore", invalid="ignore"):  # the engine says so where a model blows up
-            exponentials = exponential(blocks)[:, :n, :] / states
-            Phi = exponentials[:, :, :n] * states.T
-            second = exponentials[:, :, n + drive :] * columns
-            first = exponentials[:, :, n : n + drive] * columns - second
-        nw = self.n_inputs + 1
-        M = np.concatenate(
-            [Phi, first[:, :, :nw], second[:, :, :nw], first[:, :, nw:], second[:, :, nw:]], axis=2
-        )
-        outputs = [np.hstack([s.C, s.D, s.G]) for s in sets]
-        dM = np.imag(M[1:]) / _TINY_STEP
-        dO = np.array([np.imag(o) / _TINY_STEP for o in outputs[1:]]).reshape(len(linear), *outputs[0].shape)
-        dP = np.array([np.imag(s.P) / _TINY_STEP for s in sets[1:]]).reshape(len(linear), *sets[0].P.shape)
-        if not dP.any():
-            dP = np.zeros((0, *sets[0].P.shape))
-        real = np.ascontiguousarray
-        return Discrete(
-            real(np.real(M[0])),
-            real(dM),
-            real(np.real(outputs[0])),
-            real(dO),
-            real(sets[0].P),
-            real(dP),
-            linear,
-        )
+        """One substep of length `step` seconds, exact for the linear part."""
+        return discretized(self, theta, step, derivatives=derivatives)
 
     # ------------------------------------------------------------ nonlinear parts
     def laws(self, theta: Array) -> tuple[NDArray[np.int64], Array, NDArray[np.int64], Array]:
@@ -456,7 +284,7 @@ class Structure:
     def state_labels(self) -> list[str]:
         """State names, those that effects add included."""
         names = list(self.linear_model.state_labels)
-        for index, what in self._extra:
+        for index, what in self.added_states:
             names.append(f"{self.effects[index].label} {what}".replace(" ", "_").replace(".", "_"))
         return names
 

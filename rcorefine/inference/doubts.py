@@ -15,6 +15,7 @@ from ..engine.simulation import simulate
 from ..exceptions import IdentifiabilityWarning
 from ..systems.linear import Array, LinearModel
 from .covariance import pseudo_inverse
+from .levels import levels
 from .refinement import Refinement
 
 __all__ = ["doubted", "explains_nothing", "stands_still"]
@@ -22,8 +23,6 @@ __all__ = ["doubted", "explains_nothing", "stands_still"]
 _STILL = 1e-12  # of an output's size, below which it does not move
 _POOR, _GOOD = 50.0, 90.0  # fit in percent below which a swapped sign is tried; from which a fit is close
 _WITH = 0.2  # correlation with the initial model's run, from which on a sign is not in question
-_CLOSER = 0.5  # residual with a sign turned over that without, from which on the sign is wrong
-_VISIBLE = 0.01  # share of an output's power from modes above half the sampling frequency
 _WIDE = 0.01  # std over the model's value, below which no valley is bent
 _AWAY, _BENT = 2.0, 4.0  # standard deviations away, and how much the error may differ there from the promise
 
@@ -104,9 +103,9 @@ def _turned(
         if not which.any():
             break
         sign = (1.0 - 2.0 * which)[:, None]
-        other = again([_with_outputs(record, sign * record.outputs) for record in fit.segments])
+        other = again([record._changed(outputs=sign * record.outputs) for record in fit.segments])
         # the residual power of all outputs, each in the log
-        if other.cost < fit.cost + 2.0 * np.log(_CLOSER):
+        if other.cost < fit.cost + 2.0 * np.log(levels().turned_over):
             names = ", ".join(label for label, one in zip(labels, which, strict=True) if one)
             return [
                 f"with the sign of {names} turned over the same fit comes much closer: look at the wiring, "
@@ -125,18 +124,6 @@ def _against(found: Refinement, segments: Sequence[Measurement]) -> Array:
     return np.asarray(np.sum(one * two, axis=1) < _WITH * size)
 
 
-def _with_outputs(record: Measurement, outputs: Array) -> Measurement:
-    return Measurement(
-        record.inputs,
-        outputs,
-        dt=record.dt,
-        hold=record.hold,
-        input_labels=record.input_labels,
-        output_labels=record.output_labels,
-        name=record.name,
-    )
-
-
 def _too_fast(found: Refinement, fit: Any, idle: bool) -> str:
     """Modes above half the sampling frequency that the outputs show.
 
@@ -148,7 +135,7 @@ def _too_fast(found: Refinement, fit: Any, idle: bool) -> str:
     fast = {
         float(f"{pole.imag:.4g}") for m in models for pole in np.linalg.eigvals(m.A) if pole.imag >= limit
     }
-    if not fast or max(_fast_share(model, fit, limit) for model in models) < _VISIBLE:
+    if not fast or max(_fast_share(model, fit, limit) for model in models) < levels().aliased:
         return ""
     named = ", ".join(f"{omega:.4g}" for omega in sorted(fast)[:4])
     return (

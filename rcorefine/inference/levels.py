@@ -54,6 +54,23 @@ class Levels:
         save to be added by `improve`.
     spoiled : float
         The same that a step for the sake of likelihood may cost there.
+    failure : float
+        p-value of a row of the failure map among all that were tried, uniform by chance. Below it
+        the model fails there.
+    failure_besides : float
+        Share of the error's energy that a failure must explain to stand besides the first one.
+    collinear : float
+        Smallest eigenvalue of the information about changes in units of their own, 1 where they
+        are seen apart. Below it those in its direction are seen only together...
+    blurred : float
+        ... if the standard deviation of each, beside all others, is a larger share of the
+        model's value than this.
+    turned_over : float
+        Residual with the sign of an output turned over, over that without, about 1 by chance where
+        the sign does not matter. Below it the sign of the record is called wrong.
+    aliased : float
+        Share of an output's power from modes above half the sampling frequency. Above it an
+        estimate is not called a success.
     """
 
     noise_excess: float = 1.2
@@ -69,6 +86,12 @@ class Levels:
     swap: float = 4.6
     earned: float = 0.05
     spoiled: float = 0.02
+    failure: float = 0.01
+    failure_besides: float = 0.005
+    collinear: float = 0.01
+    blurred: float = 0.05
+    turned_over: float = 0.5
+    aliased: float = 0.01
 
 
 def levels() -> Levels:

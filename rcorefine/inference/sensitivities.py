@@ -10,8 +10,8 @@ import numpy as np
 from ..effects.along_motion import unit_forces
 from ..effects.effect import Effect
 from ..engine.engine import Engine
+from ..engine.linear_response import linear_responses
 from ..engine.structure import Structure
-from ..jit import compiled
 from ..systems.discretization import discretize
 from ..systems.linear import Array
 from .fitted import FittedModel
@@ -297,32 +297,6 @@ def force_responses(
     through = rate @ unique[:n0]
     Phi, G0, G1 = discretize(A, unique, data.dt, "foh")
     where = np.array([ports.index(name) for name, _ in forces])
-    F = np.ascontiguousarray(np.array([force for _, force in forces]).T)  # (N, k)
-    K = np.zeros((n, structure.n_outputs)) if gain is None else np.ascontiguousarray(gain)
-    out = np.zeros((data.n_samples, structure.n_outputs, len(forces)))
-    _march_forces(
-        np.ascontiguousarray(Phi), np.ascontiguousarray(G0[:, where]), np.ascontiguousarray(G1[:, where]),
-        np.ascontiguousarray(C0), np.ascontiguousarray(through[:, where]), K, F, out,
-    )  # fmt: skip
+    F = np.array([force for _, force in forces]).T  # (N, k)
+    out = linear_responses(Phi, (G0[:, where], G1[:, where]), C0, through[:, where], F, gain=gain)
     return np.asarray(np.moveaxis(out, 0, 1) * fitted.problem.weights[:, None, None])
-
-
-@compiled
-def _march_forces(  # type: ignore[no-untyped-def]
-    Phi,  # (n, n)
-    drive0,  # (n, k)  of a force that falls from one to zero over the sample
-    drive1,  # (n, k)  of one that rises
-    C,  # (n_y, n)
-    D,  # (n_y, k)
-    K,  # (n, n_y)     observer gain, zero for the free run
-    F,  # (N, k)
-    out,  # (N, n_y, k)
-):
-    N, _ny, k = out.shape
-    x = np.zeros((Phi.shape[0], k))
-    for step in range(N):
-        y = C @ x + D * F[step]
-        out[step] = y
-        x = x - K @ y
-        if step + 1 < N:
-            x = Phi @ x + drive0 * F[step] + drive1 * F[step + 1]

@@ -59,12 +59,7 @@ def default_rule(physical: PhysicalModel, nominal: Mapping[tuple[str, str], floa
     return "ratio"
 
 
-def candidate_effects(
-    physical: PhysicalModel,
-    given: Sequence[Any] | None,
-    rule: str,
-    nominal: Mapping[tuple[str, str], float],
-) -> list[Effect]:
+def candidate_effects(physical: PhysicalModel, given: Sequence[Any] | None, rule: str) -> list[Effect]:
     """Changes that are looked for: those given, or every stiffness, by the rule "links" every damper too."""
     if given is not None:
         entries = (

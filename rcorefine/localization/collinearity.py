@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..inference.covariance import pseudo_inverse
+from ..inference.levels import levels
 from ..systems.linear import Array
 from .estimate import Joint
 
 __all__ = ["collinear_groups", "similar_sign", "similarity"]
 
-_COLLINEAR = 0.01  # eigenvalue of the unit-diagonal information below which a direction is one group
 _MEMBER = 0.3  # share of such a direction above which a candidate belongs to it
 
 
@@ -65,7 +65,7 @@ def collinear_groups(
     values, vectors = np.linalg.eigh(unit[np.ix_(seen, seen)])
     owner = list(range(where.size))
     for value, vector in zip(values, vectors.T, strict=True):
-        if value >= _COLLINEAR:
+        if value >= levels().collinear:
             break
         members = [int(seen[k]) for k in np.flatnonzero(np.abs(vector) > _MEMBER * np.abs(vector).max())]
         members = [i for i in members if blurred[i]]

@@ -123,7 +123,8 @@ class RatioStructure(Structure):
         self._rows = velocities
         self._stiff = np.ix_(velocities, displacements)
         self._damp = np.ix_(velocities, velocities)
-        base = super().matrices(_start_of(self, len(self.parameters))).A.real
+        self._start = super().start()
+        base = super().matrices(self._start).A.real
         self._nominal = base[self._damp].copy()
         if not self._nominal.any():
             raise ModelError(
@@ -143,8 +144,7 @@ class RatioStructure(Structure):
 
     def start(self) -> Array:
         """Starting values: the model's damping, half of it following the stiffness."""
-        theta = np.append(_start_of(self, len(self.parameters) - 2), [0.0, 0.5])
-        return theta
+        return np.append(self._start, [0.0, 0.5])
 
     def adjusted_rates(self, A: NDArray[Any], theta: NDArray[Any]) -> NDArray[Any]:
         """State matrix with the damping that these stiffnesses and this ratio imply."""
@@ -159,14 +159,3 @@ class RatioStructure(Structure):
         A = A.copy()
         A[self._damp] += (1.0 + scale) * ((1.0 - follows) * self._nominal + follows * own) - self._nominal
         return A
-
-
-def _start_of(structure: Structure, count: int) -> Array:
-    theta = np.zeros(count)
-    for where, parameter in enumerate(structure.parameters[:count]):
-        effect = structure.effects[parameter.effect]
-        given = effect.start.get(parameter.name)
-        if given is None:
-            given = effect.start_of(parameter.name)
-        theta[where] = 0.0 if given is None else given
-    return theta

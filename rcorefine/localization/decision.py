@@ -17,7 +17,6 @@ from .estimate import Joint
 
 __all__ = ["Decision", "decide", "two_sided"]
 
-_BLURRED = 0.05  # joint standard deviation over nominal above which a member cannot be told apart
 _APART = 15.0  # deviates by which a swap would worsen the fit, to first order, above which it is not tried
 
 
@@ -111,7 +110,7 @@ def decide(joint: Joint, candidates: list[Candidate], significance: float) -> De
     joint.fit(everything)
     estimate, spread, covariance = _estimates(joint, where, everything)
     size = np.array([abs(c.nominal) for c in candidates])
-    groups = collinear_groups(joint, where, spread > _BLURRED * size)
+    groups = collinear_groups(joint, where, spread > levels().blurred * size)
     joint.point = final
     joint.fit(active)
 

@@ -139,7 +139,7 @@ class Joint:
         level = 0.5 * sum(float(np.sum((trial.weights[:, None] * r.outputs) ** 2)) for r in short)
         columns = np.arange(trial.size)
         best: tuple[float, Array] | None = None
-        for theta in self._starts(trial, short):
+        for theta in self._starts(trial):
             free = trial.inside(trial.pack(theta, starting_states(trial, theta)))
             point, cost, _ = _descend(trial, free, columns, _MOST_EVALUATIONS)
             if best is None or cost < best[0]:
@@ -160,7 +160,7 @@ class Joint:
             return self.problem.pack(theta, states)
         return self.problem.pack(theta, known)
 
-    def _starts(self, trial: Problem, short: list[Measurement]) -> Iterator[Array]:
+    def _starts(self, trial: Problem) -> Iterator[Array]:
         """Coefficients to descend from, each found only when the ones before have failed."""
         start = self.structure.start()
         yield start

@@ -163,7 +163,7 @@ def localize_damage(
         segments, note = windows(physical, records, horizon)
         nominal = nominal_values(model, physical)
         rule = damping or default_rule(physical, nominal)
-        effects = candidate_effects(physical, candidates, rule, nominal)
+        effects = candidate_effects(physical, candidates, rule)
         motion = estimated_motion(Structure(physical, base), np.zeros(0), records[0])
         nuisances, spreads = _nuisances(physical, base, effects, rule, nominal, tolerance, offset, records[0])
         setting = Setting(

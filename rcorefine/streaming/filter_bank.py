@@ -216,7 +216,8 @@ class FilterBank:
         wild: dict[str, float] = {}
         for one in memory.frozen:
             m = one.model
-            score = float(free_run_cost(m.A, m.B, m.C, m.D, *stretch, weights, self._window))
+            A, B, C, D = (np.ascontiguousarray(M) for M in (m.A, m.B, m.C, m.D))  # compiled for one layout
+            score = float(free_run_cost(A, B, C, D, *stretch, weights, self._window))
             (wild if one.raw else calm)[one.name] = score if np.isfinite(score) else np.inf
         best = min(calm.values())
         name = INITIAL

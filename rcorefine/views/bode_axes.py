@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..systems.linear import Array
-from .figures import BAND, MEASURED, log_labels
+from .figures import BAND, MEASURED, log_labels, plain
 
 if TYPE_CHECKING:
     from ..data.frequency_response import FrequencyResponse
@@ -69,13 +69,13 @@ def bode_rows(axes: Any, outputs: Sequence[str], inputs: Sequence[str], *, extra
             phase.set_ylim(-1.1 * half, 1.1 * half)
             phase.set_yticks(np.array([-1.0, -0.5, 0.0, 0.5, 1.0]) * half)
             if j == 0:
-                of = f"\n{_plain(output)}" if many else ""
+                of = f"\n{plain(output)}" if many else ""
                 magnitude.set_ylabel(f"Magnitude{' [dB]' if units.dB else ''}{of}")
                 phase.set_ylabel(f"Phase [{'deg' if units.deg else 'rad'}]{of}")
                 if extra is not None:
                     axes[per_output * i + 2, j].set_ylabel(extra.capitalize() + of)
             if i == 0 and (len(inputs) > 1 or many):
-                magnitude.set_title(f"from {_plain(source)}")
+                magnitude.set_title(f"from {plain(source)}")
     for axis in axes[-1]:
         axis.tick_params(labelbottom=True)
         axis.set_xlabel("Frequency [Hz]" if units.Hz else "Frequency [rad/s]")
@@ -154,7 +154,3 @@ def magnitude_limits(axis: Any, lines: Sequence[Any], units: BodeUnits) -> None:
         low, high = max(values.min(), 1e-5 * np.median(values)), values.max()
         margin = max((high / low) ** 0.06, 1.1)
         axis.set_ylim(low / margin, high * margin)
-
-
-def _plain(text: str) -> str:
-    return text.replace("$", r"\$")

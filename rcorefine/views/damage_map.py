@@ -14,7 +14,7 @@ from ..exceptions import ModelError
 from ..localization.damage_map import DamageMap, DamageRow
 from ..results import shows
 from ..systems.linear import Array
-from .figures import Frame, draws, unit_text
+from .figures import Frame, draws, plain, unit_text
 from .tables import WIDTH, html_table, number, text_table
 
 __all__ = ["damage_html", "damage_text", "plot_damage"]
@@ -165,7 +165,7 @@ def plot_damage(result: DamageMap, frame: Frame, *, kind: str | None = None) -> 
             panel.tick_params(axis="x", labelbottom=True)
             panel.set_ylabel(unit_text(f"change of {name}", "%" if relative else rows[0].unit))
             panel.set_xlim(-0.6, len(rows) - 0.4)
-        title = f"Changes in {result.name}: dark bars are named".replace("$", r"\$")
+        title = plain(f"Changes in {result.name}: dark bars are named")
         return frame.finish(axes, lines, [axes[0, 0]], title)
 
 

@@ -14,7 +14,7 @@ from ..effects.along_motion import unit_forces
 from ..engine.simulation import simulate
 from ..inference.hidden_force import estimated_force
 from ..systems.linear import Array
-from .figures import MEASURED, Frame, draws, style, unit_text
+from .figures import MEASURED, Frame, draws, plain, style, unit_text
 from .refinement import estimates_table
 from .tables import Table, Told, tells
 
@@ -32,7 +32,7 @@ def diagnosis_told(found: Diagnosis) -> Told:
         return above, estimates_table(found.parameters, title, found.sentences()), []
     headers = ["effect", "coefficient", "std", "fit %", "p-value", "probability"]
     rows = []
-    for row in found.ranking[:8]:
+    for row in found.ranking[:_SHOWN]:
         first = next(iter(row.coefficients))
         rows.append(
             [
@@ -94,7 +94,7 @@ def _ranking(ax: Any, found: Diagnosis) -> list[Any]:
 
 
 def _wrapped(label: str) -> str:
-    return label.replace(" at ", "\nat ").replace("_", " ").replace("$", r"\$")
+    return plain(label.replace(" at ", "\nat ").replace("_", " "))
 
 
 def _tests(ax: Any, found: Diagnosis) -> list[Any]:
@@ -157,12 +157,7 @@ def _force(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
         x, y = law
         look = style(1)
         points += ax.plot(x, y, color=look.color, ls=look.linestyle, lw=2, label=best.effect.label)
-    ax.set_xlabel(
-        unit_text(
-            f"{what} at {port.name}",
-            unit,
-        )
-    )
+    ax.set_xlabel(unit_text(f"{what} at {port.name}", unit))
     ax.set_ylabel(unit_text("hidden resisting force", port.force_unit))
     ax.set_title("What the record says about the force")
     return list(points)

@@ -12,21 +12,23 @@ from ..comparison.failure_map.search import FailureMap
 from ..comparison.model_error import model_error
 from ..comparison.result import Comparison
 from ..exceptions import DataError
-from ..results import shows
 from .bode_axes import BodeUnits
-from .figures import BAND, MEASURED, Frame, log_labels, style, unit_text
-from .tables import clip, html_table, number, text_table, wrapped
+from .figures import BAND, MEASURED, Frame, log_labels, plain, style, unit_text
+from .tables import Table, clip, number, tabulates
 
-__all__ = ["failure_html", "failure_text", "plot_map"]
+__all__ = ["ROLES", "failure_table", "plot_map"]
 
 _HEADERS = ["", "", "where", "measure", "share", "p-value"]
-_ROLES = {"first": "1", "besides": "+", "instead": "="}
+#: Signs of what a row is beside the others.
+ROLES = {"first": "1", "besides": "+", "instead": "="}
 
 
-def _cells(found: FailureMap) -> tuple[list[list[str]], str, list[str]]:
+@tabulates(FailureMap)
+def failure_table(found: FailureMap) -> Table:
+    """One row per failure; where there is none, the title and the notes say so."""
     rows = [
         [
-            _ROLES[row.role],
+            ROLES[row.role],
             row.dimension,
             row.where,
             row.measure,
@@ -53,27 +55,11 @@ def _cells(found: FailureMap) -> tuple[list[list[str]], str, list[str]]:
             "what is left when the rows above are allowed for; =: instead, another view of the same error."
         )
     notes += [f"{note}." for note in found.notes]
-    return rows, title, notes
+    return Table(_HEADERS, rows, title, notes, left=4)
 
 
 def _chance(p: float) -> str:
     return "< 1e-99" if p < 1e-99 else number(p, 1)
-
-
-@shows(FailureMap, "text")
-def failure_text(found: FailureMap) -> str:
-    """Table with one row per failure, at most 80 columns."""
-    rows, title, notes = _cells(found)
-    if not rows:
-        return "\n".join(wrapped([title, *notes]))
-    return text_table(_HEADERS, rows, title=title, notes=notes, left=4)
-
-
-@shows(FailureMap, "html")
-def failure_html(found: FailureMap) -> str:
-    """Table with one row per failure, HTML."""
-    rows, title, notes = _cells(found)
-    return html_table(_HEADERS, rows, title=title, notes=notes, left=4)
 
 
 _ROWS = (1.6, 1.3, 1.5, 1.5)
@@ -109,7 +95,7 @@ def _shares(axis: Any, found: FailureMap, name: str) -> list[Any]:
             k, 100 * row.share, color=color, hatch=hatch, edgecolor="white", alpha=0.85, height=0.7
         )
         drawn += list(bar)
-        text = clip(f"{row.dimension}: {row.where} ({row.measure})", 62).replace("$", r"\$")
+        text = plain(clip(f"{row.dimension}: {row.where} ({row.measure})", 62))
         axis.text(1.5, k, text, va="center", fontsize="x-small", zorder=4,
                   bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 0.8})  # fmt: skip
     if not rows:
@@ -118,7 +104,7 @@ def _shares(axis: Any, found: FailureMap, name: str) -> list[Any]:
     axis.set_ylim(max(len(rows), 1) - 0.4, -0.6)
     axis.set_yticks(range(len(rows)), [str(k + 1) for k in range(len(rows))])
     axis.set_xlabel("Share of the error [%] (rows overlap)")
-    axis.set_title(name.replace("$", r"\$"), fontsize="medium")
+    axis.set_title(plain(name), fontsize="medium")
     return drawn
 
 
@@ -170,7 +156,7 @@ def _frequencies(axis: Any, result: Comparison, m: int, found: FailureMap) -> li
     drawn = axis.plot(x, ratio, color="0.45", linewidth=0.8, zorder=2)
     drawn += axis.plot(
         x[beyond], ratio[beyond], linestyle="none", marker=".", color=MEASURED, zorder=3,
-        label=f"differs, {result.data.input_labels[j]} to {result.data.output_labels[i]}".replace("$", r"\$"),
+        label=plain(f"differs, {result.data.input_labels[j]} to {result.data.output_labels[i]}"),
     )  # fmt: skip
     for row in found.rows:
         if row.dimension == "frequency" and row.values.get("kind") != "gain":

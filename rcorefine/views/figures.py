@@ -19,7 +19,7 @@ from matplotlib.ticker import LogFormatter
 from ..arguments import as_choice, as_flag, as_mapping, as_text, as_texts, shown
 from ..results import OPTIONS, shows
 
-__all__ = ["BAND", "MEASURED", "Frame", "Style", "draws", "log_labels", "style", "unit_text"]
+__all__ = ["BAND", "MEASURED", "Frame", "Style", "draws", "log_labels", "plain", "style", "unit_text"]
 
 MEASURED = "0.15"
 BAND = "0.78"
@@ -198,7 +198,11 @@ def log_labels(axis: Any) -> None:
     axis.set_minor_formatter(_Short())
 
 
-def unit_text(label: str, unit: str) -> str:
-    """Axis label with its unit, dollar signs kept from mathtext."""
-    text = f"{label} [{unit}]" if unit else label
+def plain(text: str) -> str:
+    """Text in which dollar signs are kept from mathtext."""
     return text.replace("$", r"\$")
+
+
+def unit_text(label: str, unit: str) -> str:
+    """Axis label with its unit."""
+    return plain(f"{label} [{unit}]" if unit else label)

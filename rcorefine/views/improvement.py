@@ -6,9 +6,8 @@ import control as ct
 import numpy as np
 
 from ..diagnosis.stepwise.improvement import Improvement
-from ..systems.linear import Array
 from .figures import Frame, draws
-from .tables import Table, Told, tells
+from .tables import Table, Told, root_mean_square, tells
 
 __all__ = ["improvement_told", "plot_staircase"]
 
@@ -23,20 +22,10 @@ def improvement_told(found: Improvement) -> Told:
         if step.coefficients:
             key = next(iter(step.coefficients))
             value = f"{step.coefficients[key]:.3g} +/- {step.std[key]:.1g}"
-        rows.append(
-            [
-                f"{i} {step.name}"[:40],
-                value,
-                *(_size(v) for v in (step.train_rmse, step.choice_rmse, step.validation_rmse)),
-            ]
-        )
+        errors = (step.train_rmse, step.choice_rmse, step.validation_rmse)
+        rows.append([f"{i} {step.name}"[:40], value, *(f"{root_mean_square(e):.4g}" for e in errors)])
     above = [f"Improvement in {len(found.steps) - 1} step(s): {found.verdict.upper()}"]
     return above, Table(headers, rows, f"Improvement: {found.verdict}", found.sentences()), found.sentences()
-
-
-def _size(values: Array) -> str:
-    """Root mean square error, one output or the mean over several."""
-    return f"{float(np.sqrt(np.mean(np.asarray(values) ** 2))):.4g}"
 
 
 @draws(Improvement)
@@ -46,7 +35,6 @@ def plot_staircase(improvement: Improvement, frame: Frame) -> ct.ControlPlot:
     with frame.axes([1.0], 1, figsize=(7.0, 4.2)) as (axes, lines):
         ax = axes[0, 0]
         steps = improvement.steps
-        base = np.array([np.sqrt(np.mean(steps[0].validation_rmse ** 2))])
         position = np.arange(len(steps) + 1) - 0.5
         styles = (
             ("train_rmse", "fitted", "0.65", ":", 1.5),
@@ -54,19 +42,12 @@ def plot_staircase(improvement: Improvement, frame: Frame) -> ct.ControlPlot:
             ("validation_rmse", held_out, "C0", "-", 2.5),
         )
         for attribute, name, color, line, width in styles:
-            values = [float(np.sqrt(np.mean(getattr(step, attribute) ** 2))) for step in steps]
-            lines[0, 0] += ax.step(
-                position,
-                [values[0], *values],
-                where="pre",
-                color=color,
-                linestyle=line,
-                linewidth=width,
-                label=name,
-            )
-        held = [float(np.sqrt(np.mean(step.validation_rmse**2))) for step in steps]
+            values = [root_mean_square(getattr(step, attribute)) for step in steps]
+            look = {"color": color, "linestyle": line, "linewidth": width, "label": name}
+            lines[0, 0] += ax.step(position, [values[0], *values], where="pre", **look)
+        held = [root_mean_square(step.validation_rmse) for step in steps]
         for i, (value, step) in enumerate(zip(held, steps, strict=True)):
-            others = (float(np.sqrt(np.mean(rmse**2))) for rmse in (step.train_rmse, step.choice_rmse))
+            others = (root_mean_square(rmse) for rmse in (step.train_rmse, step.choice_rmse))
             above = value >= max(others)  # the side on which no other line runs
             ax.annotate(
                 f"{value:.3g}",
@@ -77,7 +58,7 @@ def plot_staircase(improvement: Improvement, frame: Frame) -> ct.ControlPlot:
                 va="bottom" if above else "top",
                 fontsize="small",
             )
-        if min(held) > 0 and base[0] / min(held) > 5:
+        if min(held) > 0 and held[0] / min(held) > 5:
             ax.set_yscale("log")
             ax.set_ylim(bottom=min(held) / 2)
         else:

@@ -13,7 +13,7 @@ from ..arguments import as_vector
 from ..data.channels import match_channels, record_for
 from ..data.frequency_response import FrequencyResponse
 from ..data.levels import MOST, stretches_by_level
-from ..data.measurement import Measurement, as_records
+from ..data.measurement import as_records
 from ..engine.amplitude_response import AmplitudeResponse, frequency_response_at
 from ..engine.simulation import simulate, structure_of
 from ..exceptions import DivergenceError
@@ -121,21 +121,9 @@ def _measured_groups(refinement: Any, linear: LinearModel, measured: Any) -> lis
         except DivergenceError:
             own = None  # the picture shows the measured dots alone
         else:
-            own = _with_outputs(part, run).frequency_response()
+            own = part._changed(outputs=run).frequency_response()
         groups.append((level, part.frequency_response(), own))
     return groups
-
-
-def _with_outputs(data: Measurement, outputs: Array) -> Measurement:
-    return Measurement(
-        data.inputs,
-        outputs,
-        dt=data.dt,
-        hold=data.hold,
-        input_labels=data.input_labels,
-        output_labels=data.output_labels,
-        name=data.name,
-    )
 
 
 def _grid(model: LinearModel, groups: Sequence[_Group], omega: ArrayLike | None) -> Array:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Sequence
+from html import escape
 
 from ..models.physical_model import PhysicalModel
 from ..results import shows
+from .tables import html_table
 
 __all__ = ["model_html", "model_text"]
 
@@ -66,17 +67,10 @@ def model_html(model: PhysicalModel) -> str:
     str
         HTML, escaped.
     """
-    rows = "".join(
-        f"<tr><td>{html.escape(item.name)}</td><td>{item.value:.6g}</td><td>{html.escape(item.unit)}</td>"
-        f"<td>{html.escape(item.kind)}</td><td>{html.escape(item.place)}</td></tr>"
-        for item in model.parameters
-    )
-    ports = "".join(f"<li>{html.escape(str(port))}</li>" for port in model.ports)
-    head = "".join(f"<th>{text}</th>" for text in ("parameter", "value", "unit", "kind", "place"))
-    return (
-        f"<p><b>Physical model {html.escape(repr(model.name))}</b></p><p>Places:</p><ul>{ports}</ul>"
-        f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
-    )
+    rows = [[item.name, f"{item.value:.6g}", item.unit, item.kind, item.place] for item in model.parameters]
+    ports = "".join(f"<li>{escape(str(port))}</li>" for port in model.ports)
+    head = f"<p><b>Physical model {escape(repr(model.name))}</b></p><p>Places:</p><ul>{ports}</ul>"
+    return head + html_table(["parameter", "value", "unit", "kind", "place"], rows)
 
 
 def _wrap(head: str, items: Sequence[str], width: int = 80) -> list[str]:

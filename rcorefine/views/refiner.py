@@ -13,7 +13,7 @@ from ..streaming.rcmr.history import History
 from ..streaming.refiner import RCORefiner
 from ..systems.linear import Array
 from .bode import bode
-from .figures import Frame, draws, style, unit_text
+from .figures import Frame, draws, plain, style
 from .tables import Table, tabulates
 
 __all__ = ["plot_bode", "plot_coefficients", "plot_stages", "refiner_table"]
@@ -45,23 +45,16 @@ def plot_stages(history: History, frame: Frame) -> ct.ControlPlot:
         for row, output in enumerate(history.output_labels):
             axis = axes[row, 0]
             for index, z in ((1, history.z2), (0, history.z1)):
-                look = style(index)
-                lines[row, 0] += axis.plot(
-                    history.timepts,
-                    z[row],
-                    color=look.color,
-                    linestyle="-",
-                    linewidth=0.8,
-                    label=names[index],
-                )
-            axis.set_ylabel(unit_text(f"simulated - measured\n{output}", ""))
+                look = {"color": style(index).color, "linewidth": 0.8, "label": names[index]}
+                lines[row, 0] += axis.plot(history.timepts, z[row], **look)
+            axis.set_ylabel(plain(f"simulated - measured\n{output}"))
             axis.grid(True, alpha=0.35)
         axis = axes[n_y, 0]
         lines[n_y, 0] = axis.plot(
             history.timepts, history.theta2.reshape(-1, history.timepts.size).T, linewidth=1.0
         )
         for line, text in zip(lines[n_y, 0], _coefficients(history), strict=False):
-            line.set_label(unit_text(text, ""))
+            line.set_label(plain(text))
         axis.set_ylabel("static coefficients")
         axis.grid(True, alpha=0.35)
         lines[n_y + 1, 0] = _draw_poles(axes[n_y + 1, 0], history.pole_timepts, history.poles)
@@ -85,26 +78,23 @@ def plot_coefficients(history: CoefficientHistory, frame: Frame) -> ct.ControlPl
     with frame.axes([1.6] * n_y + [2.0, 1.6], 1) as (axes, lines):
         for row, output in enumerate(history.output_labels):
             axis = axes[row, 0]
-            for index, z, text in (
-                (0, history.z1, "stage 1"),
-                (1, history.z2, "static stage, one sample ahead"),
-            ):
+            stages = ((history.z1, "stage 1"), (history.z2, "static stage, one sample ahead"))
+            for index, (z, text) in enumerate(stages):
                 if np.isfinite(z[row]).any():
                     look = {"color": style(index).color, "linewidth": 0.8, "label": text}
                     lines[row, 0] += axis.plot(history.timepts, z[row], **look)
-            usual = np.nanmax(
-                np.abs(history.z2[row]), initial=0.0
-            )  # a stage 1 that diverged must not hide the rest
+            # a stage 1 that diverged must not hide the rest
+            usual = np.nanmax(np.abs(history.z2[row]), initial=0.0)
             if usual > 0:
                 axis.set_ylim(-1.1 * usual, 1.1 * usual)
-            axis.set_ylabel(unit_text(f"predicted - measured\n{output}", ""))
+            axis.set_ylabel(plain(f"predicted - measured\n{output}"))
             axis.grid(True, alpha=0.35)
         axis = axes[n_y, 0]
         size = np.nanmax(np.abs(history.coefficients), axis=1, initial=0.0)[:, None]
         shown = history.coefficients / np.where(size > 0, size, 1.0)
         lines[n_y, 0] = axis.plot(history.timepts, shown.T, linewidth=1.0)
         for line, text in zip(lines[n_y, 0], names, strict=True):
-            line.set_label(unit_text(text, ""))
+            line.set_label(plain(text))
         axis.set_ylabel("coefficients\nover their largest")
         axis.grid(True, alpha=0.35)
         lines[n_y + 1, 0] = _draw_poles(axes[n_y + 1, 0], history.pole_timepts, history.poles)

@@ -11,7 +11,7 @@ from ..comparison.correlation import correlogram
 from ..comparison.horizon import horizon_error
 from ..comparison.residual_tests import TestTable
 from ..comparison.result import Comparison
-from .figures import BAND, MEASURED, Frame, style, unit_text
+from .figures import BAND, MEASURED, Frame, plain, style, unit_text
 from .tables import Table, number, tabulates
 
 __all__ = ["plot_horizon", "plot_residual", "tests_table"]
@@ -62,9 +62,9 @@ def plot_residual(result: Comparison, frame: Frame) -> ct.ControlPlot:
             if i == 0:
                 source = data.input_labels[j - 1] if j else ""
                 heading = "with itself" if j == 0 else f"with {source} (left of 0: feedback)"
-                axis.set_title(heading.replace("$", r"\$"), fontsize="medium")
+                axis.set_title(plain(heading), fontsize="medium")
             if j == 0:
-                axis.set_ylabel(f"Correlation\n{data.output_labels[i]}".replace("$", r"\$"))
+                axis.set_ylabel(plain(f"Correlation\n{data.output_labels[i]}"))
             axis.grid(True, alpha=0.3)
         for axis in axes[-1]:
             axis.set_xlabel("Lag [samples]")

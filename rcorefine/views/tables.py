@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any, TypeVar
 
+import numpy as np
+
 from ..results import shows
 
 __all__ = [
@@ -18,6 +20,7 @@ __all__ = [
     "clip",
     "html_table",
     "number",
+    "root_mean_square",
     "tabulates",
     "tells",
     "text_table",
@@ -41,6 +44,11 @@ def number(value: float, digits: int = 4) -> str:
     if math.isnan(value):
         return "-"
     return f"{value:.{digits}g}"
+
+
+def root_mean_square(values: Any) -> float:
+    """Of the errors of one output, or over those of several."""
+    return float(np.sqrt(np.mean(np.asarray(values) ** 2)))
 
 
 def clip(text: str, width: int) -> str:
@@ -74,7 +82,8 @@ def text_table(
         That many columns from the left are text, set left; the others are
         set right.
     width : int
-        Longest line; the widest text columns are cut to fit.
+        Longest line; to fit, text that stands in every row is told above, and the widest text
+        columns are cut.
 
     Returns
     -------
@@ -90,7 +99,15 @@ def text_table(
     fit in percent.
     """
     table = [list(headers), *[[str(cell) for cell in row] for row in rows]]
-    widths = [max(len(row[i]) for row in table) for i in range(len(headers))]
+    alike: list[str] = []
+    if len(rows) > 1 and _width(table) > width:
+        # what stands in every row is told once, before any name is cut
+        for i in range(left - 1, 0, -1):
+            if len({row[i] for row in table[1:]}) == 1:
+                left -= 1
+                header, cell = [row.pop(i) for row in table][:2]
+                alike.insert(0, f"{header}: {cell}")
+    widths = [max(len(row[i]) for row in table) for i in range(len(table[0]))]
     while sum(widths) + 2 * (len(widths) - 1) > width:
         # names are cut rather than figures
         widest = max(range(len(widths)), key=lambda i: (i < left, widths[i]) if widths[i] > 8 else (False, 0))
@@ -108,11 +125,15 @@ def text_table(
         )
         if index == 0:
             lines.append("  ".join("-" * size for size in widths))
-    above = (
-        [] if title is None else [line for part in title.split("\n") for line in textwrap.wrap(part, width)]
-    )
+    titles = ([] if title is None else title.split("\n")) + ([", ".join(alike)] if alike else [])
+    above = [line for part in titles for line in textwrap.wrap(part, width)]
     below = [line for note in notes for line in textwrap.wrap(note, width, subsequent_indent="  ")]
     return "\n".join([*above, *lines, *below])
+
+
+def _width(table: Sequence[Sequence[str]]) -> int:
+    """Columns that a table takes, two between one and the next."""
+    return sum(max(map(len, column)) + 2 for column in zip(*table, strict=True)) - 2
 
 
 def html_table(
@@ -168,7 +189,9 @@ class Table:
     left: int = 1
 
     def text(self) -> str:
-        """Plain text of at most 80 columns."""
+        """Plain text of at most 80 columns; the title and the notes where there are no rows."""
+        if not self.rows:
+            return "\n".join(wrapped([*([self.title] if self.title else []), *self.notes]))
         return text_table(self.headers, self.rows, title=self.title, notes=self.notes, left=self.left)
 
     def html(self) -> str:

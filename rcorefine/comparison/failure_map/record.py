@@ -13,8 +13,8 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 from ...data.measurement import Measurement
+from ...engine.linear_response import linear_responses
 from ...exceptions import RCOError, RCOWarning
-from ...jit import compiled
 from ...systems.conversion import d2c
 from ...systems.discretization import discretize
 from ...systems.linear import Array, LinearModel
@@ -224,22 +224,16 @@ class ModelOnRecord:
         Phi, G0, G1 = discretize(self.places.A, act, self.dt, "zoh")
         force = np.reshape(force, (self.n_samples, -1)).mean(axis=1)
         n = Phi.shape[0]
-        out = np.zeros((self.n_samples, n, 1))
-        march(
-            np.ascontiguousarray(Phi), np.ascontiguousarray(G0), np.ascontiguousarray(G1), np.eye(n),
-            np.zeros((n, 1)), np.ascontiguousarray(force[:, None]), self.reset, out,
-        )  # fmt: skip
+        out = linear_responses(
+            Phi, (G0, G1), np.eye(n), np.zeros((n, 1)), force[:, None], restarts=self.reset
+        )
         return np.ascontiguousarray(out[:, :, 0].T)
 
     def _marched(
         self, G0: Array, G1: Array, D: Array, F: Array, Phi: Array | None = None, C: Array | None = None
     ) -> list[Array]:
-        out = np.zeros((self.n_samples, self.n_outputs, F.shape[1]))
-        march(
-            np.ascontiguousarray(self._transition if Phi is None else Phi), np.ascontiguousarray(G0),
-            np.ascontiguousarray(G1), np.ascontiguousarray(self.model.C if C is None else C),
-            np.ascontiguousarray(D), F, self.reset, out,
-        )  # fmt: skip
+        Phi, C = self._transition if Phi is None else Phi, self.model.C if C is None else C
+        out = linear_responses(Phi, (G0, G1), C, D, F, restarts=self.reset)
         return [np.ascontiguousarray(column) / self.scale for column in np.moveaxis(out, (2, 1), (0, 1))]
 
     def late(self, delay: float) -> Array:
@@ -288,27 +282,6 @@ class ModelOnRecord:
     def named(self, output: int) -> str:
         """Name of an output."""
         return self.data.output_labels[output]
-
-
-@compiled
-def march(  # type: ignore[no-untyped-def]
-    Phi,  # (n, n)
-    drive0,  # (n, k)  of a signal that falls from one to zero over the sample
-    drive1,  # (n, k)  of one that rises
-    C,  # (n_y, n)
-    D,  # (n_y, k)
-    F,  # (N, k)
-    reset,  # (N,)     where a free run begins
-    out,  # (N, n_y, k)
-):
-    N = out.shape[0]
-    x = np.zeros((Phi.shape[0], out.shape[2]))
-    for step in range(N):
-        if reset[step]:
-            x = np.zeros_like(x)
-        out[step] = C @ x + D * F[step]
-        if step + 1 < N:
-            x = Phi @ x + drive0 * F[step] + drive1 * F[step + 1]
 
 
 def model_on_record(comparison: Comparison, index: int) -> tuple[ModelOnRecord, list[str]]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import stats
 
+from ...inference.levels import levels
 from ...results import Result
 from ...systems.linear import Array
 from .amplitude import input_laws, level_dependence
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Failure", "FailureMap", "failure_map"]
 
-#: Probability that a correct model shows any row.
-SIGNIFICANCE = 0.01
 # Share of the leader's part of the error from which on another row counts as a view of the same ...
 _RIVAL = 0.5
 # ... and from which on it comes before a mere place.
@@ -36,7 +35,6 @@ _SOME = 0.1  # ... of the best row of its dimension
 _MUCH = 4.0
 _REMAINS = 0.02  # of its worth: what a row may add to the leader that causes it
 _BESIDES = 2
-_LEAST = 0.005  # of the error's energy that a second failure must explain
 _SHOWN = 10
 
 
@@ -193,7 +191,7 @@ def _rows(scene: ModelOnRecord) -> tuple[Failure, ...]:
     whole.use_white()
     findings = _searched(scene)
     count = 2 * sum(f.tried for f in findings)
-    sure = [f for f in findings if _p_value(f, scene, count) < SIGNIFICANCE]
+    sure = [f for f in findings if _p_value(f, scene, count) < levels().failure]
     leaders = _in_order(sure, scene)
     whole.use(scene.residual - (leaders[0].explanation.fit if leaders else 0.0))
     ranked = _ranked(findings + _searched(scene), scene, count)
@@ -215,7 +213,7 @@ def _rows(scene: ModelOnRecord) -> tuple[Failure, ...]:
                 scene.evidence.share_of_error(scene.evidence.whole(f.explanation))
                 * (1.0 - whole.share_of_error(all_of_it)),
             )
-            >= _LEAST
+            >= levels().failure_besides
         ]
         if not left:
             break
@@ -263,7 +261,7 @@ def _row(f: Finding, scene: ModelOnRecord, count: int, role: str, whole: Residua
 def _ranked(findings: Sequence[Finding], scene: ModelOnRecord, count: int) -> list[Finding]:
     """Best finding of each kind of region, significant ones only, best first."""
     best: dict[tuple[str, ...], Finding] = {}
-    for finding in _in_order([f for f in findings if _p_value(f, scene, count) < SIGNIFICANCE], scene):
+    for finding in _in_order([f for f in findings if _p_value(f, scene, count) < levels().failure], scene):
         best.setdefault(_region(finding), finding)
     return _settled(list(best.values()), scene)
 

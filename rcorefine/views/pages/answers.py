@@ -8,7 +8,7 @@ import numpy as np
 
 from ...comparison.adequacy import best_of, failures_of
 from ...diagnosis.absorbed import numbers_that_moved
-from ..tables import number
+from ..tables import number, root_mean_square
 
 if TYPE_CHECKING:
     from ...comparison.responses import FrequencyComparison
@@ -125,7 +125,7 @@ def diagnosis_answer(found: Diagnosis) -> tuple[list[str], bool]:
 def improvement_answer(ladder: Improvement) -> tuple[list[str], bool]:
     """How far the error fell, by what, and why it ended; shape as `comparison_answer`."""
     first, last = ladder.steps[0], ladder.steps[-1]
-    before, after = (float(np.sqrt(np.mean(s.validation_rmse**2))) for s in (first, last))
+    before, after = (root_mean_square(s.validation_rmse) for s in (first, last))
     unit = f" {ladder.output_units[0]}" if len(ladder.output_units) == 1 and ladder.output_units[0] else ""
     change = f" ({100 * (after / before - 1):+.0f} %)" if before > 0 else ""
     names = [f"{e.label} ({_estimate(last.refinement, e.kind, e.place)})" for e in ladder.effects]

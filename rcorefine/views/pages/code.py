@@ -311,15 +311,15 @@ def refinement_code(refinement: Refinement, settings: Mapping[str, Any] | None =
             options["free"] = floating
     lines = [
         f"effects = {effects_code(asked)}",
-        "better = rco.refine(model, data, effects" + _options(options) + ")",
+        "better = rco.refine(model, data, effects" + call_options(options) + ")",
     ]
     if settings is None and floating:
         lines.insert(0, "# the linear parameters below floated; give tolerance= too if you gave it")
     return lines
 
 
-def _options(options: Mapping[str, Any]) -> str:
-    """Keywords that differ from their defaults."""
+def call_options(options: Mapping[str, Any]) -> str:
+    """Keywords of a call as text, those at their defaults left out."""
     defaults: dict[str, Any] = {
         "free": (),
         "tolerance": 0.0,
@@ -343,8 +343,3 @@ def _same(value: Any, default: Any) -> bool:
     if isinstance(default, tuple):
         return not isinstance(value, str) and hasattr(value, "__len__") and len(value) == 0
     return bool(np.all(value == default)) if value is not None and default is not None else value is default
-
-
-def call_options(options: Mapping[str, Any]) -> str:
-    """Keywords of a call as text, those at their defaults left out."""
-    return _options(options)

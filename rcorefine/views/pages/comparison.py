@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from ...comparison.result import KINDS, Comparison
 from ...engine.simulation import simulate
 from ...systems.linear import LinearModel
 from ..comparison import comparison_table
+from ..failure_map import ROLES
 from ..responses import responses_table
 from ..tables import Table, number
 from .answers import comparison_answer, response_answer
@@ -21,7 +22,7 @@ from .origin import response_facts, version_facts
 from .page import Facts, Page, Paragraphs, Section, reports
 from .parts import Parts, Wanted, chance, code_section, origin_section, pictures
 
-__all__ = ["comparison_tables", "fits_in_words", "report_comparison", "report_responses", "time_words"]
+__all__ = ["comparison_tables", "fits_in_words", "picture_words", "report_comparison", "report_responses"]
 
 
 @reports(Comparison)
@@ -70,8 +71,7 @@ def report_responses(result: FrequencyComparison, *, title: str | None, code: st
 
 
 def _comparison_picture(result: Comparison, kind: str) -> Wanted:
-    alt, caption = _WORDS[kind](f"record {result.data.name}", fits_in_words(result))
-    return kind, lambda: result.plot(kind, title=""), alt, caption
+    return kind, lambda: result.plot(kind, title=""), *picture_words(result, kind)
 
 
 def _kinds_of(result: Comparison) -> list[str]:
@@ -88,31 +88,38 @@ def fits_in_words(result: Comparison) -> str:
     )
 
 
-_WORDS: dict[str, Callable[[str, str], tuple[str, str]]] = {
-    "map": lambda record, fits: (
-        f"Failure map of {record}: where over time, frequency, amplitude, state and place the model fails.",
+#: What each picture of a comparison shows, and what it means.
+_WORDS = {
+    "map": (
+        "Failure map of {record}: where over time, frequency, amplitude, state and place the model fails.",
         "Where the model fails: what stands out from noise, over time, frequency, amplitude, state and "
         "place.",
     ),
-    "time": lambda record, fits: (
-        f"Measured and simulated outputs of {record} over time; {fits}. Residuals in the lower row.",
+    "time": (
+        "Measured and simulated outputs of {record} over time; {fits}. Residuals in the lower row.",
         "The record (broad, pale) and the free run of each model, with the fit in the legend; below, what is "
         "left over.",
     ),
-    "bode": lambda record, fits: (
-        f"Bode diagram of the models beside the measured frequency response of {record}.",
+    "bode": (
+        "Bode diagram of the models beside the measured frequency response of {record}.",
         "Frequency responses as the record sees them; dots and band: measured, two standard deviations. "
         "Bottom row: relative error, and what noise alone would cause.",
     ),
-    "residual": lambda record, fits: (
-        f"Tests of what is left over of {record}: correlation with itself and with the inputs.",
+    "residual": (
+        "Tests of what is left over of {record}: correlation with itself and with the inputs.",
         "What is left over: its correlation with itself and with the inputs, and the bounds of chance.",
     ),
-    "horizon": lambda record, fits: (
-        f"Error against the length of the prediction for {record}.",
+    "horizon": (
+        "Error against the length of the prediction for {record}.",
         "Error against the time for which the model predicts, from one step to the free run.",
     ),
 }
+
+
+def picture_words(result: Comparison, kind: str) -> tuple[str, str]:
+    """What a picture shows, and what it means."""
+    shown, meant = _WORDS[kind]
+    return shown.format(record=f"record {result.data.name}", fits=fits_in_words(result)), meant
 
 
 def comparison_tables(result: Comparison) -> Parts:
@@ -144,11 +151,10 @@ _FAILURE_NOTES = (
     "row anywhere if the model were right; share: the part of the error's energy that it explains "
     "(rows overlap).",
 )
-_ROLES = {"first": "1", "besides": "+", "instead": "="}
 
 
 def _failure_row(row: Failure) -> list[str]:
-    words = [_ROLES[row.role], row.dimension, row.where, row.sentence]
+    words = [ROLES[row.role], row.dimension, row.where, row.sentence]
     return [*words, number(row.statistic, 3), chance(row.p_value), f"{100 * row.share:.3g} %"]
 
 
@@ -192,8 +198,3 @@ def _reproduces(model: LinearModel, result: Comparison, index: int) -> bool:
     ).outputs
     scale = float(np.abs(result.runs[index]).max()) or 1.0
     return bool(np.abs(run - result.runs[index]).max() < 1e-6 * scale)
-
-
-def time_words(result: Comparison) -> tuple[str, str]:
-    """What the picture over time shows, and what it means."""
-    return _WORDS["time"](f"record {result.data.name}", fits_in_words(result))

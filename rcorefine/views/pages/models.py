@@ -12,10 +12,10 @@ from ...data.levels import stretches_by_level
 from ...data.measurement import Measurement
 from ...diagnosis.stepwise.improvement import Improvement
 from ...inference.refinement import Refinement
-from ..tables import Table, number
+from ..tables import Table, number, root_mean_square
 from .answers import improvement_answer, refinement_answer
 from .code import model_code, record_code, refinement_code, script
-from .comparison import comparison_tables, time_words
+from .comparison import comparison_tables, picture_words
 from .page import Page, Paragraphs, Section, reports
 from .parts import (
     Parts,
@@ -26,7 +26,6 @@ from .parts import (
     parameter_plot,
     parameter_table,
     pictures,
-    root_mean_square,
 )
 
 __all__ = ["report_improvement", "report_refinement"]
@@ -43,7 +42,7 @@ def report_improvement(
     """The report of an improvement; see `Improvement.report`."""
     answer, fine = improvement_answer(ladder)
     last = ladder.refinement
-    errors = ", ".join(f"{float(np.sqrt(np.mean(s.validation_rmse**2))):.3g}" for s in ladder.steps)
+    errors = ", ".join(f"{root_mean_square(s.validation_rmse):.3g}" for s in ladder.steps)
     wanted: list[Wanted] = [
         (
             "staircase",
@@ -58,7 +57,7 @@ def report_improvement(
         values = "; ".join(f"{k} {v:.4g} +/- {step.std[k]:.2g}" for k, v in step.coefficients.items())
         errors_of = (step.train_rmse, step.choice_rmse, step.validation_rmse)
         rivals = ", ".join(effect.label for effect in step.rivals)
-        rows.append([str(i), step.name, values, *(root_mean_square(e) for e in errors_of), rivals])
+        rows.append([str(i), step.name, values, *(f"{root_mean_square(e):.4g}" for e in errors_of), rivals])
     tables: Parts = [
         Table(
             ["step", "what", "coefficients", "fitted", "chosen on", "held out", "explains the same alike"],
@@ -129,8 +128,7 @@ def _report_model(
     else:
         before: Any = last.physical_model if first is None else first
         beside = replace(compare([before, last], data), names=("initial", "refined"))
-        words = time_words(beside)
-        wanted.append(("time", lambda: beside.plot(title=""), *words))
+        wanted.append(("time", lambda: beside.plot(title=""), *picture_words(beside, "time")))
         tables += comparison_tables(beside)
         about += f"; beside record {data.name}, {data.n_samples} samples"
     wanted.append(_bode_picture(last, data))

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from os import PathLike
 
 import control as ct
 import numpy as np
 
 from ...data.measurement import Measurement
 from ...inference.refinement import EstimatedParameter, Refinement
-from ...systems.linear import Array
 from ..figures import Frame, unit_text
 from ..tables import Table
 from .origin import record_facts, version_facts
@@ -19,7 +17,6 @@ from .pictures import Picture, draw
 
 __all__ = [
     "Parts",
-    "Target",
     "Wanted",
     "chance",
     "code_section",
@@ -28,10 +25,8 @@ __all__ = [
     "parameter_plot",
     "parameter_table",
     "pictures",
-    "root_mean_square",
 ]
 
-Target = str | PathLike[str]
 #: Kind of a picture, how to draw it, what is to be seen, what it means.
 Wanted = tuple[str, Callable[[], ct.ControlPlot], str, str]
 Parts = list[Table | Paragraphs | Listing | Facts | Picture]
@@ -105,11 +100,6 @@ def parameter_plot(refinement: Refinement) -> ct.ControlPlot:
 def chance(p_value: float) -> str:
     """A p-value; what is smaller than any number is not zero."""
     return f"{p_value:.2g}" if p_value > 0 else "< 1e-300"
-
-
-def root_mean_square(values: Array) -> str:
-    """Mean over several outputs, as text."""
-    return f"{float(np.sqrt(np.mean(np.asarray(values) ** 2))):.4g}"
 
 
 def code_section(generated: str, given: str | None) -> Section:

@@ -1,0 +1,136 @@
+"""Matrices of a model in feedback with effects, continuous-time, at given coefficients.
+
+Linear effects are absorbed exactly into A, B, C, D; the others keep a port of their own. Every
+entry is an analytic function of the coefficients, so that a complex step gives exact derivatives.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..effects.absorbed import AbsorbedLaw, Assembly, Site
+
+if TYPE_CHECKING:
+    from .structure import Structure
+
+__all__ = ["Matrices", "continuous_matrices", "site_of"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matrices:
+    """Continuous-time matrices; the last column of B and D drives a constant one."""
+
+    A: NDArray[Any]
+    B: NDArray[Any]
+    E: NDArray[Any]
+    C: NDArray[Any]
+    D: NDArray[Any]
+    G: NDArray[Any]
+    P: NDArray[Any]
+
+
+def site_of(structure: Structure, index: int) -> Site:
+    """Where an absorbed effect sits."""
+    effect, base, n = structure.effects[index], structure.linear_model, structure.n_states
+    where = effect.spec.where
+    rows, inputs = [np.zeros(n)] * 3, [np.zeros(structure.n_inputs)] * 3
+    channel, entry = -1, (0, 0)
+    if "input" in where:
+        channel = base.input_labels.index(effect.place)
+    elif "output" in where:
+        channel = base.output_labels.index(effect.place)
+    elif "any" in where:
+        entry = structure.model.entry(effect.place)
+    else:
+        port = structure.model.port(effect.place)
+        rows = [np.pad(row, (0, n - row.size)) for row in (port.act, port.position, port.velocity)]
+        inputs = [port.position_input, port.velocity_input, port.acceleration_input]
+    states = [base.n_states + i for i, (owner, _) in enumerate(structure.added_states) if owner == index]
+    (act, position, velocity), (d_w, v_w, a_w) = rows, inputs
+    state = states[0] if states else -1
+    return Site(act, position, velocity, d_w, v_w, a_w, channel, entry, state)
+
+
+def continuous_matrices(structure: Structure, theta: NDArray[Any]) -> Matrices:
+    """Matrices at `theta` (real, or complex for derivatives)."""
+    model, n, nw, ny = structure.model, structure.n_states, structure.n_inputs, structure.n_outputs
+    into = _absorbed(structure, theta)
+    E, P = _ports(structure, into.A.dtype)
+    Ux, lag_drive = _input_lags(into)
+
+    # masses are divided by, lagged inputs are states
+    A = structure.adjusted_rates(into.A, theta)
+    right = np.hstack([A, into.Bu, E, into.constant[:, None]])
+    solved = np.linalg.solve(into.inertia, right) if structure.has_mass else right
+    A, Bu, E, constant = solved[:, :n], solved[:, n : n + nw], solved[:, n + nw : -1], solved[:, -1]
+    B = Bu @ into.Uw
+    B[:, nw] += constant
+    A = A + Bu @ Ux
+    for state, drive in lag_drive:
+        B[state] += drive
+
+    # sensors see states, their rates (accelerometers) and inputs; then come their own lags and laws
+    n0, kind = structure.linear_model.n_states, A.dtype
+    Co, Ca = np.zeros((ny, n), kind), np.zeros((ny, n), kind)
+    Co[:, :n0], Ca[:, :n0] = model.output_state, model.output_rate
+    C = Co + model.output_input @ Ux + Ca @ A
+    D = model.output_input @ into.Uw + Ca @ B
+    G = Ca @ E
+    for i, state, lag in into.output_lags:
+        A[state] = C[i] / lag
+        A[state, state] -= 1.0 / lag
+        B[state] = D[i] / lag
+        E[state] = G[i] / lag
+        C[i], D[i], G[i] = 0.0, 0.0, 0.0
+        C[i, state] = 1.0
+    C, D, G = (rows * into.output_gain[:, None] for rows in (C, D, G))
+    D[:, nw] += into.output_offset
+    A, B, E = into.pace * A, into.pace * B, into.pace * E
+    sense = np.hstack([P[:, :n] + P[:, n:] @ Ux, P[:, n:] @ into.Uw])
+    return Matrices(A, B, E, C, D, G, sense)
+
+
+def _absorbed(structure: Structure, theta: NDArray[Any]) -> Assembly:
+    """The model's own matrices, with the linear effects in them."""
+    base, n, nw, ny = structure.linear_model, structure.n_states, structure.n_inputs, structure.n_outputs
+    kind = theta.dtype if theta.size else np.dtype(float)
+    A, Bu = np.zeros((n, n), kind), np.zeros((n, nw), kind)
+    A[: base.n_states, : base.n_states], Bu[: base.n_states] = base.A, base.B
+    Uw = np.hstack([np.eye(nw, dtype=kind), np.zeros((nw, 1), kind)])
+    into = Assembly(
+        A, Bu, np.eye(n, dtype=kind), np.zeros(n, kind), Uw, np.ones(ny, kind), np.zeros(ny, kind), [], []
+    )
+    for index, site in structure.sites.items():
+        effect = structure.effects[index]
+        assert isinstance(effect.spec, AbsorbedLaw)
+        values = [structure.value(theta, index, name) for name in effect.coefficients]
+        effect.spec.absorb(into, site, *values)
+    return into
+
+
+def _ports(structure: Structure, kind: np.dtype[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Where the forces of the other effects act (n, m), and what they sense (2 m, n + n_w)."""
+    n, m, n0 = structure.n_states, structure.n_ports, structure.linear_model.n_states
+    E, P = np.zeros((n, m), kind), np.zeros((2 * m, n + structure.n_inputs), kind)
+    for row, index in enumerate(structure.port_effects):
+        port = structure.model.port(structure.effects[index].place)
+        E[:n0, row] = port.act
+        P[row, :n0], P[row, n:] = port.position, port.position_input
+        P[m + row, :n0], P[m + row, n:] = port.velocity, port.velocity_input
+    return E, P
+
+
+def _input_lags(into: Assembly) -> tuple[NDArray[Any], list[tuple[int, NDArray[Any]]]]:
+    """Inputs that are states of a lag, as rows on the states, and what drives those states."""
+    Ux = np.zeros((len(into.Uw), len(into.A)), into.A.dtype)
+    drives = []
+    for i, state, lag in into.input_lags:
+        Ux[i, state] = 1.0
+        into.A[state, state] = -1.0 / lag
+        drives.append((state, into.Uw[i] / lag))
+        into.Uw[i] = 0.0
+    return Ux, drives

@@ -1,0 +1,89 @@
+"""One substep of a structure: its discretization, with exact derivatives by a complex step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..systems.discretization import power_of_two
+from ..systems.exponential import exponential
+from ..systems.linear import Array
+
+if TYPE_CHECKING:
+    from .structure import Structure
+
+__all__ = ["Discrete", "discretized"]
+
+_TINY_STEP = 1e-30
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Discrete:
+    """One substep, with derivatives for the parameters listed in `linear`."""
+
+    M: Array
+    dM: Array
+    O: Array
+    dO: Array
+    P: Array
+    dP: Array
+    linear: NDArray[np.int64]
+
+
+def discretized(structure: Structure, theta: Array, step: float, *, derivatives: bool = True) -> Discrete:
+    """One substep of length `step` seconds, exact for the linear part.
+
+    Inputs and port forces run linearly over the substep; a held input is the
+    special case of equal ends.
+    """
+    linear = structure.absorbed if derivatives else np.zeros(0, dtype=np.int64)
+    points = [theta.astype(float)]
+    for column in linear:
+        shifted = theta.astype(complex)
+        shifted[column] += 1j * _TINY_STEP
+        points.append(shifted)
+    sets = [structure.matrices(point) for point in points]
+    n, drive = structure.n_states, structure.n_inputs + 1 + structure.n_ports
+    size = n + 2 * drive
+    blocks = np.zeros((len(sets), size, size), complex if len(linear) else float)
+    # units of inputs, outputs and forces must not cost digits of A
+    states = _inner_scale(structure, sets[0].A)[:, None]
+    pushes = [states * np.hstack([matrices.B, matrices.E]) for matrices in sets]
+    columns = power_of_two(np.abs(pushes[0]).max(axis=0, initial=0.0))
+    for block, matrices, push in zip(blocks, sets, pushes, strict=True):
+        block[:n, :n] = states * matrices.A / states.T * step
+        block[:n, n : n + drive] = push / columns * step
+        block[n : n + drive, n + drive :] = np.eye(drive)
+    with np.errstate(over="ignore", invalid="ignore"):  # the engine says so where a model blows up
+        exponentials = exponential(blocks)[:, :n, :] / states
+        Phi = exponentials[:, :, :n] * states.T
+        second = exponentials[:, :, n + drive :] * columns
+        first = exponentials[:, :, n : n + drive] * columns - second
+    nw = structure.n_inputs + 1
+    M = np.concatenate(
+        [Phi, first[:, :, :nw], second[:, :, :nw], first[:, :, nw:], second[:, :, nw:]], axis=2
+    )
+    outputs = [np.hstack([s.C, s.D, s.G]) for s in sets]
+    dM = np.imag(M[1:]) / _TINY_STEP
+    dO = np.array([np.imag(o) / _TINY_STEP for o in outputs[1:]]).reshape(len(linear), *outputs[0].shape)
+    dP = np.array([np.imag(s.P) / _TINY_STEP for s in sets[1:]]).reshape(len(linear), *sets[0].P.shape)
+    if not dP.any():
+        dP = np.zeros((0, *sets[0].P.shape))
+    M0, dM, O, dO, P, dP = (
+        np.ascontiguousarray(part) for part in (M[0].real, dM, outputs[0].real, dO, sets[0].P, dP)
+    )
+    return Discrete(M0, dM, O, dO, P, dP, linear)
+
+
+def _inner_scale(structure: Structure, A: NDArray[Any]) -> Array:
+    """Powers of two that bring the states of effects, in units of a signal, to those of the model."""
+    scale = np.ones(structure.n_states)
+    for j in range(structure.linear_model.n_states, structure.n_states):
+        others = np.arange(structure.n_states) != j
+        up, down = np.abs(A[others, j]).max(initial=0.0), np.abs(A[j, others]).max(initial=0.0)
+        if up > 0 or down > 0:
+            scale[j] = np.sqrt(up / down) if up > 0 and down > 0 else up or 1.0 / down
+    return power_of_two(scale)
