@@ -14,6 +14,7 @@ from .diagnosis.confirmation import Confirmation
 from .diagnosis.stepwise.improve import improve
 from .diagnosis.stepwise.improvement import Improvement
 from .effects.effect import Effect, describe_effects
+from .effects.tabulated import Table
 from .engine.amplitude_response import AmplitudeResponse, frequency_response_at
 from .engine.simulation import Simulation, simulate
 from .exceptions import (
@@ -78,6 +79,7 @@ __all__ = [
     "RCOWarning",
     "Refinement",
     "Simulation",
+    "Table",
     "check",
     "compare",
     "confirm",

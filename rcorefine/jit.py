@@ -7,11 +7,12 @@ how the tests compare both ways.
 
 from __future__ import annotations
 
+import ctypes
 import os
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-__all__ = ["FASTMATH", "NUMBA", "address_of", "call_at", "compiled", "compiled_law"]
+__all__ = ["FASTMATH", "NUMBA", "address_of", "call_at", "compiled", "compiled_law", "number_at"]
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -97,6 +98,29 @@ def _call_at() -> Any:
 
 
 call_at: Any = None if _NUMBA is None else _call_at()
+
+
+def _number_at() -> Any:
+    """Intrinsic that reads a number of an array: ``(address, index)``."""
+    from llvmlite import ir
+    from numba import types
+    from numba.extending import intrinsic
+
+    def lower(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        row = builder.inttoptr(given[0], ir.DoubleType().as_pointer())
+        return builder.load(builder.gep(row, [given[1]]))
+
+    def read(typing, address, index):  # type: ignore[no-untyped-def]
+        return types.float64(types.int64, types.int64), lower
+
+    return intrinsic(read)
+
+
+def _plain_number_at(address: int, index: int) -> float:
+    return ctypes.c_double.from_address(address + 8 * index).value
+
+
+number_at: Any = _plain_number_at if _NUMBA is None else _number_at()
 
 
 def compiled_law(function: _Function) -> _Function:

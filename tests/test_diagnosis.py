@@ -43,7 +43,9 @@ def test_names_the_effect_and_its_coefficient(friction):
     (value,), (std,) = found.best.coefficients.values(), found.best.std.values()
     assert abs(value - hidden.coefficient) < 4 * std
     assert found.best.fit_before < 85 < 96 < found.best.fit_after
-    assert found.best.probability > 0.99
+    # among the candidates; what is left is for none of them
+    assert found.best.probability > 0.99 * (1.0 - found.none_of_these)
+    assert found.none_of_these < 0.05
 
 
 def test_adequate_says_what_would_have_shown(nothing):
@@ -73,7 +75,9 @@ def test_picture_shows_the_force_without_a_law():
     assert isinstance(plot, ct.ControlPlot)
     assert plot.axes.shape == (2, 2)
     port = hidden.plant.model.port(hidden.place)
-    force, states = estimated_force(found.base, found.best.refinement.rmse, port, found.ordered_records()[0])
+    force, states, _std = estimated_force(
+        found.base, found.best.refinement.rmse, port, found.ordered_records()[0]
+    )
     d = port.position @ states + port.position_input @ hidden.data.inputs
     # no law went in, yet the force follows the cube of the displacement
     inner = slice(100, -100)

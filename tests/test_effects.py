@@ -9,6 +9,7 @@ import pytest
 
 from rcorefine.effects.effect import Effect, describe_effects
 from rcorefine.effects.law import KINDS
+from rcorefine.effects.tabulated import Table
 from rcorefine.exceptions import ModelError
 from rcorefine.models.builders import mass_spring_damper, series_rlc, two_tanks
 from rcorefine.models.units import combine_units
@@ -60,6 +61,7 @@ TABLE = {
     "output_rectification": ("output", ("fraction",)),
     "clock": ("input", ("slow",)),
     "custom": ("mechanical first_order any", ("scale",)),
+    "tabulated": ("mechanical first_order", ("scale",)),
 }
 
 
@@ -328,7 +330,8 @@ class TestCheck:
 
 
 def test_table_of_effects_fits_a_terminal():
-    effects = [Effect(name, "somewhere", **({"law": square} if name == "custom" else {})) for name in KINDS]
+    given = {"custom": {"law": square}, "tabulated": {"law": Table(v=[0.0, 1.0], force=[0.0, 2.0])}}
+    effects = [Effect(name, "somewhere", **given.get(name, {})) for name in KINDS]
     text = describe_effects(effects)
     assert max(map(len, text.splitlines())) <= 80
     assert all(name in text and kind.formula[:40] in text for name, kind in KINDS.items())

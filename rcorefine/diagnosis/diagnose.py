@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
+from math import nan
 from typing import Any
 
 from ..arguments import as_share
@@ -27,13 +28,14 @@ from .excitation import no_motion, not_excited, record_remarks
 from .families import hosts, said_of_families
 from .floating import Floated, as_good, explaining_numbers, rivals_of_numbers
 from .judging import Judged, beside_force, judge, outweighs, pair_hint, second_chance
+from .open_law import open_law, probabilities
 from .places import in_race
 from .ranking import detectable, ranking
 from .remarks import amplitude_test, fit_remarks, remarks
 from .residual_tests import TestedResidual, run_tests
 from .result import Diagnosis
 from .unmeasured_force import Explained, explaining_force
-from .verdict import overall, probabilities, tied, verdict
+from .verdict import overall, tied, verdict
 
 __all__ = ["diagnose", "investigate"]
 
@@ -257,6 +259,13 @@ def _named(
     several = judged.passed and len(case.records) > 1
     agreement, sentence = amplitude_test(race, case.levels.disagree) if several else (1.0, "")
     word = verdict(judged.passed, agreement, len(alike), case.levels)
+    with case.progress.step("free forces"):
+        law = open_law(race) if word == "unexplained" and case.thorough else None
+    shares, none, places = probabilities(race, judged.beside if judged.passed else None, law)
+    if word == "unexplained":  # none is printed for what fails its own tests
+        shares, none = [nan] * len(shares), 1.0
+    p_values = [p_of[rival.effect] for rival in race.rivals]
+    rows = ranking(race, p_values, shares, case.base, validation, case.settings["horizon"])
     notes = [*_about_record(case), *fit_remarks(race), *remarks(race, scored, batteries)]
     notes += said_of_families(race.rivals, held)
     notes += [sentence] if sentence else []
@@ -264,7 +273,8 @@ def _named(
         with case.progress.step("pairs"):
             notes += pair_hint(case, judged, scored)
     own = {"force_ratio": race.ratio, "notes": tuple(notes), **case.about}
-    return Diagnosis(word, rows, alike, (), tuple(judged.tests), (), **own)
+    found = Diagnosis(word, rows, alike, (), tuple(judged.tests), (), **own)
+    return replace(found, none_of_these=none, places=places, open_law=None if law is None else law.law)
 
 
 def _under_another_hold(case: Case) -> Diagnosis | None:

@@ -8,11 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..exceptions import ModelError
+from ..inference.free_form import Evidence
 from ..inference.sensitivities import Candidate, candidate_columns
 from ..inference.starts import Motion
 from ..inference.whitening import FTest
 from .candidate_fits import CandidateFits, fit_candidates
 from .case import OBSERVERS, Case, not_held
+from .open_law import free_form_test
 from .places import in_race
 from .residual_tests import TestedResidual, run_tests
 from .unmeasured_force import likely_forces
@@ -35,11 +37,14 @@ class Judged:
         Tests of the winner's residual; none where they could not be done.
     passed : bool
         Whether that residual is noise.
+    beside : Evidence or None
+        For a force of no law beside the winner; None where it is no force at a port.
     """
 
     race: CandidateFits
     tests: list[FTest]
     passed: bool
+    beside: Evidence | None = None
 
 
 def judge(case: Case, race: CandidateFits) -> Judged:
@@ -50,10 +55,14 @@ def judge(case: Case, race: CandidateFits) -> Judged:
     try:
         near = in_race(fitted, rest, (race.ratio,))
         scored = candidate_columns(fitted, near, moved[0], (race.ratio,))
-        tests = run_tests(TestedResidual(fitted, race.ratio), scored, moved, len(rest) - len(near))
+        battery = TestedResidual(fitted, race.ratio)
+        tests = run_tests(battery, scored, moved, len(rest) - len(near))
+        free = free_form_test(battery, race.rivals[0].effect.place)
     except ModelError:  # its linear model runs away within one sample: what cannot be tested has not passed
         return Judged(race, [], False)
-    return Judged(race, tests, case.passes(tests, fitted))
+    if free is not None:
+        tests.append(free[0])
+    return Judged(race, tests, case.passes(tests, fitted), None if free is None else free[1])
 
 
 def outweighs(judged: Judged, forced: TestedResidual, price: float) -> bool:

@@ -71,7 +71,10 @@ class TestedResidual:
 
     def test(self, name: str, blocks: Sequence[Array]) -> FTest:
         """F-test of columns given as blocks (n_y, N, k) per record."""
-        white = self.whiten(blocks)
+        return self.of_white(name, self.whiten(blocks))
+
+    def of_white(self, name: str, white: Array) -> FTest:
+        """F-test of columns that are white already."""
         return self._both(f_test(name, self.left, white, self.basis), white)
 
     def _both(self, test: FTest, white: Array) -> FTest:

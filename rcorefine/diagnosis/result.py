@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Unpack
 
 import control as ct
@@ -12,10 +12,13 @@ from numpy.typing import ArrayLike
 
 from ..data.measurement import Measurement
 from ..effects.effect import Effect
+from ..exceptions import ModelError
 from ..inference.refinement import EstimatedParameter, Refinement
 from ..inference.whitening import FTest
 from ..results import Look, Reported, picture, show
-from .absorbed import numbers_that_moved, what_was_absorbed
+from .hidden_force import HiddenForce, hidden_force
+from .open_law import OpenLaw
+from .words import sentences
 
 if TYPE_CHECKING:
     from .experiment_design.result import ExperimentAdvice
@@ -39,7 +42,8 @@ class RankedEffect:
     p_value : float
         Of its score, if nothing were missing.
     probability : float
-        Among the candidates, given that exactly one of them is missing.
+        Among the candidates and "none of these" (`Diagnosis.none_of_these`), given that exactly one
+        force is missing; they sum to one. NaN where the verdict is "unexplained": then it is none of them.
     log_likelihood_gain : float
         Over the model as it is, less half the log of the number of samples for each
         coefficient beyond the first.
@@ -103,6 +107,14 @@ class Diagnosis(Reported):
         What else was noticed.
     floated : Refinement or None
         The model with its numbers fitted, where the verdict is "parameters".
+    none_of_these : float
+        Probability of a force at the best one's place that follows none of the laws; 1 where the
+        verdict is "unexplained", NaN where nothing was ranked.
+    places : dict
+        Probability of each place, the most probable first: what its candidates and the free forces
+        tried there have together. Sums to one; empty where nothing was ranked.
+    open_law : OpenLaw or None
+        Where the verdict is "unexplained": the force as a table, and the laws nearest to it.
     """
 
     verdict: str
@@ -123,6 +135,46 @@ class Diagnosis(Reported):
     def parameters(self) -> tuple[EstimatedParameter, ...]:
         """Numbers of the model with their errors, where the verdict is "parameters"; else empty."""
         return () if self.floated is None else tuple(r for r in self.floated.parameters if r.role == "linear")
+
+    none_of_these: float = np.nan
+    places: dict[str, float] = field(default_factory=dict)
+    open_law: OpenLaw | None = None
+
+    @property
+    def place(self) -> str | None:
+        """Where it is missing, a port or a channel; None where nothing was ranked."""
+        return next(iter(self.places), None)
+
+    @property
+    def hidden_force(self) -> HiddenForce | None:
+        """Force at `place` over the first record, without any law; None where that is no port."""
+        model = self.base.physical_model
+        port = next((port for port in model.ports if port.name == self.place), None)
+        if port is None or self.best is None:
+            return None
+        noise = self.best.refinement.rmse if self.open_law is None else self.open_law.rmse
+        return hidden_force(self.base, noise, port, self.ordered_records()[0])
+
+    def law(self) -> Effect:
+        """The force that no candidate explains, tabulated, as an effect for `refine` or `compare`.
+
+        Returns
+        -------
+        Effect
+            Of kind ``"tabulated"``, named ``"law open, tabulated at PLACE"``; its scale is 1.
+
+        Raises
+        ------
+        ModelError
+            If there is none: the law has a name, nothing is missing, or it is no force at a port.
+        """
+        if self.open_law is None:
+            if self.verdict != "unexplained":
+                raise ModelError(
+                    f"the verdict is {self.verdict!r}: no law is open; refine() takes what was found"
+                )
+            raise ModelError("what is missing is no force at a port that a table could hold")
+        return self.open_law.effect
 
     @property
     def best(self) -> RankedEffect | None:
@@ -249,7 +301,6 @@ class Diagnosis(Reported):
         linear = self.base.physical_model.linear
         return [record_for(r, match_channels(linear, r)) for r in self.records]
 
-    # ------------------------------------------------------------------ in words
     def sentences(self) -> list[str]:
         """What was found, one sentence each.
 
@@ -257,60 +308,7 @@ class Diagnosis(Reported):
         -------
         list of str
         """
-        lines = [_VERDICTS[self.verdict].format(best=self._best_text(), alike=self._alike_text())]
-        worst = min(self.tests, key=lambda t: t.p_value) if self.tests else None
-        if self.verdict == "adequate":
-            lines[0] = f"{lines[0]} {what_was_absorbed(self.base)}".rstrip()
-            lines.append(
-                f"No test fires at the level {self.significance:g}"
-                + (f" (smallest p-value {worst.p_value:.2g}, {worst.name})." if worst else ".")
-            )
-            if self.detectable:
-                shown = ", ".join(
-                    f"{d.effect.label} {d.smallest:.3g} {d.unit}".strip() for d in self.detectable[:4]
-                )
-                lines.append(f"It would have shown, with 95 % probability: {shown}.")
-        elif worst is not None:  # without motion nothing could be tested
-            lines.append(f"The model as it is fails: {worst.name}, p = {worst.p_value:.2g}.")
-            if self.verdict == "unexplained" and self.winner_tests:
-                left = min(self.winner_tests, key=lambda t: t.p_value)
-                lines.append(
-                    f"With the best candidate the residual still fails: {left.name}, p = {left.p_value:.2g}."
-                )
-            if self.verdict == "parameters":
-                lines.append(numbers_that_moved(self.parameters))
-            if self.best is not None and self.best.effect.spec.of_record:
-                (share,) = self.best.coefficients.values()
-                lines.append(
-                    f"{self.best.effect.explanation} Here that are {100 * share:.3g} %: correct the record, "
-                    "not the model."
-                )
-            if self.best is not None:
-                lines.append(
-                    "p is the chance of such a score with nothing missing; probability compares the "
-                    "candidates with each other; std is one standard deviation of the coefficient."
-                )
-        if self.force_ratio:
-            lines.append(
-                f"The residual speaks of an unmeasured force of about {100 * self.force_ratio:.2g} % of the "
-                "measured one, which is allowed for."
-            )
-        if self.verdict == "ambiguous":
-            lines.append("suggest_experiment() names the record that would tell them apart.")
-        return [*lines, *self.notes]
-
-    def _best_text(self) -> str:
-        if self.best is None:
-            return "nothing"
-        row = self.best
-        values = ", ".join(f"{value:.4g} +/- {row.std[name]:.2g}" for name, value in row.coefficients.items())
-        return (
-            f"{row.effect.label} ({values}): fit {row.fit_before:.4g} -> {row.fit_after:.4g} %, "
-            f"probability {row.probability:.2f}"
-        )
-
-    def _alike_text(self) -> str:
-        return ", ".join(effect.label for effect in self.ambiguous)
+        return sentences(self)
 
     @picture
     def plot(self, **options: Unpack[Look]) -> ct.ControlPlot:
@@ -321,12 +319,3 @@ class Diagnosis(Reported):
         ControlPlot
         """
         return show(self, "plot", **options)
-
-
-_VERDICTS = {
-    "adequate": "Nothing is missing that this record could show.",
-    "parameters": "No law is missing: the numbers of the model are off.",
-    "effect": "What is missing: {best}.",
-    "ambiguous": "This record cannot tell apart: {alike}. Most probable: {best}.",
-    "unexplained": "Something is missing that no candidate explains. Closest: {best}.",
-}

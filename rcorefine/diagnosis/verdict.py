@@ -54,7 +54,7 @@ def passes(tests: Sequence[FTest], excess: float, significance: float, levels: L
 
 def probabilities(log_likelihoods: Sequence[float]) -> np.ndarray:
     """Probability of each candidate if one of them is right and all were as likely before, (n,)."""
-    weights = np.exp(np.asarray(log_likelihoods) - log_likelihoods[0])
+    weights = np.exp(np.asarray(log_likelihoods) - max(log_likelihoods))
     return np.asarray(weights / weights.sum())
 
 

@@ -27,6 +27,19 @@ class Custom(PortLaw):
     coefficients = (Coefficient("scale", "force", explanation="scale of the law"),)
     formula = "f = t law(d, v)"
     explanation = "A law of your own acts at {place}."
+    needs_law = True
+
+    def of(self, law: Any, names: tuple[str, ...], label: str) -> Custom:
+        """The law of a function.
+
+        Raises
+        ------
+        control.ControlArgument
+            If it is none.
+        """
+        if not callable(law) or isinstance(law, type):
+            raise ct.ControlArgument(f"{label} needs law=, a function law(d, v) that returns the force")
+        return custom_law(law, () if set(names) <= {"scale"} else names)
 
     @property
     def needs_starts(self) -> bool:

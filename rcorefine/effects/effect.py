@@ -9,7 +9,7 @@ import control as ct
 
 from ..arguments import as_choice, as_list, as_mapping, as_number, as_text, shown
 from ..exceptions import ModelError
-from .custom import Custom, custom_law
+from .custom import Custom
 from .law import KINDS, Law, instance_of
 
 __all__ = ["Effect", "as_effects", "describe_effects"]
@@ -33,8 +33,8 @@ class Effect:
         the ``"width"`` over which the sign of a velocity is smoothed).
     prior : mapping of str to float, optional
         Prior standard deviation of coefficients, about their start value.
-    law : callable, optional
-        For `custom` only: ``law(d, v)`` returns the force per unit ``scale``, or
+    law : callable or Table, optional
+        For `tabulated` a `Table`. For `custom` ``law(d, v)`` returns the force per unit ``scale``, or
         ``law(d, v, **coefficients)`` the force, where `start` names coefficients.
         d and v are arrays, or v alone has meaning at a first-order port. Use a
         function of a module: a lambda cannot be pickled.
@@ -106,13 +106,9 @@ class Effect:
             )
         if name is not None:
             as_text(name, f"name of {kind} at {place}")
-        if kind == Custom.name:
-            if not callable(law) or isinstance(law, type):
-                raise ct.ControlArgument(
-                    f"custom effect at {place} needs law=, a function law(d, v) that returns the force"
-                )
-        elif law is not None and not (isinstance(law, type) and issubclass(law, Law)):
-            raise ct.ControlArgument(f"law= is for kind 'custom' only, not for {kind!r}")
+        given_class = isinstance(law, type) and issubclass(law, Law)
+        if law is not None and not given_class and not KINDS[kind].needs_law:
+            raise ct.ControlArgument(f"law= is for kind 'custom' only (and 'tabulated'), not for {kind!r}")
         store = object.__setattr__
         store(self, "kind", kind)
         store(self, "place", place)
@@ -126,7 +122,7 @@ class Effect:
 
     def _check_values(self) -> None:
         coefficients = self.coefficients
-        constants = tuple(self.spec.constants)
+        constants = self.spec.adjustable
         allowed = {"start": coefficients, "fixed": coefficients + constants, "prior": coefficients}
         for argument, names in allowed.items():
             values: dict[str, float] = getattr(self, "_" + argument)
@@ -165,10 +161,7 @@ class Effect:
     def _found(self, law: Any) -> Law:
         if isinstance(law, type):
             return instance_of(law)
-        if law is None:
-            return KINDS[self.kind]
-        names = tuple(self._start)
-        return custom_law(law, () if set(names) <= {"scale"} else names)
+        return KINDS[self.kind].of(law, tuple(self._start), f"{self.kind} effect at {self.place}")
 
     @property
     def start(self) -> dict[str, float]:

@@ -144,6 +144,8 @@ class Law:
         Width over which a jump or a root is smoothed, as a share of the rms velocity; None for none.
     secant : bool
         Whether its effect is a difference from where it starts: it has no value at which it is absent.
+    needs_law : bool
+        Whether the user hands over what it is: a function, a table.
     along_motion : bool
         Whether it is a force (or a change of a signal) along a known motion.
     delays : bool
@@ -182,6 +184,7 @@ class Law:
     turns: ClassVar[bool] = False
     width_share: ClassVar[float | None] = None
     secant: ClassVar[bool] = False
+    needs_law: ClassVar[bool] = False
     along_motion: ClassVar[bool] = True
     delays: ClassVar[bool] = False
     of_record: ClassVar[bool] = False
@@ -212,6 +215,15 @@ class Law:
     def checked(self) -> Law:
         """The law, if its parts fit each other."""
         return self
+
+    def of(self, law: Any, names: tuple[str, ...], label: str) -> Law:
+        """The law of what the user handed over, where it `needs_law`; `names` are those given a start."""
+        return self
+
+    @property
+    def adjustable(self) -> tuple[str, ...]:
+        """Constants that ``Effect(..., fixed=...)`` may set."""
+        return tuple(self.constants)
 
     @property
     def shaping(self) -> frozenset[str]:

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_lyapunov
 
 from ..jit import compiled
 from ..systems.linear import Array
@@ -37,14 +38,24 @@ class Smoothed:
     reset: NDArray[np.uint8]
 
     @cached_property
-    def states(self) -> Array:
-        """States by all samples, shape (N, n)."""
+    def _back(self) -> Array:
         # least squares: a state without process noise has no predicted covariance to divide by
         after = self.F @ self.steady.filtered.T
-        back = np.linalg.lstsq(self.steady.predicted.T, after, rcond=1e-12)[0].T
+        return np.ascontiguousarray(np.linalg.lstsq(self.steady.predicted.T, after, rcond=1e-12)[0].T)
+
+    @cached_property
+    def states(self) -> Array:
+        """States by all samples, shape (N, n)."""
         states = self.filtered.copy()
-        _backwards(np.ascontiguousarray(back), self.predicted, self.reset, states)
+        _backwards(self._back, self.predicted, self.reset, states)
         return states
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Of the states by all samples, far from both ends, shape (n, n)."""
+        steady, back = self.steady, self._back
+        found = solve_discrete_lyapunov(back, steady.filtered - back @ steady.predicted @ back.T)
+        return np.asarray(found)
 
     @cached_property
     def power(self) -> float:

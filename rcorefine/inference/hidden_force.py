@@ -20,7 +20,9 @@ _MEMORY = (3.0, 12.0, 50.0)  # samples for which it lasts, tried too
 _TRIED_ON = 1000  # samples
 
 
-def estimated_force(model: Refinement, noise: Array, port: Port, record: Measurement) -> tuple[Array, Array]:
+def estimated_force(
+    model: Refinement, noise: Array, port: Port, record: Measurement
+) -> tuple[Array, Array, float]:
     """Force at a port and the motion, from the record and the model as it is, without any law.
 
     The force is one more state of a Kalman smoother, driven by noise; how strongly, and how
@@ -43,6 +45,8 @@ def estimated_force(model: Refinement, noise: Array, port: Port, record: Measure
         Resisting force.
     states : ndarray, shape (n, N)
         States of the linear model.
+    std : float
+        Standard deviation of the force, far from both ends of the record.
     """
     linear = LinearModel.from_statespace(model.system)
     n = linear.n_states
@@ -70,10 +74,12 @@ def estimated_force(model: Refinement, noise: Array, port: Port, record: Measure
         runs += [_Walk(F, C, R, y.T, drive, share * unit) for share in _LEVELS]
     likelihoods = [run.smoothed(_TRIED_ON).log_likelihood for run in runs]
     if not np.isfinite(likelihoods).any():
-        return np.zeros(record.n_samples), np.zeros((n, record.n_samples))
+        return np.zeros(record.n_samples), np.zeros((n, record.n_samples)), np.inf
     best = runs[int(np.nanargmax(likelihoods))]
-    states = (best.smoothed().states * best.size).T
-    return states[n], states[:n]
+    smoothed = best.smoothed()
+    states = (smoothed.states * best.size).T
+    std = best.size[n] * np.sqrt(max(smoothed.covariance[n, n], 0.0))
+    return states[n], states[:n], float(std)
 
 
 class _Walk(NamedTuple):

@@ -10,7 +10,6 @@ import numpy as np
 
 from ..arguments import as_texts
 from ..effects.bodies import Mass
-from ..effects.custom import Custom
 from ..effects.dampers import Damping
 from ..effects.effect import Effect
 from ..effects.entries import Entry
@@ -87,10 +86,11 @@ def effect_library(
     for kind in asked or ():
         if kind not in KINDS:
             raise ct.ControlArgument(f"unknown kind of effect {kind!r}; the kinds are {', '.join(KINDS)}")
-    if asked is not None and Custom.name in asked:
-        raise ct.ControlArgument(
-            "a custom effect needs its law; make it with Effect('custom', place, law=...)"
-        )
+    for kind in asked or ():
+        if KINDS[kind].needs_law:
+            raise ct.ControlArgument(
+                f"a {kind} effect needs its law; make it with Effect({kind!r}, place, law=...)"
+            )
     wanted = _names("places", places)
     for place in wanted or ():
         if place not in physical.places:
@@ -130,7 +130,7 @@ def _at_ports(physical: PhysicalModel, asked: tuple[str, ...] | None) -> list[Ef
     candidates: list[tuple[Port, str]] = []
     for port in physical.ports:
         for law in KINDS.values():
-            if port.kind not in law.where or law.name == Custom.name:
+            if port.kind not in law.where or law.needs_law:
                 continue
             if "position" in law.needs and not port.has_position:
                 continue

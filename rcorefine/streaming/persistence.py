@@ -16,6 +16,7 @@ from ..arguments import as_mapping, as_path
 from ..effects.custom import Custom
 from ..effects.effect import Effect
 from ..effects.origin import import_path, imported
+from ..effects.tabulated import Table
 from ..exceptions import DataError, ModelError
 from ..models.parameters import NominalParameter
 from ..models.physical_model import PhysicalModel
@@ -38,7 +39,7 @@ _KINDS: dict[str, Any] = {
     kind.__name__: kind
     for kind in (
         LinearModel, PhysicalModel, NominalParameter, Port, CoefficientMemory, CoefficientRecord,
-        Design, Plant, Record, Stage, Memory, Tuned, Scales, Frozen, FilterBankMemory,
+        Design, Plant, Record, Stage, Memory, Tuned, Scales, Frozen, FilterBankMemory, Table,
     )
 }  # fmt: skip
 _NOT_STORED = {"kernel"}  # made anew from the other fields
@@ -127,7 +128,7 @@ def _arguments(effect: Effect) -> dict[str, Any]:
         "fixed": effect.fixed,
         "prior": effect.prior,
         "name": effect.name,
-        "law": import_path(effect),
+        "law": effect.law if isinstance(effect.law, Table) else import_path(effect),
     }
 
 
@@ -141,7 +142,9 @@ def _decoded(tree: Any, arrays: dict[str, Any], laws: Mapping[str, Callable[...,
     if "effect" in tree:
         arguments = _decoded(tree["effect"], arrays, laws)
         path = arguments.pop("law", "")
-        if path or arguments["kind"] == Custom.name:
+        if isinstance(path, Table):
+            arguments["law"] = path
+        elif path or arguments["kind"] == Custom.name:
             label = arguments["name"] or f"{arguments['kind']} at {arguments['place']}"
             if label not in laws and not path:
                 raise ModelError(

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.signal import welch
 
 from ..data.measurement import Measurement
+from ..diagnosis.hidden_force import HiddenForce
 from ..diagnosis.result import Diagnosis
 from ..effects.along_motion import unit_forces
 from ..engine.simulation import simulate
-from ..inference.hidden_force import estimated_force
 from ..systems.linear import Array
 from .figures import MEASURED, Frame, draws, plain, style, unit_text
 from .refinement import estimates_table
@@ -30,7 +30,9 @@ def diagnosis_told(found: Diagnosis) -> Told:
     title = f"Diagnosis: {found.verdict}"
     if found.floated is not None:
         return above, estimates_table(found.parameters, title, found.sentences()), []
-    headers = ["effect", "coefficient", "std", "fit %", "p-value", "probability"]
+    headers = ["effect", "coefficient", "std", "fit %", "p-value"]
+    named = found.verdict != "unexplained"  # no probability for what fails its own tests
+    headers += ["probability"] if named else []
     rows = []
     for row in found.ranking[:_SHOWN]:
         first = next(iter(row.coefficients))
@@ -41,9 +43,13 @@ def diagnosis_told(found: Diagnosis) -> Told:
                 f"{row.std[first]:.2g}",
                 f"{row.fit_after:.2f}",
                 f"{row.p_value:.1e}",
-                f"{row.probability:.3f}",
+                *([f"{row.probability:.3f}"] if named else []),
             ]
         )
+    if rows and named:
+        rows.append(["none of these", "", "", "", "", f"{found.none_of_these:.3f}"])
+    if found.open_law is not None:
+        rows.append([found.open_law.effect.label[:38], "", "", f"{found.open_law.fit_after:.2f}", ""])
     return above, Table(headers, rows, title, found.sentences()), []
 
 
@@ -63,8 +69,10 @@ def plot_diagnosis(found: Diagnosis, frame: Frame) -> ct.ControlPlot:
 
 
 def _title(found: Diagnosis) -> str:
-    if found.best is None or found.verdict == "adequate":
+    if found.best is None or found.place is None or found.verdict == "adequate":
         return f"Diagnosis: {found.verdict}"
+    if found.verdict == "unexplained":
+        return f"Diagnosis: {found.verdict} (at {found.place}, probability {found.places[found.place]:.2f})"
     return f"Diagnosis: {found.verdict} ({found.best.effect.label}, probability {found.best.probability:.2f})"
 
 
@@ -79,7 +87,7 @@ def _ranking(ax: Any, found: Diagnosis) -> list[Any]:
     line = ax.axvline(before, color=style(0).color, ls="--", lw=1.4, label="model as it is")
     for y, row, value in zip(where, rows, loss, strict=True):
         ax.annotate(
-            f"P = {row.probability:.2f}",
+            "" if found.verdict == "unexplained" else f"P = {row.probability:.2f}",
             (value, y),
             xytext=(4, 0),
             textcoords="offset points",
@@ -113,29 +121,22 @@ def _tests(ax: Any, found: Diagnosis) -> list[Any]:
 
 
 def _force(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
-    best = found.best
-    port = None
-    if best is not None:
-        port = next((p for p in best.refinement.physical_model.ports if p.name == best.effect.place), None)
-    if best is None or port is None:
-        said = (
-            "no law is missing" if best is None else f"{best.effect.label}\nis in the signal path: no force"
-        )
+    best, hidden = found.best, found.hidden_force
+    if best is None or hidden is None:
+        said = "no law is missing" if best is None else f"{found.place}\nis in the signal path: no force"
         ax.text(0.5, 0.5, said, ha="center", va="center", transform=ax.transAxes)
         ax.set_axis_off()
         return []
-    force, states = estimated_force(found.base, best.refinement.rmse, port, record)
-    d = port.position @ states + port.position_input @ record.inputs
-    v = port.velocity @ states + port.velocity_input @ record.inputs
     along_d = "position" in best.effect.spec.needs
-    motion = d if along_d else v
-    unit = port.position_unit if along_d else port.velocity_unit
-    what = "displacement" if along_d else "motion" if port.kind == "first_order" else "velocity"
+    motion = hidden.d if along_d else hidden.v
+    unit = hidden.position_unit if along_d else hidden.velocity_unit
+    first_order = not np.any(hidden.d)
+    what = "displacement" if along_d else "motion" if first_order else "velocity"
     skip = max(record.n_samples // 50, 1)
     inner = slice(skip, -skip)
-    law = _law(found, d, v, motion, record.inputs)
+    law, label = _law(found, hidden, motion, record.inputs)
     # a constant force passes for the offset: the estimate has none, the law's is put in its place
-    force = force - force[inner].mean() + (0.0 if law is None else float(np.mean(law[1])))
+    force = hidden.force - hidden.force[inner].mean() + (0.0 if law is None else float(np.mean(law[1])))
     points = ax.plot(
         motion[inner],
         force[inner],
@@ -156,28 +157,32 @@ def _force(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
     if law is not None:
         x, y = law
         look = style(1)
-        points += ax.plot(x, y, color=look.color, ls=look.linestyle, lw=2, label=best.effect.label)
-    ax.set_xlabel(unit_text(f"{what} at {port.name}", unit))
-    ax.set_ylabel(unit_text("hidden resisting force", port.force_unit))
+        points += ax.plot(x, y, color=look.color, ls=look.linestyle, lw=2, label=label)
+    ax.set_xlabel(unit_text(f"{what} at {hidden.place}", unit))
+    ax.set_ylabel(unit_text("hidden resisting force", hidden.force_unit))
     ax.set_title("What the record says about the force")
     return list(points)
 
 
-def _law(found: Diagnosis, d: Array, v: Array, motion: Array, w: Array) -> tuple[Array, Array] | None:
+def _law(
+    found: Diagnosis, hidden: HiddenForce, motion: Array, w: Array
+) -> tuple[tuple[Array, Array] | None, str]:
+    """Force of the law along the motion, in the order of the motion, and its name."""
     assert found.best is not None
     effect, values = found.best.effect, dict(found.best.coefficients)
+    if found.open_law is not None:
+        effect, values = found.open_law.effect, {"scale": 1.0}
     order = np.argsort(motion, kind="stable")
-    shape = {**values, **effect.fixed}
-    columns = unit_forces(effect, d, v, [shape], w)
+    columns = unit_forces(effect, hidden.d, hidden.v, [{**values, **effect.fixed}], w)
     levels = [
         values.get(n, effect.fixed.get(n, 0.0)) for n in effect.coefficients if n not in effect.spec.shaping
     ]
     if columns is None or len(columns) != len(levels):
-        return None
+        return None, effect.label
     force = np.sum([level * column for level, column in zip(levels, columns, strict=True)], axis=0)
-    if effect.spec.inner_states:
-        return motion, force
-    return motion[order], force[order]
+    if effect.spec.inner_states or len(effect.spec.needs) > 1:  # no curve over one signal
+        return (motion, force), effect.label
+    return (motion[order], force[order]), effect.label
 
 
 def _residuals(axes: Any, found: Diagnosis, record: Measurement) -> tuple[list[Any], list[Any]]:

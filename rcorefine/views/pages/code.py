@@ -14,6 +14,7 @@ from ...data.frequency_response import FrequencyResponse
 from ...data.measurement import Measurement
 from ...effects.effect import Effect
 from ...effects.origin import import_path, module_of
+from ...effects.tabulated import Table
 from ...inference.refinement import Refinement
 from ...models.conversion import as_physical
 from ...models.parameters import NominalParameter
@@ -113,7 +114,7 @@ def comment(text: str) -> str:
 
 
 def _effect(effect: Effect) -> str:
-    path = import_path(effect)
+    path = f"rco.{effect.law!r}" if isinstance(effect.law, Table) else import_path(effect)
     if (effect.law is not None and not path) or path.startswith("__main__"):
         raise TypeError(f"the law of {effect.label} is a function of yours")
     given = {"start": effect.start, "fixed": effect.fixed, "prior": effect.prior, "name": effect.name}
@@ -265,7 +266,7 @@ def script(*blocks: Sequence[str]) -> str:
         body = body.replace(f"{model}\n\n", "")
     if "FrequencyResponse.from_frd" in body:
         own.append("from rcorefine.data.frequency_response import FrequencyResponse")
-    own += sorted({f"import {module_of(path)}" for path in re.findall(r"\blaw=([\w.]+)", body)})
+    own += sorted({f"import {module_of(path)}" for path in re.findall(r"\blaw=(?!rco\.)([\w.]+)", body)})
     standard = "from hashlib import sha256\n\n" if "sha256(" in body else ""
     outside = [
         line

@@ -1,0 +1,89 @@
+"""The force that a model lacks at a place, over the record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Unpack
+
+import control as ct
+
+from ..data.measurement import Measurement
+from ..exceptions import MissingExtraError
+from ..inference.hidden_force import estimated_force
+from ..inference.refinement import Refinement
+from ..models.ports import Port
+from ..results import Look, Result, picture, show
+from ..systems.linear import Array
+
+__all__ = ["HiddenForce", "hidden_force"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HiddenForce(Result):
+    """The force that a model lacks at a port, from the record and the model, without any law.
+
+    Attributes
+    ----------
+    place : str
+        Port.
+    timepts : ndarray, shape (N,)
+        Time in s.
+    d, v : ndarray, shape (N,)
+        Displacement and velocity there, 0 where the port senses none.
+    force, std : ndarray, shape (N,)
+        Resisting force and its standard deviation. Its mean is no part of the estimate: it
+        passes for the offset.
+    position_unit, velocity_unit, force_unit : str
+        Units, "" where unknown.
+    """
+
+    place: str
+    timepts: Array
+    d: Array
+    v: Array
+    force: Array
+    std: Array
+    position_unit: str = ""
+    velocity_unit: str = ""
+    force_unit: str = ""
+
+    def to_dataframe(self) -> Any:
+        """The columns d, v, force and std over time.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        MissingExtraError
+            If pandas is not installed.
+        """
+        try:
+            import pandas as pd
+        except ImportError as error:
+            raise MissingExtraError(
+                'to_dataframe needs pandas; install the extra: pip install "rcorefine[pandas]"'
+            ) from error
+        columns = {name: getattr(self, name) for name in ("d", "v", "force", "std")}
+        return pd.DataFrame(columns, index=pd.Index(self.timepts, name="time"))
+
+    @picture
+    def plot(self, **options: Unpack[Look]) -> ct.ControlPlot:
+        """Force over time with two standard deviations, and against displacement and velocity.
+
+        Returns
+        -------
+        ControlPlot
+        """
+        return show(self, "plot", **options)
+
+
+def hidden_force(model: Refinement, noise: Array, port: Port, record: Measurement) -> HiddenForce:
+    """Estimate the force at a port over a record; see `estimated_force`."""
+    force, states, std = estimated_force(model, noise, port, record)
+    d = port.position @ states + port.position_input @ record.inputs
+    v = port.velocity @ states + port.velocity_input @ record.inputs
+    spread = 0.0 * force + std
+    units = (port.position_unit, port.velocity_unit, port.force_unit)
+    return HiddenForce(port.name, record.timepts, d, v, force, spread, *units)

@@ -1,0 +1,273 @@
+"""None of these: a force without a law against every winner, and what is known where it wins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..effects.along_motion import unit_forces
+from ..effects.effect import Effect
+from ..effects.tabulated import Table, Tabulated
+from ..inference.fitted import FittedModel
+from ..inference.free_form import Curve, Evidence, FreeForm, curve_responses, evidence, fit_free_form
+from ..inference.sensitivities import force_responses
+from ..inference.whitening import FTest, project
+from ..systems.linear import Array
+from .residual_tests import TestedResidual
+from .verdict import probabilities as softmax
+
+if TYPE_CHECKING:
+    from .candidate_fits import CandidateFits
+
+__all__ = ["FreeForces", "OpenLaw", "free_form_test", "open_law", "probabilities"]
+
+_NAME = "law open, tabulated"
+_NESTED = (1, 2, 4, 8, 16)  # leading directions of the curve that are tested together
+_SEEN = 1e-10  # of the largest: what a direction must move the output to be one
+_PLACES = 3  # at which a curve is fitted
+_RADII = (0.1, 0.25, 0.5, 0.8)  # of plays, over the rms displacement
+_SPEAKS = 1e-4  # p-value below which memory, or time, is said to act
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenLaw:
+    """A force at a place that no candidate explains, as a table.
+
+    Attributes
+    ----------
+    effect : Effect
+        The table at its place.
+    fit_after : float
+        Fit in percent of the model with it, the mean over the outputs.
+    nearest : tuple of (Effect, float)
+        Laws at the place, and how much of the tabulated force each explains, in percent of its
+        mean square.
+    beyond : str
+        What the force is beside a function of position and velocity, in a sentence; "" for nothing.
+    rmse : ndarray, shape (n_y,)
+        What is left of each output.
+    """
+
+    effect: Effect
+    fit_after: float
+    nearest: tuple[tuple[Effect, float], ...]
+    beyond: str
+    rmse: Array
+
+
+def free_form_test(battery: TestedResidual, place: str) -> tuple[FTest, Evidence] | None:
+    """Whether a free force at a place explains what a model leaves there.
+
+    Parameters
+    ----------
+    battery : TestedResidual
+        Residual of the model.
+    place : str
+        Where its effect sits.
+
+    Returns
+    -------
+    test : FTest
+        The smallest p-value of nested sets of directions, times their number.
+    evidence : Evidence
+        For such a force beside the model's own.
+
+    Notes
+    -----
+    All knots at once would have little power against a law that is nearly right. The directions
+    in which a smooth curve would move the output most, those of the fitted coefficients taken
+    out, are tested first: the smooth test of Neyman (Skandinavisk Aktuarietidskrift 20 (1937)
+    149) in an order that follows from the motion alone.
+    """
+    fitted, ratio = battery.fitted, battery.ratio
+    curve = _curve(fitted, place, ratio)
+    if curve is None:
+        return None
+    columns = project(battery.whiten(curve_responses(fitted, curve, ratio)), battery.basis) @ curve.root
+    if not np.isfinite(columns).all() or not columns.any():
+        return None
+    columns = columns / np.linalg.norm(columns)
+    values, vectors = np.linalg.eigh(columns.T @ columns)
+    kept = values > _SEEN * values[-1]
+    directions = columns @ vectors[:, kept][:, ::-1]
+    counts = [k for k in _NESTED if k < directions.shape[1]] + [directions.shape[1]]
+    tests = [battery.of_white(f"free force at {place}", directions[:, :k]) for k in counts]
+    best = min(tests, key=lambda t: t.p_value)
+    p, p_equal = (min(1.0, len(tests) * value) for value in (best.p_value, min(t.p_equal for t in tests)))
+    test = FTest(best.name, best.statistic, best.dof, p, best.gain, p_equal)
+    return test, evidence(battery.left, columns)
+
+
+def _curve(fitted: FittedModel, place: str, ratio: float) -> Curve | None:
+    """Knots at a port, None where the place is none or nothing moves."""
+    if place not in [port.name for port in fitted.structure.model.ports]:
+        return None
+    d, v = _motion(fitted, place, ratio)
+    if not (np.isfinite(d).all() and np.isfinite(v).all()):
+        return None
+    return Curve.along(place, d, v)
+
+
+def _motion(fitted: FittedModel, place: str, ratio: float) -> tuple[Array, Array]:
+    """Displacement and velocity at a port over all records."""
+    motions = [fitted.port(place, ratio, i) for i in range(len(fitted.problem.records))]
+    return np.concatenate([d for d, _ in motions]), np.concatenate([v for _, v in motions])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FreeForces:
+    """Free forces at the likeliest places.
+
+    Attributes
+    ----------
+    log_likelihoods : dict
+        By place, the freedom paid, in the metric of the candidates.
+    law : OpenLaw or None
+        At the likeliest place; None where a candidate that is no force at a port is likelier.
+    """
+
+    log_likelihoods: dict[str, float]
+    law: OpenLaw | None
+
+
+def open_law(race: CandidateFits) -> FreeForces:
+    """Fit free forces to a record that no candidate explains.
+
+    Parameters
+    ----------
+    race : CandidateFits
+        Candidates, none of which passes.
+
+    Returns
+    -------
+    FreeForces
+    """
+    places = list(dict.fromkeys(rival.effect.place for rival in race.rivals))
+    found: dict[str, FreeForm] = {}
+    for place in places[:_PLACES]:
+        led = race.ratio or 1.0  # an observer of high gain follows the motion of the record
+        curve = _curve(race.fitted, place, led)
+        if curve is not None:
+            start = np.zeros(len(curve.root))
+            found[place] = fit_free_form(race.fitted, curve, start, race.whitener, race.ratio)
+    free = {place: form.log_likelihood(race.whitener, race.ratio) for place, form in found.items()}
+    best = max(free, key=lambda place: free[place], default="")
+    ahead = [
+        r for r in race.rivals if r.effect.place not in free and r.log_likelihood > free.get(best, -np.inf)
+    ]
+    return FreeForces(free, _tabulated(race, found[best]) if found and not ahead else None)
+
+
+def probabilities(
+    race: CandidateFits, beside: Evidence | None, free: FreeForces | None
+) -> tuple[list[float], float, dict[str, float]]:
+    """Probabilities of the candidates, of none of these, and of the places.
+
+    Parameters
+    ----------
+    race : CandidateFits
+        Candidates, the best one first.
+    beside : Evidence or None
+        For a free force beside the best one. Its size is one coefficient more, and costs as one.
+    free : FreeForces or None
+        Free forces in place of the candidates, where none passes.
+
+    Returns
+    -------
+    shares : list of float
+        Of the candidates.
+    none : float
+        Of none of these; all sum to one.
+    places : dict
+        Of each place, the most probable first; they sum to one.
+    """
+    logs = [(rival.effect.place, rival.log_likelihood) for rival in race.rivals]
+    here, top = logs[0]
+    if beside is not None:
+        logs.append((here, top + beside.gain - 0.5 * float(np.log(race.fitted.problem.n_points))))
+    if free is not None:
+        logs += free.log_likelihoods.items()
+    weights = softmax([value for _, value in logs])
+    shares: dict[str, float] = {}
+    for (place, _), weight in zip(logs, weights, strict=True):
+        shares[place] = shares.get(place, 0.0) + float(weight)
+    n = len(race.rivals)
+    ordered = dict(sorted(shares.items(), key=lambda item: -item[1]))
+    return weights[:n].tolist(), float(weights[n:].sum()), ordered
+
+
+def _tabulated(race: CandidateFits, form: FreeForm) -> OpenLaw:
+    fitted, place = form.fitted, form.curve.place
+    table = form.table
+    if "offset" in race.fitted.refinement.roles:  # which holds any constant: the force is 0 at rest
+        rest = [np.clip(0.0, min(x, default=0.0), max(x, default=0.0)) for x in (table.d, table.v)]
+        table = Table(table.d, table.v, np.array(table.force) - table(*rest))
+    effect = Effect(Tabulated.name, place, law=table, name=f"{_NAME} at {place}")
+    errors = np.concatenate([r / fitted.problem.weights[:, None] for r in fitted.residuals()], axis=1)
+    measured = np.concatenate([r.outputs for r in fitted.problem.records], axis=1)
+    spread = np.linalg.norm(measured - measured.mean(axis=1, keepdims=True), axis=1)
+    fit = 100.0 * (1.0 - np.linalg.norm(errors, axis=1) / np.where(spread > 0, spread, np.inf))
+    rmse = np.sqrt(np.mean(errors**2, axis=1))
+    return OpenLaw(effect, float(np.mean(fit)), _nearest(race, form), _beyond(form, race.ratio), rmse)
+
+
+def _nearest(race: CandidateFits, form: FreeForm) -> tuple[tuple[Effect, float], ...]:
+    """How much of the tabulated force each law at the place explains along the motion, in percent."""
+    d, v = _motion(form.fitted, form.curve.place, race.ratio)
+    force = form.table(d, v)
+    force = force - force.mean()
+    w = np.concatenate([record.inputs for record in form.fitted.problem.records], axis=1)
+    rows = []
+    for i, rival in enumerate(race.rivals):
+        if rival.effect.place != form.curve.place:
+            continue
+        shape = {
+            q.name: q.coefficient for q in race.model(i).refinement.parameters[race.fitted.problem.n_theta :]
+        }
+        columns = unit_forces(rival.effect, d, v, [shape], w)
+        if columns:
+            F = np.column_stack(columns)
+            F = F - F.mean(axis=0)
+            left = force - F @ np.linalg.lstsq(F, force, rcond=1e-10)[0]
+            rows.append((rival.effect, 100.0 * (1.0 - float(left @ left) / float(force @ force))))
+    return tuple(sorted(rows, key=lambda row: -row[1]))
+
+
+def _beyond(form: FreeForm, ratio: float) -> str:
+    """What a force is that no function of position and velocity explains."""
+    fitted, place = form.fitted, form.curve.place
+    battery = TestedResidual(fitted, ratio)
+    said = {
+        "it remembers": _played,
+        "it changes with time": _slow,
+    }
+    best: tuple[float, str] = (_SPEAKS, "")
+    for words, make in said.items():
+        blocks = []
+        for i in range(len(fitted.problem.records)):
+            forces = [(place, column) for column in make(*fitted.port(place, ratio, i))]
+            blocks.append(force_responses(fitted, i, forces, fitted.gain(ratio)))
+        best = min(best, (battery.test(words, blocks).p_value, words))
+    return f"The force at {place} is no function of position and velocity: {best[1]}." if best[1] else ""
+
+
+def _played(d: Array, v: Array) -> list[Array]:
+    """Plays of several radii: what any hysteresis of Prandtl and Ishlinskii is made of."""
+    rms = float(np.std(d))
+    found = []
+    for radius in (share * rms for share in _RADII):
+        z, columns = 0.0, np.empty(d.size)
+        for k, x in enumerate(d):
+            z = min(max(z, x - radius), x + radius)
+            columns[k] = z
+        found.append(columns)
+    return found if rms > 0 else [np.zeros(d.size)]
+
+
+def _slow(d: Array, v: Array) -> list[Array]:
+    """Stiffness and damping that change over the record."""
+    t = np.linspace(-1.0, 1.0, d.size)
+    shapes = [t, t * t, *(f(k * np.pi * t) for k in (1, 2, 3) for f in (np.sin, np.cos))]
+    return [x * shape for x in (d, v) if np.any(x) for shape in shapes]

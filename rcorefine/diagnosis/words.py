@@ -1,0 +1,112 @@
+"""A diagnosis in words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from .absorbed import numbers_that_moved, what_was_absorbed
+
+if TYPE_CHECKING:
+    from .result import Diagnosis
+
+__all__ = ["sentences"]
+
+_VERDICTS = {
+    "adequate": "Nothing is missing that this record could show.",
+    "parameters": "No law is missing: the numbers of the model are off.",
+    "effect": "What is missing: {best}.",
+    "ambiguous": "This record cannot tell apart: {alike}. Most probable: {best}.",
+    "unexplained": "Something is missing that no candidate explains{where}. Closest: {best}.",
+}
+
+
+def sentences(found: Diagnosis) -> list[str]:
+    """What was found, one sentence each.
+
+    Parameters
+    ----------
+    found : Diagnosis
+        Result.
+
+    Returns
+    -------
+    list of str
+    """
+    alike = ", ".join(effect.label for effect in found.ambiguous)
+    where = "" if found.place is None else f": at {found.place}, with probability {_place(found)}"
+    lines = [_VERDICTS[found.verdict].format(best=_best(found), alike=alike, where=where)]
+    worst = min(found.tests, key=lambda t: t.p_value) if found.tests else None
+    if found.verdict == "adequate":
+        lines = [f"{lines[0]} {what_was_absorbed(found.base)}".rstrip(), *_shown(found)]
+    elif worst is not None:  # without motion nothing could be tested
+        lines += _open_law(found)
+        lines.append(f"The model as it is fails: {worst.name}, p = {worst.p_value:.2g}.")
+        if found.verdict == "unexplained" and found.winner_tests:
+            left = min(found.winner_tests, key=lambda t: t.p_value)
+            lines.append(
+                f"With the best candidate the residual still fails: {left.name}, p = {left.p_value:.2g}."
+            )
+        if found.verdict == "parameters":
+            lines.append(numbers_that_moved(found.parameters))
+        if found.best is not None and found.best.effect.spec.of_record:
+            (share,) = found.best.coefficients.values()
+            lines.append(
+                f"{found.best.effect.explanation} Here that are {100 * share:.3g} %: correct the record, not "
+                "the model."
+            )
+        lines += _columns(found)
+    if found.force_ratio:
+        lines.append(
+            f"The residual speaks of an unmeasured force of about {100 * found.force_ratio:.2g} % of the "
+            "measured one, which is allowed for."
+        )
+    if found.verdict == "ambiguous":
+        lines.append("suggest_experiment() names the record that would tell them apart.")
+    return [*lines, *found.notes]
+
+
+def _place(found: Diagnosis) -> str:
+    return f"{found.places[found.place]:.2f}" if found.place is not None else ""
+
+
+def _shown(found: Diagnosis) -> list[str]:
+    """What no test saw, and what it would have seen."""
+    worst = min(found.tests, key=lambda t: t.p_value) if found.tests else None
+    lines = [
+        f"No test fires at the level {found.significance:g}"
+        + (f" (smallest p-value {worst.p_value:.2g}, {worst.name})." if worst else ".")
+    ]
+    if found.detectable:
+        shown = ", ".join(f"{d.effect.label} {d.smallest:.3g} {d.unit}".strip() for d in found.detectable[:4])
+        lines.append(f"It would have shown, with 95 % probability: {shown}.")
+    return lines
+
+
+def _open_law(found: Diagnosis) -> list[str]:
+    """What is known of a force that follows none of the laws."""
+    law = found.open_law
+    if law is None:
+        return []
+    lines = [f"law() tabulates the force: fit {found.ranking[0].fit_before:.4g} -> {law.fit_after:.4g} %."]
+    near = ", ".join(f"{effect.label} {max(share, 0):.0f} %" for effect, share in law.nearest[:3])
+    lines += [f"Of that force explain: {near}."] if near else []
+    return lines + ([law.beyond] if law.beyond else [])
+
+
+def _columns(found: Diagnosis) -> list[str]:
+    """What the columns of the ranking mean."""
+    if found.best is None:
+        return []
+    said = "p is the chance of such a score with nothing missing; "
+    if found.verdict != "unexplained":
+        said += "probability compares the candidates with each other and with none of them; "
+    return [said + "std is one standard deviation of the coefficient."]
+
+
+def _best(found: Diagnosis) -> str:
+    if found.best is None:
+        return "nothing"
+    row = found.best
+    values = ", ".join(f"{value:.4g} +/- {row.std[name]:.2g}" for name, value in row.coefficients.items())
+    sure = "" if found.verdict == "unexplained" else f", probability {row.probability:.2f}"
+    return f"{row.effect.label} ({values}): fit {row.fit_before:.4g} -> {row.fit_after:.4g} %{sure}"

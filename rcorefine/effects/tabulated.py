@@ -1,0 +1,183 @@
+"""A force without a law: values at knots, what lies between them interpolated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from types import MappingProxyType
+from typing import Any
+
+import control as ct
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..arguments import as_array
+from ..exceptions import ModelError
+from ..jit import compiled_law, number_at
+from ..systems.linear import Array
+from .formula import PortLaw
+from .law import Coefficient, register
+
+__all__ = ["Table", "Tabulated"]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A force at knots of displacement and velocity; bilinear between them, and beyond them as at the edge.
+
+    Parameters
+    ----------
+    d, v : array_like, shape (n_d,) and (n_v,)
+        Knots in rising order, in units of the port; none or one where the force does not depend on it.
+    force : array_like, shape (n_d, n_v)
+        Resisting force at each pair of knots; one-dimensional where there are knots of one signal only.
+
+    Raises
+    ------
+    ModelError
+        If the knots do not rise, a number is not finite, or the sizes disagree.
+
+    Examples
+    --------
+    >>> import rcorefine as rco
+    >>> spring = rco.Table(d=[-0.1, 0.0, 0.2], force=[-2.0, 0.0, 10.0])
+    >>> spring([0.1, 0.3], 0.0)
+    array([ 5., 15.])
+    >>> rco.Effect("tabulated", "link1", law=spring).label
+    'tabulated at link1'
+    """
+
+    d: tuple[float, ...]
+    v: tuple[float, ...]
+    force: tuple[tuple[float, ...], ...]
+
+    def __init__(self, d: ArrayLike = (), v: ArrayLike = (), force: ArrayLike = ()) -> None:
+        knots = {
+            name: as_array(x, f"{name} of a table", error=ModelError) for name, x in (("d", d), ("v", v))
+        }
+        values = as_array(force, "force of a table", error=ModelError)
+        size = tuple(max(each.size, 1) for each in knots.values())
+        for name, each in knots.items():
+            if each.ndim != 1 or np.any(np.diff(each) <= 0):
+                raise ModelError(f"the knots {name} of a table must be a list of rising numbers, not {each}")
+        if values.size != size[0] * size[1] or (values.ndim == 2 and values.shape != size):
+            raise ModelError(f"force of a table has shape {values.shape}; its knots ask for {size}")
+        store = object.__setattr__
+        for name, each in knots.items():
+            store(self, name, tuple(each.tolist()))
+        store(self, "force", tuple(map(tuple, values.reshape(size).tolist())))
+
+    def __call__(self, d: ArrayLike, v: ArrayLike) -> Array:
+        """Force along a motion.
+
+        Parameters
+        ----------
+        d, v : array_like
+            Displacement and velocity.
+
+        Returns
+        -------
+        ndarray
+        """
+        d, v = np.broadcast_arrays(np.asarray(d, dtype=float), np.asarray(v, dtype=float))
+        i, p = _cells(np.array(self.d), d)
+        j, q = _cells(np.array(self.v), v)
+        force = np.pad(np.array(self.force), ((0, 1), (0, 1)), mode="edge")
+        low = (1 - q) * force[i, j] + q * force[i, j + 1]
+        high = (1 - q) * force[i + 1, j] + q * force[i + 1, j + 1]
+        return np.asarray((1 - p) * low + p * high)
+
+
+def _cells(knots: Array, x: Array) -> tuple[Any, Array]:
+    """Cell of each value, and how far into it; the outer cells go on beyond the knots."""
+    if knots.size < 2:
+        return np.zeros(x.shape, dtype=int), np.zeros(x.shape)
+    cell = np.clip(np.searchsorted(knots, x, side="right") - 1, 0, knots.size - 2)
+    return cell, (x - knots[cell]) / (knots[cell + 1] - knots[cell])
+
+
+@compiled_law
+def _cell(table, first, n, x):  # type: ignore[no-untyped-def]
+    """Cell of x among n knots from `first` on, how far into it, and one over its width."""
+    if n < 2:
+        return 0, 0.0, 0.0
+    i = 0
+    while i < n - 2 and x >= number_at(table, first + i + 1):
+        i += 1
+    low = number_at(table, first + i)
+    rate = 1.0 / (number_at(table, first + i + 1) - low)
+    return i, (x - low) * rate, rate
+
+
+@compiled_law
+def _looked_up(d, v, where):  # type: ignore[no-untyped-def]
+    """Force of the table at an address, and its slopes."""
+    table = int(where)
+    n, m = int(number_at(table, 0)), int(number_at(table, 1))
+    i, p, p_rate = _cell(table, 2, n, d)
+    j, q, q_rate = _cell(table, 2 + n, m, v)
+    at = 2 + n + m + i * m + j
+    down, right = m if n > 1 else 0, 1 if m > 1 else 0
+    a, b = number_at(table, at), number_at(table, at + right)
+    c, e = number_at(table, at + down), number_at(table, at + down + right)
+    low, high = a + q * (b - a), c + q * (e - c)
+    across = (b - a) + p * ((e - c) - (b - a))
+    return low + p * (high - low), p_rate * (high - low), q_rate * across
+
+
+@register
+class Tabulated(PortLaw):
+    """A force whose law is open."""
+
+    where = frozenset(["mechanical", "first_order"])
+    coefficients = (Coefficient("scale", "", default_start=1.0, explanation="factor on the tabulated force"),)
+    constants = MappingProxyType({"table": None})
+    formula = "f = t table(d, v)"
+    explanation = "A force acts at {place} whose law is open: its values are tabulated."
+    needs_law = True
+
+    @property
+    def adjustable(self) -> tuple[str, ...]:
+        """None: where the table lies in memory is nothing to set."""
+        return ()
+
+    def of(self, law: Any, names: tuple[str, ...], label: str) -> Tabulated:
+        """The law of a table.
+
+        Raises
+        ------
+        control.ControlArgument
+            If it is none.
+        """
+        if not isinstance(law, Table):
+            raise ct.ControlArgument(f"{label} needs law=, a Table of the force at knots")
+        return _tabulated(law)
+
+    @staticmethod
+    def law(d, v, scale, table):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return scale * _looked_up(d, v, table)[0]
+
+    @staticmethod
+    def slopes(d, v, scale, table):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        force, by_d, by_v = _looked_up(d, v, table)
+        return scale * force, scale * by_d, scale * by_v, force, 0.0
+
+    def __reduce__(self) -> tuple[object, tuple[Any, ...]]:
+        held = vars(self).get("held")
+        return super().__reduce__() if held is None else (_tabulated, (held,))
+
+
+@lru_cache(maxsize=256)
+def _tabulated(table: Table) -> Tabulated:
+    """The law of a table. The kernels take where its numbers lie, as one of its constants."""
+    law: Any = Tabulated()
+    size = [max(len(table.d), 1), max(len(table.v), 1)]
+    knots = [table.d or (0.0,), table.v or (0.0,)]
+    law.held, law.numbers = table, np.concatenate([size, *knots, np.ravel(table.force)])
+    law.constants = {"table": float(law.numbers.ctypes.data)}
+    sensed = [name for name, each in zip(("position", "velocity"), knots, strict=True) if len(each) > 1]
+    law.needs = law.senses = frozenset(sensed)
+    made: Tabulated = law
+    return made

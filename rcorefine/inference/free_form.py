@@ -1,0 +1,276 @@
+"""A force at a place without any law: a free curve in displacement and velocity, priced for its freedom.
+
+The curve is f(d) + g(v) + v h(d), piecewise linear; neighbors are alike, as in a random walk that
+returns. The record says how large it is; what that freedom costs is the evidence (MacKay, Neural
+Computation 4 (1992) 415).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from ..effects.effect import Effect
+from ..effects.tabulated import Table, Tabulated
+from ..engine.structure import Structure
+from ..gauss_newton import Rows, gauss_newton
+from ..systems.linear import Array
+from .fitted import FittedModel
+from .problem import Problem
+from .sensitivities import force_responses
+from .whitening import Whitener, project, rank_basis
+
+__all__ = ["Curve", "Evidence", "FreeForm", "curve_responses", "evidence", "fit_free_form"]
+
+_LEVELS = (0.0, 0.01, 0.04, 0.12, 0.25, 0.4, 0.6, 0.75, 0.88, 0.96, 0.99, 1.0)  # quantiles where knots stand
+_ALIKE = 2.0  # rms of the motion over which neighbors are alike
+_SIZES = np.logspace(0.0, 10.0, 31)  # variance of the curve over that of the noise, tried
+_ROUNDS = 3
+_EVALUATIONS = 6
+
+
+class Curve(NamedTuple):
+    """Knots of a curve at a port, and what it is made of.
+
+    Attributes
+    ----------
+    place : str
+        Port.
+    d, v : ndarray
+        Knots; empty where the port does not sense it.
+    scale : float
+        Rms velocity, the unit of v h(d).
+    root : ndarray, shape (k, k)
+        Root of the prior covariance of its coefficients, up to their size.
+    """
+
+    place: str
+    d: Array
+    v: Array
+    scale: float
+    root: Array
+
+    @classmethod
+    def along(cls, place: str, d: Array, v: Array) -> Curve:
+        """Knots where a motion d, v (N,) spends its time."""
+        rms = float(np.sqrt(np.mean(v**2))) or 1.0
+        at_d, at_v = _knots(d), _knots(v)
+        blocks = [_alike(x) for x in (at_d, at_v) if x.size]
+        if at_d.size and at_v.size:
+            blocks.append(_alike(at_d))
+        return cls(place, at_d, at_v, rms, np.linalg.cholesky(block_diag(*blocks)))
+
+    def columns(self, d: Array, v: Array) -> Array:
+        """Force (N, k) of a unit of each coefficient along a motion."""
+        hats = [_hats(knots, x) for knots, x in ((self.d, d), (self.v, v)) if knots.size]
+        return np.hstack([*hats, v[:, None] / self.scale * hats[0]] if len(hats) > 1 else hats)
+
+    def table(self, values: Array) -> Table:
+        """The curve as a table."""
+        n, m = self.d.size, self.v.size
+        d, v = (knots if knots.size else np.zeros(1) for knots in (self.d, self.v))
+        at = np.array([(x, y) for x in d for y in v])
+        force = self.columns(at[:, 0], at[:, 1]) @ values
+        return Table(self.d, self.v, force.reshape(max(n, 1), max(m, 1)))
+
+
+def _knots(x: Array) -> Array:
+    """Quantiles of a motion, as far as they differ."""
+    spread = np.ptp(x)
+    if spread <= 1e-9 * max(float(np.abs(x).max(initial=0.0)), 1e-300):
+        return np.zeros(0)
+    knots = np.quantile(x, _LEVELS)
+    keep = np.append(True, np.diff(knots) > 1e-3 * spread)
+    return np.asarray(knots[keep])
+
+
+def _alike(knots: Array) -> Array:
+    """Prior covariance of the values at knots."""
+    rms = float(np.sqrt(np.mean((knots - knots.mean()) ** 2)))
+    return np.exp(-np.abs(knots[:, None] - knots) / (_ALIKE * rms))
+
+
+def _hats(knots: Array, x: Array) -> Array:
+    """Share (N, n) of each knot in a piecewise linear function; the outer ones go on."""
+    i = np.clip(np.searchsorted(knots, x, side="right") - 1, 0, knots.size - 2)
+    share = (x - knots[i]) / (knots[i + 1] - knots[i])
+    hats = np.zeros((x.size, knots.size))
+    rows = np.arange(x.size)
+    hats[rows, i], hats[rows, i + 1] = 1.0 - share, share
+    return hats
+
+
+class Evidence(NamedTuple):
+    """What a residual says of a curve whose size is open.
+
+    Attributes
+    ----------
+    gain : float
+        Log of the evidence for the curve over none, at the likeliest size.
+    variance : float
+        That size: variance of the coefficients in units of their prior.
+    price : float
+        Half the log determinant: what its freedom costs.
+    dof : float
+        Coefficients that the record determines.
+    """
+
+    gain: float
+    variance: float
+    price: float
+    dof: float
+
+
+def evidence(residual: Array, columns: Array) -> Evidence:
+    """Evidence for a normal force of unknown size behind a white residual.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (N,)
+        White, of unit variance.
+    columns : ndarray, shape (N, k)
+        What the coefficients would do, each of unit variance but for the common size.
+
+    Returns
+    -------
+    Evidence
+    """
+    values, vectors = np.linalg.eigh(columns.T @ columns)
+    values = np.maximum(values, 1e-300)
+    along = (vectors.T @ (columns.T @ residual)) ** 2 / values
+    sizes = _SIZES / values[-1]
+    seen = sizes[:, None] * values
+    price = 0.5 * np.sum(np.log1p(seen), axis=1)
+    gain = 0.5 * np.sum(along * seen / (1.0 + seen), axis=1) - price
+    best = int(np.argmax(gain))
+    dof = float(np.sum(seen[best] / (1.0 + seen[best])))
+    return Evidence(float(gain[best]), float(sizes[best]), float(price[best]), dof)
+
+
+@dataclass(eq=False)
+class FreeForm:
+    """A model with a free curve at a place, at its best point.
+
+    Attributes
+    ----------
+    curve : Curve
+        Knots.
+    values : ndarray, shape (k,)
+        Coefficients.
+    fitted : FittedModel
+        Model with the table, its coefficient held.
+    whitener : Whitener
+        Filter of its own residual.
+    penalty : float
+        Twice what prior and freedom cost in log-likelihood.
+    dof : float
+        Coefficients that the record determines.
+    """
+
+    curve: Curve
+    values: Array
+    fitted: FittedModel
+    whitener: Whitener
+    penalty: float
+    dof: float
+
+    @cached_property
+    def table(self) -> Table:
+        """The curve."""
+        return self.curve.table(self.values)
+
+    def log_likelihood(self, whitener: Whitener, ratio: float = 0.0) -> float:
+        """Under a common filter, its freedom paid."""
+        white = whitener.apply(self.fitted.residuals(ratio))
+        return -0.5 * (float(white @ white) + self.penalty)
+
+
+def fit_free_form(
+    fitted: FittedModel, curve: Curve, values: Array, whitener: Whitener, ratio: float = 0.0
+) -> FreeForm:
+    """Fit a free curve together with all that is free in a model.
+
+    Parameters
+    ----------
+    fitted : FittedModel
+        Model without a force there, or where to start.
+    curve : Curve
+        Knots.
+    values : ndarray, shape (k,)
+        Start.
+    whitener : Whitener
+        Metric.
+    ratio : float
+        Unmeasured force to allow for.
+
+    Returns
+    -------
+    FreeForm
+    """
+    point, n, k = fitted.point, fitted.point.size, values.size
+    held = np.sqrt(fitted.problem.precision)
+    mean = np.pad(fitted.problem.prior_mean, (0, n - fitted.problem.n_theta))
+    mean = np.where(held > 0, mean, 0.0)
+    inverse = np.linalg.inv(curve.root)
+    for _ in range(_ROUNDS):
+        model = _with(fitted, curve, point, values)
+        white, J, X = _linear(model, curve, whitener, ratio)
+        basis = rank_basis(np.vstack([J, np.diag(held)]))
+        # what would be left without the curve, and what the curve can do about it
+        both = np.vstack([np.column_stack([white - X @ values, X @ curve.root]), np.zeros((n, 1 + k))])
+        both = project(both, basis)
+        found = evidence(both[:, 0], both[:, 1:])
+        prior = inverse / np.sqrt(found.variance)
+
+        def rows(at: Array, prior: Array = prior, whitener: Whitener = whitener) -> Rows:
+            white, J, X = _linear(_with(fitted, curve, at[:n], at[n:]), curve, whitener, ratio)
+            zeros = np.zeros((n, k))
+            jacobian = np.block([[J, X], [np.diag(held), zeros], [zeros.T, prior]])
+            return Rows(np.concatenate([white, held * (at[:n] - mean), prior @ at[n:]]), jacobian)
+
+        sizes = np.append(fitted.problem.sizes, np.sqrt(found.variance) * np.ones(k))
+        start = np.append(point, values)
+        done = gauss_newton(rows, start, sizes=sizes, evaluations=_EVALUATIONS, tolerance=1e-4)
+        point, values = done.point[:n], done.point[n:]
+        model = _with(fitted, curve, point, values)
+        whitener = Whitener.fit(model.residuals(ratio))
+    penalty = float(np.sum((prior @ values) ** 2)) + 2.0 * found.price
+    return FreeForm(curve, values, model, whitener, penalty, found.dof)
+
+
+def _with(fitted: FittedModel, curve: Curve, point: Array, values: Array) -> FittedModel:
+    """The model with a curve of these values, at a point of the model without it."""
+    effect = Effect(Tabulated.name, curve.place, law=curve.table(values), fixed={"scale": 1.0})
+    old = fitted.problem
+    base = fitted.structure
+    structure = Structure(base.model, [*base.effects, effect], constants=base.constants)
+    problem = Problem(
+        structure, old.records, old.weights, prior_mean=old.prior_mean, prior_sd=old.prior_sd,
+        substeps=max(fitted.refinement.substeps, 2), initial=old.initial,
+    )  # fmt: skip
+    return FittedModel(fitted.refinement, problem, point, fitted.tolerance, fitted.force_at)
+
+
+def _linear(model: FittedModel, curve: Curve, whitener: Whitener, ratio: float) -> tuple[Array, Array, Array]:
+    """White residual, its derivatives by the point, and by the values of the curve."""
+    blocks, judged = model.blocks(ratio), model.problem.judged(model.theta)
+    columns = zip(judged, curve_responses(model, curve, ratio), strict=True)
+    return (
+        whitener.apply([r for r, _ in blocks]),
+        whitener.apply([j for _, j in blocks]),
+        whitener.apply([weight[:, :, None] * block for weight, block in columns]),
+    )
+
+
+def curve_responses(model: FittedModel, curve: Curve, ratio: float) -> list[Array]:
+    """Outputs (n_y, N, k) per record that a unit of each coefficient of a curve would add."""
+    found = []
+    for i in range(len(model.problem.records)):
+        columns = curve.columns(*model.port(curve.place, ratio, i))
+        forces = [(curve.place, column) for column in columns.T]
+        found.append(force_responses(model, i, forces, model.gain(ratio)))
+    return found

@@ -1,0 +1,210 @@
+"""None of these: tables as laws, free curves and what they cost, and a diagnosis that finds no name."""
+
+import functools
+import pickle
+
+import control as ct
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.interpolate import RegularGridInterpolator
+from scipy.stats import multivariate_normal
+
+import rcorefine as rco
+from rcorefine.effects.along_motion import unit_forces
+from rcorefine.engine.engine import Engine
+from rcorefine.engine.structure import Structure
+from rcorefine.inference.free_form import Curve, evidence
+
+SPRING = rco.Table(d=[-1.0, 0.0, 2.0], force=[-2.0, 0.0, 8.0])
+BOTH = rco.Table(d=[-1.0, 0.0, 2.0], v=[-1.0, 1.0], force=[[0.0, 1.0], [2.0, 3.0], [4.0, 9.0]])
+
+
+class TestTable:
+    def test_agrees_with_scipy_inside_and_beyond(self):
+        d, v = np.random.default_rng(0).uniform(-3, 4, (2, 200))
+        oracle = RegularGridInterpolator(
+            (BOTH.d, BOTH.v), np.array(BOTH.force), bounds_error=False, fill_value=None
+        )
+        assert BOTH(d, v) == pytest.approx(oracle(np.column_stack([d, v])), abs=1e-12)
+        effect = rco.Effect("tabulated", "link1", law=BOTH)
+        assert unit_forces(effect, d, v, [{}])[0] == pytest.approx(BOTH(d, v), abs=1e-12)
+
+    def test_slopes_are_those_of_the_planes(self):
+        law = rco.Effect("tabulated", "link1", law=SPRING).spec
+        where = law.constants["table"]
+        assert law.slopes(1.0, 5.0, 3.0, where) == pytest.approx((12.0, 12.0, 0.0, 4.0, 0.0))
+        assert law.needs == {"position"}
+        assert rco.Effect("tabulated", "link1", law=BOTH).spec.needs == {"position", "velocity"}
+
+    def test_moves_a_model_as_the_law_of_the_same_curve(self):
+        # max(d, 0) is a table of three knots
+        kinked = rco.Table(d=[-1.0, 0.0, 1.0], force=[0.0, 0.0, 40.0])
+        model = rco.mass_spring_damper(1.0, 0.5, 100.0)
+        record = rco.Measurement(10 * np.random.default_rng(0).standard_normal(400), np.zeros(400), dt=0.02)
+        runs = []
+        for effect, value in (
+            (rco.Effect("tabulated", "link1", law=kinked), 1.0),
+            (rco.Effect("bilinear_stiffness", "link1"), 40.0),
+        ):
+            engine = Engine(Structure(model, [effect]), record, substeps=4)
+            runs.append(engine.run(np.array([value])))
+        assert runs[0].outputs == pytest.approx(runs[1].outputs, rel=1e-9)
+        # per unit of its scale the table does 40 times as much
+        assert runs[0].sensitivity[..., 0] == pytest.approx(
+            40.0 * runs[1].sensitivity[..., 0], rel=1e-6, abs=1e-9
+        )
+
+    def test_is_a_value(self):
+        effect = rco.Effect("tabulated", "link1", law=SPRING)
+        again = pickle.loads(pickle.dumps(effect))
+        assert again == effect
+        assert hash(again) == hash(effect)
+        assert again.law == SPRING
+        assert effect != rco.Effect("tabulated", "link1", law=BOTH)
+        assert eval(repr(SPRING), {"Table": rco.Table}) == SPRING
+
+    @pytest.mark.parametrize(
+        ("given", "message"),
+        [
+            ({"d": [0.0, 0.0], "force": [1.0, 2.0]}, "rising"),
+            ({"d": [0.0, 1.0], "force": [1.0, 2.0, 3.0]}, "knots ask for"),
+            ({"d": [0.0, np.nan], "force": [1.0, 2.0]}, "not finite"),
+            ({"v": [0.0, 1.0], "force": [1.0, np.inf]}, "not finite"),
+        ],
+    )
+    def test_says_what_is_wrong(self, given, message):
+        with pytest.raises(rco.ModelError, match=message):
+            rco.Table(**given)
+
+    def test_an_effect_needs_it_and_cannot_move_it(self):
+        with pytest.raises(ct.ControlArgument, match="needs law=, a Table"):
+            rco.Effect("tabulated", "link1")
+        with pytest.raises(ct.ControlArgument, match="no such coefficient"):
+            rco.Effect("tabulated", "link1", law=SPRING, fixed={"table": 1.0})
+        with pytest.raises(ct.ControlArgument, match="needs its law"):
+            rco.effect_library(rco.mass_spring_damper(1.0, 0.5, 100.0), kinds=["tabulated"])
+
+
+class TestCurve:
+    def test_holds_what_it_promises(self):
+        # f(d) + g(v) + v h(d), straight between the knots: the coefficients are values at the knots
+        rng = np.random.default_rng(1)
+        d, v = rng.standard_normal((2, 500))
+        curve = Curve.along("link1", d, v)
+        values = np.concatenate([np.abs(curve.d), 2.0 * curve.v, np.maximum(curve.d, 0.0) * curve.scale])
+        knots = np.interp(d, curve.d, np.maximum(curve.d, 0.0))
+        expected = np.interp(d, curve.d, np.abs(curve.d)) + 2.0 * v + v * knots
+        assert curve.columns(d, v) @ values == pytest.approx(expected, abs=1e-12)
+        assert curve.table(values)(d, v) == pytest.approx(expected, abs=1e-12)
+
+    def test_one_signal_alone(self):
+        v = np.random.default_rng(2).standard_normal(300)
+        curve = Curve.along("tank1", np.zeros(300), v)
+        assert curve.d.size == 0
+        assert curve.table(curve.v)(0.0, 0.3) == pytest.approx(0.3)
+
+
+def test_evidence_is_the_likelihood_of_a_normal_force():
+    rng = np.random.default_rng(3)
+    columns = rng.standard_normal((60, 4)) * [3.0, 1.0, 0.3, 0.1]
+    residual = columns @ [0.5, -1.0, 0.0, 2.0] + rng.standard_normal(60)
+    found = evidence(residual, columns)
+    none = multivariate_normal.logpdf(residual, cov=np.eye(60))
+    some = multivariate_normal.logpdf(residual, cov=np.eye(60) + found.variance * columns @ columns.T)
+    assert found.gain == pytest.approx(some - none)
+    for factor in (0.1, 10.0):  # the size is the likeliest
+        other = np.eye(60) + factor * found.variance * columns @ columns.T
+        assert multivariate_normal.logpdf(residual, cov=other) < some
+    assert 0.0 < found.dof < 4.0
+
+
+# ------------------------------------------------------------------ a diagnosis without a name
+@functools.cache
+def sine_spring():
+    """One mass, and a spring whose force is a sine of the displacement; two records."""
+    model = rco.mass_spring_damper(1.0, 0.6, 100.0)
+    dt, n = 0.02, 1000
+    rng = np.random.default_rng(5)
+
+    def truth(w):
+        def rate(t, x):
+            force = 4.0 * np.sin(x[0] / 0.12)
+            return [x[1], w[min(int(t / dt + 1e-9), n - 1)] - 0.6 * x[1] - 100.0 * x[0] - force]
+
+        x, out = [0.0, 0.0], []
+        for k in range(n):
+            out.append(x[0])
+            x = solve_ivp(rate, (k * dt, (k + 1) * dt), x, rtol=1e-7, atol=1e-9, max_step=dt / 4).y[:, -1]
+        return np.array(out)
+
+    records = []
+    for _ in range(2):
+        w = 18.0 * rng.standard_normal(n)
+        y = truth(w)
+        noise = 0.03 * y.std()
+        records.append(rco.Measurement(w, y + noise * rng.standard_normal(n), dt=dt, hold="zoh"))
+    kinds = ("stiffness", "damping", "cubic_stiffness", "coulomb_friction", "clearance")
+    found = rco.diagnose(model, records[0], candidates=[rco.Effect(kind, "link1") for kind in kinds])
+    return model, records, noise, found
+
+
+def test_no_name_but_place_and_curve():
+    model, records, noise, found = sine_spring()
+    assert found.verdict == "unexplained"
+    assert found.place == "link1"
+    assert sum(found.places.values()) == pytest.approx(1.0)
+    assert found.none_of_these == 1.0
+    assert np.isnan([row.probability for row in found.ranking]).all()
+    law = found.law()
+    assert law.label == "law open, tabulated at link1"
+    d = np.linspace(-0.2, 0.2, 41)
+    assert law.law(d, 0.0) == pytest.approx(4.0 * np.sin(d / 0.12), abs=0.5)
+    better = rco.refine(model, records[0], [law])
+    assert better.parameters[0].value == pytest.approx(1.0, abs=0.05)
+    assert rco.compare(better, records[1]).rmse[0] < 1.5 * noise
+    shares = [share for _, share in found.open_law.nearest]
+    assert shares == sorted(shares, reverse=True)
+    assert 0.0 <= shares[0] <= 100.0
+
+
+def test_words_and_pictures_give_no_probability_to_what_failed():
+    *_, found = sine_spring()
+    text = str(found)
+    assert max(map(len, text.splitlines())) <= 80
+    assert "law open, tabulated at link1" in text
+    assert "at link1, with probability 1.00" in " ".join(text.split())
+    assert "nan" not in text
+    assert "nan" not in found._repr_html_()
+    assert str(pickle.loads(pickle.dumps(found))) == text
+
+
+def test_hidden_force_holds_its_columns():
+    *_, found = sine_spring()
+    hidden = found.hidden_force
+    frame = hidden.to_dataframe()
+    assert list(frame.columns) == ["d", "v", "force", "std"]
+    # the record alone, no law assumed: what it misses stays within its own standard deviation
+    inner = slice(100, -100)
+    true = 4.0 * np.sin(hidden.d / 0.12)
+    missed = (hidden.force - true)[inner]
+    assert np.std(missed) < 2.0 * hidden.std.mean()
+    assert np.corrcoef(hidden.force[inner], true[inner])[0, 1] > 0.8
+    assert max(map(len, str(hidden).splitlines())) <= 80
+
+
+def test_a_true_law_keeps_its_name_and_all_sums_to_one():
+    model, records, *_ = sine_spring()
+    rng = np.random.default_rng(7)
+    engine = Engine(Structure(model, [rco.Effect("cubic_stiffness", "link1")]), records[0], substeps=8)
+    y = engine.run(np.array([300.0])).outputs
+    record = rco.Measurement(records[0].inputs, y + 0.03 * y.std() * rng.standard_normal(y.shape), dt=0.02)
+    kinds = ("stiffness", "cubic_stiffness", "quadratic_damping", "clearance")
+    found = rco.diagnose(model, record, candidates=[rco.Effect(kind, "link1") for kind in kinds])
+    assert found.verdict in ("effect", "ambiguous")
+    assert rco.Effect("cubic_stiffness", "link1") in found.ambiguous
+    total = found.none_of_these + sum(row.probability for row in found.ranking)
+    assert total == pytest.approx(1.0)
+    assert sum(found.places.values()) == pytest.approx(1.0)
+    with pytest.raises(rco.ModelError, match="no law is open"):
+        found.law()
