@@ -631,6 +631,11 @@ CALLS: dict[str, Call] = {
             "law": callable,
         },
     ),
+    "Table": Call(
+        lambda: rco.Table,
+        lambda: {"d": [-1.0, 0.0, 2.0], "force": [-3.0, 0.0, 8.0]},
+        {"d": is_numbers, "v": is_numbers, "force": is_numbers},
+    ),
     "Effect.replace": Call(
         lambda: EFFECT.replace,
         dict,

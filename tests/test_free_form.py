@@ -139,8 +139,8 @@ def sine_spring():
         return np.array(out)
 
     records = []
-    for _ in range(2):
-        w = 18.0 * rng.standard_normal(n)
+    for size in (18.0, 14.0):  # the second one stays where the first one was
+        w = size * rng.standard_normal(n)
         y = truth(w)
         noise = 0.03 * y.std()
         records.append(rco.Measurement(w, y + noise * rng.standard_normal(n), dt=dt, hold="zoh"))

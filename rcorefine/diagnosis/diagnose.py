@@ -5,8 +5,9 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
-from math import nan
 from typing import Any
+
+import numpy as np
 
 from ..arguments import as_share
 from ..arithmetic import own_arithmetic
@@ -252,10 +253,6 @@ def _named(
     ties = tied(likelihoods, lacks, case.levels)
     held = hosts(race.rivals, ties, case.levels)
     alike = tuple(race.rivals[i].effect for i in ties if i not in held)
-    rows = ranking(
-        race, [p_of[rival.effect] for rival in race.rivals], probabilities(likelihoods), case.base,
-        validation, case.settings["horizon"],
-    )  # fmt: skip
     several = judged.passed and len(case.records) > 1
     agreement, sentence = amplitude_test(race, case.levels.disagree) if several else (1.0, "")
     word = verdict(judged.passed, agreement, len(alike), case.levels)
@@ -263,7 +260,7 @@ def _named(
         law = open_law(race) if word == "unexplained" and case.thorough else None
     shares, none, places = probabilities(race, judged.beside if judged.passed else None, law)
     if word == "unexplained":  # none is printed for what fails its own tests
-        shares, none = [nan] * len(shares), 1.0
+        shares, none = np.full(len(shares), np.nan), 1.0
     p_values = [p_of[rival.effect] for rival in race.rivals]
     rows = ranking(race, p_values, shares, case.base, validation, case.settings["horizon"])
     notes = [*_about_record(case), *fit_remarks(race), *remarks(race, scored, batteries)]

@@ -27,6 +27,7 @@ _NAME = "law open, tabulated"
 _NESTED = (1, 2, 4, 8, 16)  # leading directions of the curve that are tested together
 _SEEN = 1e-10  # of the largest: what a direction must move the output to be one
 _PLACES = 3  # at which a curve is fitted
+_FIRST = 2  # descents at each of them; the best one goes on
 _RADII = (0.1, 0.25, 0.5, 0.8)  # of plays, over the rms displacement
 _SPEAKS = 1e-4  # p-value below which memory, or time, is said to act
 
@@ -150,8 +151,11 @@ def open_law(race: CandidateFits) -> FreeForces:
         led = race.ratio or 1.0  # an observer of high gain follows the motion of the record
         curve = _curve(race.fitted, place, led)
         if curve is not None:
-            start = np.zeros(len(curve.root))
-            found[place] = fit_free_form(race.fitted, curve, start, race.whitener, race.ratio)
+            found[place] = fit_free_form(race.fitted, curve, race.whitener, race.ratio, rounds=_FIRST)
+    if found:
+        best = max(found, key=lambda place: found[place].log_likelihood(race.whitener, race.ratio))
+        first = found[best]
+        found[best] = fit_free_form(race.fitted, first.curve, first.whitener, race.ratio, start=first)
     free = {place: form.log_likelihood(race.whitener, race.ratio) for place, form in found.items()}
     best = max(free, key=lambda place: free[place], default="")
     ahead = [
@@ -162,7 +166,7 @@ def open_law(race: CandidateFits) -> FreeForces:
 
 def probabilities(
     race: CandidateFits, beside: Evidence | None, free: FreeForces | None
-) -> tuple[list[float], float, dict[str, float]]:
+) -> tuple[Array, float, dict[str, float]]:
     """Probabilities of the candidates, of none of these, and of the places.
 
     Parameters
@@ -176,7 +180,7 @@ def probabilities(
 
     Returns
     -------
-    shares : list of float
+    shares : ndarray, shape (n,)
         Of the candidates.
     none : float
         Of none of these; all sum to one.
@@ -195,7 +199,7 @@ def probabilities(
         shares[place] = shares.get(place, 0.0) + float(weight)
     n = len(race.rivals)
     ordered = dict(sorted(shares.items(), key=lambda item: -item[1]))
-    return weights[:n].tolist(), float(weights[n:].sum()), ordered
+    return weights[:n], float(weights[n:].sum()), ordered
 
 
 def _tabulated(race: CandidateFits, form: FreeForm) -> OpenLaw:

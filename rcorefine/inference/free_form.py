@@ -17,6 +17,7 @@ from scipy.linalg import block_diag
 from ..effects.effect import Effect
 from ..effects.tabulated import Table, Tabulated
 from ..engine.structure import Structure
+from ..exceptions import ModelError
 from ..gauss_newton import Rows, gauss_newton
 from ..systems.linear import Array
 from .fitted import FittedModel
@@ -26,10 +27,10 @@ from .whitening import Whitener, project, rank_basis
 
 __all__ = ["Curve", "Evidence", "FreeForm", "curve_responses", "evidence", "fit_free_form"]
 
-_LEVELS = (0.0, 0.01, 0.04, 0.12, 0.25, 0.4, 0.6, 0.75, 0.88, 0.96, 0.99, 1.0)  # quantiles where knots stand
+_COUNT = 15  # knots along each signal
 _ALIKE = 2.0  # rms of the motion over which neighbors are alike
 _SIZES = np.logspace(0.0, 10.0, 31)  # variance of the curve over that of the noise, tried
-_ROUNDS = 3
+_SETTLED = 1e-3  # relative change of the residual that is none
 _EVALUATIONS = 6
 
 
@@ -79,13 +80,12 @@ class Curve(NamedTuple):
 
 
 def _knots(x: Array) -> Array:
-    """Quantiles of a motion, as far as they differ."""
+    """Knots half by how often a motion is there, half evenly; none where nothing moves."""
     spread = np.ptp(x)
     if spread <= 1e-9 * max(float(np.abs(x).max(initial=0.0)), 1e-300):
         return np.zeros(0)
-    knots = np.quantile(x, _LEVELS)
-    keep = np.append(True, np.diff(knots) > 1e-3 * spread)
-    return np.asarray(knots[keep])
+    levels = np.linspace(0.0, 1.0, _COUNT)
+    return np.asarray(0.5 * (np.quantile(x, levels) + x.min() + spread * levels))
 
 
 def _alike(knots: Array) -> Array:
@@ -190,33 +190,42 @@ class FreeForm:
 
 
 def fit_free_form(
-    fitted: FittedModel, curve: Curve, values: Array, whitener: Whitener, ratio: float = 0.0
+    fitted: FittedModel,
+    curve: Curve,
+    whitener: Whitener,
+    ratio: float = 0.0,
+    *,
+    start: FreeForm | None = None,
+    rounds: int = 6,
 ) -> FreeForm:
     """Fit a free curve together with all that is free in a model.
 
     Parameters
     ----------
     fitted : FittedModel
-        Model without a force there, or where to start.
+        Model without a force there.
     curve : Curve
         Knots.
-    values : ndarray, shape (k,)
-        Start.
     whitener : Whitener
         Metric.
     ratio : float
         Unmeasured force to allow for.
+    start : FreeForm, optional
+        Where to go on; by default from no force.
+    rounds : int
+        Descents at most, each in the metric that the one before left; fewer at a minimum.
 
     Returns
     -------
     FreeForm
     """
-    point, n, k = fitted.point, fitted.point.size, values.size
+    n, k = fitted.point.size, len(curve.root)
+    point, values = (fitted.point, np.zeros(k)) if start is None else (start.fitted.point, start.values)
     held = np.sqrt(fitted.problem.precision)
     mean = np.pad(fitted.problem.prior_mean, (0, n - fitted.problem.n_theta))
     mean = np.where(held > 0, mean, 0.0)
     inverse = np.linalg.inv(curve.root)
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         model = _with(fitted, curve, point, values)
         white, J, X = _linear(model, curve, whitener, ratio)
         basis = rank_basis(np.vstack([J, np.diag(held)]))
@@ -227,17 +236,23 @@ def fit_free_form(
         prior = inverse / np.sqrt(found.variance)
 
         def rows(at: Array, prior: Array = prior, whitener: Whitener = whitener) -> Rows:
-            white, J, X = _linear(_with(fitted, curve, at[:n], at[n:]), curve, whitener, ratio)
+            try:
+                white, J, X = _linear(_with(fitted, curve, at[:n], at[n:]), curve, whitener, ratio)
+            except ModelError:  # its linear model runs away within one sample
+                return Rows(np.full(n + k, np.inf), np.zeros((n + k, n + k)))
             zeros = np.zeros((n, k))
             jacobian = np.block([[J, X], [np.diag(held), zeros], [zeros.T, prior]])
             return Rows(np.concatenate([white, held * (at[:n] - mean), prior @ at[n:]]), jacobian)
 
         sizes = np.append(fitted.problem.sizes, np.sqrt(found.variance) * np.ones(k))
-        start = np.append(point, values)
-        done = gauss_newton(rows, start, sizes=sizes, evaluations=_EVALUATIONS, tolerance=1e-4)
+        done = gauss_newton(
+            rows, np.append(point, values), sizes=sizes, evaluations=_EVALUATIONS, tolerance=1e-4
+        )
         point, values = done.point[:n], done.point[n:]
         model = _with(fitted, curve, point, values)
-        whitener = Whitener.fit(model.residuals(ratio))
+        before, whitener = whitener, Whitener.fit(model.residuals(ratio))
+        if done.converged and np.allclose(before.scales, whitener.scales, rtol=_SETTLED):
+            break
     penalty = float(np.sum((prior @ values) ** 2)) + 2.0 * found.price
     return FreeForm(curve, values, model, whitener, penalty, found.dof)
 

@@ -124,17 +124,14 @@ def _effect(effect: Effect) -> str:
     return f"rco.Effect({', '.join(parts)})"
 
 
-_NAMES = {"LinearModel": "LinearModel"}  # not public; the others are names in rco
-
-
 def _fields(value: Any, indent: int) -> str:
-    name = type(value).__name__
+    name = type(value).__name__ if isinstance(value, LinearModel) else f"rco.{type(value).__name__}"
     pad = " " * (indent + 4)
     lines = [
         f"{pad}{field.name}={literal(getattr(value, field.name), indent + 4)},\n"
         for field in dataclasses.fields(value)
     ]
-    return f"{_NAMES.get(name, f'rco.{name}')}(\n{''.join(lines)}{' ' * indent})"
+    return f"{name}(\n{''.join(lines)}{' ' * indent})"
 
 
 def model_code(model: Any, name: str = "model") -> list[str]:
