@@ -64,6 +64,18 @@ diagnosis = _quiet(
         small_model(), small_record(1, 20.0), candidates=[EFFECT, rco.Effect("damping", "link1")]
     )
 )
+HARD = rco.Effect("cubic_stiffness", "link1", fixed={"cubic_stiffness": 800.0})
+
+
+@_quiet
+def nameless() -> rco.Diagnosis:
+    loud = small_record(1)
+    harder = rco.simulate(rco.refine(small_model(), loud, [HARD]), loud, "zero").outputs[0]
+    y = harder + 0.02 * harder.std() * np.random.default_rng(2).standard_normal(N)
+    data = rco.Measurement(loud.inputs, y, dt=DT)
+    return rco.diagnose(small_model(), data, candidates=[rco.Effect("damping", "link1")])
+
+
 advice = _quiet(lambda: diagnosis().suggest_experiment(lengths=[2.0], amplitudes=[2.0], bands=[]))
 improvement = _quiet(
     lambda: rco.improve(small_model(), small_record(1, 20.0, 600), candidates=[EFFECT], max_effects=1)
@@ -722,6 +734,7 @@ CALLS: dict[str, Call] = {
         FIT,
         work="rcorefine.diagnosis.diagnose.base_fit",
     ),
+    "Diagnosis.law": Call(_method(nameless, "law"), dict),
     "Diagnosis.ordered_records": Call(_method(diagnosis, "ordered_records"), dict),
     "Diagnosis.plot": _plot(diagnosis),
     "Diagnosis.refine": Call(_method(diagnosis, "refine"), dict),
