@@ -179,6 +179,22 @@ def test_words_and_pictures_give_no_probability_to_what_failed():
     assert str(pickle.loads(pickle.dumps(found))) == text
 
 
+def test_report_shows_the_table_and_no_probability(tmp_path):
+    *_, found = sine_spring()
+    page = found.report(tmp_path / "open.html").read_text()
+    assert "law open, tabulated at link1" in page
+    assert ">nan<" not in page
+    assert found.hidden_force.plot().axes.shape == (1, 3)
+
+
+def test_improve_ends_with_the_table_where_nothing_has_a_name():
+    model, records, *_ = sine_spring()
+    ladder = rco.improve(model, records[0], candidates=[rco.Effect("quadratic_damping", "link1")])
+    assert ladder.effects[-1].label == "law open, tabulated at link1"
+    assert ladder.steps[-1].validation_rmse[0] < 0.2 * ladder.steps[0].validation_rmse[0]
+    assert "its force is a table" in ladder.message
+
+
 def test_hidden_force_holds_its_columns():
     *_, found = sine_spring()
     hidden = found.hidden_force

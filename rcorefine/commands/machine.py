@@ -126,6 +126,8 @@ def diagnosis_object(found: Diagnosis) -> dict[str, Any]:
             }
             for row in found.ranking
         ],
+        "none_of_these": found.none_of_these,
+        "places": found.places,
         "ambiguous": [_effect(effect) for effect in found.ambiguous],
         "parameters": _parameters(found.parameters),
         "tests": _tests(found.tests),

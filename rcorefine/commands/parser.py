@@ -33,8 +33,9 @@ _JSON = {
     "statistic, p_value, share, sentence), report.",
     "diagnose": "Keys of --json: command, rcorefine, exit_code, answer (3 sentences), record, verdict, "
     "ranking (effect: kind and place; coefficients, std, fit_before, fit_after, p_value, "
-    "probability), ambiguous, parameters (as in improve), tests and winner_tests (name, statistic, "
-    "dof, p_value), detectable (effect, coefficient, smallest, unit), significance, notes, report.",
+    "probability), none_of_these, places, ambiguous, parameters (as in improve), tests and "
+    "winner_tests (name, statistic, dof, p_value), detectable (effect, coefficient, smallest, unit), "
+    "significance, notes, report.",
     "improve": "Keys of --json: command, rcorefine, exit_code, answer (3 sentences), record, verdict, "
     "message, steps (action, effect, coefficients, std, train_rmse, choice_rmse, "
     "validation_rmse, rivals), parameters (name, kind, place, role, initial, value, "

@@ -30,6 +30,7 @@ from ..inference.windows import as_records, windows
 from ..models.library import effect_library
 from ..systems.linear import Array
 from .confirmation import Confirmation, RecordEstimate
+from .open_law import free_form_test
 from .residual_tests import TestedResidual, run_tests
 
 __all__ = ["confirm"]
@@ -244,4 +245,9 @@ def _alone(
 def _battery(fitted: FittedModel, rest: Sequence[Effect], ratio: float) -> list[FTest]:
     motions = [Motion(fitted.structure, fitted.theta, record) for record in fitted.problem.records]
     scored = candidate_columns(fitted, rest, motions[0], (ratio,))
-    return run_tests(TestedResidual(fitted, ratio), scored, motions)
+    battery = TestedResidual(fitted, ratio)
+    roles = fitted.refinement.roles
+    places = [e.place for e, role in zip(fitted.structure.effects, roles, strict=True) if role == "effect"]
+    # none of these: a law that only mimics leaves a force of its own behind
+    free = [free_form_test(battery, place) for place in dict.fromkeys(places)]
+    return [*run_tests(battery, scored, motions), *(found[0] for found in free if found is not None)]

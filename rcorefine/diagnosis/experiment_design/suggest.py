@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 __all__ = ["suggest"]
 
 _COSTS = {"repeat": 1.0, "amplitude": 1.5, "band": 2.0, "longer": 1.0, "sensor": 6.0}
+_OPEN = 0.05  # probability of none of these from which on it is said
 _MOST = 8  # contenders that are simulated
 _NEAR = 0.2  # p-value, corrected for the candidates, below which an adequate model has something near
 _FEW = 3  # such candidates at most
@@ -132,6 +133,9 @@ def _contenders(found: Diagnosis, records: Sequence[Measurement]) -> tuple[list[
         Contender(row.effect, row.refinement, row.probability / total, 2 * row.log_likelihood_gain)
         for row in rows
     ]
+    none = ""
+    if found.none_of_these > _OPEN:
+        none = f" None of these laws has probability {found.none_of_these:.2f}; no option tells that."
     if len(contenders) == 1:
         levels = [float(np.sqrt(np.mean(record.inputs**2))) for record in records]
         why = f"Nothing to separate: {contenders[0].label} stands alone."
@@ -140,9 +144,9 @@ def _contenders(found: Diagnosis, records: Sequence[Measurement]) -> tuple[list[
                 " A second record at another amplitude, given to diagnose together with this one, would "
                 "confirm the law."
             )
-        return contenders, fitted, why
+        return contenders, fitted, why + none
     left = len(found.ambiguous) - len(rows)
-    return contenders, fitted, f"{left} less probable rivals were left out. " if left > 0 else ""
+    return contenders, fitted, (f"{left} less probable rivals were left out. " if left > 0 else "") + none
 
 
 def _near(found: Diagnosis, fitted: FittedModel) -> tuple[list[Contender], FittedModel, str]:

@@ -6,11 +6,13 @@ import numpy as np
 
 from ...effects.effect import Effect
 from ...inference.refinement import Refinement
+from ...refinement.refine import refine
 from ..candidate_fits import CandidateFits
+from ..open_law import open_law
 from ..result import Diagnosis
 from .selection import Choice, StepwiseSelection, coefficients_of, determined, same
 
-__all__ = ["climb"]
+__all__ = ["climb", "tabulate"]
 
 _TRIED = 12  # effects of smallest error that are judged on the second part
 _REFITTED = 3  # of them, fitted to the end
@@ -52,6 +54,20 @@ def climb(ladder: StepwiseSelection, library: list[Effect], most: int) -> str:
             return found.verdict
         ladder.add(choice, found.verdict)
     return "unexplained"
+
+
+def tabulate(ladder: StepwiseSelection, library: list[Effect]) -> None:
+    """The last rung: a force that follows none of the laws, as a table, where it earns its place."""
+    rest = ladder.rest(library)
+    found, race = ladder.investigate(ladder.current, rest) if rest else (None, None)
+    if found is None or race is None or found.verdict != "unexplained":
+        return
+    law = open_law(race).law
+    if law is None:
+        return
+    with_table = refine(ladder.current, ladder.parts.fit, [law.effect], **ladder.settings)
+    if ladder.share((law.effect,), with_table) >= ladder.levels.earned:
+        ladder.add(Choice((law.effect,), with_table), found.verdict)
 
 
 def _one(ladder: StepwiseSelection, found: Diagnosis, race: CandidateFits, choices: int) -> Choice | None:

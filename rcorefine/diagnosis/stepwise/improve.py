@@ -10,6 +10,7 @@ from ...arguments import as_share, as_whole
 from ...arithmetic import own_arithmetic
 from ...data.measurement import Measurement
 from ...effects.effect import Effect, as_effects
+from ...effects.tabulated import Table
 from ...exceptions import IdentifiabilityWarning
 from ...inference.assembly import check_settings
 from ...inference.windows import as_records, check_validation
@@ -17,7 +18,7 @@ from ...models.conversion import as_physical
 from ...progress import Progress
 from ..case import candidates_of
 from .backward import drop_needless, drop_undetermined, return_trust, shorten, swap_better
-from .forward import climb
+from .forward import climb, tabulate
 from .improvement import Improvement
 from .parts import split_in_parts
 from .selection import StepwiseSelection
@@ -90,7 +91,9 @@ def improve(
     more than 2 % there: where the ladder does not end in a model that passes every test, it goes
     again unless it has earned its place on the second part by then. No coefficient stays that
     the record does not determine, and no set of effects is tried twice. Steps after which the
-    third part is worse off than at the start are taken back.
+    third part is worse off than at the start are taken back. Where nothing that was tried explains
+    the record, its last rung is the force that is left, as a table (`Diagnosis.law`), if that lowers
+    the error on the second part.
 
     Examples
     --------
@@ -124,6 +127,8 @@ def improve(
         physical = ladder.current.physical_model
         library = candidates_of(physical) if candidates is None else candidates
         _climb(ladder, library, max_effects)
+        if len(ladder.effects) < max_effects and ladder.verdict(library) == "unexplained":
+            tabulate(ladder, library)
         back = _end(ladder)
         verdict = ladder.verdict(library)
         message = _closing(ladder, verdict, library, max_effects, back)
@@ -168,6 +173,14 @@ def _closing(
     ladder: StepwiseSelection, verdict: str, library: list[Effect], most: int, back: list[str]
 ) -> str:
     """Why the ladder ends where it ends."""
+    tables = [effect.place for effect in ladder.effects if isinstance(effect.law, Table)]
+    said = _ending(ladder, verdict, library, most, back)
+    return f"{said} The law at {tables[0]} is open: its force is a table." if tables else said
+
+
+def _ending(
+    ladder: StepwiseSelection, verdict: str, library: list[Effect], most: int, back: list[str]
+) -> str:
     if back and verdict == "adequate":
         return f"Every test passes. Taken back, since the part that judges was worse off: {', '.join(back)}."
     if verdict == "adequate":

@@ -117,7 +117,10 @@ def diagnosis_answer(found: Diagnosis) -> tuple[list[str], bool]:
         "parameters": numbers_that_moved(found.parameters),
         "effect": "Add it with refine, and judge the result on data that took part in nothing.",
         "ambiguous": "They explain it alike; suggest_experiment() names the record that tells them apart.",
-        "unexplained": "Do not trust the closest candidate: what is missing is not in the list.",
+        "unexplained": "Do not trust the closest candidate: what is missing is not in the list; law() holds "
+        "the force as a table."
+        if found.open_law is not None
+        else "Do not trust the closest candidate: what is missing is not in the list.",
     }[found.verdict]
     return [first, second, third], False
 

@@ -20,15 +20,19 @@ __all__ = ["report_diagnosis"]
 def report_diagnosis(found: Diagnosis, *, title: str | None, code: str | None) -> Page:
     """The report of a diagnosis; see `Diagnosis.report`."""
     answer, fine = diagnosis_answer(found)
-    shown = ", ".join(f"{row.effect.label} {row.probability:.2f}" for row in found.ranking[:4]) or "nothing"
+    named = found.verdict != "unexplained"
+    shown = ", ".join(
+        f"{row.effect.label} {row.probability:.2f}" if named else row.effect.label
+        for row in found.ranking[:4]
+    )
     drawn = pictures(
         [
             (
                 "diagnosis",
                 lambda: found.plot(title=""),
-                f"Ranking of the candidates by probability ({shown}), the hidden force against the motion, "
+                f"Ranking of the candidates ({shown or 'nothing'}), the hidden force against the motion, "
                 "and the residual before and after.",
-                "The candidates by probability; the force that the record itself asks for at the place of "
+                "The candidates, the likeliest first; the force that the record asks for at the place of "
                 "the best one, with its law; and what is left over with and without it.",
             )
         ]
@@ -68,8 +72,8 @@ def _tables(found: Diagnosis) -> Parts:
             title="Candidates that were refitted",
             notes=[
                 "p-value: the chance of such a score if nothing were missing. probability: among the "
-                "candidates, "
-                "if exactly one of them is missing. std: one standard deviation of the coefficient.",
+                "candidates and none of them; none where no candidate passes its own tests. std: one "
+                "standard deviation of the coefficient.",
             ],
             left=2,
         )
@@ -125,9 +129,14 @@ def _ranking_rows(found: Diagnosis) -> list[list[str]]:
                 number(row.fit_before),
                 number(row.fit_after),
                 chance(row.p_value),
-                f"{row.probability:.3f}",
+                number(row.probability, 3),
             ]
             rows.append([head, name, f"{value:.5g}", f"{row.std[name]:.2g}", *(tail if i == 0 else [""] * 4)])
+    if found.verdict != "unexplained":
+        rows.append(["none of these", *[""] * 6, number(found.none_of_these, 3)])
+    if found.open_law is not None:
+        before, after = found.ranking[0].fit_before, found.open_law.fit_after
+        rows.append([found.open_law.effect.label, *[""] * 3, number(before), number(after), "", ""])
     return rows
 
 
