@@ -47,7 +47,8 @@ def test_the_simplest_law_that_does_is_named(friction):
     assert friction.verdict == "effect"
     assert friction.best.effect.kind == "coulomb_friction"
     assert any("asymmetric_friction at link1 contains coulomb_friction" in note for note in friction.notes)
-    assert sum(row.probability for row in friction.ranking) == pytest.approx(1.0)
+    total = sum(row.probability for row in friction.ranking) + friction.none_of_these
+    assert total == pytest.approx(1.0)
 
 
 def test_no_law_ends_below_one_that_it_contains(friction):
