@@ -12,6 +12,7 @@ import math
 import numbers
 import pathlib
 import tempfile
+import types
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -431,6 +432,21 @@ CALLS: dict[str, Call] = {
     "Measurement.from_csv": _reader("from_csv", "a.csv"),
     "Measurement.from_mat": _reader("from_mat", "a.mat", work="rcorefine.data.formats.read_mat"),
     "Measurement.from_npz": _reader("from_npz", "a.npz"),
+    "Measurement.from_hdf5": _reader("from_hdf5", "a.npz", work="rcorefine.data.lab_formats.read_hdf5"),
+    "Measurement.from_tdms": _reader("from_tdms", "a.npz", work="rcorefine.data.lab_formats.read_tdms"),
+    "Measurement.from_uff": Call(
+        lambda: MEASURE.from_uff,
+        lambda: {"path": files()["a.npz"], "input_set": 0, "output_set": 1},
+        {**OPTIONAL, "path": is_path, "input_set": is_state, "output_set": is_state},
+        work="rcorefine.data.lab_formats.read_uff",
+        more=tuple(UNITS),
+    ),
+    "Measurement.from_benchmark": Call(
+        lambda: MEASURE.from_benchmark,
+        lambda: {"data": types.SimpleNamespace(u=np.ones(7), y=np.zeros(7), sampling_time=DT)},
+        {**OPTIONAL, "data": is_nothing},
+        more=tuple(UNITS),
+    ),
     "Measurement.from_frame": Call(
         lambda: MEASURE.from_frame,
         lambda: {"frame": _frame(), "inputs": "u", "outputs": "y", "dt": DT},

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import csv
+import sys
 import time
+from types import SimpleNamespace
 
 import control as ct
 import numpy as np
 import pytest
 
-from rcorefine import DataError, Measurement
+from rcorefine import DataError, Measurement, MissingExtraError
 
 SEMICOLONS = "Prüfstand 3;;\nDatum;12.03.2024;\n\nt;U;n\ns;V;rpm\n0,00;1,5;0\n0,01;1,5;-2,25\n0,02;0;1e1\n"
 
@@ -180,3 +182,102 @@ def test_fast(tmp_path):
     ours = seconds(lambda: Measurement.from_csv(path, "u", "y", time="t"))
     assert ours < 4 * seconds(lambda: np.loadtxt(path, delimiter=",", skiprows=1))
     assert ours < seconds(by_hand)
+
+
+# ---------------------------------------------------------------- files of other packages
+U, Y = np.arange(6.0), np.linspace(-1, 1, 6)
+
+
+@pytest.mark.parametrize("suffix", ["h5", "mat"])
+def test_hdf5_and_matlab_73(tmp_path, suffix):
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / f"run.{suffix}"
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file["rig/u"], file["rig/y"], file["M"] = U[None], Y[None], np.eye(3)
+        file["note"] = np.array([[104], [105]], dtype=np.uint16)
+        file["note"].attrs["MATLAB_class"] = np.bytes_("char")
+    with path.open("r+b") as raw:
+        raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + (0x0200).to_bytes(2, "little") + b"IM")
+    read_it = Measurement.from_hdf5 if suffix == "h5" else Measurement.from_mat
+    data = read_it(path, "rig/u", "rig.y", dt=0.1)
+    assert (data.inputs[0].tolist(), data.outputs[0].tolist()) == (U.tolist(), Y.tolist())
+    for name, message in (("M", "3 x 3, not a vector"), ("note", "text"), ("z", "no variable 'z'; .*rig/u")):
+        with pytest.raises(DataError, match=message):
+            read_it(path, name, "rig/y", dt=0.1)
+    path.write_bytes(path.read_bytes()[:700])
+    with pytest.raises(DataError, match="damaged"):
+        read_it(path, "rig/u", "rig/y", dt=0.1)
+
+
+def test_tdms(tmp_path):
+    nptdms = pytest.importorskip("nptdms")
+    path = tmp_path / "run.tdms"
+    channels = [
+        nptdms.ChannelObject("rig", "u", U, properties={"unit_string": "V", "wf_increment": 0.1}),
+        nptdms.ChannelObject("rig", "y", Y),
+        nptdms.ChannelObject("spare", "y", U),
+    ]
+    with nptdms.TdmsWriter(str(path)) as file:
+        file.write_segment(channels)
+    data = Measurement.from_tdms(path, "u", "rig/y", dt=0.1)
+    assert (data.inputs[0].tolist(), data.outputs[0].tolist()) == (U.tolist(), Y.tolist())
+    assert data.input_units == ("V",)
+    assert "wf_increment = 0.1" in data.notes[0]
+    for name, message in (("y", "2 channels 'y'; there are: 'rig/u' 6"), ("z", "no channel 'z'")):
+        with pytest.raises(DataError, match=message):
+            Measurement.from_tdms(path, "u", name, dt=0.1)
+    path.write_bytes(path.read_bytes()[:60])
+    with pytest.raises(DataError, match="not a TDMS file|no channel 'u'"):
+        Measurement.from_tdms(path, "u", "y", dt=0.1)
+
+
+def type_58(node: int, values, step: float, unit: str) -> str:
+    """A time history as the format's definition has it."""
+    axis = f"{0:10d}{0:5d}{0:5d}{0:5d} {'NONE':20s} "
+    lines = [
+        "    -1", "    58", *["NONE"] * 5,
+        f"{1:5d}{0:10d}{1:5d}{0:10d} {'NONE':10s}{node:10d}{3:4d} {'NONE':10s}{1:10d}{3:4d}",
+        f"{2:10d}{len(values):10d}{1:10d}{0.0:13.5e}{step:13.5e}{0.0:13.5e}",
+        axis + f"{'s':20s}", axis + f"{unit:20s}", axis + f"{'NONE':20s}", axis + f"{'NONE':20s}",
+        "".join(f"{value:13.5e}" for value in values), "    -1", "",
+    ]  # fmt: skip
+    return "\n".join(lines)
+
+
+def test_universal_files(tmp_path):
+    pytest.importorskip("pyuff")
+    path = tmp_path / "run.uff"
+    path.write_text(type_58(1, U, 0.1, "V") + type_58(2, Y, 0.1, "mm") + type_58(3, Y, 0.2, "mm"))
+    data = Measurement.from_uff(path, 0, [1])
+    assert (data.inputs[0].tolist(), data.dt) == (U.tolist(), 0.1)
+    np.testing.assert_allclose(data.outputs[0], Y, rtol=1e-5)  # five digits in the file
+    assert (data.input_labels, data.output_labels) == (("1:3",), ("2:3",))
+    assert (data.input_units, data.output_units) == (("V",), ("mm",))
+    for given, error, message in (
+        ((0, 2), DataError, "different sampling times"),
+        ((0, 7), DataError, "data set 7 is not a record .there is none"),
+        (("x", 1), ct.ControlArgument, "input_set"),
+        ((0, []), ct.ControlArgument, "output_set"),
+        ((0, 1.5), ct.ControlArgument, "output_set"),
+    ):
+        with pytest.raises(error, match=message):
+            Measurement.from_uff(path, *given)
+
+
+def test_objects_of_nonlinear_benchmarks():
+    data = Measurement.from_benchmark(SimpleNamespace(u=U, y=Y[:, None], sampling_time=0.5, name="box"))
+    assert (data.dt, data.name, data.outputs.shape) == (0.5, "box", (1, 6))
+    with pytest.raises(ct.ControlArgument, match="without sampling_time"):
+        Measurement.from_benchmark(SimpleNamespace(u=U, y=Y))
+    with pytest.raises(DataError, match="give dt"):
+        Measurement.from_benchmark(SimpleNamespace(u=U, y=Y, sampling_time=None))
+
+
+@pytest.mark.parametrize(
+    "module, reader", [("h5py", "from_hdf5"), ("nptdms", "from_tdms"), ("pyuff", "from_uff")]
+)
+def test_what_is_not_installed_is_named(monkeypatch, module, reader):
+    monkeypatch.setitem(sys.modules, module, None)
+    columns = (0, 1) if reader == "from_uff" else ("u", "y")
+    with pytest.raises(MissingExtraError, match=rf"{reader} needs {module}; install the extra .formats."):
+        getattr(Measurement, reader)("none", *columns, **({} if reader == "from_uff" else {"dt": 1.0}))

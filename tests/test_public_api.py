@@ -14,6 +14,7 @@ import tempfile
 import types
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -51,6 +52,12 @@ WITH_KEYWORDS: dict[str, Callable[[], object]] = {
     "Measurement.from_frame": lambda: _read_with_unknown_keyword("frame"),
     "Measurement.from_mat": lambda: _read_with_unknown_keyword("mat"),
     "Measurement.from_npz": lambda: _read_with_unknown_keyword("npz"),
+    "Measurement.from_hdf5": lambda: _read_with_unknown_keyword("hdf5"),
+    "Measurement.from_tdms": lambda: _read_with_unknown_keyword("tdms"),
+    "Measurement.from_uff": lambda: rco.Measurement.from_uff("none.uff", 0, 1, no_such_keyword=1),
+    "Measurement.from_benchmark": lambda: rco.Measurement.from_benchmark(
+        SimpleNamespace(u=np.ones(9), y=np.ones(9), sampling_time=1.0), no_such_keyword=1
+    ),
     "Measurement.from_timestamps": lambda: rco.Measurement.from_timestamps(
         np.arange(9.0), np.zeros(9), np.zeros(9), no_such_keyword=1
     ),

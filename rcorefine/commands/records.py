@@ -21,6 +21,9 @@ _READERS = {
     ".log": Measurement.from_csv,
     ".mat": Measurement.from_mat,
     ".npz": Measurement.from_npz,
+    ".h5": Measurement.from_hdf5,
+    ".hdf5": Measurement.from_hdf5,
+    ".tdms": Measurement.from_tdms,
 }
 
 
@@ -30,7 +33,7 @@ def read_record(path: Path, model: Any, arguments: Namespace) -> Measurement:
     Parameters
     ----------
     path : Path
-        Text (.csv, .tsv, .txt, .lvm, .log), .mat or .npz.
+        Text (.csv, .tsv, .txt, .lvm, .log), .mat, .npz, .h5, .hdf5 or .tdms.
     model : StateSpace or PhysicalModel
         Model whose signals are looked for where the command line names none.
     arguments : Namespace
@@ -49,7 +52,9 @@ def read_record(path: Path, model: Any, arguments: Namespace) -> Measurement:
     """
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
-        raise DataError(f"{path}: a record is a .csv, .tsv, .txt, .lvm, .log, .mat or .npz file")
+        raise DataError(
+            f"{path}: a record is a .csv, .tsv, .txt, .lvm, .log, .mat, .npz, .h5, .hdf5 or .tdms file"
+        )
     linear = LinearModel.from_statespace(getattr(model, "system", model))
     inputs, input_labels = _columns(arguments.input, linear.input_labels)
     outputs, output_labels = _columns(arguments.output, linear.output_labels)

@@ -14,7 +14,7 @@ from ..exceptions import DataError, MissingExtraError
 from .matlab import Other, read_matlab
 from .signals import HOLDS
 
-__all__ = ["Columns", "names_of", "read_frame", "read_mat", "read_npz", "wanted_columns"]
+__all__ = ["Columns", "names_of", "read_frame", "read_mat", "read_npz", "vectors", "wanted_columns"]
 
 
 class Columns(NamedTuple):
@@ -91,7 +91,7 @@ def read_mat(path: Any, names: Sequence[str]) -> Columns:
         A variable that is not there or not a vector (those that are, are
         listed with their shapes), or a file of version 7.3.
     """
-    return _vectors(path, read_matlab(path), names)
+    return vectors(path, read_matlab(path), names)
 
 
 def read_npz(path: Any, names: Sequence[str]) -> Columns:
@@ -115,10 +115,10 @@ def read_npz(path: Any, names: Sequence[str]) -> Columns:
         An array that is not there or not a vector (those that are, are listed
         with their shapes), or another kind of file.
     """
-    return _vectors(path, read_archive(path), names)
+    return vectors(path, read_archive(path), names)
 
 
-def _vectors(path: Any, variables: dict[str, Any], names: Sequence[str]) -> Columns:
+def vectors(path: Any, variables: dict[str, Any], names: Sequence[str]) -> Columns:
     """Variables as 1-D arrays of numbers."""
     listed = ", ".join(f"{key} {_shape(value)}" for key, value in variables.items()) or "none"
     columns = {}

@@ -11,7 +11,8 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_path
-from .columns import Columns, names_of, read_mat, read_npz, wanted_columns
+from .columns import Columns, names_of, read_npz, wanted_columns
+from .extra_formats import read_mat
 from .units import seconds_per
 
 __all__ = ["FileReaders"]
@@ -37,7 +38,7 @@ class FileReaders:
         dt: float | None = None,
         **options: Any,
     ) -> Self:
-        """Read vectors from a MATLAB file (saved with -v7 or older).
+        """Read vectors from a MATLAB file (of version 7.3 with h5py).
 
         Parameters
         ----------
@@ -62,7 +63,8 @@ class FileReaders:
         ------
         DataError
             No such variable (those that exist are listed with their shapes),
-            or a file of version 7.3 (the message says what to do).
+            or a file of version 7.3 where the extra "formats" is not
+            installed (the message says what to do).
 
         Examples
         --------

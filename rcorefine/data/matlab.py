@@ -76,7 +76,7 @@ def read_matlab(path: str | os.PathLike[str]) -> dict[str, Any]:
         if kind == "NotImplementedError":
             raise DataError(
                 f"{path} is a MATLAB 7.3 (HDF5) file; save it anew in MATLAB with save(..., '-v7'), "
-                "or read it with h5py and pass the arrays to Measurement"
+                'or install the extra "formats": pip install "rcorefine[formats]"'
             )
         raise DataError(
             f"{path} is not a MATLAB file that scipy can read, or it is damaged: {kind}: {message}"

@@ -12,7 +12,7 @@ import numpy as np
 from ..arguments import as_choice, as_number, as_text, as_texts, shown
 from ..exceptions import DataError
 from .columns import read_frame, wanted_columns
-from .formats import FileReaders
+from .lab_formats import LabReaders
 from .resampling import as_stamps, regular
 from .signals import HOLDS, as_signals, check_finite, default_labels
 from .tables import read_csv
@@ -20,7 +20,7 @@ from .tables import read_csv
 __all__ = ["RecordReaders"]
 
 
-class RecordReaders(FileReaders):
+class RecordReaders(LabReaders):
     """Class methods of `Measurement` that take a record from text, data frames and responses."""
 
     __slots__ = ()

@@ -1,0 +1,138 @@
+"""Files that other packages read (HDF5, MATLAB 7.3, TDMS, universal), imported when first asked for."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..arguments import as_number
+from ..exceptions import DataError, MissingExtraError
+from .columns import Columns, vectors
+from .columns import read_mat as read_old_mat
+from .matlab import Other
+
+__all__ = ["read_hdf5", "read_mat", "read_tdms", "read_uff"]
+
+
+def _needs(module: str, reader: str) -> Any:
+    """A module of the extra "formats".
+
+    Raises
+    ------
+    MissingExtraError
+        If it is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise MissingExtraError(
+            f'{reader} needs {module}; install the extra "formats": pip install "rcorefine[formats]"'
+        ) from error
+
+
+def read_hdf5(path: Any, names: Sequence[str], reader: str = "from_hdf5") -> Columns:
+    """Named data sets of an HDF5 file: "group/name", or "group.name"."""
+    h5py = _needs("h5py", reader)
+    with open(path, "rb"):  # whether it is there is the system's message
+        pass
+    try:
+        with h5py.File(path, "r") as file:
+            found: dict[str, Any] = {}
+
+            def note(name: str, item: Any) -> None:
+                if hasattr(item, "shape"):
+                    found[name] = item
+
+            file.visititems(note)
+            places = {name: name.replace(".", "/").strip("/") for name in names}
+            texts = {k for k, item in found.items() if item.attrs.get("MATLAB_class", b"") == b"char"}
+            shown = {k: Other("text" if k in texts else str(item.dtype)) for k, item in found.items()}
+            read = {n: np.asarray(found[k]) for n, k in places.items() if k in found and k not in texts}
+        return vectors(path, shown | read, names)
+    except OSError as error:
+        raise DataError(
+            f"{path} is not an HDF5 file that h5py can read, or it is damaged: {error}"
+        ) from error
+
+
+def read_mat(path: Any, names: Sequence[str]) -> Columns:
+    """Named variables of a MATLAB file, of version 7.3 where h5py is installed."""
+    with open(path, "rb") as file:
+        new = file.read(10) == b"MATLAB 7.3"
+    if not new:
+        return read_old_mat(path, names)
+    try:
+        return read_hdf5(path, names, "from_mat")
+    except MissingExtraError:
+        return read_old_mat(path, names)  # which says what to do
+    except DataError as error:
+        raise DataError(
+            f"{error}. As a MATLAB 7.3 file it may be saved anew with save(..., '-v7')"
+        ) from error
+
+
+def read_tdms(path: Any, names: Sequence[str]) -> Columns:
+    """Named channels of a TDMS file: "group/channel", or the channel alone where only one group has it."""
+    nptdms = _needs("nptdms", "from_tdms")
+    with open(path, "rb"):
+        pass
+    try:
+        file = nptdms.TdmsFile.read(path)
+    except Exception as error:  # the reader fails in a dozen ways on what is damaged
+        raise DataError(
+            f"{path} is not a TDMS file that npTDMS can read, or it is damaged: {error}"
+        ) from error
+    channels = [channel for group in file.groups() for channel in group.channels()]
+    listed = ", ".join(f"'{c.group_name}/{c.name}' {len(c)}" for c in channels) or "none"
+    values, units = {}, {}
+    for name in names:
+        found = [c for c in channels if name in (c.name, f"{c.group_name}/{c.name}")]
+        if len(found) != 1:
+            how = "no channel" if not found else f"{len(found)} channels"
+            raise DataError(f"{path} has {how} {name!r}; there are: {listed}")
+        values[name] = np.asarray(found[0][:])
+        units[name] = str(found[0].properties.get("unit_string", ""))
+    steps = {float(c.properties["wf_increment"]) for c in channels if c.properties.get("wf_increment")}
+    said = (
+        f"{path}: the file says wf_increment = {', '.join(f'{s:g}' for s in sorted(steps))} s"
+        if steps
+        else ""
+    )
+    return Columns(values, {k: v for k, v in units.items() if v}, (said,) if said else ())
+
+
+def read_uff(
+    path: Any, sets: Sequence[int]
+) -> tuple[list[np.ndarray[Any, Any]], list[str], list[str], float]:
+    """Time histories (data sets of type 58) of a universal file: values, names, units, sampling time."""
+    pyuff = _needs("pyuff", "from_uff")
+    with open(path, "rb"):
+        pass
+    try:
+        file = pyuff.UFF(str(path))
+        kinds = [int(kind) for kind in file.get_set_types()]
+        read = [file.read_sets(k) if k < len(kinds) and kinds[k] == 58 else None for k in sets]
+    except Exception as error:
+        raise DataError(
+            f"{path} is not a universal file that pyuff can read, or it is damaged: {error}"
+        ) from error
+    values, names, units, steps = [], [], [], set()
+    for k, found in zip(sets, read, strict=True):
+        if found is None or found.get("func_type") not in (0, 1):
+            what = "there is none" if k >= len(kinds) else "no time history of type 58"
+            raise DataError(f"{path}: data set {k} is not a record ({what}); its sets are of types {kinds}")
+        values.append(np.asarray(found["data"], dtype=float).ravel())
+        names.append(f"{found.get('rsp_node', k)}:{found.get('rsp_dir', 0)}")
+        units.append(str(found.get("ordinate_axis_units_lab", "")).strip().replace("NONE", ""))
+        steps.add(float(found["abscissa_inc"]))
+    if len(steps) > 1:
+        raise DataError(f"{path}: the data sets have different sampling times: {sorted(steps)} s")
+    return (
+        values,
+        names,
+        units,
+        as_number(steps.pop(), "the sampling time of the file", above=0.0, error=DataError),
+    )

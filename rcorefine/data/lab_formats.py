@@ -1,0 +1,239 @@
+"""The ways into a `Measurement` from files and objects of other packages."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any, Self
+
+import control as ct
+import numpy as np
+
+from ..arguments import as_list, as_path, as_whole
+from .columns import wanted_columns
+from .extra_formats import read_hdf5, read_tdms, read_uff
+from .formats import FileReaders
+
+__all__ = ["LabReaders"]
+
+
+class LabReaders(FileReaders):
+    """Class methods of `Measurement` that need other packages, or take their objects."""
+
+    __slots__ = ()
+
+    @classmethod
+    def from_hdf5(
+        cls,
+        path: str | PathLike[str],
+        inputs: str | Sequence[str],
+        outputs: str | Sequence[str],
+        *,
+        time: str | None = None,
+        dt: float | None = None,
+        **options: Any,
+    ) -> Self:
+        """Read vectors from an HDF5 file.
+
+        Parameters
+        ----------
+        path : str or path
+            HDF5 file; needs h5py.
+        inputs, outputs : str or sequence of str
+            Data sets of shape (N,), (N, 1) or (1, N), as "group/name".
+        time : str, optional
+            The one that holds the times in s; else give `dt`.
+        dt : float, optional
+            Sampling time in s.
+        **options
+            As in `from_csv`.
+
+        Returns
+        -------
+        Measurement
+            Named after the file.
+
+        Raises
+        ------
+        DataError
+            No such data set (those that exist are listed), or another file.
+        MissingExtraError
+            If the extra "formats" is not installed.
+
+        Examples
+        --------
+        >>> import importlib.util, pathlib, tempfile
+        >>> path = pathlib.Path(tempfile.mkdtemp()) / "run1.h5"
+        >>> if importlib.util.find_spec("h5py"):
+        ...     import h5py
+        ...     with h5py.File(path, "w") as file:
+        ...         file["rig/u"], file["rig/y"] = np.ones(5), np.zeros(5)
+        ...     data = rco.Measurement.from_hdf5(path, "rig/u", "rig/y", dt=0.1)
+        ...     assert data.n_samples == 5
+        """
+        return cls._read(read_hdf5, path, inputs, outputs, time, dt, options)
+
+    @classmethod
+    def from_tdms(
+        cls,
+        path: str | PathLike[str],
+        inputs: str | Sequence[str],
+        outputs: str | Sequence[str],
+        *,
+        time: str | None = None,
+        dt: float | None = None,
+        **options: Any,
+    ) -> Self:
+        """Read channels of a TDMS file (LabVIEW, DIAdem).
+
+        Parameters
+        ----------
+        path : str or path
+            TDMS file; needs npTDMS.
+        inputs, outputs : str or sequence of str
+            Channels, as "group/channel" where two groups have one of the name;
+            their units are taken along.
+        time : str, optional
+            The one that holds the times in s; else give `dt`.
+        dt : float, optional
+            Sampling time in s.
+        **options
+            As in `from_csv`.
+
+        Returns
+        -------
+        Measurement
+            Named after the file.
+
+        Raises
+        ------
+        DataError
+            No such channel, or several (all are listed), or another file.
+        MissingExtraError
+            If the extra "formats" is not installed.
+
+        Examples
+        --------
+        >>> import importlib.util, pathlib, tempfile
+        >>> path = pathlib.Path(tempfile.mkdtemp()) / "run1.tdms"
+        >>> if importlib.util.find_spec("nptdms"):
+        ...     from nptdms import ChannelObject, TdmsWriter
+        ...     columns = [ChannelObject("rig", name, np.arange(5.0)) for name in ("u", "y")]
+        ...     with TdmsWriter(str(path)) as file:
+        ...         file.write_segment(columns)
+        ...     assert rco.Measurement.from_tdms(path, "u", "y", dt=0.1).n_samples == 5
+        """
+        return cls._read(read_tdms, path, inputs, outputs, time, dt, options)
+
+    @classmethod
+    def from_uff(
+        cls,
+        path: str | PathLike[str],
+        input_set: int | Sequence[int],
+        output_set: int | Sequence[int],
+        **options: Any,
+    ) -> Self:
+        r"""Read time histories of a universal file (data sets of type 58).
+
+        Parameters
+        ----------
+        path : str or path
+            Universal file; needs pyuff.
+        input_set, output_set : int or sequence of int
+            Which data sets of the file, counted from 0.
+        **options
+            As in `from_csv`; labels are "node:direction" of the file, units
+            those of its ordinates.
+
+        Returns
+        -------
+        Measurement
+            Named after the file, with its sampling time.
+
+        Raises
+        ------
+        DataError
+            A data set that is none of type 58 with a time history (the types of all
+            are listed), different sampling times, or another file.
+        MissingExtraError
+            If the extra "formats" is not installed.
+
+        Examples
+        --------
+        >>> import importlib.util, pathlib, tempfile
+        >>> path = pathlib.Path(tempfile.mkdtemp()) / "run1.uff"
+        >>> rest = f"{0:10d}{0:5d}{0:5d}{0:5d} {'NONE':20s} {'NONE':20s}"
+        >>> record = [
+        ...     "    -1", "    58", *["NONE"] * 5,
+        ...     f"{1:5d}{0:10d}{1:5d}{0:10d} {'NONE':10s}{7:10d}{3:4d} {'NONE':10s}{1:10d}{3:4d}",
+        ...     f"{2:10d}{2:10d}{1:10d}{0.0:13.5e}{0.1:13.5e}{0.0:13.5e}", *[rest] * 4,
+        ...     f"{1.0:13.5e}{2.0:13.5e}", "    -1", "",
+        ... ]
+        >>> _ = path.write_text("\n".join(2 * record))
+        >>> if importlib.util.find_spec("pyuff"):
+        ...     assert rco.Measurement.from_uff(path, 0, 1).dt == 0.1
+        """
+        path = as_path(path)
+        rows = [_sets(input_set, "input_set"), _sets(output_set, "output_set")]
+        wanted_columns("u", "y", None, None, options)
+        values, names, units, dt = read_uff(path, [*rows[0], *rows[1]])
+        n = len(rows[0])
+        own = {
+            "name": Path(path).stem,
+            "input_labels": names[:n],
+            "output_labels": names[n:],
+            "input_units": units[:n],
+            "output_units": units[n:],
+        }
+        return cls(np.array(values[:n]), np.array(values[n:]), dt=dt, **(own | options))
+
+    @classmethod
+    def from_benchmark(cls, data: Any, **options: Any) -> Self:
+        """Take a record of the package nonlinear_benchmarks.
+
+        Parameters
+        ----------
+        data : Input_output_data
+            Or anything with `u`, `y` of shape (N,) or (N, n) and `sampling_time`.
+        **options
+            As in `from_csv`.
+
+        Returns
+        -------
+        Measurement
+            Signals turned to (signal, time).
+
+        Raises
+        ------
+        control.ControlArgument
+            If it has none of these.
+        DataError
+            If it has no sampling time.
+
+        Examples
+        --------
+        >>> from types import SimpleNamespace
+        >>> silverbox = SimpleNamespace(u=np.ones(5), y=np.zeros((5, 2)), sampling_time=0.1)
+        >>> rco.Measurement.from_benchmark(silverbox).outputs.shape
+        (2, 5)
+        """
+        missing = [name for name in ("u", "y", "sampling_time") if not hasattr(data, name)]
+        if missing:
+            raise ct.ControlArgument(
+                f"data is a {type(data).__name__} without {', '.join(missing)}; give a record of "
+                "nonlinear_benchmarks, or arrays to Measurement"
+            )
+        wanted_columns("u", "y", None, None, options)
+        own = {"name": getattr(data, "name", None)}
+        return cls(np.array(data.u).T, np.array(data.y).T, dt=data.sampling_time, **(own | options))
+
+
+def _sets(values: Any, name: str) -> list[int]:
+    """Numbers of data sets."""
+    listed = (
+        [values] if isinstance(values, int | np.integer) else as_list(values, name, "numbers of data sets")
+    )
+    if not listed:
+        raise ct.ControlArgument(f"{name} names no data set; give at least one number")
+    return [as_whole(value, name) for value in listed]
