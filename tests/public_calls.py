@@ -210,6 +210,10 @@ def is_state(value: Any) -> bool:
     return not is_flag(value) and is_numbers(value) and np.array(value).dtype.kind != "b"
 
 
+def is_places(value: Any) -> bool:
+    return isinstance(value, Iterator) or is_state(value)
+
+
 def is_seed(value: Any) -> bool:
     return is_whole(value) or isinstance(value, np.random.Generator)
 
@@ -437,7 +441,7 @@ CALLS: dict[str, Call] = {
     "Measurement.from_uff": Call(
         lambda: MEASURE.from_uff,
         lambda: {"path": files()["a.npz"], "input_set": 0, "output_set": 1},
-        {**OPTIONAL, "path": is_path, "input_set": is_state, "output_set": is_state},
+        {**OPTIONAL, "path": is_path, **dict.fromkeys(("input_set", "output_set"), is_places)},
         work="rcorefine.data.lab_formats.read_uff",
         more=tuple(UNITS),
     ),

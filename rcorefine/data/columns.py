@@ -16,6 +16,8 @@ from .signals import HOLDS
 
 __all__ = ["Columns", "names_of", "read_frame", "read_mat", "read_npz", "vectors", "wanted_columns"]
 
+_OPTIONS = {"hold", "input_labels", "output_labels", "input_units", "output_units", "name", "notes"}
+
 
 class Columns(NamedTuple):
     """Columns of a file by name, the units that stand there, and what was assumed in reading."""
@@ -44,6 +46,9 @@ def wanted_columns(
     options: Mapping[str, Any],
 ) -> list[str]:
     """Names of all columns to read, each once; what else was given is checked before a file is opened."""
+    unknown = options.keys() - _OPTIONS
+    if unknown:
+        raise TypeError(f"unrecognized keyword(s): {', '.join(map(repr, sorted(unknown)))}")
     if dt is not None:
         as_number(dt, "dt", above=0.0, what="a time in seconds", error=DataError)
     if options.get("name") is not None:
