@@ -13,7 +13,7 @@ __all__ = ["sentences"]
 
 _VERDICTS = {
     "adequate": "Nothing is missing that this record could show.",
-    "parameters": "No law is missing: the numbers of the model are off.",
+    "parameters": "The numbers of the model are off; mended, no law is missing that this record could show.",
     "effect": "What is missing: {best}.",
     "ambiguous": "This record cannot tell apart: {alike}. Most probable: {best}.",
     "unexplained": "Something is missing that no candidate explains{where}. Closest: {best}.",
