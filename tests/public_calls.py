@@ -70,9 +70,9 @@ HARD = rco.Effect("cubic_stiffness", "link1", fixed={"cubic_stiffness": 800.0})
 
 @_quiet
 def nameless() -> rco.Diagnosis:
-    loud = small_record(1)
+    loud = small_record(1, n=1200)
     harder = rco.simulate(rco.refine(small_model(), loud, [HARD]), loud, "zero").outputs[0]
-    y = harder + 0.02 * harder.std() * np.random.default_rng(2).standard_normal(N)
+    y = harder + 0.02 * harder.std() * np.random.default_rng(2).standard_normal(1200)
     data = rco.Measurement(loud.inputs, y, dt=DT)
     return rco.diagnose(small_model(), data, candidates=[rco.Effect("damping", "link1")])
 

@@ -23,7 +23,7 @@ from rcorefine.export.programs import PROGRAMS
 LAWS = [
     name
     for name, law in KINDS.items()
-    if isinstance(law, FormulaLaw) and not law.delays and name != "custom" and not law.feels_inputs
+    if isinstance(law, FormulaLaw) and not law.delays and not law.needs_law and not law.feels_inputs
 ]
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 

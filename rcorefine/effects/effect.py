@@ -159,7 +159,7 @@ class Effect:
         return self._spec
 
     def _found(self, law: Any) -> Law:
-        if isinstance(law, type):
+        if isinstance(law, type) and issubclass(law, Law):
             return instance_of(law)
         return KINDS[self.kind].of(law, tuple(self._start), f"{self.kind} effect at {self.place}")
 

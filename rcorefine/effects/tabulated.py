@@ -112,6 +112,8 @@ def _cell(table, first, n, x):  # type: ignore[no-untyped-def]
 @compiled_law
 def _looked_up(d, v, where):  # type: ignore[no-untyped-def]
     """Force of the table at an address, and its slopes."""
+    if not where > 0.0:  # no table lies nowhere
+        return 0.0, 0.0, 0.0
     table = int(where)
     n, m = int(number_at(table, 0)), int(number_at(table, 1))
     i, p, p_rate = _cell(table, 2, n, d)
