@@ -159,7 +159,8 @@ class Effect:
         return self._spec
 
     def _found(self, law: Any) -> Law:
-        if isinstance(law, type) and issubclass(law, Law):
+        given_class = isinstance(law, type) and issubclass(law, Law)
+        if given_class:
             return instance_of(law)
         return KINDS[self.kind].of(law, tuple(self._start), f"{self.kind} effect at {self.place}")
 
