@@ -156,6 +156,8 @@ def test_information_says_what_would_be_seen():
 
 
 def test_bad_arguments():
+    with pytest.raises(rco.DataError, match="too short"):
+        rco.check(MODEL, rco.Measurement(drive()[:3], drive()[:3], dt=DT))
     with pytest.raises(ct.ControlArgument, match="data must be"):
         rco.check(MODEL, np.zeros(3))
     with pytest.raises(ct.ControlArgument, match="information"):
@@ -170,3 +172,9 @@ def test_the_command(tmp_path, capsys):
     found = json.loads(capsys.readouterr().out)
     assert {row["what"] for row in found["rows"]} >= {"gain", "sampling"}
     assert found["detectable"]
+
+
+def test_a_gain_without_states():
+    w = drive()
+    found = look(w, 3.0 * w + 0.01 * np.random.default_rng(4).standard_normal(N), ct.ss([], [], [], [[2.0]]))
+    assert found["gain"].figure.startswith("1.5 ")

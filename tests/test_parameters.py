@@ -126,3 +126,14 @@ def test_inputs_that_run_otherwise_between_the_samples_are_no_missing_law() -> N
     assert found.verdict == "adequate"
     assert found.refine().hold == "foh"
     assert "The hold matters" in str(found)
+
+
+def test_numbers_that_leave_most_of_the_record_do_not_explain_it():
+    """Dry friction of 0.6 N under 4 N: colored noise could hide it, but a law takes it away."""
+    from test_without_numba import model, record
+
+    laws = [rco.Effect(kind, "link1") for kind in ("coulomb_friction", "damping")]
+    found = rco.diagnose(model(), record(), candidates=laws)
+    assert found.verdict != "parameters"
+    assert found.best.effect.kind == "coulomb_friction"
+    assert abs(found.best.coefficients["force"] - 0.6) < 0.06

@@ -40,7 +40,7 @@ _ROUNDS = 3
 _EXCHANGES = 2
 _LACK_SHARE = 0.05  # what a rival lacks over what it is behind: no such step brings it near
 _AS_GOOD = 1.0  # twice the log-likelihood that makes no difference
-_STRONG = 75.0  # fit in percent of the model without the effect, below which it may move the resonances
+STRONG = 75.0  # fit in percent of the model without the effect, below which it may move the resonances
 _POLISHED = (60.0, 0.02)  # twice the log-likelihood behind the best, plus that per sample
 _NEAR = 60.0  # twice the log-likelihood behind the leader within which rivals get its substeps
 _STEP_SHARE = 0.25  # of a standard deviation that halving the substep may shift a coefficient
@@ -153,7 +153,7 @@ def fit_candidates(
         None where nothing could be refitted.
     """
     progress = progress or Progress()
-    strong = float(np.min(fitted.refinement.fit)) < _STRONG
+    strong = float(np.min(fitted.refinement.fit)) < STRONG
     simple, general = in_families(candidates)
     tasks: list[_Task] = [(fitted, c, ratio, thorough, strong, ()) for c in simple]
     new = [r for r in progress.map(_laps, tasks, "first laps") if r is not None]

@@ -27,7 +27,7 @@ from .candidate_fits import CandidateFits, fit_candidates, shortlist
 from .case import OBSERVERS, Case
 from .excitation import no_motion, not_excited, record_remarks
 from .families import hosts, said_of_families
-from .floating import Floated, as_good, explaining_numbers, rivals_of_numbers
+from .floating import Floated, as_good, explaining_numbers, outdone, rivals_of_numbers
 from .judging import Judged, beside_force, judge, outweighs, pair_hint, second_chance
 from .open_law import open_law, probabilities
 from .places import in_race
@@ -232,8 +232,9 @@ def investigate(
         if beside is None or not outweighs(beside, force.battery, case.levels.force):
             return _adequate(case, force), None
         judged = beside
-    if numbers is not None and not (judged.passed and as_good(case, judged.race, numbers)):
-        return _parameters(case, numbers, tests), None
+    if numbers is not None and not outdone(case, judged.race, numbers):
+        if not (judged.passed and as_good(case, judged.race, numbers)):
+            return _parameters(case, numbers, tests), None
     if not judged.passed:
         judged = second_chance(case, judged, scored, chosen)
     found = _named(case, judged, scored, scores, batteries, validation)

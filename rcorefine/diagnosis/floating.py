@@ -20,13 +20,13 @@ from ..models.library import effect_library
 from ..refinement.base_fit import base_fit
 from ..systems.linear import Array
 from .candidate_fit import log_likelihood, prior_cost
-from .candidate_fits import CandidateFits, fit_candidates
+from .candidate_fits import STRONG, CandidateFits, fit_candidates
 from .case import Case, not_held
 from .places import in_race
 from .residual_tests import TestedResidual, run_tests
 from .verdict import keeps_name, overall
 
-__all__ = ["Floated", "as_good", "explaining_numbers", "rivals_of_numbers"]
+__all__ = ["Floated", "as_good", "explaining_numbers", "outdone", "rivals_of_numbers"]
 
 _OWN = 1e-4  # share of a column that no other number explains, below which it is none of its own
 _PROMISED = 0.5  # share of the gain of the numbers that the score of a law must promise to be worth a refit
@@ -142,8 +142,11 @@ def rivals_of_numbers(case: Case, numbers: Floated, scored: Sequence[Candidate])
     """Whether a single effect explains the residual as well as all the numbers together.
 
     Every single number is refitted, for its score says little where the resonances move. A law is, where
-    its score promises enough: that is right where a law is weak enough to be mistaken for numbers.
+    its score promises enough: that is right where a law is weak enough to be mistaken for numbers. Where
+    the numbers leave much of the record, that is not so, and every candidate gets its fit.
     """
+    if float(np.min(numbers.fitted.refinement.fit)) < STRONG:
+        return True  # much is left, be it noise or a strong law, whose score promises little: all are fitted
     before = TestedResidual(case.fitted, whitener=numbers.battery.whitener)
     least = _PROMISED * 2 * (numbers.evidence + 0.5 * float(before.left @ before.left))
     laws = [(test.gain, i) for i, test in enumerate(before.each(scored)) if not _is_number(scored[i].effect)]
@@ -161,3 +164,13 @@ def as_good(case: Case, race: CandidateFits, numbers: Floated) -> bool:
     """Whether the best candidate explains the records as well as all the numbers of the model together."""
     own = max(log_likelihood(rival, numbers.battery.whitener) for rival in race.rivals)
     return keeps_name(own, numbers.evidence, case.levels)
+
+
+def outdone(case: Case, race: CandidateFits, numbers: Floated) -> bool:
+    """Whether the best candidate leaves clearly less than the numbers, each under a filter of its own.
+
+    A residual that passes for noise of some color may still be most of the record: where a law takes
+    that away, numbers do not explain it, whatever that law itself leaves.
+    """
+    own = TestedResidual(race.model(), race.ratio).log_likelihood
+    return own >= numbers.battery.log_likelihood + case.levels.force

@@ -202,6 +202,8 @@ def _simulate_discrete(model: LinearModel, data: Measurement, x0: str | Array) -
     forced = model.C @ states + model.D @ data.inputs
     if start is None or start.any():
         unit = _powers(model, data.n_samples)
+        if start is None and model.n_states == 0:
+            start = np.zeros(0)
         if start is None:
             weights = 1.0 / np.maximum(data.outputs.std(axis=1), 1e-300)
             rows = (weights[:, None, None] * np.einsum("yi,kij->ykj", model.C, unit)).reshape(

@@ -32,6 +32,7 @@ from .timing import feedback_rows, sampling_rows
 
 __all__ = ["check"]
 
+_SHORTEST = 20  # samples
 _TESTS = 6  # among which one would have to show an effect
 _SETTINGS = {"free": (), "tolerance": 0.0, "offset": True, "noise": None, "horizon": None}
 
@@ -59,6 +60,8 @@ def check(model: Any, data: Measurement, *, information: bool = True) -> Check:
         If model or data are something else.
     control.ControlDimension
         If channels do not fit.
+    DataError
+        If the record is too short.
 
     Notes
     -----
@@ -77,6 +80,8 @@ def check(model: Any, data: Measurement, *, information: bool = True) -> Check:
     (True, 'units')
     """
     as_flag(information, "information")
+    if isinstance(data, Measurement) and data.n_samples < _SHORTEST:
+        raise DataError(f"a record of {data.n_samples} samples is too short to look over; give {_SHORTEST}")
     if not isinstance(data, Measurement):
         raise ct.ControlArgument(f"data must be a rcorefine.Measurement, not {type(data).__name__}")
     with own_arithmetic(), warnings.catch_warnings():

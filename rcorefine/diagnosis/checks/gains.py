@@ -41,6 +41,7 @@ _FAR, _ABOUT = 5.0, 0.25  # a factor that no parameter makes; the log by which a
 _RELATED = 0.3  # correlation below which no gain is read
 _SPIKE = 8.0  # robust standard deviations from the median of five samples
 _NORMAL = 1.4826  # standard deviation over the median absolute deviation, for normal noise
+_SMALL = 1e-4  # of an output's size: what is smaller carries no error
 _LATER = 20.0  # log-likelihood by which a delay must win
 
 
@@ -82,7 +83,7 @@ def gain_rows(compared: Comparison) -> Iterator[CheckRow]:
         if abs(found.correlation) >= _RELATED:
             if len(settling) == 1:  # where a model integrates, an initial state is an offset
                 yield from _level_rows(label, found.left, y, data.timepts)
-            yield from _spike_row(label, found.left, resolution(y))
+            yield from _spike_row(label, found.left, max(resolution(y), _SMALL * float(y.std())))
 
 
 def _settling(linear: LinearModel, dt: float, edges: list[int]) -> list[Array]:
