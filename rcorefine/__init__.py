@@ -8,7 +8,9 @@ from . import examples
 from .comparison import Comparison, compare
 from .data.measurement import Measurement
 from .diagnosis import Diagnosis, diagnose
-from .diagnosis.checks import Check, CheckRow, check
+from .diagnosis.checks.check import check
+from .diagnosis.checks.result import Check
+from .diagnosis.checks.row import CheckRow
 from .diagnosis.confirm import confirm
 from .diagnosis.confirmation import Confirmation
 from .diagnosis.stepwise.improve import improve

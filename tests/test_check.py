@@ -178,3 +178,21 @@ def test_a_gain_without_states():
     w = drive()
     found = look(w, 3.0 * w + 0.01 * np.random.default_rng(4).standard_normal(N), ct.ss([], [], [], [[2.0]]))
     assert found["gain"].figure.startswith("1.5 ")
+
+
+def test_a_diagnosis_says_first_what_is_odd():
+    w = drive()
+    y = noisy(w)
+    data = rco.Measurement(w, np.minimum(y, 0.5 * y.max()), dt=DT, input_labels="u", output_labels="y")
+    laws = [rco.Effect("output_saturation", "y"), rco.Effect("output_gain", "y")]
+    found = rco.diagnose(MODEL, [data, data.segment(0, 20)], candidates=laws)
+    clipped = [row for row in found.checks if row.what == "clipping"]
+    assert [row.where for row in clipped] == ["y, record 1", "y, record 2"]
+    lines = str(found).splitlines()
+    assert lines[1].startswith("LOOK: record 1: y stays at exactly")
+    assert not any("stays at exactly" in note for note in found.notes)
+    quiet = rco.diagnose(MODEL, rco.Measurement(w, y, dt=DT), candidates=laws[1:])
+    assert quiet.checks == ()
+    ladder = rco.improve(MODEL, data, candidates=laws)
+    assert [row.what for row in ladder.checks].count("clipping") == 1
+    assert "stays at exactly" in str(ladder).splitlines()[1]

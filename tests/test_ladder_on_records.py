@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import rcorefine as rco
-from rcorefine.diagnosis.excitation import no_motion, record_remarks
+from rcorefine.diagnosis.checks.signals import signal_rows
+from rcorefine.diagnosis.excitation import no_motion
 from rcorefine.diagnosis.holds import best_hold, hold_errors
 
 SETTINGS = {"tolerance": 0.0, "offset": True, "noise": None}
@@ -74,8 +75,8 @@ def test_clipping_and_one_sign_are_said():
     rng = np.random.default_rng(2)
     w = 1.0 + 0.2 * rng.random(2000)
     y = np.minimum(np.cumsum(rng.standard_normal(2000)), 5.0)
-    said = " ".join(record_remarks([rco.Measurement(w, y, dt=0.1, input_labels="pump")]))
+    said = " ".join(row.sentence for row in signal_rows(rco.Measurement(w, y, dt=0.1, input_labels="pump")))
     assert "exactly 5" in said
     assert "pump never changes sign" in said
     quiet = rco.Measurement(rng.standard_normal(2000), rng.standard_normal(2000), dt=0.1)
-    assert record_remarks([quiet]) == []
+    assert all(row.status == "ok" for row in signal_rows(quiet))

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import butter, cont2discrete, lfilter
 
 import rcorefine as rco
-from rcorefine.diagnosis.excitation import record_remarks
+from rcorefine.diagnosis.checks.signals import signal_rows
 from rcorefine.diagnosis.holds import best_hold, hold_errors
 from rcorefine.refinement.base_fit import base_fit
 
@@ -78,7 +78,8 @@ def test_a_wrong_hold_is_still_said(declared, true):
 
 def said_of(y):
     rng = np.random.default_rng(0)
-    return " ".join(record_remarks([rco.Measurement(rng.standard_normal(y.size), y, dt=0.1)]))
+    rows = signal_rows(rco.Measurement(rng.standard_normal(y.size), y, dt=0.1))
+    return " ".join(row.sentence for row in rows)
 
 
 @pytest.mark.parametrize("bits", [5, 8, 12])

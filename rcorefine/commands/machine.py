@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from ..comparison.adequacy import failures_of
 from ..comparison.failure_map.search import FailureMap
 from ..comparison.result import Comparison
 from ..data.measurement import Measurement
+from ..diagnosis.checks.row import CheckRow
 from ..diagnosis.result import Diagnosis
 from ..diagnosis.stepwise.improvement import Improvement
 from ..effects.effect import Effect
@@ -143,6 +145,7 @@ def diagnosis_object(found: Diagnosis) -> dict[str, Any]:
         ],
         "significance": found.significance,
         "notes": found.notes,
+        "checks": _checks(found.checks),
     }
 
 
@@ -164,8 +167,13 @@ def improvement_object(ladder: Improvement) -> dict[str, Any]:
             }
             for step in ladder.steps
         ],
+        "checks": _checks(ladder.checks),
         **_model(ladder.refinement),
     }
+
+
+def _checks(rows: Sequence[CheckRow]) -> list[dict[str, str]]:
+    return [{name: getattr(row, name) for name in CheckRow.__slots__} for row in rows]
 
 
 def _parameters(rows: Any) -> list[dict[str, Any]]:

@@ -25,7 +25,8 @@ from ..refinement.base_fit import base_fit
 from ..refinement.refine import refit
 from .candidate_fits import CandidateFits, fit_candidates, shortlist
 from .case import OBSERVERS, Case
-from .excitation import no_motion, not_excited, record_remarks
+from .checks.check import looks
+from .excitation import no_motion, not_excited
 from .families import hosts, said_of_families
 from .floating import Floated, as_good, explaining_numbers, outdone, rivals_of_numbers
 from .judging import Judged, beside_force, judge, outweighs, pair_hint, second_chance
@@ -136,7 +137,9 @@ def diagnose(
             base = base_fit(
                 model, records, free=free, tolerance=tolerance, offset=offset, noise=noise, horizon=horizon
             )
-        return investigate(
+        with steps.step("what is odd"):
+            odd = looks(model, records, horizon)
+        found, _ = investigate(
             base,
             records,
             asked=candidates,
@@ -151,7 +154,8 @@ def diagnose(
             },
             significance=significance,
             progress=steps,
-        )[0]
+        )
+        return replace(found, checks=odd)
 
 
 def investigate(
@@ -267,7 +271,7 @@ def _named(
         shares, none = np.full(len(shares), np.nan), 1.0
     p_values = [p_of[rival.effect] for rival in race.rivals]
     rows = ranking(race, p_values, shares, case.base, validation, case.settings["horizon"])
-    notes = [*_about_record(case), *fit_remarks(race), *remarks(race, scored, batteries)]
+    notes = [*_about_hold(case), *fit_remarks(race), *remarks(race, scored, batteries)]
     notes += said_of_families(race.rivals, held)
     notes += [sentence] if sentence else []
     if case.thorough and word == "unexplained":
@@ -298,19 +302,19 @@ def _under_another_hold(case: Case) -> Diagnosis | None:
     return None if numbers is None else replace(_parameters(other, numbers, tests), notes=(sentence,))
 
 
-def _about_record(case: Case) -> list[str]:
-    """What the record itself, and its hold, have to say; only where the case is looked into thoroughly."""
+def _about_hold(case: Case) -> list[str]:
+    """What the hold has to say; only where the case is looked into thoroughly."""
     if not case.thorough:
         return []
     sentence = case.hold[1]
-    return [*([sentence] if sentence else []), *record_remarks(case.ordered)]
+    return [sentence] if sentence else []
 
 
 def _parameters(case: Case, numbers: Floated, tests: Sequence[FTest]) -> Diagnosis:
     """No law is missing, the numbers are off."""
     return Diagnosis(
         "parameters", (), (), tuple(tests), tuple(numbers.tests), (), force_ratio=0.0,
-        floated=numbers.fitted.refinement, notes=tuple(_about_record(case)), **case.about,
+        floated=numbers.fitted.refinement, notes=tuple(_about_hold(case)), **case.about,
     )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""What a record can show at all: motion, levels, signs, clipping; looked at before anything is ranked."""
+"""Whether a record can show anything at all; asked before anything is ranked."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..data.measurement import Measurement
-from ..data.range_ends import clipped
 from ..inference.doubts import explains_nothing
 from ..inference.refinement import Refinement
 
-__all__ = ["no_motion", "not_excited", "record_remarks"]
+__all__ = ["no_motion", "not_excited"]
 
 _FEW_LEVELS = 3  # distinct values of an output that does not move but for its last digit
 
@@ -67,30 +66,3 @@ def not_excited(base: Refinement, records: Sequence[Measurement]) -> str:
         f"Cannot tell: nothing was excited. {', '.join(records[0].input_labels)} is constant, and the "
         "outputs show no free motion of the model. Give a record in which the inputs move."
     )
-
-
-def record_remarks(records: Sequence[Measurement]) -> list[str]:
-    """What should make the reader careful about the record itself.
-
-    Parameters
-    ----------
-    records : sequence of Measurement
-        Records.
-
-    Returns
-    -------
-    list of str
-    """
-    said = []
-    for i, label in enumerate(records[0].output_labels):
-        side = clipped(np.concatenate([record.outputs[i] for record in records]))
-        if side:
-            said.append(
-                f"{label} stays at exactly {side[0]:.6g} for up to {side[1]} samples: the sensor may be "
-                "clipped (output_saturation)."
-            )
-    for i, label in enumerate(records[0].input_labels):
-        w = np.concatenate([record.inputs[i] for record in records])
-        if np.ptp(w) > 0 and (w.min() >= 0 or w.max() <= 0) and abs(w.mean()) > 0.2 * np.abs(w).max():
-            said.append(f"{label} never changes sign: laws that differ by direction may look alike.")
-    return said

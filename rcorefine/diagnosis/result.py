@@ -16,6 +16,7 @@ from ..exceptions import ModelError
 from ..inference.refinement import EstimatedParameter, Refinement
 from ..inference.whitening import FTest
 from ..results import Look, Reported, picture, show
+from .checks.row import CheckRow
 from .hidden_force import HiddenForce, hidden_force
 from .open_law import OpenLaw
 from .words import sentences
@@ -115,6 +116,8 @@ class Diagnosis(Reported):
         tried there have together. Sums to one; empty where nothing was ranked.
     open_law : OpenLaw or None
         Where the verdict is "unexplained": the force as a table, and the laws nearest to it.
+    checks : tuple of CheckRow
+        What `check` finds odd about the records, or the model beside them, before anything is tested.
     """
 
     verdict: str
@@ -139,6 +142,7 @@ class Diagnosis(Reported):
     none_of_these: float = np.nan
     places: dict[str, float] = field(default_factory=dict)
     open_law: OpenLaw | None = None
+    checks: tuple[CheckRow, ...] = ()
 
     @property
     def place(self) -> str | None:

@@ -1,11 +1,16 @@
-"""Table of a `Check`."""
+"""Table of a `Check`, and of what it found odd in the report of a result that rests on the same record."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from ..diagnosis.checks.result import Check
+from ..diagnosis.checks.row import CheckRow
 from .tables import Table, Told, tells
 
-__all__ = ["check_told"]
+__all__ = ["check_told", "odd"]
+
+_HEADERS = ["", "looked at", "where", "found"]
 
 
 @tells(Check)
@@ -13,7 +18,25 @@ def check_told(found: Check) -> Told:
     """What asks for attention in words, above the table of all that was looked at."""
     looks = [f"{row.status.upper()}: {row.sentence}" for row in found.looks]
     head = looks or ["Nothing odd: the record and the model can be laid beside each other."]
-    rows = [[row.status, row.what, row.where, row.figure] for row in found.rows]
     quiet = [row.sentence for row in found.rows if row.what == "information" and row not in found.looks]
-    table = Table(["", "looked at", "where", "found"], rows, "Check", [*head, *quiet], 4)
-    return head, table, quiet
+    return head, Table(_HEADERS, _rows(found.rows), "Check", [*head, *quiet], 4), quiet
+
+
+def odd(rows: Sequence[CheckRow]) -> list[Table]:
+    """A table of what asks for attention, none where nothing does.
+
+    Parameters
+    ----------
+    rows : sequence of CheckRow
+        Rows that ask for attention.
+
+    Returns
+    -------
+    list of Table
+    """
+    title, notes = "Odd about the record, or the model beside it", [row.sentence for row in rows]
+    return [Table(_HEADERS, _rows(rows), title, notes, 4)] if rows else []
+
+
+def _rows(rows: Sequence[CheckRow]) -> list[list[str]]:
+    return [[row.status, row.what, row.where, row.figure] for row in rows]

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.signal import welch
 
 from ..data.measurement import Measurement
+from ..diagnosis.checks.row import warned
 from ..diagnosis.hidden_force import HiddenForce
 from ..diagnosis.result import Diagnosis
 from ..effects.along_motion import unit_forces
@@ -26,10 +27,10 @@ _SHOWN = 8
 @tells(Diagnosis)
 def diagnosis_told(found: Diagnosis) -> Told:
     """The verdict in words, and the ranking."""
-    above = [f"Diagnosis: {found.verdict.upper()}", *found.sentences()]
+    above = [f"Diagnosis: {found.verdict.upper()}", *warned(found.checks), *found.sentences()]
     title = f"Diagnosis: {found.verdict}"
     if found.floated is not None:
-        return above, estimates_table(found.parameters, title, found.sentences()), []
+        return above, estimates_table(found.parameters, title, above[1:]), []
     headers = ["effect", "coefficient", "std", "fit %", "p-value"]
     named = found.verdict != "unexplained"  # no probability for what fails its own tests
     headers += ["probability"] if named else []
@@ -50,7 +51,7 @@ def diagnosis_told(found: Diagnosis) -> Told:
         rows.append(["none of these", "", "", "", "", f"{found.none_of_these:.3f}"])
     if found.open_law is not None:
         rows.append([found.open_law.effect.label[:38], "", "", f"{found.open_law.fit_after:.2f}", ""])
-    return above, Table(headers, rows, title, found.sentences()), []
+    return above, Table(headers, rows, title, above[1:]), []
 
 
 @draws(Diagnosis)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import control as ct
 import numpy as np
 
+from ..diagnosis.checks.row import warned
 from ..diagnosis.stepwise.improvement import Improvement
 from .figures import Frame, draws
 from .tables import Table, Told, root_mean_square, tells
@@ -24,8 +25,9 @@ def improvement_told(found: Improvement) -> Told:
             value = f"{step.coefficients[key]:.3g} +/- {step.std[key]:.1g}"
         errors = (step.train_rmse, step.choice_rmse, step.validation_rmse)
         rows.append([f"{i} {step.name}"[:40], value, *(f"{root_mean_square(e):.4g}" for e in errors)])
-    above = [f"Improvement in {len(found.steps) - 1} step(s): {found.verdict.upper()}"]
-    return above, Table(headers, rows, f"Improvement: {found.verdict}", found.sentences()), found.sentences()
+    odd, said = warned(found.checks), found.sentences()
+    above = [f"Improvement in {len(found.steps) - 1} step(s): {found.verdict.upper()}", *odd]
+    return above, Table(headers, rows, f"Improvement: {found.verdict}", [*odd, *said]), said
 
 
 @draws(Improvement)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import control as ct
@@ -26,11 +28,12 @@ from ..ranking import detectable
 from ..residual_tests import TestedResidual
 from ..result import Detectable
 from .gains import gain_rows
-from .result import LOOK, OK, STOP, Check, CheckRow
+from .result import Check
+from .row import LOOK, OK, STOP, CheckRow
 from .signals import signal_rows
 from .timing import feedback_rows, sampling_rows
 
-__all__ = ["check"]
+__all__ = ["check", "looks"]
 
 _SHORTEST = 20  # samples
 _TESTS = 6  # among which one would have to show an effect
@@ -86,34 +89,67 @@ def check(model: Any, data: Measurement, *, information: bool = True) -> Check:
         raise ct.ControlArgument(f"data must be a rcorefine.Measurement, not {type(data).__name__}")
     with own_arithmetic(), warnings.catch_warnings():
         warnings.simplefilter("ignore", RCOWarning)
-        compared = _compared(model, data)
-        record = compared.data if compared is not None else data
-        rows = [*signal_rows(record)]
-        linear = LinearModel.from_statespace(getattr(model, "system", model))
-        rows += sampling_rows(linear, record)
-        if compared is None:
-            rows.append(
-                CheckRow(
-                    STOP,
-                    "free run",
-                    "",
-                    "diverges",
-                    "The free run leaves all bounds, so the model cannot be laid beside the record: give "
-                    "compare a short horizon=, or mend its poles.",
-                )
-            )
-            return Check(tuple(rows))
-        rows += [*gain_rows(compared), *feedback_rows(compared)]
+        record, rows = _looked_over(model, data, None)
         stopped = any(row.status == STOP for row in rows)
         shown = _shown(model, record) if information and not stopped else ()
     rows += _information_rows(shown, as_physical(model) if shown else None)
     return Check(tuple(rows), shown)
 
 
-def _compared(model: Any, data: Measurement) -> Comparison | None:
+def looks(model: Any, records: Sequence[Measurement], horizon: float | None) -> tuple[CheckRow, ...]:
+    """What asks for attention, for a result that rests on these records.
+
+    Parameters
+    ----------
+    model : StateSpace, PhysicalModel or Refinement
+        Model.
+    records : sequence of Measurement
+        Records; of several, each row says which it is about.
+    horizon : float, optional
+        Length of the free runs (s).
+
+    Returns
+    -------
+    tuple of CheckRow
+        Those that say stop first.
+    """
+    rows = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RCOWarning)
+        for i, data in enumerate(records):
+            if data.n_samples >= _SHORTEST:
+                about = f"record {i + 1}" if len(records) > 1 else ""
+                rows += [_of_record(row, about) for row in _looked_over(model, data, horizon)[1]]
+    return Check(tuple(rows)).looks
+
+
+def _of_record(row: CheckRow, about: str) -> CheckRow:
+    if not about:
+        return row
+    return replace(row, where=f"{row.where}, {about}".removeprefix(", "), sentence=f"{about}: {row.sentence}")
+
+
+def _looked_over(model: Any, data: Measurement, horizon: float | None) -> tuple[Measurement, list[CheckRow]]:
+    """The record in the order of the model's channels, and its rows without those on information."""
+    compared = _compared(model, data, horizon)
+    record = compared.data if compared is not None else data
+    rows = [*signal_rows(record)]
+    linear = LinearModel.from_statespace(getattr(model, "system", model))
+    rows += sampling_rows(linear, record)
+    if compared is not None:
+        return record, [*rows, *gain_rows(compared), *feedback_rows(compared)]
+    diverges = CheckRow(
+        STOP, "free run", "", "diverges",
+        "The free run leaves all bounds, so the model cannot be laid beside the record: give compare a short "
+        "horizon=, or mend its poles.",
+    )  # fmt: skip
+    return record, [*rows, diverges]
+
+
+def _compared(model: Any, data: Measurement, horizon: float | None) -> Comparison | None:
     """The model on the record, None where its free run has no bounds."""
     try:
-        compared = compare(model, data)
+        compared = compare(model, data, horizon=horizon)
     except DivergenceError:
         return None
     return compared if np.isfinite(compared.runs).all() else None

@@ -14,7 +14,7 @@ from ...data.range_ends import resolution
 from ...inference.whitening import project, rank_basis
 from ...systems.conversion import to_discrete
 from ...systems.linear import Array, LinearModel
-from .result import LOOK, OK, STOP, CheckRow
+from .row import LOOK, OK, STOP, CheckRow
 
 __all__ = ["gain_rows"]
 

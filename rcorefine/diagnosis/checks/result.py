@@ -7,33 +7,9 @@ from typing import Any
 
 from ...results import Result
 from ..result import Detectable
+from .row import LOOK, STOP, CheckRow
 
-__all__ = ["LOOK", "OK", "STOP", "Check", "CheckRow"]
-
-OK, LOOK, STOP = "ok", "look", "stop"
-
-
-@dataclass(frozen=True, slots=True)
-class CheckRow:
-    """One thing that was looked at.
-
-    Attributes
-    ----------
-    status : str
-        "ok", "look" (go on, but know this) or "stop" (what follows means nothing before it is mended).
-    what, where : str
-        What was looked at, and the signal, "" for the whole record.
-    figure : str
-        What was found, with its unit.
-    sentence : str
-        What it means, and what to do.
-    """
-
-    status: str
-    what: str
-    where: str
-    figure: str
-    sentence: str
+__all__ = ["Check"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,7 +9,7 @@ import numpy as np
 from ...data.measurement import Measurement
 from ...data.range_ends import clipped, resolution, runs
 from ...systems.linear import Array
-from .result import LOOK, OK, STOP, CheckRow
+from .row import LOOK, OK, STOP, CheckRow
 
 __all__ = ["signal_rows"]
 

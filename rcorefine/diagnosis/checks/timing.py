@@ -11,7 +11,7 @@ from ...comparison.result import Comparison
 from ...data.measurement import Measurement
 from ...inference.whitening import Whitener
 from ...systems.linear import Array, LinearModel
-from .result import LOOK, OK, CheckRow
+from .row import LOOK, OK, CheckRow
 
 __all__ = ["feedback_rows", "sampling_rows"]
 

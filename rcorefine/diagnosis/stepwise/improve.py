@@ -17,6 +17,7 @@ from ...inference.windows import as_records, check_validation
 from ...models.conversion import as_physical
 from ...progress import Progress
 from ..case import candidates_of
+from ..checks.check import looks
 from .backward import drop_needless, drop_undetermined, return_trust, shorten, swap_better
 from .forward import climb, tabulate
 from .improvement import Improvement
@@ -117,10 +118,12 @@ def improve(
     )
     if validation is not None:
         check_validation(model, validation)
-    parts = split_in_parts(as_records(data), validation)
+    records = as_records(data)
+    parts = split_in_parts(records, validation)
     settings = {"tolerance": tolerance, "offset": offset, "noise": noise, "horizon": horizon}
     with own_arithmetic(), warnings.catch_warnings(), Progress(progress, executor) as bar:
         warnings.simplefilter("ignore", IdentifiabilityWarning)  # ties are in the ledger
+        odd = looks(model, records, horizon)
         ladder = StepwiseSelection(
             model, parts, free=free, settings=settings, significance=significance, progress=bar
         )
@@ -135,7 +138,7 @@ def improve(
     steps, names = with_other_names(ladder.steps)
     units = tuple(parts.fit[0].output_units)
     notes = (*ladder.notes(), *names)
-    return Improvement(tuple(steps), verdict, message, physical.linear.output_labels, units, notes)
+    return Improvement(tuple(steps), verdict, message, physical.linear.output_labels, units, notes, odd)
 
 
 def _climb(ladder: StepwiseSelection, library: list[Effect], most: int) -> None:

@@ -11,6 +11,7 @@ from ...effects.effect import Effect
 from ...inference.refinement import Refinement
 from ...results import Options, ReportedModel, picture, show
 from ...systems.linear import Array
+from ..checks.row import CheckRow
 
 __all__ = ["Improvement", "Step"]
 
@@ -74,7 +75,9 @@ class Improvement(ReportedModel):
     output_labels, output_units : tuple of str
         Names and units of the outputs, units "" where unknown.
     notes : tuple of str
-        What was noticed about the record: its hold, clipping, signs.
+        What was noticed about the record: its parts, its hold.
+    checks : tuple of CheckRow
+        What `check` finds odd about the records, or the first model beside them.
     """
 
     steps: tuple[Step, ...]
@@ -83,6 +86,7 @@ class Improvement(ReportedModel):
     output_labels: tuple[str, ...]
     output_units: tuple[str, ...]
     notes: tuple[str, ...] = ()
+    checks: tuple[CheckRow, ...] = ()
 
     @property
     def refinement(self) -> Refinement:

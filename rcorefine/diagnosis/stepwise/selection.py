@@ -23,7 +23,7 @@ from ...refinement.refine import refine, refit
 from ...systems.linear import Array
 from ..candidate_fits import CandidateFits
 from ..diagnose import investigate
-from ..excitation import no_motion, record_remarks
+from ..excitation import no_motion
 from ..holds import best_hold
 from ..result import Diagnosis
 from .improvement import Step
@@ -266,9 +266,9 @@ class StepwiseSelection:
         return last > first
 
     def notes(self) -> list[str]:
-        """What was noticed about the record, and the hold of the last model."""
+        """What was noticed about its parts, and the hold of the last model."""
         hold = self._holds.get(self.current.hold)
-        return [*self.parts.remarks, *record_remarks(self.parts.fit), *([hold] if hold else [])]
+        return [*self.parts.remarks, *([hold] if hold else [])]
 
     def _step(self, effect: Effect | None, action: str, verdict: str, rivals: tuple[Effect, ...]) -> Step:
         nothing = np.zeros(0)

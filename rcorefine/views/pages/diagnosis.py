@@ -7,6 +7,7 @@ import inspect
 from ...diagnosis.diagnose import diagnose
 from ...diagnosis.result import Diagnosis
 from ...inference.refinement import Refinement
+from ..check import odd
 from ..tables import Table, number
 from .answers import diagnosis_answer
 from .code import call_options, effects_code, model_code, record_code, refinement_code, script
@@ -57,6 +58,7 @@ def _tables(found: Diagnosis) -> Parts:
         for t in found.winner_tests
     ]
     return [
+        *odd(found.checks),
         Table(
             [
                 "effect",

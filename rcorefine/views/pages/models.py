@@ -12,6 +12,7 @@ from ...data.levels import stretches_by_level
 from ...data.measurement import Measurement
 from ...diagnosis.stepwise.improvement import Improvement
 from ...inference.refinement import Refinement
+from ..check import odd
 from ..tables import Table, number, root_mean_square
 from .answers import improvement_answer, refinement_answer
 from .code import model_code, record_code, refinement_code, script
@@ -59,6 +60,7 @@ def report_improvement(
         rivals = ", ".join(effect.label for effect in step.rivals)
         rows.append([str(i), step.name, values, *(f"{root_mean_square(e):.4g}" for e in errors_of), rivals])
     tables: Parts = [
+        *odd(ladder.checks),
         Table(
             ["step", "what", "coefficients", "fitted", "chosen on", "held out", "explains the same alike"],
             rows,
