@@ -385,7 +385,11 @@ CALLS: dict[str, Call] = {
             "dt": is_positive,
             "timepts": is_state,
             "notes": is_words,
+            "origin": lambda v: is_state(v) and np.size(v) == 2,
         },
+    ),
+    "Measurement.deviation": Call(
+        _method(record, "deviation"), dict, {"inputs": or_none(is_numbers), "outputs": or_none(is_numbers)}
     ),
     "Measurement.check_excitation": Call(
         _method(record, "check_excitation"), dict, {"purpose": is_text, "stacklevel": is_whole}
@@ -600,6 +604,7 @@ CALLS: dict[str, Call] = {
             "links": {"leak": {"T": 1.0}},
             "units": {"T": "K"},
             "parameters": {"G": ("damping", "T", 0.5)},
+            "operating_point": {"inputs": 1.0, "states": 2.0},
             "dt": DT,
         },
         {
@@ -607,6 +612,7 @@ CALLS: dict[str, Call] = {
             "links": lambda v: v is None or v == {},
             "units": lambda v: v is None or v == {},
             "parameters": lambda v: v is None or v == {},
+            "operating_point": lambda v: v is None,
             "dt": is_positive,
         },
     ),

@@ -30,6 +30,21 @@ def test_links_lead_somewhere(page):
             assert anchor in anchors(target.read_text(encoding="utf-8")), f"no heading {anchor} in {target}"
 
 
+#: Pages whose code runs, block after block in one session.
+RUN = ("operating_point.md",)
+
+
+@pytest.mark.parametrize("page", RUN)
+def test_code_of_a_page_runs(page):
+    scope: dict = {}
+    blocks = re.findall(
+        r"^```python\n(.*?)^```", (DOCS / page).read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
+    )
+    assert blocks
+    for block in blocks:
+        exec(compile(block, page, "exec"), scope)
+
+
 def test_pictures_are_shown_and_small():
     text = "".join(page.read_text(encoding="utf-8") for page in DOCS.glob("*.md"))
     pictures = sorted((DOCS / "pictures").glob("*.png"))

@@ -143,6 +143,7 @@ def _selected(data: Measurement, inputs: Sequence[int], outputs: Sequence[int]) 
         output_labels=[data.output_labels[i] for i in outputs],
         input_units=[data.input_units[i] for i in inputs],
         output_units=[data.output_units[i] for i in outputs],
+        origin=data.origin[[*inputs, *(data.n_inputs + i for i in outputs)]],
     )
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import control as ct
 import numpy as np
 
-from ..arguments import as_choice, as_labels, as_list, as_text, as_texts, as_whole
+from ..arguments import as_choice, as_labels, as_list, as_text, as_texts, as_vector, as_whole
 from ..exceptions import DataError, ExcitationWarning
 from ..results import Options, Result, picture, show
 from ..systems.linear import Array
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["HOLDS", "Measurement", "as_records"]
 
-_ARRAYS = ("inputs", "outputs", "timepts")
+_ARRAYS = ("inputs", "outputs", "timepts", "origin")
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
@@ -58,6 +58,8 @@ class Measurement(Result, RecordReaders, RecordParts):
     notes : sequence of str
         How the record came about: what a reader of files assumed, how it was
         resampled. They stand below its table.
+    origin : array_like of shape (n_w + n_y,), optional
+        What was taken off each input, then each output, before (`deviation`); default nothing.
 
     Attributes
     ----------
@@ -106,6 +108,7 @@ class Measurement(Result, RecordReaders, RecordParts):
     output_units: tuple[str, ...]
     name: str
     notes: tuple[str, ...]
+    origin: Array
 
     def __init__(
         self,
@@ -121,6 +124,7 @@ class Measurement(Result, RecordReaders, RecordParts):
         output_units: str | Sequence[str] | None = None,
         name: str | None = None,
         notes: Sequence[str] = (),
+        origin: Any = None,
     ) -> None:
         w = as_signals(inputs, "inputs")
         y = as_signals(outputs, "outputs")
@@ -138,12 +142,16 @@ class Measurement(Result, RecordReaders, RecordParts):
         step, times = as_time_grid(dt, timepts, n_samples)
         check_finite(w, w_labels, times, "input")
         check_finite(y, y_labels, times, "output")
-        for array in (w, y, times):
+        count = w.shape[0] + y.shape[0]
+        taken = np.zeros(count) if origin is None else as_vector(origin, "origin", count).copy()
+        for array in (w, y, times, taken):
             array.setflags(write=False)
         w_units = _units(input_units, "input_units", w.shape[0])
         y_units = _units(output_units, "output_units", y.shape[0])
         said = as_texts(notes, "notes")
-        values = (w, y, step, times, hold, w_labels, y_labels, w_units, y_units, name or "measured", said)
+        values = (
+            w, y, step, times, hold, w_labels, y_labels, w_units, y_units, name or "measured", said, taken,
+        )  # fmt: skip
         for field, value in zip(FIELDS, values, strict=True):
             object.__setattr__(self, field, value)
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from ..arguments import as_choice, as_number, as_share, as_whole
+from ..arguments import as_choice, as_number, as_share, as_vector, as_whole
 from ..exceptions import DataError
 from ..systems.linear import Array
 from .resampling import decimated
@@ -16,7 +16,7 @@ __all__ = ["FIELDS", "RecordParts"]
 
 FIELDS = (
     "inputs", "outputs", "dt", "timepts", "hold", "input_labels", "output_labels",
-    "input_units", "output_units", "name", "notes",
+    "input_units", "output_units", "name", "notes", "origin",
 )  # fmt: skip
 
 
@@ -32,6 +32,7 @@ class RecordParts:
         timepts: Array
         hold: str
         notes: tuple[str, ...]
+        origin: Array
 
         def __init__(self, inputs: Any, outputs: Any, **options: Any) -> None: ...
 
@@ -129,6 +130,37 @@ class RecordParts:
         """
         as_choice(hold, "hold", HOLDS)
         return self if hold == self.hold else self._part(slice(None), hold)
+
+    def deviation(self, inputs: Any = None, outputs: Any = None) -> Self:
+        """What the record has above an operating point.
+
+        Parameters
+        ----------
+        inputs, outputs : array_like of shape (n_w,) and (n_y,), optional
+            Levels in units of the signals, as in the record that was measured; default the means.
+
+        Returns
+        -------
+        Measurement
+            Its `origin` says what was taken off: a model with an `operating_point` adds it again for laws
+            that feel absolute values.
+
+        Examples
+        --------
+        >>> data = rco.Measurement([300.0, 310.0], [24.0, 26.0], dt=0.1)
+        >>> data.deviation().outputs, data.deviation(outputs=24).outputs
+        (array([[-1.,  1.]]), array([[0., 2.]]))
+        """
+        n = self.inputs.shape[0]
+        was = self.origin[:n], self.origin[n:]
+        parts = []
+        for level, rows, old, name in zip(
+            (inputs, outputs), (self.inputs, self.outputs), was, ("inputs", "outputs"), strict=True
+        ):
+            new = rows.mean(axis=1) + old if level is None else as_vector(level, name, old.size)
+            parts.append((rows + (old - new)[:, None], new))
+        (w, above), (y, over) = parts
+        return self._changed(inputs=w, outputs=y, origin=np.concatenate([above, over]))
 
     def decimate(self, factor: int) -> Self:
         """Every `factor`-th sample, behind a filter that keeps the model true.

@@ -10,7 +10,6 @@ from typing import Any
 import control as ct
 import numpy as np
 
-from ..data.channels import match_channels, record_for
 from ..data.measurement import Measurement
 from ..effects.effect import Effect
 from ..effects.law import KINDS
@@ -22,6 +21,7 @@ from ..inference.starts import Motion
 from ..inference.whitening import FTest
 from ..inference.windows import windows
 from ..models.library import effect_library
+from ..models.operating_point import ordered_record
 from ..models.physical_model import PhysicalModel
 from ..progress import Progress
 from .holds import best_hold
@@ -94,7 +94,7 @@ class Case:
             If no candidate is left that the model does not hold.
         """
         physical = base.physical_model
-        ordered = [record_for(r, match_channels(physical.linear, r)) for r in records]
+        ordered = [ordered_record(physical, r) for r in records]
         for record in ordered:
             if record.n_samples < _SHORTEST:
                 raise DataError(

@@ -10,7 +10,6 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_number, as_share
-from ..data.channels import match_channels, record_for
 from ..data.measurement import Measurement
 from ..effects.effect import Effect, as_effects
 from ..engine.observer import observer_gain
@@ -28,6 +27,7 @@ from ..inference.starts import Motion
 from ..inference.whitening import FTest, Whitener
 from ..inference.windows import as_records, windows
 from ..models.library import effect_library
+from ..models.operating_point import ordered_record
 from ..systems.linear import Array
 from .confirmation import Confirmation, RecordEstimate
 from .open_law import free_form_test
@@ -112,7 +112,7 @@ def confirm(
     if len(records) < 2:
         raise ct.ControlArgument("data holds one record; give the one that taught the effects and another")
     linear = model.physical_model.linear
-    ordered = [record_for(r, match_channels(linear, r)) for r in records]
+    ordered = [ordered_record(model.physical_model, r) for r in records]
     for record in ordered:
         check_channels(linear, record)
     own = [i for i, row in enumerate(model.parameters) if row.role == "effect"]

@@ -300,10 +300,9 @@ class Diagnosis(Reported):
         -------
         list of Measurement
         """
-        from ..data.channels import match_channels, record_for
+        from ..models.operating_point import ordered_record
 
-        linear = self.base.physical_model.linear
-        return [record_for(r, match_channels(linear, r)) for r in self.records]
+        return [ordered_record(self.base.physical_model, r) for r in self.records]
 
     def sentences(self) -> list[str]:
         """What was found, one sentence each.

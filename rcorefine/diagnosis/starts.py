@@ -13,6 +13,7 @@ from ..inference.fitted import FittedModel
 from ..inference.problem import Problem
 from ..inference.search import starting_states
 from ..inference.sensitivities import Candidate
+from ..models.operating_point import sensed
 from ..systems.linear import Array
 
 __all__ = ["at_home", "force_along", "gain_for", "imitated", "led", "observed", "plain_cost", "regressed"]
@@ -193,7 +194,9 @@ def imitated(giver: Candidate, point: Array, taker: Candidate, most: int = 1) ->
     full[:, :n] = starts[:, :n]
     tries: list[tuple[float, Array]] = []
     for shape in _shapes(giver, theta, taker, float(np.sqrt(np.mean(d**2)))):
-        columns = unit_forces(taker.effect, d, v, [shape], w)
+        columns = unit_forces(
+            taker.effect, d, v, [shape], w, taker.fitted.structure.resting(taker.effect.place)
+        )
         if columns is None:
             return []
         free = [name for name in taker.effect.free if name not in shape]
@@ -237,13 +240,13 @@ def force_along(candidate: Candidate, point: Array) -> tuple[Array, Array, Array
     rows: list[tuple[Array, ...]] = []
     for engine, start in zip(problem.engines, starts, strict=True):
         run = engine.run(theta, start, sensitivity=False, histories=True, check=False)
-        x, w = run.states[: port.act.size], engine.data.inputs
-        d = port.position @ x + port.position_input @ w
-        v = port.velocity @ x + port.velocity_input @ w
+        w = engine.data.inputs
+        d, v = sensed(structure.model, port.name, run.states, w)
         if at_port:
-            rows.append((d, v, w, run.forces[-1]))
+            last = structure.n_ports - 1
+            rows.append((d, v, w, run.forces[last] - structure.rest(theta)[last]))
         else:
-            unit = unit_forces(effect, d, v, [])
+            unit = unit_forces(effect, d, v, [], rest=structure.resting(effect.place))
             if unit is None:
                 return None
             rows.append((d, v, w, theta[-1] * unit[0]))

@@ -15,7 +15,12 @@ _SHARP = 1e-300  # width of a jump that is none
 
 
 def unit_forces(
-    effect: Effect, d: Array, v: Array, shapes: list[dict[str, float]], w: Array | None = None
+    effect: Effect,
+    d: Array,
+    v: Array,
+    shapes: list[dict[str, float]],
+    w: Array | None = None,
+    rest: tuple[float, float] | None = None,
 ) -> list[Array] | None:
     """Columns of force (N,), one per coefficient that scales it and per shape.
 
@@ -29,12 +34,19 @@ def unit_forces(
         Values of the coefficients that shape the law, to be tried.
     w : ndarray, shape (n_w, N), optional
         Inputs, for laws that feel them.
+    rest : two floats, optional
+        Displacement and velocity at which the force is counted as nothing.
 
     Returns
     -------
     list of ndarray, or None
         None for a law that is not a force along a motion.
     """
+    if rest is not None and effect.spec.signal != "constant":
+        d, v = np.append(rest[0], d), np.append(rest[1], v)
+        w = None if w is None else np.hstack([0.0 * w[:, :1], w])
+        whole = unit_forces(effect, d, v, shapes, w)
+        return None if whole is None else [column[1:] - column[0] for column in whole]
     law = effect.spec
     simple = {"displacement": d, "velocity": v, "constant": np.ones(v.size)}.get(law.signal)
     if simple is not None:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..arguments import as_choice, as_vector, as_whole, shown
 from ..data.measurement import Measurement
 from ..exceptions import ModelError
+from ..models.operating_point import refuse_point
 from ..results import Result
 from ..systems.linear import Array
 from .engine import Engine
@@ -142,7 +143,7 @@ def frequency_response_at(
     harmonics = as_whole(harmonics, "harmonics", least=1, most=_MOST_HARMONICS)
     as_choice(sweep, "sweep", ("up", "down"))
     structure, theta, _ = structure_of(model)
-    linear = structure.linear_model
+    linear = refuse_point(structure.model, "frequency_response_at").linear
     channel = _channel(source, linear.input_labels)
     balance = Balance(structure, theta, channel, int(harmonics))
     order = np.argsort(points, kind="stable")[:: 1 if sweep == "up" else -1]

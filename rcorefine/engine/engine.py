@@ -87,6 +87,9 @@ class Engine:
         self._signal = InputSignal(data.inputs, data.dt, data.hold, substeps, at_rest)
         # a copy: a read-only view would have the march compiled once more
         self._measured = np.array(data.outputs.T, order="C")
+        point = structure.model.operating_point  # sensors are absolute
+        self._level = np.zeros(structure.n_outputs) if point is None else point.outputs
+        self._measured += self._level
 
     def run(
         self,
@@ -178,7 +181,7 @@ class Engine:
         for index, channel in s.output_delays:
             if np.isfinite(Yout[:, channel]).all():  # where it blew up there is nothing to shift
                 self._delay_output(theta, index, channel, Yout, SY, sensitivity)
-        return _trajectory(Yout, SY, X, F, int(blew_up))
+        return _trajectory(Yout - self._level, SY, X, F, int(blew_up))
 
     def _corrections(self, gain: Array | None, use: NDArray[np.bool_] | None) -> tuple[NDArray[Any], Array]:
         """Where the observer corrects, shape (N, n_y), and its gain; nowhere in a free run."""

@@ -175,7 +175,12 @@ def _statics(
 ) -> tuple[Array, dict[int, Array]]:
     """The laws in turn, and the derivative by each free coefficient."""
     columns: list[int] = []
-    value, slopes = signal, np.zeros((0, signal.size))
+    point = structure.model.operating_point
+    value = signal
+    if point is not None:  # laws see absolute values; before the record the input stood at the point
+        level = point.inputs[structure.linear_model.input_labels.index(structure.effects[effects[0]].place)]
+        value = np.concatenate([[level], signal + level])
+    slopes = np.zeros((0, value.size))
     for index in effects:
         law = structure.effects[index].spec
         if law.delays or not isinstance(law, InputLaw):
@@ -185,6 +190,9 @@ def _statics(
         free = [c for c, column in enumerate(found) if column >= 0]
         slopes = np.vstack([slopes, own[free]])
         columns += [found[c] for c in free]
+    if point is not None:
+        value = value[1:] - (value[0] if structure.balanced else level)
+        slopes = slopes[:, 1:] - (slopes[:, :1] if structure.balanced else 0.0)
     return value, dict(zip(columns, slopes, strict=True))
 
 

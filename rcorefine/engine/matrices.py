@@ -91,6 +91,12 @@ def continuous_matrices(structure: Structure, theta: NDArray[Any]) -> Matrices:
     D[:, nw] += into.output_offset
     A, B, E = into.pace * A, into.pace * B, into.pace * E
     sense = np.hstack([P[:, :n] + P[:, n:] @ Ux, P[:, n:] @ into.Uw])
+    point = model.operating_point
+    if point is not None:  # states and inputs are what they have above it; sensors and ports are absolute
+        sense[:, n + nw] += P[:, :n0] @ point.states + P[:, n:] @ point.inputs
+        rest = structure.rest(theta)
+        B[:, nw] -= E @ rest
+        D[:, nw] += point.outputs - G @ rest
     return Matrices(A, B, E, C, D, G, sense)
 
 

@@ -56,13 +56,23 @@ def nonlinear_system(structure: Structure, theta: Array, name: str | None = None
         evaluate(codes[i], d, v, d, z, values[i : i + 1], 0, widths[i], w, out)
         return float(out[0, 0])
 
-    def drive(u: Any) -> Array:
+    point = structure.model.operating_point
+    level, above = np.zeros(nw), np.zeros(n + len(memory))
+    if point is not None:
+        level, above[: point.states.size] = point.inputs, point.states
+
+    def acting(u: Any) -> Array:
         w = np.append(np.atleast_1d(np.asarray(u, dtype=float)), 1.0)
         for index, channel in structure.input_statics:
             effect = structure.effects[index]
             assert isinstance(effect.spec, InputLaw)
             w[channel] = effect.spec.through(w[[channel]], *structure.law_values(theta, index))[0][0]
         return w
+
+    rest = np.append(acting(level)[:nw] if structure.balanced else level, 0.0)
+
+    def drive(u: Any) -> Array:
+        return np.asarray(acting(u) - rest)
 
     def forces(x: Array, w: Array) -> tuple[Array, Array]:
         sense = matrices.P @ np.concatenate([x[:n], w])
@@ -72,7 +82,7 @@ def nonlinear_system(structure: Structure, theta: Array, name: str | None = None
         ), sense
 
     def update(t: float, x: Any, u: Any, params: Any) -> Array:
-        x, w = np.asarray(x, dtype=float), drive(u)
+        x, w = np.asarray(x, dtype=float) - above, drive(u)
         f, sense = forces(x, w)
         rate = matrices.A @ x[:n] + matrices.B @ w + matrices.E @ f
         inner = []
@@ -82,7 +92,7 @@ def nonlinear_system(structure: Structure, theta: Array, name: str | None = None
         return np.concatenate([rate, inner])
 
     def output(t: float, x: Any, u: Any, params: Any) -> Array:
-        x, w = np.asarray(x, dtype=float), drive(u)
+        x, w = np.asarray(x, dtype=float) - above, drive(u)
         f, _ = forces(x, w)
         y = matrices.C @ x[:n] + matrices.D @ w + matrices.G @ f
         for index, channel in structure.output_statics:

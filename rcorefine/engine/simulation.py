@@ -157,13 +157,28 @@ def simulate(model: Any, data: Measurement, x0: str | Array = "estimate") -> Sim
     if isinstance(inner, ct.StateSpace) and inner.dt != 0:
         return _simulate_discrete(LinearModel.from_statespace(inner), data, x0)
     structure, theta, substeps = structure_of(model)
-    start = as_state(x0, structure.n_states)
-    engine = Engine(structure, data, substeps=substeps, initial=start)
     check_channels(structure.linear_model, data)
+    start, point = as_state(x0, structure.n_states), structure.model.operating_point
+    levels = _levels(structure, data)
+    if point is not None:
+        data = data.deviation(point.inputs, point.outputs)
+        start = None if start is None else start - (0.0 if isinstance(x0, str) else levels[1])
+    engine = Engine(structure, data, substeps=substeps, initial=start)
     if start is None:
         start = estimate_initial_state(engine, theta)
     run = engine.run(theta, start, sensitivity=False, histories=True)
-    return Simulation(run.outputs, run.states, run.forces, start)
+    outputs, states = run.outputs + levels[0][:, None], run.states + levels[1][:, None]
+    return Simulation(outputs, states, run.forces, start + levels[1])
+
+
+def _levels(structure: Structure, data: Measurement) -> tuple[Array, Array]:
+    """What outputs, as the record has them, and states are above those of the engine."""
+    outputs, states = np.zeros(structure.n_outputs), np.zeros(structure.n_states)
+    point = structure.model.operating_point
+    if point is not None:
+        outputs = point.outputs - data.origin[data.n_inputs :]
+        states[: point.states.size] = point.states
+    return outputs, states
 
 
 def unjudged_samples(model: Any, data: Measurement) -> int:

@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..effects.absorbed import AbsorbedLaw
-from ..effects.compiled import MAX_COEFFICIENTS
+from ..effects.compiled import COUNT, MAX_COEFFICIENTS, evaluate
 from ..effects.effect import Effect
 from ..effects.formula import FormulaLaw, InputLaw, OutputLaw, PortLaw
+from ..exceptions import ModelError
 from ..models.conversion import as_physical
+from ..models.operating_point import sensed
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array, LinearModel
 from .matrices import Matrices, continuous_matrices, site_of
@@ -86,6 +88,11 @@ class Structure:
     # ------------------------------------------------------------- registration
     def _register(self, index: int, effect: Effect) -> None:
         self.model.check(effect)
+        if self.model.operating_point is not None and getattr(effect.spec, "feels_inputs", False):
+            raise ModelError(
+                f"{effect.label}: its formula takes the inputs, which stand as what they have above the "
+                "operating point; give the model without one and the record's `deviation`"
+            )
         for name in effect.coefficients:
             self._add_parameter(index, effect, name)
         law = effect.spec
@@ -184,6 +191,8 @@ class Structure:
         """Columns of theta that enter the matrices."""
         skip = set(self._port_effects) | set(self._input_statics)
         skip |= set(self._output_statics) | set(self._delayed_outputs)
+        if self.balanced:  # what they give at the operating point does
+            skip -= set(self._port_effects)
         return np.array([i for i, q in enumerate(self.parameters) if q.effect not in skip], dtype=np.int64)
 
     def discretize(self, theta: Array, step: float, *, derivatives: bool = True) -> Discrete:
@@ -191,6 +200,36 @@ class Structure:
         return discretized(self, theta, step, derivatives=derivatives)
 
     # ------------------------------------------------------------ nonlinear parts
+    @property
+    def balanced(self) -> bool:
+        """Whether the forces of the laws at the operating point are in the point already."""
+        point = self.model.operating_point
+        return point is not None and point.balanced
+
+    def resting(self, place: str) -> tuple[float, float] | None:
+        """Displacement and velocity of a port at the operating point, None where nothing balances there."""
+        if not self.balanced:
+            return None
+        nothing = np.zeros((self.n_states + self.n_inputs, 1))
+        d, v = sensed(self.model, place, nothing, nothing[: self.n_inputs])
+        return float(d[0]), float(v[0])
+
+    def rest(self, theta: NDArray[Any]) -> NDArray[Any]:
+        """Forces (m,) of the laws at the operating point, with their derivatives where theta is complex."""
+        found = np.zeros(self.n_ports, theta.dtype if theta.size else float)
+        if not self.balanced:
+            return found
+        codes, values, columns, widths = self.laws(theta.real)
+        written = np.zeros((self.n_ports, COUNT))
+        for row, index in enumerate(self._port_effects):
+            d, v = self.resting(self.effects[index].place) or (0.0, 0.0)
+            evaluate(codes[row], d, v, d, 0.0, values, row, widths[row], written[0, :0], written)
+            found[row] = written[row, 0]
+            for slot, column in enumerate(columns[row]):
+                if column >= 0:
+                    found[row] += written[row, 9 + slot] * (theta[column] - theta[column].real)
+        return found
+
     def laws(self, theta: Array) -> tuple[NDArray[np.int64], Array, NDArray[np.int64], Array]:
         """Codes, coefficients, their columns in theta, and widths of the port laws, as `march` takes them."""
         m = self.n_ports

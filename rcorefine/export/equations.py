@@ -10,6 +10,7 @@ from ..effects.formula import FormulaLaw
 from ..engine.nonlinear import nonlinear_system
 from ..engine.structure import Structure
 from ..exceptions import ModelError
+from ..models.operating_point import refuse_point
 from ..systems.linear import Array
 
 __all__ = ["Equations", "Term", "equations_of"]
@@ -91,6 +92,7 @@ def equations_of(structure: Structure, theta: Array, remarks: Sequence[str]) -> 
     ModelError
         If an effect has no state equation (a delay, a memory without `rate`).
     """
+    refuse_point(structure.model, "an export")
     nonlinear_system(structure, theta)  # refuses what has no state equation
     linear, matrices = structure.linear_model, structure.matrices(theta.astype(float))
     _, _, _, widths = structure.laws(theta)

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from ..data.channels import match_channels, record_for
 from ..data.measurement import Measurement
 from ..effects.effect import Effect
 from ..engine.observer import observer_gain
 from ..engine.structure import Structure
+from ..models.operating_point import ordered_record, sensed
 from ..systems.linear import Array
 from .assembly import priors
 from .linearized import linearized
@@ -108,9 +108,9 @@ class FittedModel:
 
     def port(self, name: str, ratio: float, record: int) -> tuple[Array, Array]:
         """Displacement and velocity (N,) at a port."""
-        port = self.structure.model.port(name)
-        x, w = self.states(ratio)[record][: port.act.size], self.problem.records[record].inputs
-        return port.position @ x + port.position_input @ w, port.velocity @ x + port.velocity_input @ w
+        return sensed(
+            self.structure.model, name, self.states(ratio)[record], self.problem.records[record].inputs
+        )
 
     def linearized(self) -> tuple[Array, Array]:
         """A and C with each nonlinear force replaced by its best linear fit along the motion."""
@@ -175,7 +175,7 @@ def fitted_from(
     FittedModel
     """
     structure, theta, steps = refinement.simulation_structure()
-    records = [record_for(r, match_channels(refinement.physical_model.linear, r)) for r in data]
+    records = [ordered_record(refinement.physical_model, r) for r in data]
     mean, sd = priors(structure, refinement.roles, tolerance)
     level = (
         refinement.rmse if noise is None else np.broadcast_to(np.asarray(noise, float), refinement.rmse.shape)

@@ -161,7 +161,8 @@ def _law_columns(
         for i, shapes in laws:
             effect = found[i].effect
             d, v = fitted.port(effect.place, ratio, record)
-            columns = unit_forces(effect, d, v, shapes, fitted.problem.records[record].inputs)
+            w, rest = fitted.problem.records[record].inputs, fitted.structure.resting(effect.place)
+            columns = unit_forces(effect, d, v, shapes, w, rest)
             if columns is None:
                 found[i].columns[ratio] = _own_columns(found[i], ratio)
                 continue

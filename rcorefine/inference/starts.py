@@ -11,6 +11,7 @@ from ..data.measurement import Measurement
 from ..engine.engine import Engine
 from ..engine.observer import observer_gain
 from ..engine.structure import Structure
+from ..models.operating_point import sensed
 from ..systems.linear import Array
 from .problem import Problem
 
@@ -35,11 +36,7 @@ class Motion:
 
     def port(self, name: str) -> tuple[Array, Array]:
         """Displacement and velocity, each of shape (N,), at one port."""
-        port = self._structure.model.port(name)
-        x = self.states[: port.act.size]
-        d = port.position @ x + port.position_input @ self.data.inputs
-        v = port.velocity @ x + port.velocity_input @ self.data.inputs
-        return d, v
+        return sensed(self._structure.model, name, self.states, self.data.inputs)
 
 
 def estimated_motion(structure: Structure, theta: Array, data: Measurement) -> Motion:
@@ -144,10 +141,11 @@ class _Seen:
     @property
     def signal(self) -> Array:
         data, linear = self._motion.data, self._structure.linear_model
-        labels, rows = linear.output_labels, data.outputs
+        labels, rows, first = linear.output_labels, data.outputs, data.n_inputs
         if "input" in self._law.where:
-            labels, rows = linear.input_labels, data.inputs
-        row: Array = rows[labels.index(self._place)]
+            labels, rows, first = linear.input_labels, data.inputs, 0
+        channel = labels.index(self._place)
+        row: Array = rows[channel] + data.origin[first + channel]
         return row
 
     @cached_property

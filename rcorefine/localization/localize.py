@@ -10,7 +10,6 @@ import numpy as np
 
 from ..arguments import as_choice, as_number, as_share, as_state
 from ..arithmetic import own_arithmetic
-from ..data.channels import match_channels, record_for
 from ..data.measurement import Measurement
 from ..effects.dampers import Damping
 from ..effects.effect import Effect
@@ -23,6 +22,7 @@ from ..inference.refinement import Refinement
 from ..inference.starts import estimated_motion
 from ..inference.windows import as_records, windows
 from ..models.conversion import as_physical
+from ..models.operating_point import ordered_record, refuse_point
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 from .assessment import assessed
@@ -155,7 +155,7 @@ def localize_damage(
         horizon=horizon,
         known_start=initial is not None,
     )
-    records = [record_for(r, match_channels(physical.linear, r)) for r in as_records(data)]
+    records = [ordered_record(physical, r) for r in as_records(data)]
     for record in records:
         check_channels(physical.linear, record)
         record.check_excitation("localize_damage", stacklevel=2)
@@ -187,7 +187,8 @@ def localize_damage(
 def _baseline(model: Any) -> tuple[PhysicalModel, tuple[Effect, ...], int]:
     """The undamaged structure; effects that a Refinement found stay at their values."""
     if not isinstance(model, Refinement):
-        return as_physical(model), (), 1
+        return refuse_point(as_physical(model), "localize_damage"), (), 1
+    refuse_point(model.physical_model, "localize_damage")
     structure, theta, substeps = model.simulation_structure()
     held = []
     for index, effect in enumerate(structure.effects):

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..arguments import as_array, as_list, as_texts, shown
 from ..exceptions import ModelError
+from .operating_point import refuse_point
 from .ports import Port
 
 if TYPE_CHECKING:
@@ -143,8 +144,9 @@ def check_stream_hold(model: PhysicalModel, hold: str) -> None:
     Raises
     ------
     ModelError
-        If the model has a hold of its own that is another one.
+        If the model has a hold of its own that is another one, or an operating point.
     """
+    refuse_point(model, "a stream")
     if model.hold not in (None, hold):
         raise ModelError(
             f"model {model.name!r} was found to take its inputs with hold={model.hold!r}, and the stream has "

@@ -17,6 +17,7 @@ from ..exceptions import ModelError
 from ..systems.discretization import check_sampling_time
 from .detection import recognized
 from .link_ports import Declared, weighted
+from .operating_point import as_operating_point
 from .parameters import NominalParameter
 from .physical_model import PhysicalModel
 from .ports import Port
@@ -98,6 +99,7 @@ def physical(
     links: Mapping[str, Mapping[str, float]] | None = None,
     units: Mapping[str, str] | None = None,
     parameters: Mapping[str, tuple[str, str, float]] | None = None,
+    operating_point: Mapping[str, Any] | None = None,
     dt: float | None = None,
 ) -> PhysicalModel:
     """Say what is known about a plain model: its links, units and masses.
@@ -118,6 +120,13 @@ def physical(
         Numbers that the model was built from: ``{"J1": ("mass", "th1", 0.01), "k": ("stiffness",
         "shaft", 120.0)}``. A mass makes the forces at its place, and at all that is linked to
         it, physical ones; the others name what `refine` and `diagnose` report.
+    operating_point : mapping, optional
+        ``{"inputs": ..., "states": ..., "outputs": ...}``, each numbers in order or ``{signal: value}``:
+        where the plant rests, and about which the model is linear. Records, and states given or
+        returned, are absolute then, and laws feel absolute values: drag grows with v^2, not with the
+        square of what v has above 24 m/s. What a law gives at the point is part of the balance there,
+        and only the rest of it is added. Without ``"outputs"`` they are what the states and inputs
+        of the point give.
     dt : float, optional
         Sampling time [s] of a discrete-time `StateSpace` that does not tell its own.
 
@@ -153,7 +162,10 @@ def physical(
     own = {port.name for port in model.ports}
     more = [_sum_port(model, name, ends) for name, ends in given.items() if name not in own]
     model = _in_units(replace(model, ports=(*model.ports, *more)), named)
-    return replace(model, parameters=_named(model, numbers))
+    model = replace(model, parameters=_named(model, numbers))
+    if operating_point is None:
+        return model
+    return replace(model, operating_point=as_operating_point(operating_point, model.linear))
 
 
 def _weights(name: str, ends: Any) -> dict[str, float]:

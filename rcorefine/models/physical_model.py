@@ -16,6 +16,7 @@ from ..exceptions import ModelError
 from ..results import Result
 from ..systems.linear import Array, LinearModel
 from .consistency import check_outputs, check_places, check_sizes
+from .operating_point import OperatingPoint
 from .parameters import NominalParameter
 from .ports import Port
 from .units import combine_units
@@ -50,8 +51,9 @@ class PhysicalModel(Result):
     input_units, output_units, state_units : tuple of str
         Units, ``""`` where they are unknown.
     hold : {"zoh", "foh", "bandlimited"}, optional
-        How the inputs run between samples, where that is known better than the records
-        declare it; `improve` finds it out. By default it is as each record declares.
+        How the inputs run between samples, where that is not as the records declare.
+    operating_point : OperatingPoint, optional
+        Point about which the model is linear (see `physical`).
 
     Attributes
     ----------
@@ -85,6 +87,7 @@ class PhysicalModel(Result):
     output_units: tuple[str, ...] = ()
     state_units: tuple[str, ...] = ()
     hold: str | None = None
+    operating_point: OperatingPoint | None = None
 
     def __post_init__(self) -> None:
         linear = self.linear

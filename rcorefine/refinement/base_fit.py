@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from ..data.channels import match_channels, record_for
 from ..data.measurement import Measurement
 from ..effects.effect import Effect
 from ..engine.simulation import check_channels
@@ -16,6 +15,7 @@ from ..inference.outcome import output_weights, package
 from ..inference.refinement import Refinement
 from ..inference.search import starting_states
 from ..inference.windows import windows
+from ..models.operating_point import ordered_record
 from .refine import refine
 
 __all__ = ["base_fit"]
@@ -41,7 +41,7 @@ def base_fit(
             model, records, free=free, tolerance=tolerance, offset=offset, noise=noise, horizon=horizon
         )
     physical, kept = unfold(model)
-    ordered = [record_for(r, match_channels(physical.linear, r)) for r in records]
+    ordered = [ordered_record(physical, r) for r in records]
     for record in ordered:
         check_channels(physical.linear, record)
         record.check_excitation("diagnose", stacklevel=3)

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ..arguments import as_state, as_whole
+from ..arguments import as_whole
 from ..arithmetic import own_arithmetic
-from ..data.channels import match_channels, record_for
 from ..data.measurement import Measurement
 from ..effects.effect import Effect, as_effects
 from ..engine.simulation import check_channels
@@ -21,6 +20,7 @@ from ..inference.outcome import package
 from ..inference.refinement import Refinement
 from ..inference.starts import estimated_motion, law_widths
 from ..inference.windows import as_records, windows
+from ..models.operating_point import ordered_record, start_above
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 
@@ -121,11 +121,11 @@ def refine(
     90.0
     """
     physical, kept = unfold(model)
-    records = [record_for(r, match_channels(physical.linear, r)) for r in as_records(data)]
+    records = [ordered_record(physical, r) for r in as_records(data)]
     for record in records:
         check_channels(physical.linear, record)
         record.check_excitation("refine", stacklevel=2)
-    initial = as_state(x0, physical.linear.n_states)
+    initial = start_above(physical, x0)
     if substeps is not None:
         substeps = as_whole(substeps, "substeps", least=1, most=_MOST_SUBSTEPS)
     effects = as_effects(effects, "effects")
@@ -197,7 +197,7 @@ def refit(
     Refinement
     """
     physical, kept = unfold(model)
-    records = [record_for(r, match_channels(physical.linear, r)) for r in as_records(data)]
+    records = [ordered_record(physical, r) for r in as_records(data)]
     segments, note = windows(physical, records, horizon)
     widths = {(e.kind, e.place): model.constants.get(i) for i, (e, _) in enumerate(kept)}
     if without is not None:

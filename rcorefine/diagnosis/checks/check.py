@@ -19,6 +19,7 @@ from ...exceptions import DataError, DivergenceError, RCOWarning
 from ...inference.levels import levels
 from ...inference.sensitivities import candidate_columns
 from ...models.conversion import as_physical
+from ...models.operating_point import ordered_record
 from ...models.physical_model import PhysicalModel
 from ...progress import Progress
 from ...refinement.base_fit import base_fit
@@ -28,6 +29,7 @@ from ..ranking import detectable
 from ..residual_tests import TestedResidual
 from ..result import Detectable
 from .gains import gain_rows
+from .level import level_rows
 from .result import Check
 from .row import LOOK, OK, STOP, CheckRow
 from .signals import signal_rows
@@ -131,9 +133,13 @@ def _of_record(row: CheckRow, about: str) -> CheckRow:
 
 def _looked_over(model: Any, data: Measurement, horizon: float | None) -> tuple[Measurement, list[CheckRow]]:
     """The record in the order of the model's channels, and its rows without those on information."""
-    compared = _compared(model, data, horizon)
-    record = compared.data if compared is not None else data
-    rows = [*signal_rows(record)]
+    physical = getattr(model, "physical_model", model)
+    point = physical.operating_point if isinstance(physical, PhysicalModel) else None
+    # what is linear about a point is laid beside what the record has above it
+    beside = (model, data) if point is None else (physical.system, ordered_record(physical, data))
+    compared = _compared(*beside, horizon)
+    record = compared.data if compared is not None and point is None else data
+    rows = [*signal_rows(record), *level_rows(data, point)]
     linear = LinearModel.from_statespace(getattr(model, "system", model))
     rows += sampling_rows(linear, record)
     if compared is not None:

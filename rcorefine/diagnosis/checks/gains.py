@@ -206,7 +206,7 @@ def _level_rows(label: str, left: Array, y: Array, timepts: Array) -> Iterator[C
     if abs(level) > max(5.0 * scatter / np.sqrt(_BLOCKS), 0.05 * spread):
         far = abs(level) > 2.0 * spread
         more = (
-            ": an absolute record about an operating point? Subtract that point from inputs and outputs"
+            ": an absolute record about an operating point? Declare it in physical(), or give its deviation()"
             if far
             else ""
         )

@@ -19,6 +19,7 @@ from ...inference.sensitivities import candidate_columns
 from ...inference.starts import Motion
 from ...inference.whitening import Whitener
 from ...inference.windows import windows
+from ...models.operating_point import refuse_point
 from ...systems.linear import Array
 from ..candidate_fits import fit_candidates
 from ..residual_tests import TestedResidual
@@ -60,6 +61,7 @@ def suggest(
     if sensors is not None:
         sensors = as_texts(sensors, "sensors")
         sensor_rows(found.base.physical_model, sensors)
+    refuse_point(found.base.physical_model, "suggest_experiment")
     records = found.ordered_records()
     if largest_input is not None:
         largest_input = as_vector(largest_input, "largest_input", above=0.0, error=ct.ControlArgument)

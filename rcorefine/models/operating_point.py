@@ -1,0 +1,123 @@
+"""The point about which a model is linear: what counts as zero in its states, inputs and outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..arguments import as_mapping, as_number, as_state, as_vector
+from ..data.channels import match_channels, record_for
+from ..data.measurement import Measurement
+from ..exceptions import ModelError
+from ..systems.linear import Array, LinearModel
+
+if TYPE_CHECKING:
+    from .physical_model import PhysicalModel
+
+__all__ = ["OperatingPoint", "as_operating_point", "ordered_record", "refuse_point", "sensed", "start_above"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OperatingPoint:
+    """Values about which a model holds; its matrices speak of what is above them.
+
+    Parameters
+    ----------
+    inputs, states, outputs : ndarray
+        In the order and the units of the model's signals, shapes (n_w,), (n,), (n_y,).
+    balanced : bool
+        Whether the plant rests there: what an effect gives at the point is in the point already, and
+        only the rest of it is added to the model.
+    """
+
+    inputs: Array
+    states: Array
+    outputs: Array
+    balanced: bool = True
+
+
+def as_operating_point(given: Any, linear: LinearModel) -> OperatingPoint:
+    """An operating point from what a user writes: numbers in order, or by name of the signal.
+
+    Raises
+    ------
+    ModelError
+        If a name is no signal of the model, a size does not fit, or inputs or states are missing.
+    control.ControlArgument
+        If a value is no finite number.
+    """
+    parts = dict(as_mapping(given, "operating_point", "values"))
+    labels = {"inputs": linear.input_labels, "states": linear.state_labels, "outputs": linear.output_labels}
+    for key in parts:
+        if key not in labels:
+            raise ModelError(f"operating_point names {key!r}; it has 'inputs', 'states' and 'outputs'")
+    for key in ("inputs", "states"):
+        if key not in parts and labels[key]:
+            raise ModelError(f"operating_point lacks {key!r}: {', '.join(labels[key])}")
+    inputs, states = (_values(key, parts.get(key, ()), labels[key]) for key in ("inputs", "states"))
+    outputs = linear.C @ states + linear.D @ inputs
+    if "outputs" in parts:
+        outputs = _values("outputs", parts["outputs"], labels["outputs"])
+    return OperatingPoint(inputs, states, outputs)
+
+
+def _values(what: str, given: Any, labels: Sequence[str]) -> Array:
+    name = f"{what} of operating_point"
+    if not isinstance(given, Mapping):
+        return as_vector(given, name, len(labels)) if labels else np.zeros(0)
+    for label in given:
+        if label not in labels:
+            raise ModelError(f"{name} names {label!r}; there are {', '.join(labels)}")
+    missing = [label for label in labels if label not in given]
+    if missing:
+        raise ModelError(f"{name} lacks {', '.join(missing)}")
+    return np.array([as_number(given[label], f"{label!r} in {name}") for label in labels])
+
+
+def refuse_point(model: PhysicalModel, what: str) -> PhysicalModel:
+    """The model, unless it stands about an operating point and `what` cannot know of it.
+
+    Raises
+    ------
+    ModelError
+        If it does.
+    """
+    if model.operating_point is not None:
+        raise ModelError(
+            f"{what} takes no operating point yet: leave it out of physical(...) and give what the signals "
+            "have above it, Measurement.deviation(); laws then see that too, not absolute values"
+        )
+    return model
+
+
+def ordered_record(model: PhysicalModel, data: Measurement) -> Measurement:
+    """The record in the order of the model's channels, and as what it has above the operating point."""
+    record = record_for(data, match_channels(model.linear, data))
+    point = model.operating_point
+    if point is None:
+        return record
+    known = [record.output_labels[i] for i in range(record.n_outputs)]
+    outputs = point.outputs
+    if len(known) < outputs.size:  # some were not measured
+        outputs = outputs[[model.linear.output_labels.index(label) for label in known]]
+    return record.deviation(point.inputs, outputs)
+
+
+def start_above(model: PhysicalModel, x0: Any) -> Array | None:
+    """An initial state as a user gives it, as what it has above the operating point; None to estimate it."""
+    start = as_state(x0, model.linear.n_states)
+    if start is None or isinstance(x0, str) or model.operating_point is None:
+        return start
+    return start - model.operating_point.states
+
+
+def sensed(model: PhysicalModel, place: str, states: Array, inputs: Array) -> tuple[Array, Array]:
+    """Displacement and velocity (N,) at a port, absolute, from states and inputs above the point."""
+    port, point = model.port(place), model.operating_point
+    x = states[: port.act.size]
+    if point is not None:
+        x, inputs = x + point.states[:, None], inputs + point.inputs[:, None]
+    return port.position @ x + port.position_input @ inputs, port.velocity @ x + port.velocity_input @ inputs
