@@ -196,3 +196,13 @@ def test_a_diagnosis_says_first_what_is_odd():
     ladder = rco.improve(MODEL, data, candidates=laws)
     assert [row.what for row in ladder.checks].count("clipping") == 1
     assert "stays at exactly" in str(ladder).splitlines()[1]
+
+
+def test_a_smooth_error_has_no_spikes():
+    slow = ct.ss([[0, 1], [-9, -0.4]], [[0], [6]], [[1, 0]], [[0]])
+    fast = ct.ss([[0, 1], [-8, -0.4]], [[0], [6]], [[1, 0]], [[0]])
+    w = np.random.default_rng(0).standard_normal(2000)
+    y = ct.forced_response(fast.sample(0.05), np.arange(2000) * 0.05, w).outputs
+    y = y + 0.02 * y.std() * np.random.default_rng(1).standard_normal(2000)
+    found = rco.check(slow, rco.Measurement(w, y, dt=0.05), information=False)
+    assert "spikes" not in [row.what for row in found.looks]

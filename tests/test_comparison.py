@@ -219,8 +219,8 @@ def test_record_with_more_channels_than_the_model(w):
 
 def test_what_is_no_model_or_no_record(w):
     data = record(w, simulated(chain(), w))
-    with pytest.raises(ct.ControlArgument, match="TransferFunction"):
-        compare(ct.tf(1, [1, 1]), data)
+    with pytest.raises(ct.ControlArgument, match="FrequencyResponseData"):
+        compare(ct.frd([1.0, 0.5], [1.0, 2.0]), data)
     with pytest.raises(ct.ControlArgument, match="no model"):
         compare([], data)
     with pytest.raises(ct.ControlArgument, match="Measurement"):

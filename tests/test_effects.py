@@ -11,7 +11,8 @@ from rcorefine.effects.effect import Effect, describe_effects
 from rcorefine.effects.law import KINDS
 from rcorefine.effects.tabulated import Table
 from rcorefine.exceptions import ModelError
-from rcorefine.models.builders import mass_spring_damper, series_rlc, two_tanks
+from rcorefine.models.builders import dc_motor, mass_spring_damper, series_rlc, thermal_network, two_tanks
+from rcorefine.models.library import effect_library
 from rcorefine.models.units import combine_units
 
 # what the design promises: kind -> (places, coefficients)
@@ -84,7 +85,7 @@ class TestKinds:
         kind = KINDS[name]
         assert kind.name == name
         assert kind.formula
-        for text in (kind.explanation, kind.explanation_first_order or kind.explanation):
+        for text in (kind.explanation, kind.words[1] or kind.explanation):
             assert "{place}" in text
             assert text.endswith(".")
             assert len(text) < 130
@@ -143,10 +144,29 @@ class TestEffect:
     def test_words_fit_the_kind_of_place(self):
         model = two_tanks()
         effect = model.check(Effect("damping", "tank1"))
-        assert "loss or flow" in effect.explanation
+        assert effect.label == "outflow in proportion at tank1"
         assert effect == Effect("damping", "tank1")
-        assert "loss or flow" in pickle.loads(pickle.dumps(effect)).explanation
-        assert "loss or flow" in effect.replace(start={"damping": 1.0}).explanation
+        assert pickle.loads(pickle.dumps(effect)).label == effect.label
+        assert effect.replace(start={"damping": 1.0}).explanation == effect.explanation
+
+    @pytest.mark.parametrize(
+        "model",
+        [
+            series_rlc(1.0, 0.1, 0.01),
+            dc_motor(R=1.0, L=0.01, Kt=0.1, J=0.01),
+            thermal_network([1e4, 2e4], {(1, 0): 0.01, (1, 2): 0.1}),
+            two_tanks(),
+        ],
+        ids=lambda model: model.name,
+    )
+    def test_no_joint_is_spoken_of_where_there_is_none(self, model):
+        mechanical = (
+            "damping friction stiffness spring mass force displacement speed joint motion shock".split()
+        )
+        for effect in effect_library(model):
+            if effect.place not in ("shaft", *model.linear.input_labels, *model.linear.output_labels):
+                said = f"{effect.label} {effect.explanation}".replace("_", " ").lower().split()
+                assert not [word for word in mechanical if word in said], effect.label
 
     def test_equality_and_hash(self):
         plain = Effect("clearance", "link1")

@@ -153,8 +153,8 @@ def test_bode_mimo_layout_and_sizes():
         bode_comparison([("a", two), ("b", lag())])
     with pytest.raises(ValueError, match="nothing to draw"):
         bode_comparison([])
-    with pytest.raises(ct.ControlArgument, match="TransferFunction"):
-        bode_comparison([("a", ct.tf(1, [1, 1]))])
+    with pytest.raises(ct.ControlArgument, match="FrequencyResponseData"):
+        bode_comparison([("a", ct.frd([1.0, 0.5], [1.0, 2.0]))])
     with pytest.raises(TypeError):
         bode_comparison([("a", two)], colour="red")
 

@@ -22,9 +22,7 @@ class Mass(AbsorbedLaw):
     coefficients = (Coefficient("mass", "force s/velocity", explanation="added mass"),)
     formula = "f = t dv/dt"
     explanation = "The moving mass at {place} is larger than the model says (smaller, if negative)."
-    explanation_first_order = (
-        "The storage (capacity, area) at {place} is larger than the model says (smaller, if negative)."
-    )
+    words = ("{store}", "The {store} at {place} is larger than the model says (smaller, if negative).")
     linear = True
     needs = frozenset(["velocity"])
     senses = frozenset({"velocity", "acceleration"})
@@ -75,6 +73,7 @@ class HiddenMode(AbsorbedLaw):
         "Something is attached at {place} and vibrates on its own spring: a mass, spring and damper "
         "that the model lacks."
     )
+    words = ("hidden {resonance}", "A {resonance} that the model lacks is coupled in at {place}.")
     linear = True
     needs = frozenset(["velocity"])
     inner_states = 2
@@ -122,9 +121,7 @@ class ConstantForce(AbsorbedLaw):
     coefficients = (Coefficient("force", "force", explanation="constant resisting force"),)
     formula = "f = t"
     explanation = "A constant force acts at {place}: weight, preload or a tilted base."
-    explanation_first_order = (
-        "A constant loss (a gain, if negative) acts at {place}: a leak, a heater or an offset."
-    )
+    words = ("{constant}", "There is a {constant} at {place} that the model lacks.")
     belongs_to = "mass"
     holds_constant = True
     signal = "constant"

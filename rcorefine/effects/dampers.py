@@ -23,10 +23,7 @@ class Damping(AbsorbedLaw):
     coefficients = (Coefficient("damping", "force/velocity", explanation="change of damping"),)
     formula = "f = t v"
     explanation = "The damping at {place} is larger than the model says (smaller, if negative)."
-    explanation_first_order = (
-        "The loss or flow in proportion to the state at {place} is larger than the model says "
-        "(smaller, if negative)."
-    )
+    words = ("{linear}", "The {linear} at {place} is larger than the model says (smaller, if negative).")
     linear = True
     needs = frozenset(["velocity"])
     is_parameter = True
@@ -57,6 +54,10 @@ class AsymmetricDamping(PortLaw):
     explanation = (
         "The damping at {place} differs between the two directions of motion, like a car's shock absorber."
     )
+    words = (
+        "asymmetric {loss}",
+        "The {loss} at {place} differs between the two directions of the {state}, as at a valve or a diode.",
+    )
     needs = frozenset(["velocity"])
     covers = ("damping",)
     contains = MappingProxyType({"damping": {}})
@@ -86,7 +87,10 @@ class QuadraticDamping(PortLaw):
     explanation = (
         "A drag that grows with the square of the speed acts at {place}, as in air, water or a valve."
     )
-    explanation_first_order = "A loss that grows with the square of the state acts at {place}."
+    words = (
+        "quadratic {loss}",
+        "The {loss} at {place} has a part that grows with the square of the {state}.",
+    )
     needs = frozenset(["velocity"])
 
     @staticmethod
@@ -109,7 +113,7 @@ class CubicDamping(PortLaw):
     coefficients = (Coefficient("cubic_damping", "force/velocity^3", explanation="force per cubed velocity"),)
     formula = "f = t v^3"
     explanation = "The damping at {place} grows with the cube of the speed."
-    explanation_first_order = "A loss that grows with the cube of the state acts at {place}."
+    words = ("cubic {loss}", "The {loss} at {place} has a part that grows with the cube of the {state}.")
     needs = frozenset(["velocity"])
 
     @staticmethod
@@ -150,7 +154,7 @@ class PowerDamping(PortLaw):
     explanation = (
         "The damping at {place} grows with a power of the speed of its own, as in an orifice or a seal."
     )
-    explanation_first_order = "A loss that grows with a power of the state acts at {place}."
+    words = ("power-law {loss}", "The {loss} at {place} has a part that grows with a power of the {state}.")
     needs = frozenset(["velocity"])
     width_share = ROOT_WIDTH
     contains = MappingProxyType(

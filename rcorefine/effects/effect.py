@@ -10,6 +10,7 @@ import control as ct
 from ..arguments import as_choice, as_list, as_mapping, as_number, as_text, shown
 from ..exceptions import ModelError
 from .custom import Custom
+from .domains import DOMAINS, worded
 from .law import KINDS, Law, instance_of
 
 __all__ = ["Effect", "as_effects", "describe_effects"]
@@ -44,7 +45,8 @@ class Effect:
     Attributes
     ----------
     label : str
-        ``"coulomb_friction at link2"``, or the given name.
+        ``"coulomb_friction at link2"``, or the given name; where the model's units tell the domain,
+        its words: ``"series resistance at winding"``.
     coefficients : tuple of str
         All coefficients, those held fixed included.
     free : tuple of str
@@ -73,10 +75,10 @@ class Effect:
     Dry friction acts at link2: a force of constant size that opposes the motion.
     """
 
-    __slots__ = ("_fixed", "_law", "_name", "_port_kind", "_prior", "_spec", "_start", "kind", "place")
+    __slots__ = ("_domain", "_fixed", "_law", "_name", "_prior", "_spec", "_start", "kind", "place")
     kind: str
     place: str
-    _port_kind: str
+    _domain: str
     _law: Callable[..., Any] | None
     _name: str | None
     _spec: Law
@@ -112,7 +114,7 @@ class Effect:
         store = object.__setattr__
         store(self, "kind", kind)
         store(self, "place", place)
-        store(self, "_port_kind", "mechanical")
+        store(self, "_domain", "mechanical")
         store(self, "_law", law)
         store(self, "_name", name)
         for key, values in (("start", start), ("fixed", fixed), ("prior", prior)):
@@ -191,8 +193,8 @@ class Effect:
 
     @property
     def label(self) -> str:
-        """Name to show: ``"kind at place"`` unless one was given."""
-        return self._name or f"{self.kind} at {self.place}"
+        """Name to show: ``"kind at place"``, in the words of the place's domain, unless one was given."""
+        return self._name or f"{worded(self.spec.words[0], self._domain) or self.kind} at {self.place}"
 
     @property
     def coefficients(self) -> tuple[str, ...]:
@@ -217,28 +219,32 @@ class Effect:
     @property
     def explanation(self) -> str:
         """What it means, in a sentence."""
-        text = self.spec.explanation
-        if self._port_kind == "first_order":
-            text = self.spec.explanation_first_order or text
+        text = worded(self.spec.words[1], self._domain) or self.spec.explanation
         return text.format(place=self.place)
 
     def at_port(self, port_kind: str) -> Effect:
-        """Copy that is worded for a kind of port, otherwise equal.
+        """Copy in the words of a port's domain, otherwise equal.
 
         Parameters
         ----------
-        port_kind : {"mechanical", "first_order"}
-            Kind of the port that `place` names: a loss at a tank reads differently
-            from friction at a joint.
+        port_kind : str
+            Domain of the port that `place` names (`Port.domain`): ``"mechanical"``, ``"rotational"``,
+            ``"current"``, ``"voltage"``, ``"thermal"``, ``"hydraulic"``, or ``"first_order"`` for another
+            state. A loss at a tank reads differently from friction at a joint.
 
         Returns
         -------
         Effect
-            Equal effect whose `explanation` fits the place.
+            Equal effect whose `label` and `explanation` fit the place.
+
+        Examples
+        --------
+        >>> Effect("damping", "iL").at_port("current").label
+        'series resistance at iL'
         """
-        as_choice(port_kind, "port_kind", ("mechanical", "first_order"))
+        as_choice(port_kind, "port_kind", tuple(DOMAINS))
         copy = self.replace()
-        object.__setattr__(copy, "_port_kind", port_kind)
+        object.__setattr__(copy, "_domain", port_kind)
         return copy
 
     def bounds(self, coefficient: str) -> tuple[float, float]:
@@ -301,7 +307,7 @@ class Effect:
             "name": self.name,
         }
         copy = Effect(**{**arguments, **changes})
-        object.__setattr__(copy, "_port_kind", self._port_kind)
+        object.__setattr__(copy, "_domain", self._domain)
         return copy
 
     def _key(self) -> tuple[Any, ...]:
@@ -324,7 +330,7 @@ class Effect:
         # a class brings itself along, where the other side may not know it yet
         law = self._law if self._law is not None or own.__module__.startswith(__package__) else own
         state = (self.kind, self.place, self._start, self._fixed, self._prior, law, self._name)
-        return (_restore, (*state, self._port_kind))
+        return (_restore, (*state, self._domain))
 
     def __repr__(self) -> str:
         given = [repr(self.kind), repr(self.place)]

@@ -24,6 +24,7 @@ class SqrtFlow(PortLaw):
         "The outflow at {place} follows the square root of the level, as through an orifice (Torricelli)."
     )
     needs = frozenset(["velocity"])
+    domains = frozenset(["first_order", "hydraulic"])
     width_share = ROOT_WIDTH
 
     @staticmethod
@@ -63,6 +64,7 @@ class ThresholdFlow(PortLaw):
     formula = "f = t max(x - threshold, 0)"
     explanation = "Beyond a certain level something spills over at {place}."
     needs = frozenset(["velocity"])
+    domains = frozenset(["first_order", "hydraulic"])
 
     @staticmethod
     def law(v, flow, threshold):  # type: ignore[no-untyped-def]

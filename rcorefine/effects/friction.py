@@ -25,8 +25,9 @@ class CoulombFriction(PortLaw):
     constants = MappingProxyType({"width": None})
     formula = "f = t sgn(v)"
     explanation = "Dry friction acts at {place}: a force of constant size that opposes the motion."
-    explanation_first_order = (
-        "A loss of constant size acts at {place}, with the sign of the state, like dry friction."
+    words = (
+        "{loss} of constant size",
+        "The {loss} at {place} has a part of constant size, with the sign of the {state}.",
     )
     needs = frozenset(["velocity"])
     jumps = True
@@ -71,7 +72,10 @@ class SmoothFriction(PortLaw):
     explanation = (
         "Friction at {place} builds up with speed and levels off, without a jump: as an oiled contact does."
     )
-    explanation_first_order = "A loss at {place} grows with the state and levels off."
+    words = (
+        "saturating {loss}",
+        "The {loss} at {place} has a part that grows with the {state} and levels off.",
+    )
     needs = frozenset(["velocity"])
     turns = True
     width_share = SIGN_WIDTH
@@ -115,6 +119,10 @@ class AsymmetricFriction(PortLaw):
     constants = MappingProxyType({"width": None})
     formula = "f = t+ where v > 0, -t- where v < 0"
     explanation = "Dry friction at {place} differs between the two directions of motion, like a worn screw."
+    words = (
+        "{loss} of two sizes",
+        "The {loss} at {place} has a part of constant size, another one for each sign of the {state}.",
+    )
     needs = frozenset(["velocity"])
     jumps = True
     turns = True
@@ -164,6 +172,10 @@ class StribeckFriction(PortLaw):
     explanation = (
         "Dry friction at {place} is at least as high at breakaway as in motion; any excess fades with "
         "speed (stick and slip)."
+    )
+    words = (
+        "falling {loss}",
+        "The {loss} at {place} has a part that is higher at a small {state} than at a large one.",
     )
     needs = frozenset(["velocity"])
     order = (("static_force", "coulomb_force"),)

@@ -33,6 +33,10 @@ class Hysteresis(PortLaw):
     explanation = (
         "The force at {place} depends on the path taken: a joint that gives a little before it slips."
     )
+    words = (
+        "hysteresis of the {moved}",
+        "The {elastic} at {place} depends on the path that the {moved} took.",
+    )
     needs = frozenset(["position", "velocity"])
     inner_states = 1
     belongs_to = "stiffness"
@@ -112,6 +116,10 @@ class LugreFriction(PortLaw):
     formula = "f = F z, D dz/dt = v - |v| z/g, g = 1 + (r - 1) exp(-(v/vs)^2) (LuGre)"
     explanation = (
         "Friction at {place} gives before it slips, and is higher at breakaway than in motion (LuGre)."
+    )
+    words = (
+        "lagging {loss}",
+        "The {loss} at {place} has a part that builds up behind the {state}.",
     )
     needs = frozenset(["position", "velocity"])
     inner_states = 1

@@ -106,8 +106,11 @@ class Law:
         Law in symbols: f force, d displacement, v velocity, w input, y output.
     explanation : str
         One sentence, with ``{place}`` for the place.
-    explanation_first_order : str
-        The same at a first-order port, if it reads differently.
+    domains : frozenset of str
+        Domains (keys of `DOMAINS`) where people would look for it; empty for all that `where` allows.
+    words : tuple of (str, str)
+        Name and sentence where the place is no joint of bodies, with the words of `DOMAINS` to fill in:
+        ``("quadratic {loss}", "A {loss} that grows with ...")``. Empty where it reads alike everywhere.
     needs : frozenset of str
         What the port must sense: ``"position"``, ``"velocity"``.
     senses : frozenset of str
@@ -165,7 +168,8 @@ class Law:
     linear: ClassVar[bool] = False
     formula: ClassVar[str]
     explanation: ClassVar[str]
-    explanation_first_order: ClassVar[str] = ""
+    domains: ClassVar[frozenset[str]] = frozenset()
+    words: ClassVar[tuple[str, str]] = ("", "")
     needs: ClassVar[frozenset[str]] = frozenset()
     senses: ClassVar[frozenset[str]] = frozenset()
     inner_states: ClassVar[int] = 0

@@ -22,6 +22,7 @@ class Stiffness(AbsorbedLaw):
     coefficients = (Coefficient("stiffness", "force/position", explanation="change of stiffness"),)
     formula = "f = t d"
     explanation = "The spring at {place} is stiffer than the model says (softer, as by a crack, if negative)."
+    words = ("{spring}", "The {spring} at {place} is larger than the model says (smaller, if negative).")
     linear = True
     needs = frozenset(["position"])
     belongs_to = "stiffness"
@@ -50,6 +51,10 @@ class CubicStiffness(PortLaw):
     )
     formula = "f = t d^3"
     explanation = "The spring at {place} hardens as it is pushed either way (softens, if negative)."
+    words = (
+        "cubic {elastic}",
+        "The {elastic} at {place} grows with the square of the {moved}.",
+    )
     needs = frozenset(["position"])
     belongs_to = "stiffness"
 
@@ -81,6 +86,10 @@ class QuadraticStiffness(PortLaw):
     explanation = (
         "The spring at {place} is stiffer on one side than on the other, more so the further it is moved."
     )
+    words = (
+        "quadratic {elastic}",
+        "The {elastic} at {place} grows with the {moved}, sign included.",
+    )
     needs = frozenset(["position"])
     belongs_to = "stiffness"
 
@@ -107,6 +116,7 @@ class BilinearStiffness(PortLaw):
     explanation = (
         "The spring at {place} has another stiffness in one direction, like a crack that opens and closes."
     )
+    words = ("bilinear {elastic}", "The {elastic} at {place} has another value for each sign of the {moved}.")
     needs = frozenset(["position"])
     belongs_to = "stiffness"
 
@@ -142,6 +152,7 @@ class Clearance(PortLaw):
     contains = MappingProxyType({"stiffness": {"gap": 0.0}})
     formula = "f = t sgn(d) max(|d| - gap, 0)"
     explanation = "There is play at {place}: a stop is hit once the displacement exceeds a gap."
+    words = ("limit of the {moved}", "Beyond a limit of the {moved} the {elastic} at {place} jumps up.")
     needs = frozenset(["position"])
     belongs_to = "stiffness"
 
@@ -191,6 +202,7 @@ class SoftClearance(PortLaw):
     )
     formula = "f = t (d + (r(d - gap) - r(d + gap))/2), r(x) = sqrt(x^2 + (softness gap)^2)"
     explanation = "There is play at {place}, and its stop is met gradually, as through a layer of rubber."
+    words = ("soft limit of the {moved}", "Beyond a limit of the {moved} the {elastic} at {place} grows.")
     needs = frozenset(["position"])
     belongs_to = "stiffness"
     contains = MappingProxyType({"stiffness": {"gap": 0.0}})

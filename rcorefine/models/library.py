@@ -146,13 +146,15 @@ def _at_ports(physical: PhysicalModel, asked: tuple[str, ...] | None) -> list[Ef
             best[key] = (rank, port, name)
     chosen = {(port.name, name) for _, port, name in best.values()}
     return [
-        Effect(name, port.name).at_port(port.kind) for port, name in candidates if (port.name, name) in chosen
+        Effect(name, port.name).at_port(port.domain)
+        for port, name in candidates
+        if (port.name, name) in chosen
     ]
 
 
 def _plausible(physical: PhysicalModel, port: Port, law: Law) -> bool:
     """Whether people would look for this law at this port first."""
-    if law.on_request:
+    if law.on_request or (law.domains and port.domain not in law.domains):
         return False
     if port.modal:  # a change of its frequency or of its damping; other laws act at places
         return law.name in (Stiffness.name, Damping.name)

@@ -306,7 +306,7 @@ class PhysicalModel(Result):
         for need, there in (("position", port.has_position), ("velocity", port.has_velocity)):
             if need in effect.spec.needs and not there:
                 raise ModelError(f"{effect.label}: there is no {need} at {port.name} ({port.description})")
-        return effect.at_port(port.kind)
+        return effect.at_port(port.domain)
 
     def unit(self, effect: Effect, coefficient: str) -> str:
         """Unit of a coefficient of an effect in this model.

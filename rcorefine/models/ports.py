@@ -9,6 +9,7 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_array, as_text, shown
+from ..effects.domains import domain_of
 from ..exceptions import ModelError
 from ..systems.linear import Array
 
@@ -134,6 +135,11 @@ class Port:
     def has_velocity(self) -> bool:
         """Whether a velocity (first order: a state) can be read here."""
         return bool(self.velocity.any() or self.velocity_input.any())
+
+    @property
+    def domain(self) -> str:
+        """Field whose words fit here, by the unit of what it senses; its kind where that is unknown."""
+        return domain_of(self.kind, self.velocity_unit)
 
     @property
     def is_relative(self) -> bool:

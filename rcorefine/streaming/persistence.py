@@ -105,7 +105,7 @@ def _encoded(value: Any, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
     if isinstance(value, ct.StateSpace):
         return {"statespace": _encoded(LinearModel.from_statespace(value), arrays)}
     if isinstance(value, Effect):
-        return {"effect": _encoded(_arguments(value), arrays), "port": value._port_kind}
+        return {"effect": _encoded(_arguments(value), arrays), "port": value._domain}
     kind = type(value).__name__
     if _KINDS.get(kind) is type(value):
         names = value._fields if hasattr(value, "_fields") else [f.name for f in fields(value)]

@@ -137,6 +137,10 @@ def d2c(system: ct.StateSpace, method: str = "zoh") -> ct.StateSpace:
     motor 0 True
     """
     as_choice(method, "method", ("zoh", "tustin"))
+    if isinstance(system, ct.TransferFunction):
+        raise ct.ControlArgument(
+            "d2c takes a control.StateSpace, not a TransferFunction; use control.ss(...)"
+        )
     model = LinearModel.from_statespace(system)
     where = f"system {model.name!r}"
     if model.is_continuous:

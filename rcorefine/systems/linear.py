@@ -76,8 +76,8 @@ class LinearModel:
 
         Parameters
         ----------
-        sys : StateSpace
-            Linear system with finite entries.
+        sys : StateSpace or TransferFunction
+            Linear system with finite entries; a transfer function is `realized`.
 
         Returns
         -------
@@ -92,12 +92,14 @@ class LinearModel:
             If a matrix holds NaN or Inf.
         """
         from ..exceptions import ModelError
+        from .realization import realized
 
+        if isinstance(sys, ct.TransferFunction):
+            sys = realized(sys)
         if not isinstance(sys, ct.StateSpace):
             raise ct.ControlArgument(
-                f"model must be a control.StateSpace, not {type(sys).__name__}; "
-                "convert it first (a TransferFunction with control.ss(...), "
-                "a NonlinearIOSystem with its .linearize(x0, u0))"
+                f"model must be a control.StateSpace, not {type(sys).__name__}; convert it first (a "
+                "NonlinearIOSystem with its .linearize(x0, u0))"
             )
         arrays = [np.array(getattr(sys, key), dtype=float, ndmin=2) for key in "ABCD"]
         for key, array in zip("ABCD", arrays, strict=True):

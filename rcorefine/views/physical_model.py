@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
+from ..effects.effect import Effect
+from ..models.parameters import NominalParameter
 from ..models.physical_model import PhysicalModel
 from ..results import shows
 from .tables import html_table
@@ -47,10 +49,17 @@ def model_text(model: PhysicalModel) -> str:
         for item in shown:
             unit = "" if item.unit == "1" else item.unit
             value = f"{item.value:.6g} {unit}".strip()
-            lines.append(f"  {item.name:<{width}} = {value:<20} {item.kind} at {item.place}"[:80])
+            lines.append(f"  {item.name:<{width}} = {value:<20} {_called(model, item)}"[:80])
         if len(model.parameters) > len(shown):
             lines.append(f"  ... and {len(model.parameters) - len(shown)} more")
     return "\n".join(line.rstrip() for line in lines)
+
+
+def _called(model: PhysicalModel, item: NominalParameter) -> str:
+    """What changes it, in the words of its place and as the kind that `Effect` takes."""
+    plain = f"{item.kind} at {item.place}"
+    label = model.check(Effect(item.kind, item.place)).label
+    return plain if label == plain else f"{label} ({item.kind})"
 
 
 @shows(PhysicalModel, "html")

@@ -7,7 +7,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import correlate, medfilt
+from scipy.signal import correlate
 
 from ...comparison.result import Comparison
 from ...data.range_ends import resolution
@@ -39,7 +39,7 @@ _LEAST = 0.03  # of a gain that is worth a word
 _NEAR = 0.1  # most that a known factor may be missed by
 _FAR, _ABOUT = 5.0, 0.25  # a factor that no parameter makes; the log by which a unit may then be missed
 _RELATED = 0.3  # correlation below which no gain is read
-_SPIKE = 8.0  # robust standard deviations from the median of five samples
+_SPIKE = 8.0  # robust standard deviations from the samples before and after
 _NORMAL = 1.4826  # standard deviation over the median absolute deviation, for normal noise
 _SMALL = 1e-4  # of an output's size: what is smaller carries no error
 _LATER = 20.0  # log-likelihood by which a delay must win
@@ -217,8 +217,10 @@ def _level_rows(label: str, left: Array, y: Array, timepts: Array) -> Iterator[C
 
 
 def _spike_row(label: str, left: Array, step: float) -> Iterator[CheckRow]:
-    rough = left - medfilt(left, 5)
-    far = np.abs(rough)
+    five = np.lib.stride_tricks.sliding_window_view(left, 5)
+    # from what is before and from what is after: a step is far from one of them, a spike from both
+    sides = np.abs(five[:, [2]] - np.stack([five[:, :2].mean(axis=1), five[:, 3:].mean(axis=1)], axis=1))
+    far = sides.min(axis=1)
     size = max(_NORMAL * float(np.median(far)), step)
     # a spike stands alone: where a residual moves fast all samples are far from their median
     beside = np.max([np.roll(far, k) for k in (-4, -3, -2, 2, 3, 4)], axis=0)

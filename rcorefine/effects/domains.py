@@ -1,0 +1,120 @@
+"""What things are called in the field that a port belongs to: a loss, a store, a spring."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from string import Formatter
+from types import MappingProxyType
+
+__all__ = ["DOMAINS", "domain_of", "worded"]
+
+#: Words of a domain, which the words of a law ask for; a law that asks for more keeps its own.
+DOMAINS: Mapping[str, Mapping[str, str]] = MappingProxyType(
+    {
+        "mechanical": {},
+        "rotational": {
+            "linear": "viscous friction",
+            "store": "inertia",
+            "spring": "torsional stiffness",
+            "constant": "constant torque",
+        },
+        "first_order": {
+            "state": "state",
+            "loss": "loss",
+            "linear": "loss in proportion",
+            "store": "storage",
+            "constant": "constant loss",
+        },
+        "current": {
+            "state": "current",
+            "loss": "voltage drop",
+            "linear": "series resistance",
+            "store": "inductance",
+            "spring": "inverse capacitance",
+            "elastic": "inverse capacitance",
+            "moved": "charge",
+            "resonance": "resonant circuit",
+            "constant": "constant voltage",
+        },
+        "voltage": {
+            "state": "voltage",
+            "loss": "leakage",
+            "linear": "leak conductance",
+            "store": "capacitance",
+            "constant": "constant current",
+        },
+        "thermal": {
+            "state": "temperature",
+            "loss": "heat loss",
+            "linear": "heat loss",
+            "store": "heat capacity",
+            "constant": "constant heat loss",
+        },
+        "hydraulic": {
+            "state": "level",
+            "loss": "outflow",
+            "linear": "outflow in proportion",
+            "store": "tank area",
+            "constant": "constant leak",
+        },
+    }
+)
+_OF_STATE = {
+    "A": "current",
+    "V": "voltage",
+    "K": "thermal",
+    "degC": "thermal",
+    "°C": "thermal",
+    "m": "hydraulic",
+}
+
+
+def domain_of(kind: str, velocity_unit: str) -> str:
+    """Field that a port belongs to.
+
+    Parameters
+    ----------
+    kind : {"mechanical", "first_order"}
+        Kind of the port.
+    velocity_unit : str
+        Unit of what it senses.
+
+    Returns
+    -------
+    str
+        A key of `DOMAINS`; the kind itself where the unit says no more.
+
+    Examples
+    --------
+    >>> domain_of("first_order", "K"), domain_of("mechanical", "rad/s"), domain_of("mechanical", "m/s")
+    ('thermal', 'rotational', 'mechanical')
+    """
+    if kind == "mechanical":
+        if velocity_unit.split("/")[0] in ("rad", "rev", "deg") or velocity_unit == "rpm":
+            return "rotational"
+        return "current" if velocity_unit == "A" else kind
+    return _OF_STATE.get(velocity_unit, kind)
+
+
+def worded(template: str, domain: str) -> str:
+    """A template with the words of a domain, empty where it has not all of them.
+
+    Parameters
+    ----------
+    template : str
+        Text with words to fill in, such as ``"quadratic {loss}"``; ``"{place}"`` stays.
+    domain : str
+        Key of `DOMAINS`.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> worded("quadratic {loss}", "thermal"), worded("quadratic {loss}", "mechanical")
+    ('quadratic heat loss', '')
+    """
+    words = DOMAINS[domain]
+    asked = {name for _, name, _, _ in Formatter().parse(template) if name} - {"place"}
+    return template.format(place="{place}", **words) if asked and asked <= set(words) else ""
