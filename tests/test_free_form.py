@@ -6,15 +6,18 @@ import pickle
 import control as ct
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.integrate import quad, solve_ivp
 from scipy.interpolate import RegularGridInterpolator
 from scipy.stats import multivariate_normal
 
 import rcorefine as rco
+from rcorefine.diagnosis import residual_tests
+from rcorefine.diagnosis.beside import Beside, stops
 from rcorefine.effects.along_motion import unit_forces
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
-from rcorefine.inference.free_form import Curve, evidence
+from rcorefine.inference.fitted import fitted_from
+from rcorefine.inference.free_form import Curve, averaged_evidence, evidence
 
 SPRING = rco.Table(d=[-1.0, 0.0, 2.0], force=[-2.0, 0.0, 8.0])
 BOTH = rco.Table(d=[-1.0, 0.0, 2.0], v=[-1.0, 1.0], force=[[0.0, 1.0], [2.0, 3.0], [4.0, 9.0]])
@@ -117,6 +120,46 @@ def test_evidence_is_the_likelihood_of_a_normal_force():
         other = np.eye(60) + factor * found.variance * columns @ columns.T
         assert multivariate_normal.logpdf(residual, cov=other) < some
     assert 0.0 < found.dof < 4.0
+
+
+@pytest.mark.parametrize("there", [0.0, 0.3])
+def test_the_odds_of_a_departure_are_likelihoods_averaged_over_its_size(there):
+    rng = np.random.default_rng(4)
+    columns = 3.0 * rng.standard_normal((50, 3))
+    residual = there * columns @ [1.0, -1.0, 0.5] + rng.standard_normal(50)
+    none = multivariate_normal.logpdf(residual, cov=np.eye(50))
+
+    def odds(size):
+        some = multivariate_normal.logpdf(residual, cov=np.eye(50) + size**2 * columns @ columns.T)
+        return np.exp(some - none)
+
+    expected = np.log(quad(odds, 0.0, 1.0, epsrel=1e-8)[0])
+    assert averaged_evidence(residual, columns) == pytest.approx(expected, abs=1e-3)
+    # what the record would not show stays as likely as the law, what it would show and does not is out
+    assert averaged_evidence(residual, 1e-6 * columns) == pytest.approx(0.0, abs=1e-3)
+    assert averaged_evidence(rng.standard_normal(50), 1e4 * columns) < -5.0
+
+
+def test_a_stop_slips_at_its_radius_and_springs_back_from_there():
+    up, back = np.linspace(0.0, 1.0, 101), np.linspace(1.0, 0.0, 101)[1:]
+    found = stops(np.concatenate([up, back]), 1.0, [0.3])[:, 0]
+    wanted = np.concatenate([np.minimum(up, 0.3), np.maximum(0.3 - (1.0 - back), -0.3)])
+    assert found == pytest.approx((wanted - wanted.mean()) / wanted.std(), abs=1e-9)
+
+
+@pytest.mark.parametrize(("law", "passes"), [("hysteresis", True), ("coulomb_friction", False)])
+def test_memory_tells_a_law_that_remembers_otherwise(law, passes):
+    """Dahl's loop in the record: Coulomb's friction remembers nothing."""
+    model = rco.mass_spring_damper(1.0, 0.6, 100.0)
+    record = rco.Measurement(10 * np.random.default_rng(6).standard_normal(1500), np.zeros(1500), dt=0.02)
+    hidden = Engine(Structure(model, [rco.Effect("hysteresis", "link1")]), record, substeps=8)
+    y = hidden.run(np.array([1.0, 0.03])).outputs
+    y = y + 0.02 * y.std() * np.random.default_rng(8).standard_normal(y.shape)
+    record = rco.Measurement(record.inputs, y, dt=0.02, hold="zoh")
+    better = rco.refine(model, record, [rco.Effect(law, "link1")])
+    battery = residual_tests.TestedResidual(fitted_from(better, [record], tolerance=0.0))
+    (memory,) = (test for test in Beside(battery, "link1").tests() if test.name == "memory at link1")
+    assert memory.p_value > 0.01 if passes else memory.p_value < 1e-4
 
 
 # ------------------------------------------------------------------ a diagnosis without a name

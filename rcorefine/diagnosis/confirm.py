@@ -29,8 +29,8 @@ from ..inference.windows import as_records, windows
 from ..models.library import effect_library
 from ..models.operating_point import ordered_record
 from ..systems.linear import Array
+from .beside import Beside
 from .confirmation import Confirmation, RecordEstimate
-from .open_law import free_form_test
 from .residual_tests import TestedResidual, run_tests
 
 __all__ = ["confirm"]
@@ -249,5 +249,5 @@ def _battery(fitted: FittedModel, rest: Sequence[Effect], ratio: float) -> list[
     roles = fitted.refinement.roles
     places = [e.place for e, role in zip(fitted.structure.effects, roles, strict=True) if role == "effect"]
     # none of these: a law that only mimics leaves a force of its own behind
-    free = [free_form_test(battery, place) for place in dict.fromkeys(places)]
-    return [*run_tests(battery, scored, motions), *(found[0] for found in free if found is not None)]
+    free = [test for place in dict.fromkeys(places) for test in Beside(battery, place).tests()]
+    return [*run_tests(battery, scored, motions), *free]

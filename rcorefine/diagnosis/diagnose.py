@@ -266,7 +266,7 @@ def _named(
     word = verdict(judged.passed, agreement, len(alike), case.levels)
     with case.progress.step("free forces"):
         law = open_law(race) if word == "unexplained" and case.thorough else None
-    shares, none, places = probabilities(race, judged.beside if judged.passed else None, law)
+    shares, none, places = probabilities(race, judged.beside if judged.passed else -np.inf, law)
     if word == "unexplained":  # none is printed for what fails its own tests
         shares, none = np.full(len(shares), np.nan), 1.0
     p_values = [p_of[rival.effect] for rival in race.rivals]

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..exceptions import ModelError
-from ..inference.free_form import Evidence
 from ..inference.sensitivities import Candidate, candidate_columns
 from ..inference.starts import Motion
 from ..inference.whitening import FTest
+from .beside import Beside
 from .candidate_fits import CandidateFits, fit_candidates
 from .case import OBSERVERS, Case, not_held
-from .open_law import free_form_test
 from .places import in_race
 from .residual_tests import TestedResidual, run_tests
+from .starts import force_along
 from .unmeasured_force import likely_forces
 from .verdict import overall
 
@@ -37,14 +37,14 @@ class Judged:
         Tests of the winner's residual; none where they could not be done.
     passed : bool
         Whether that residual is noise.
-    beside : Evidence or None
-        For a force of no law beside the winner; None where it is no force at a port.
+    beside : float
+        Log of the odds of a force of no law, over the winner's; -inf where that is no force at a port.
     """
 
     race: CandidateFits
     tests: list[FTest]
     passed: bool
-    beside: Evidence | None = None
+    beside: float = -np.inf
 
 
 def judge(case: Case, race: CandidateFits) -> Judged:
@@ -57,12 +57,13 @@ def judge(case: Case, race: CandidateFits) -> Judged:
         scored = candidate_columns(fitted, near, moved[0], (race.ratio,))
         battery = TestedResidual(fitted, race.ratio)
         tests = run_tests(battery, scored, moved, len(rest) - len(near))
-        free = free_form_test(battery, race.rivals[0].effect.place)
+        free = Beside(battery, race.rivals[0].effect.place)
+        tests += free.tests()
     except ModelError:  # its linear model runs away within one sample: what cannot be tested has not passed
         return Judged(race, [], False)
-    if free is not None:
-        tests.append(free[0])
-    return Judged(race, tests, case.passes(tests, fitted), None if free is None else free[1])
+    along = force_along(race.rivals[0].candidate, race.rivals[0].descent.point)
+    odds = -np.inf if along is None else free.odds(along[-1])
+    return Judged(race, tests, case.passes(tests, fitted), odds)
 
 
 def outweighs(judged: Judged, forced: TestedResidual, price: float) -> bool:

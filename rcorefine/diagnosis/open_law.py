@@ -10,25 +10,21 @@ import numpy as np
 from ..effects.along_motion import unit_forces
 from ..effects.effect import Effect
 from ..effects.tabulated import Table, Tabulated
-from ..inference.fitted import FittedModel
-from ..inference.free_form import Curve, Evidence, FreeForm, curve_responses, evidence, fit_free_form
+from ..inference.free_form import FreeForm, fit_free_form
 from ..inference.sensitivities import force_responses
-from ..inference.whitening import FTest, project
 from ..systems.linear import Array
+from .beside import curve_at, motion_at, stops
 from .residual_tests import TestedResidual
 from .verdict import probabilities as softmax
 
 if TYPE_CHECKING:
     from .candidate_fits import CandidateFits
 
-__all__ = ["FreeForces", "OpenLaw", "free_form_test", "open_law", "probabilities"]
+__all__ = ["FreeForces", "OpenLaw", "open_law", "probabilities"]
 
 _NAME = "law open, tabulated"
-_NESTED = (1, 2, 4, 8, 16)  # leading directions of the curve that are tested together
-_SEEN = 1e-10  # of the largest: what a direction must move the output to be one
 _PLACES = 3  # at which a curve is fitted
 _FIRST = 2  # descents at each of them; the best one goes on
-_RADII = (0.1, 0.25, 0.5, 0.8)  # of plays, over the rms displacement
 _SPEAKS = 1e-4  # p-value below which memory, or time, is said to act
 
 
@@ -56,65 +52,6 @@ class OpenLaw:
     nearest: tuple[tuple[Effect, float], ...]
     beyond: str
     rmse: Array
-
-
-def free_form_test(battery: TestedResidual, place: str) -> tuple[FTest, Evidence] | None:
-    """Whether a free force at a place explains what a model leaves there.
-
-    Parameters
-    ----------
-    battery : TestedResidual
-        Residual of the model.
-    place : str
-        Where its effect sits.
-
-    Returns
-    -------
-    test : FTest
-        The smallest p-value of nested sets of directions, times their number.
-    evidence : Evidence
-        For such a force beside the model's own.
-
-    Notes
-    -----
-    All knots at once would have little power against a law that is nearly right. The directions
-    in which a smooth curve would move the output most, those of the fitted coefficients taken
-    out, are tested first: the smooth test of Neyman (Skandinavisk Aktuarietidskrift 20 (1937)
-    149) in an order that follows from the motion alone.
-    """
-    fitted, ratio = battery.fitted, battery.ratio
-    curve = _curve(fitted, place, ratio)
-    if curve is None:
-        return None
-    columns = project(battery.whiten(curve_responses(fitted, curve, ratio)), battery.basis) @ curve.root
-    if not np.isfinite(columns).all() or not columns.any():
-        return None
-    columns = columns / np.linalg.norm(columns)
-    values, vectors = np.linalg.eigh(columns.T @ columns)
-    kept = values > _SEEN * values[-1]
-    directions = columns @ vectors[:, kept][:, ::-1]
-    counts = [k for k in _NESTED if k < directions.shape[1]] + [directions.shape[1]]
-    tests = [battery.of_white(f"free force at {place}", directions[:, :k]) for k in counts]
-    best = min(tests, key=lambda t: t.p_value)
-    p, p_equal = (min(1.0, len(tests) * value) for value in (best.p_value, min(t.p_equal for t in tests)))
-    test = FTest(best.name, best.statistic, best.dof, p, best.gain, p_equal)
-    return test, evidence(battery.left, columns)
-
-
-def _curve(fitted: FittedModel, place: str, ratio: float) -> Curve | None:
-    """Knots at a port, None where the place is none or nothing moves."""
-    if place not in [port.name for port in fitted.structure.model.ports]:
-        return None
-    d, v = _motion(fitted, place, ratio)
-    if not (np.isfinite(d).all() and np.isfinite(v).all()):
-        return None
-    return Curve.along(place, d, v)
-
-
-def _motion(fitted: FittedModel, place: str, ratio: float) -> tuple[Array, Array]:
-    """Displacement and velocity at a port over all records."""
-    motions = [fitted.port(place, ratio, i) for i in range(len(fitted.problem.records))]
-    return np.concatenate([d for d, _ in motions]), np.concatenate([v for _, v in motions])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,7 +86,7 @@ def open_law(race: CandidateFits) -> FreeForces:
     found: dict[str, FreeForm] = {}
     for place in places[:_PLACES]:
         led = race.ratio or 1.0  # an observer of high gain follows the motion of the record
-        curve = _curve(race.fitted, place, led)
+        curve = curve_at(race.fitted, place, led)
         if curve is not None:
             found[place] = fit_free_form(race.fitted, curve, race.whitener, race.ratio, rounds=_FIRST)
     if found:
@@ -165,7 +102,7 @@ def open_law(race: CandidateFits) -> FreeForces:
 
 
 def probabilities(
-    race: CandidateFits, beside: Evidence | None, free: FreeForces | None
+    race: CandidateFits, beside: float, free: FreeForces | None
 ) -> tuple[Array, float, dict[str, float]]:
     """Probabilities of the candidates, of none of these, and of the places.
 
@@ -173,8 +110,8 @@ def probabilities(
     ----------
     race : CandidateFits
         Candidates, the best one first.
-    beside : Evidence or None
-        For a free force beside the best one. Its size is one coefficient more, and costs as one.
+    beside : float
+        Log of the odds of a force that departs from the best one, over it.
     free : FreeForces or None
         Free forces in place of the candidates, where none passes.
 
@@ -189,8 +126,8 @@ def probabilities(
     """
     logs = [(rival.effect.place, rival.log_likelihood) for rival in race.rivals]
     here, top = logs[0]
-    if beside is not None:
-        logs.append((here, top + beside.gain - 0.5 * float(np.log(race.fitted.problem.n_points))))
+    if np.isfinite(beside):
+        logs.append((here, top + beside))
     if free is not None:
         logs += free.log_likelihoods.items()
     weights = softmax([value for _, value in logs])
@@ -219,7 +156,7 @@ def _tabulated(race: CandidateFits, form: FreeForm) -> OpenLaw:
 
 def _nearest(race: CandidateFits, form: FreeForm) -> tuple[tuple[Effect, float], ...]:
     """How much of the tabulated force each law at the place explains along the motion, in percent."""
-    d, v = _motion(form.fitted, form.curve.place, race.ratio)
+    d, v = motion_at(form.fitted, form.curve.place, race.ratio)
     force = form.table(d, v)
     force = force - force.mean()
     w = np.concatenate([record.inputs for record in form.fitted.problem.records], axis=1)
@@ -258,16 +195,8 @@ def _beyond(form: FreeForm, ratio: float) -> str:
 
 
 def _played(d: Array, v: Array) -> list[Array]:
-    """Plays of several radii: what any hysteresis of Prandtl and Ishlinskii is made of."""
-    rms = float(np.std(d))
-    found = []
-    for radius in (share * rms for share in _RADII):
-        z, columns = 0.0, np.empty(d.size)
-        for k, x in enumerate(d):
-            z = min(max(z, x - radius), x + radius)
-            columns[k] = z
-        found.append(columns)
-    return found if rms > 0 else [np.zeros(d.size)]
+    """Stops of several radii."""
+    return list(stops(d, float(np.std(d))).T)
 
 
 def _slow(d: Array, v: Array) -> list[Array]:

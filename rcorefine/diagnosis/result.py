@@ -110,7 +110,8 @@ class Diagnosis(Reported):
         The model with its numbers fitted, where the verdict is "parameters".
     none_of_these : float
         Probability of a force at the best one's place that follows none of the laws; 1 where the
-        verdict is "unexplained", NaN where nothing was ranked.
+        verdict is "unexplained", NaN where nothing was ranked. Departures from the best law up to its
+        own size count alike, whether this record would have shown them or not.
     places : dict
         Probability of each place, the most probable first: what its candidates and the free forces
         tried there have together. Sums to one; empty where nothing was ranked.

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
 __all__ = ["sentences"]
 
+_OPEN = 0.05  # probability of none of these from which on it is said
 _VERDICTS = {
     "adequate": "Nothing is missing that this record could show.",
     "parameters": "The numbers of the model are off; mended, no law is missing that this record could show.",
@@ -55,6 +56,11 @@ def sentences(found: Diagnosis) -> list[str]:
                 "the model."
             )
         lines += _columns(found)
+    if found.best is not None and found.verdict != "unexplained" and found.none_of_these > _OPEN:
+        lines.append(
+            f"A force at {found.best.effect.place} that follows none of the laws, though this record hardly "
+            f"shows how it departs, has probability {found.none_of_these:.2f}."
+        )
     if found.force_ratio:
         lines.append(
             f"The residual speaks of an unmeasured force of about {100 * found.force_ratio:.2g} % of the "

@@ -25,11 +25,20 @@ from .problem import Problem
 from .sensitivities import force_responses
 from .whitening import Whitener, project, rank_basis
 
-__all__ = ["Curve", "Evidence", "FreeForm", "curve_responses", "evidence", "fit_free_form"]
+__all__ = [
+    "Curve",
+    "Evidence",
+    "FreeForm",
+    "averaged_evidence",
+    "curve_responses",
+    "evidence",
+    "fit_free_form",
+]
 
 _COUNT = 15  # knots along each signal
 _ALIKE = 2.0  # rms of the motion over which neighbors are alike
 _SIZES = np.logspace(0.0, 10.0, 31)  # variance of the curve over that of the noise, tried
+_SHARES = 10.0 ** (np.arange(-199, 1) / 40.0 - 1.0 / 80.0)  # sizes up to 1, in the middle of even steps
 _SETTLED = 1e-3  # relative change of the residual that is none
 _EVALUATIONS = 6
 
@@ -139,16 +148,44 @@ def evidence(residual: Array, columns: Array) -> Evidence:
     -------
     Evidence
     """
-    values, vectors = np.linalg.eigh(columns.T @ columns)
-    values = np.maximum(values, 1e-300)
-    along = (vectors.T @ (columns.T @ residual)) ** 2 / values
+    values, along = _spectrum(residual, columns)
     sizes = _SIZES / values[-1]
-    seen = sizes[:, None] * values
-    price = 0.5 * np.sum(np.log1p(seen), axis=1)
-    gain = 0.5 * np.sum(along * seen / (1.0 + seen), axis=1) - price
+    gain, price, seen = _at_sizes(values, along, sizes)
     best = int(np.argmax(gain))
     dof = float(np.sum(seen[best] / (1.0 + seen[best])))
     return Evidence(float(gain[best]), float(sizes[best]), float(price[best]), dof)
+
+
+def averaged_evidence(residual: Array, columns: Array) -> float:
+    """Log of the evidence for a normal force over none, each rms size from 0 to 1 as likely as another.
+
+    Parameters
+    ----------
+    residual, columns : ndarray
+        As in `evidence`.
+
+    Returns
+    -------
+    float
+        Near 0 where the record would not show a force of size 1, far below where it would and shows none.
+    """
+    values, along = _spectrum(residual, columns)
+    gain = _at_sizes(values, along, _SHARES**2)[0]
+    return float(np.logaddexp.reduce(gain + np.log(_SHARES)) + np.log(np.log(_SHARES[1] / _SHARES[0])))
+
+
+def _spectrum(residual: Array, columns: Array) -> tuple[Array, Array]:
+    """What each direction of a curve moves the residual, and what the residual has there: squares (k,)."""
+    values, vectors = np.linalg.eigh(columns.T @ columns)
+    values = np.maximum(values, 1e-300)
+    return values, (vectors.T @ (columns.T @ residual)) ** 2 / values
+
+
+def _at_sizes(values: Array, along: Array, sizes: Array) -> tuple[Array, Array, Array]:
+    """Gain and price (s,) at variances of a curve, and how well each direction is seen there (s, k)."""
+    seen = sizes[:, None] * values
+    price = 0.5 * np.sum(np.log1p(seen), axis=1)
+    return 0.5 * np.sum(along * seen / (1.0 + seen), axis=1) - price, price, seen
 
 
 @dataclass(eq=False)
