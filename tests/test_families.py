@@ -7,7 +7,8 @@ import pytest
 from test_rivals import friction_record
 
 import rcorefine as rco
-from rcorefine.diagnosis import families
+from rcorefine.diagnosis import families, judging
+from rcorefine.diagnosis.candidate_fits import CandidateFits
 from rcorefine.effects import KINDS
 from rcorefine.effects.along_motion import unit_forces
 from rcorefine.inference.levels import levels
@@ -76,3 +77,22 @@ def test_what_contains_a_law_is_a_rival_where_its_force_is_another(monkeypatch, 
     assert families.hosts([wider, quadratic], [0, 1], levels()) == {}  # likelier than what it contains
     elsewhere = [fit("quadratic_damping", "b"), wider]
     assert families.hosts(elsewhere, [0, 1], levels()) == {}
+
+
+@pytest.mark.parametrize(
+    ("passing", "named"), [({"a", "b"}, "a"), ({"b"}, "b"), (set(), "a"), ({"c"}, "a"), ({"a"}, "a")]
+)
+def test_what_contains_a_law_that_fails_is_named_where_it_passes(monkeypatch, passing, named):
+    """a is a friction, b contains it, c does not."""
+    kinds = {"a": "coulomb_friction", "b": "asymmetric_friction", "c": "cubic_stiffness"}
+    rivals = [SimpleNamespace(name=name, effect=rco.Effect(kind, "link1")) for name, kind in kinds.items()]
+
+    def tested(_, race):
+        return judging.Judged(race, [], race.rivals[0].name in passing)
+
+    monkeypatch.setattr(judging, "_tested", tested)
+    race = CandidateFits(None, rivals, 0.0, None, 0.0)
+    judged = judging.judge(None, race)
+    assert judged.race.rivals[0].name == named
+    assert judged.passed == (named in passing)
+    assert race.rivals[0].name == "a"

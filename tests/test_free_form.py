@@ -211,6 +211,18 @@ def test_no_name_but_place_and_curve():
     assert 0.0 <= shares[0] <= 100.0
 
 
+def test_what_lies_beyond_the_table_is_said():
+    model, records, _, found = sine_spring()
+    better = rco.refine(model, records[0], [found.law()])
+    beyond = "beyond the knots of law open, tabulated at link1"
+    strong = rco.Measurement(3.0 * records[1].inputs, records[1].outputs, dt=0.02, hold="zoh")
+    assert any(beyond in note for note in rco.compare(better, strong, x0="zero").notes)
+    gentle = rco.Measurement(0.5 * records[1].inputs, records[1].outputs, dt=0.02, hold="zoh")
+    assert not any(beyond in note for note in rco.compare(better, gentle, x0="zero").notes)
+    assert BOTH.share_beyond([0.0, 3.0, -1.0, 0.0], [0.0, 0.0, 1.0, -1.5]) == 0.5
+    assert SPRING.share_beyond([0.0, 3.0], [9.0, 9.0]) == 0.5
+
+
 def test_words_and_pictures_give_no_probability_to_what_failed():
     *_, found = sine_spring()
     text = str(found)

@@ -12,8 +12,9 @@ from ..arguments import as_state
 from ..data.channels import Channels, aligned, match_channels, record_for, with_outputs
 from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement
+from ..effects.tabulated import Table
 from ..engine.free_runs import checked_horizon, free_runs
-from ..engine.simulation import simulate, unjudged_samples
+from ..engine.simulation import simulate, structure_of, unjudged_samples
 from ..exceptions import DataError, DivergenceError
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array, LinearModel
@@ -169,12 +170,12 @@ def _on_record(
     ]
     data.check_excitation("compare", stacklevel=3)
     hidden = _hidden(models, channels, data, x0, windows[0].stop)
-    runs, starts, states = [], [], []
+    made = []
     for each, flat, places, name in zip(models, linear, channels, names, strict=True):
         run, start, motion = _simulate(each, flat, places, data, x0, windows, hidden, name, outputs)
-        runs.append(run)
-        starts.append(start)
-        states.append(motion)
+        notes += _beyond_tables(each, name, motion, record_for(data, places).inputs[:, hidden:])
+        made.append((run, start, motion))
+    runs, starts, states = zip(*made, strict=True)
     if hidden:
         notes.append(
             f"the first {hidden} sample(s) are not compared: by a delay of the model they hang on what was "
@@ -190,12 +191,12 @@ def _on_record(
         models=straight,
         data=with_outputs(data, outputs),
         runs=np.array(runs),
-        states=tuple(states),
+        states=states,
         places=tuple(
             given_places(each, flat, where, data.n_inputs, outputs)
             for each, flat, where in zip(models, straight, channels, strict=True)
         ),
-        initial_states=tuple(starts),
+        initial_states=starts,
         starts=tuple(max(0, int(window.start) - hidden) for window in windows),
         horizon=None if horizon is None else float(horizon),
         x0=x0 if isinstance(x0, str) else "given",
@@ -292,6 +293,22 @@ def _simulate(
         why = f"its output is not finite from t = {data.timepts[k]:g} s on"
         raise DivergenceError(_DIVERGED.format(name=name, why=why))
     return run[:, hidden:], states, motion[:, hidden:]
+
+
+def _beyond_tables(model: Any, name: str, states: Array, inputs: Array) -> list[str]:
+    """A sentence on each table that the motion of a model leaves."""
+    said = []
+    for effect in getattr(model, "effects", ()):
+        if isinstance(effect.law, Table):
+            port = structure_of(model)[0].model.port(effect.place)
+            d = port.position @ states + port.position_input @ inputs
+            share = effect.law.share_beyond(d, port.velocity @ states + port.velocity_input @ inputs)
+            if share > 0.0:
+                said.append(
+                    f"{name!r} moves beyond the knots of {effect.label} in {100 * share:.2g} % of the "
+                    "samples: there its force goes on straight, which no record has shown"
+                )
+    return said
 
 
 def _window(record: Measurement, window: slice) -> Measurement:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from ..inference.whitening import FTest
 from .beside import Beside
 from .candidate_fits import CandidateFits, fit_candidates
 from .case import OBSERVERS, Case, not_held
+from .families import contains
 from .places import in_race
 from .residual_tests import TestedResidual, run_tests
 from .starts import force_along
@@ -48,7 +49,20 @@ class Judged:
 
 
 def judge(case: Case, race: CandidateFits) -> Judged:
-    """The winner's residual through the tests that the model itself went through."""
+    """The winner's residual through the tests that the model itself went through.
+
+    Where it fails, and the next likely law contains it and passes, that one takes its place: the
+    simplest member of a family is named only if it does.
+    """
+    judged = _tested(case, race)
+    if judged.passed or len(race.rivals) < 2 or not contains(race.rivals[1].effect, race.rivals[0].effect):
+        return judged
+    wider = _tested(case, replace(race, rivals=race.rivals[1:], _models={}))
+    return wider if wider.passed else judged
+
+
+def _tested(case: Case, race: CandidateFits) -> Judged:
+    """The winner's residual, tested."""
     fitted = race.model()
     rest = not_held(case.library, fitted.structure.effects)
     moved = [Motion(fitted.structure, fitted.theta, motion.data) for motion in case.motions]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from .absorbed import numbers_that_moved, what_was_absorbed
 
@@ -93,10 +93,17 @@ def _open_law(found: Diagnosis) -> list[str]:
     law = found.open_law
     if law is None:
         return []
-    lines = [f"law() tabulates the force: fit {found.ranking[0].fit_before:.4g} -> {law.fit_after:.4g} %."]
+    fits = f"fit {found.ranking[0].fit_before:.4g} -> {law.fit_after:.4g} %"
+    lines = [f"law() tabulates the force {_range(law.effect.law)}: {fits}."]
     near = ", ".join(f"{effect.label} {max(share, 0):.0f} %" for effect, share in law.nearest[:3])
     lines += [f"Of that force explain: {near}."] if near else []
     return lines + ([law.beyond] if law.beyond else [])
+
+
+def _range(table: Any) -> str:
+    """Where the table has its knots: what lies beyond them no record has shown."""
+    named = {"displacements": table.d, "velocities": table.v}
+    return "for " + " and ".join(f"{name} {x[0]:.3g} to {x[-1]:.3g}" for name, x in named.items() if x)
 
 
 def _columns(found: Diagnosis) -> list[str]:

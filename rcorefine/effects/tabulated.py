@@ -23,7 +23,7 @@ __all__ = ["Table", "Tabulated"]
 
 @dataclass(frozen=True)
 class Table:
-    """A force at knots of displacement and velocity; bilinear between them, and beyond them as at the edge.
+    """A force at knots of displacement and velocity; bilinear between them, straight on beyond them.
 
     Parameters
     ----------
@@ -86,6 +86,26 @@ class Table:
         low = (1 - q) * force[i, j] + q * force[i, j + 1]
         high = (1 - q) * force[i + 1, j] + q * force[i + 1, j + 1]
         return np.asarray((1 - p) * low + p * high)
+
+    def share_beyond(self, d: ArrayLike, v: ArrayLike) -> float:
+        """Share of a motion that lies beyond the outer knots.
+
+        Parameters
+        ----------
+        d, v : array_like, shape (N,)
+            Displacement and velocity.
+
+        Returns
+        -------
+        float
+            Where it is not 0, the force there follows from no knot: it goes on straight.
+        """
+        out = np.zeros(np.shape(d), dtype=bool)
+        for knots, x in ((self.d, np.asarray(d, dtype=float)), (self.v, np.asarray(v, dtype=float))):
+            if len(knots) > 1:
+                slack = 1e-9 * (knots[-1] - knots[0])
+                out |= (x < knots[0] - slack) | (x > knots[-1] + slack)
+        return float(np.mean(out))
 
 
 def _cells(knots: Array, x: Array) -> tuple[Any, Array]:

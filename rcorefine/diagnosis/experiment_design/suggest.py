@@ -137,7 +137,10 @@ def _contenders(found: Diagnosis, records: Sequence[Measurement]) -> tuple[list[
     ]
     none = ""
     if found.none_of_these > _OPEN:
-        none = f" None of these laws has probability {found.none_of_these:.2f}; no option tells that."
+        none = (
+            f" None of these laws has probability {found.none_of_these:.2f}; no option tells that, but "
+            "confirm does with a record at another amplitude."
+        )
     if len(contenders) == 1:
         levels = [float(np.sqrt(np.mean(record.inputs**2))) for record in records]
         why = f"Nothing to separate: {contenders[0].label} stands alone."
