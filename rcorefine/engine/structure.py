@@ -24,6 +24,8 @@ from .substep import Discrete, discretized
 
 __all__ = ["Parameter", "Structure"]
 
+_SUBSTEPS_KEPT = 4  # discretizations: with and without derivatives, whole and in pieces
+
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
@@ -79,6 +81,7 @@ class Structure:
             self._register(index, effect)
         self.n_states = base.n_states + len(self.added_states)
         self.n_ports = len(self._port_effects)
+        self._substeps: dict[tuple[bytes, float, bool], Discrete] = {}
         self.sites = {
             index: site_of(self, index)
             for index, effect in enumerate(self.effects)
@@ -196,8 +199,16 @@ class Structure:
         return np.array([i for i, q in enumerate(self.parameters) if q.effect not in skip], dtype=np.int64)
 
     def discretize(self, theta: Array, step: float, *, derivatives: bool = True) -> Discrete:
-        """One substep of length `step` seconds, exact for the linear part."""
-        return discretized(self, theta, step, derivatives=derivatives)
+        """One substep of length `step` seconds, exact for the linear part.
+
+        The last ones are kept: all windows of a record ask for the same.
+        """
+        key = (theta.tobytes(), step, derivatives)
+        if key not in self._substeps:
+            while len(self._substeps) >= _SUBSTEPS_KEPT:
+                del self._substeps[next(iter(self._substeps))]
+            self._substeps[key] = discretized(self, theta, step, derivatives=derivatives)
+        return self._substeps[key]
 
     # ------------------------------------------------------------ nonlinear parts
     @property
