@@ -26,6 +26,7 @@ from ..refinement.refine import refit
 from .candidate_fits import CandidateFits, fit_candidates, shortlist
 from .case import OBSERVERS, Case
 from .checks.check import looks
+from .colored_noise import gain_over_color
 from .excitation import no_motion, not_excited
 from .families import hosts, said_of_families
 from .floating import Floated, as_good, explaining_numbers, outdone, rivals_of_numbers
@@ -205,7 +206,9 @@ def investigate(
         scored = candidate_columns(case.fitted, near, case.motions[0], (0.0, *OBSERVERS))
         free_run = TestedResidual(case.fitted)
         tests = run_tests(free_run, scored, case.motions, len(case.library) - len(near))
-    if case.passes(tests, case.fitted):
+    passed = case.passes(tests, case.fitted)
+    colored = passed and gain_over_color(free_run, scored) >= case.levels.color
+    if passed and not colored:
         adequate = _adequate(case, Explained(free_run, scored, tests))
         if thorough or overall(tests, equal=True) >= significance:
             return adequate, None
@@ -230,13 +233,15 @@ def investigate(
         return Diagnosis("unexplained", (), (), tuple(tests), (), (), force_ratio=0.0, **case.about), None
     with progress.step("tests"):
         judged = judge(case, race)
+    if colored and not outdone(judged.race, free_run, case.levels.color):
+        return _adequate(case, Explained(free_run, scored, tests)), None
     if force is not None and not outweighs(judged, force.battery, 0.0):
         # an unmeasured force alone explains the residual: an effect beside it must earn its place
         beside = beside_force(case, judged)
         if beside is None or not outweighs(beside, force.battery, case.levels.force):
             return _adequate(case, force), None
         judged = beside
-    if numbers is not None and not outdone(case, judged.race, numbers):
+    if numbers is not None and not outdone(judged.race, numbers.battery, case.levels.force):
         if not (judged.passed and as_good(case, judged.race, numbers)):
             return _parameters(case, numbers, tests), None
     if not judged.passed:
@@ -296,7 +301,7 @@ def _under_another_hold(case: Case) -> Diagnosis | None:
     scored = candidate_columns(other.fitted, other.library, other.motions[0], (0.0,))
     free_run = TestedResidual(other.fitted)
     tests = run_tests(free_run, scored, other.motions)
-    if other.passes(tests, other.fitted):
+    if other.passes(tests, other.fitted) and gain_over_color(free_run, scored) < case.levels.color:
         return replace(_adequate(other, Explained(free_run, scored, tests)), notes=(sentence,))
     numbers = explaining_numbers(other)
     return None if numbers is None else replace(_parameters(other, numbers, tests), notes=(sentence,))

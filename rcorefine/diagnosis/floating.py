@@ -22,6 +22,7 @@ from ..systems.linear import Array
 from .candidate_fit import log_likelihood, prior_cost
 from .candidate_fits import STRONG, CandidateFits, fit_candidates
 from .case import Case, not_held
+from .colored_noise import gain_over_color
 from .places import in_race
 from .residual_tests import TestedResidual, run_tests
 from .verdict import keeps_name, overall
@@ -81,7 +82,7 @@ def explaining_numbers(case: Case) -> Floated | None:
         near = in_race(fitted, library, (0.0,))
         scored = candidate_columns(fitted, near, motions[0], (0.0,))
         tests = run_tests(battery, scored, motions, len(library) - len(near))
-        if overall(tests) < case.significance:
+        if overall(tests) < case.significance or gain_over_color(battery, scored) >= case.levels.color:
             return None
     return Floated(fitted, battery, tests, _evidence(battery, case.fitted.problem.n_theta))
 
@@ -166,11 +167,10 @@ def as_good(case: Case, race: CandidateFits, numbers: Floated) -> bool:
     return keeps_name(own, numbers.evidence, case.levels)
 
 
-def outdone(case: Case, race: CandidateFits, numbers: Floated) -> bool:
-    """Whether the best candidate leaves clearly less than the numbers, each under a filter of its own.
+def outdone(race: CandidateFits, battery: TestedResidual, price: float) -> bool:
+    """Whether the best candidate leaves clearly less than another model, each under a filter of its own.
 
     A residual that passes for noise of some color may still be most of the record: where a law takes
-    that away, numbers do not explain it, whatever that law itself leaves.
+    that away, the other does not explain it, whatever that law itself leaves.
     """
-    own = TestedResidual(race.model(), race.ratio).log_likelihood
-    return own >= numbers.battery.log_likelihood + case.levels.force
+    return TestedResidual(race.model(), race.ratio).log_likelihood >= battery.log_likelihood + price

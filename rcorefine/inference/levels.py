@@ -39,6 +39,10 @@ class Levels:
     force : float
         Log-likelihood that an unmeasured force must earn over none, or an effect over such a
         force. Below it the simpler one stands.
+    color : float
+        Log-likelihood that an effect must earn over noise of any color that passes the tests, each
+        side with a filter of its own. By chance below 15, and up to 54 where the noise has the
+        period and the damping of a mode that rings through the whole record.
     force_beside : float
         The same beside an effect that fails without it, where the tests decide.
     force_size : float
@@ -80,6 +84,7 @@ class Levels:
     off: float = 0.05
     power: float = 1.645
     force: float = 15.0
+    color: float = 60.0
     force_beside: float = 3.0
     force_size: float = 6.0
     hopeless: float = 1e-9

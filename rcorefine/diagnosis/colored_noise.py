@@ -1,0 +1,68 @@
+"""Whether an effect takes away what else would have to be noise of a color that suits it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..inference.sensitivities import Candidate
+from ..inference.whitening import Whitener, in_own_units, project
+from ..systems.linear import Array
+from .residual_tests import TestedResidual
+
+__all__ = ["gain_over_color"]
+
+_LEFT = 0.5  # share of what the color of the residual gains, above which a candidate has not explained it
+
+
+def gain_over_color(battery: TestedResidual, candidates: Sequence[Candidate]) -> float:
+    """Log-likelihood that the best candidate gains where the noise is what it leaves.
+
+    Parameters
+    ----------
+    battery : TestedResidual
+        Residual of the model.
+    candidates : sequence of Candidate
+        With columns at its ratio.
+
+    Returns
+    -------
+    float
+        Each column paid for by half the log of the number of samples. 0 where the residual is
+        white, for then its tests say the same, and where every candidate leaves most of the color.
+
+    Notes
+    -----
+    A filter fitted to a residual makes noise of all of it. A fault near a resonance, where the
+    columns of the fault pass the filter as little, then passes every test. So each side has a
+    filter of its own here, that of the candidate fitted to what ordinary least squares leaves.
+    Noise near that resonance that has nothing to do with the candidate keeps its color without it.
+    """
+    if not any(battery.whitener.orders):
+        return 0.0
+    residuals = battery.fitted.residuals(battery.ratio)
+    plain = TestedResidual(battery.fitted, battery.ratio, Whitener.fit(residuals, order=0))
+    n, best = sum(r.shape[1] for r in residuals), 0.0
+    none, color = _likelihood(plain.left, residuals)
+    for candidate in candidates:
+        if battery.ratio not in candidate.columns:
+            continue
+        columns = project(in_own_units(plain.whiten(candidate.columns[battery.ratio])), plain.basis)
+        x, _, rank, _ = np.linalg.lstsq(columns, plain.left, rcond=1e-7)
+        reached, left = _likelihood(plain.left - columns @ x, residuals)
+        if left < _LEFT * color:
+            best = max(best, reached - 0.5 * int(rank) * float(np.log(n)) - none)
+    return best
+
+
+def _likelihood(stacked: Array, like: Sequence[Array]) -> tuple[float, float]:
+    """Log-likelihood under a filter of its own, of a residual stacked as blocks of these shapes are.
+
+    Beside it, what of that the color of the filter gains.
+    """
+    ends = np.cumsum([r.size for r in like])[:-1]
+    blocks = [part.reshape(r.shape) for part, r in zip(np.split(stacked, ends), like, strict=True)]
+    n = sum(r.shape[1] for r in like)
+    own = Whitener.fit(blocks).log_likelihood(n)
+    return own, own - Whitener.fit(blocks, order=0).log_likelihood(n)
