@@ -215,11 +215,7 @@ def investigate(
         # few samples carry it, fault or noise: whoever holds another record asks the candidates there
         short = [scored[i] for i in shortlist(scored, [free_run])[0]]
         return adequate, fit_candidates(case.fitted, short, progress=progress)
-    force = explaining_force(case, free_run)
-    numbers = explaining_numbers(case)
-    if force is not None and numbers is not None:
-        both = (numbers.battery.log_likelihood, force.battery.log_likelihood)
-        force, numbers = (None, numbers) if both[0] > both[1] else (force, None)
+    force, numbers = _without_a_law(case, free_run)
     if numbers is not None and not rivals_of_numbers(case, numbers, scored):
         return _parameters(case, numbers, tests), None
     if thorough and force is None and numbers is None:
@@ -248,6 +244,16 @@ def investigate(
         judged = second_chance(case, judged, scored, chosen)
     found = _named(case, judged, scored, scores, batteries, validation)
     return replace(found, tests=tuple(tests)), judged.race
+
+
+def _without_a_law(case: Case, free_run: TestedResidual) -> tuple[Explained | None, Floated | None]:
+    """An unmeasured force, or the numbers of the model: what of them explains the residual better, if any."""
+    force, numbers = explaining_force(case, free_run), explaining_numbers(case)
+    if force is not None and numbers is not None:
+        if numbers.battery.log_likelihood > force.battery.log_likelihood:
+            return None, numbers
+        return force, None
+    return force, numbers
 
 
 def _named(

@@ -40,7 +40,8 @@ def innovations(a: Array, signal: Array) -> Array:
     if signal.ndim == 1:
         return np.convolve(signal, a)[: signal.size]  # a third of the time that lfilter takes to begin
     left, felt = np.zeros_like(signal), signal.any(axis=0)  # an initial state is felt in its own window only
-    left[:, felt] = lfilter(a, [1.0], signal[:, felt], axis=0)
+    if felt.any():
+        left[:, felt] = lfilter(a, [1.0], signal[:, felt], axis=0)
     return left
 
 
