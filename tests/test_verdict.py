@@ -61,6 +61,13 @@ def test_one_effect_keeps_its_name_where_all_numbers_together_are_not_a_hundred_
     assert keeps_name(0.0, -50.0, Levels())
 
 
+def test_a_law_that_passes_stands_beside_a_force_of_no_law_that_is_likelier() -> None:
+    assert verdict(True, 1.0, 1, Levels()) == "effect"
+    assert verdict(True, 1.0, 1, Levels(), beside=np.log(2.9)) == "effect"
+    assert verdict(True, 1.0, 1, Levels(), beside=np.log(3.1)) == "ambiguous"
+    assert verdict(False, 1.0, 1, Levels(), beside=np.log(3.1)) == "unexplained"
+
+
 def test_levels_of_a_session() -> None:
     ct.config.defaults["rcorefine.rival"] = 6.0
     try:

@@ -274,7 +274,7 @@ def _named(
     alike = tuple(race.rivals[i].effect for i in ties if i not in held)
     several = judged.passed and len(case.records) > 1
     agreement, sentence = amplitude_test(race, case.levels.disagree) if several else (1.0, "")
-    word = verdict(judged.passed, agreement, len(alike), case.levels)
+    word = verdict(judged.passed, agreement, len(alike), case.levels, judged.beside)
     with case.progress.step("free forces"):
         law = open_law(race) if word == "unexplained" and case.thorough else None
     shares, none, places = probabilities(race, judged.beside if judged.passed else -np.inf, law)

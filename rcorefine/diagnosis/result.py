@@ -82,8 +82,8 @@ class Diagnosis(Reported):
     verdict : str
         "adequate" (nothing is missing that this record could show), "parameters" (no law is
         missing, the numbers of the model are off), "effect" (one of the
-        candidates is), "ambiguous" (several explain it alike), "unexplained" (something
-        is missing that none of the candidates explains).
+        candidates is), "ambiguous" (several explain it alike, or the best one and a force of no
+        law), "unexplained" (something is missing that none of the candidates explains).
     ranking : tuple of RankedEffect
         Candidates that were refitted, the most probable first.
     ambiguous : tuple of Effect

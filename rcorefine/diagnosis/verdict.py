@@ -99,7 +99,7 @@ def keeps_name(single: float, numbers: float, levels: Levels) -> bool:
     return 2 * (numbers - single) <= levels.rival
 
 
-def verdict(passed: bool, agreement: float, ties: int, levels: Levels) -> str:
+def verdict(passed: bool, agreement: float, ties: int, levels: Levels, beside: float = -np.inf) -> str:
     """What is said of a model that is not adequate.
 
     Parameters
@@ -111,7 +111,9 @@ def verdict(passed: bool, agreement: float, ties: int, levels: Levels) -> str:
     ties : int
         Candidates that the record does not tell apart, the best one included.
     levels : Levels
-        Of the agreement.
+        Of the agreement, and of a force of no law.
+    beside : float
+        Log of the odds of a force of no law over the best candidate.
 
     Returns
     -------
@@ -120,4 +122,4 @@ def verdict(passed: bool, agreement: float, ties: int, levels: Levels) -> str:
     """
     if not passed or agreement < levels.disagree:
         return "unexplained"
-    return "effect" if ties == 1 else "ambiguous"
+    return "effect" if ties == 1 and beside <= levels.departs else "ambiguous"

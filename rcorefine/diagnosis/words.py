@@ -34,6 +34,8 @@ def sentences(found: Diagnosis) -> list[str]:
     list of str
     """
     alike = ", ".join(effect.label for effect in found.ambiguous)
+    if len(found.ambiguous) == 1 and found.best is not None:
+        alike += f", a force at {found.best.effect.place} that follows none of the laws"
     where = "" if found.place is None else f": at {found.place}, with probability {_place(found)}"
     lines = [_VERDICTS[found.verdict].format(best=_best(found), alike=alike, where=where)]
     worst = min(found.tests, key=lambda t: t.p_value) if found.tests else None
@@ -66,7 +68,7 @@ def sentences(found: Diagnosis) -> list[str]:
             f"The residual speaks of an unmeasured force of about {100 * found.force_ratio:.2g} % of the "
             "measured one, which is allowed for."
         )
-    if found.verdict == "ambiguous":
+    if found.verdict == "ambiguous" and len(found.ambiguous) > 1:
         lines.append("suggest_experiment() names the record that would tell them apart.")
     return [*lines, *found.notes]
 

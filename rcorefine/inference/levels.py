@@ -27,6 +27,9 @@ class Levels:
     same_force : float
         Rms difference of two forces over their rms, within which a law that contains another one
         merely contains it: no rival.
+    departs : float
+        Log of the odds of a force of no law over the best law, where that passes all tests; by
+        chance above this for 1-3 % of true laws. Beyond it the two are not told apart: ambiguous.
     disagree : float
         p-value of Wald's test that two amplitudes ask for the same coefficients, uniform by
         chance. Below it the law only mimics the true one: unexplained.
@@ -80,6 +83,7 @@ class Levels:
     noise_excess: float = 1.2
     rival: float = 9.2
     same_force: float = 0.1
+    departs: float = 1.1
     disagree: float = 0.005
     off: float = 0.05
     power: float = 1.645

@@ -143,7 +143,7 @@ def _contenders(found: Diagnosis, records: Sequence[Measurement]) -> tuple[list[
         )
     if len(contenders) == 1:
         levels = [float(np.sqrt(np.mean(record.inputs**2))) for record in records]
-        why = f"Nothing to separate: {contenders[0].label} stands alone."
+        why = f"Nothing to separate: {contenders[0].label} stands alone among the laws."
         if max(levels) < 1.3 * min(levels):
             why += (
                 " A second record at another amplitude, given to diagnose together with this one, would "
