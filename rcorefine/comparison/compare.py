@@ -13,8 +13,8 @@ from ..data.channels import Channels, aligned, match_channels, record_for, with_
 from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement
 from ..effects.tabulated import Table
-from ..engine.free_runs import checked_horizon, free_runs
-from ..engine.simulation import simulate, structure_of, unjudged_samples
+from ..engine.free_runs import checked_horizon, free_runs, runs_away
+from ..engine.simulation import simulated, structure_of, unjudged_samples
 from ..exceptions import DataError, DivergenceError
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array, LinearModel
@@ -71,7 +71,9 @@ def compare(
         initial state (so it excludes a given `x0`). For models with slow or
         unstable modes, whose free run drifts away however good they are. The
         record is cut in the whole number of equal windows that comes nearest.
-        Default: the whole record; one tenth of it where a model integrates.
+        Default: the whole record; one tenth of it where a model integrates. A
+        continuous model that is unstable has no free run: it is judged by what it
+        predicts one sample ahead, led by an observer.
         The same in `refine`, `diagnose` and `improve`.
 
     Returns
@@ -201,6 +203,7 @@ def _on_record(
         horizon=None if horizon is None else float(horizon),
         x0=x0 if isinstance(x0, str) else "given",
         holds=tuple(holds),
+        led=len(windows) == 1 and any(each.is_continuous and runs_away(each, data) for each in linear),
         notes=tuple(dict.fromkeys(notes)),
         several=several,
     )
@@ -282,7 +285,8 @@ def _simulate(
         early = min(hidden, window.start)
         around = slice(window.start - early, window.stop)
         try:
-            simulation = simulate(model, _window(record, around) if len(windows) > 1 else record, start)
+            part = _window(record, around) if len(windows) > 1 else record
+            simulation = simulated(model, part, start, led=True)
         except DivergenceError as error:
             raise DivergenceError(_DIVERGED.format(name=name, why=error)) from error
         run[:, window] = simulation.outputs[order][:, early:]

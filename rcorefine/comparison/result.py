@@ -57,6 +57,8 @@ class Comparison(Reported):
     holds : tuple of str
         How each model takes the inputs between samples: as the record declares, or
         as the model itself was found to.
+    led : bool
+        Whether a model is unstable, so that `runs` are its predictions one sample ahead.
     notes : tuple of str
         Channels that were reordered or left out, holds that differ.
     several : bool
@@ -74,6 +76,7 @@ class Comparison(Reported):
     horizon: float | None
     x0: str
     holds: tuple[str, ...]
+    led: bool
     notes: tuple[str, ...]
     several: bool
     # searched once, when first asked for

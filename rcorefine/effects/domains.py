@@ -66,6 +66,8 @@ _OF_STATE = {
     "degC": "thermal",
     "°C": "thermal",
     "m": "hydraulic",
+    "m/s": "mechanical",  # a speed whose position is no state
+    "km/h": "mechanical",
 }
 
 
@@ -89,9 +91,9 @@ def domain_of(kind: str, velocity_unit: str) -> str:
     >>> domain_of("first_order", "K"), domain_of("mechanical", "rad/s"), domain_of("mechanical", "m/s")
     ('thermal', 'rotational', 'mechanical')
     """
+    if velocity_unit == "rpm" or velocity_unit in [f"{angle}/s" for angle in ("rad", "rev", "deg")]:
+        return "rotational"
     if kind == "mechanical":
-        if velocity_unit.split("/")[0] in ("rad", "rev", "deg") or velocity_unit == "rpm":
-            return "rotational"
         return "current" if velocity_unit == "A" else kind
     return _OF_STATE.get(velocity_unit, kind)
 

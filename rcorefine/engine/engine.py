@@ -20,6 +20,7 @@ from ..exceptions import DivergenceError
 from ..systems.linear import Array
 from . import kernels
 from .inputs import BAND_LIMITED_FACTOR, InputSignal
+from .observer import leading_gain
 from .structure import Structure
 
 __all__ = ["Engine", "Trajectory"]
@@ -70,14 +71,28 @@ class Engine:
     initial : ndarray, shape (n,), optional
         Initial state, where it is known and not to be estimated. Zero means rest: nothing
         acted before the record.
+    led : bool
+        Whether a model that runs away over such a record is led by an observer (`leading_gain`).
+
+    Attributes
+    ----------
+    lead : ndarray of shape (n, n_y), or None
+        Gain of that observer, which acts where `run` is given none.
     """
 
     def __init__(
-        self, structure: Structure, data: Measurement, *, substeps: int = 1, initial: Array | None = None
+        self,
+        structure: Structure,
+        data: Measurement,
+        *,
+        substeps: int = 1,
+        initial: Array | None = None,
+        led: bool = False,
     ) -> None:
         data = structure.model.held(data)
         self.structure, self.data = structure, data
         self._known_start = initial is not None
+        self.lead = leading_gain(structure, data) if led else None
         if structure.output_delays:
             substeps = max(substeps, _NODES_FOR_DELAY)
         if data.hold == "bandlimited":
@@ -116,7 +131,7 @@ class Engine:
         initial_state : bool
             Whether to carry derivatives by the initial state too.
         gain : ndarray, shape (n, n_y), optional
-            Observer gain; a free run without it.
+            Observer gain; a free run without it (or `lead`).
         use : ndarray of bool, shape (N, n_y), optional
             Where the observer corrects; everywhere by default.
         histories : bool
@@ -152,7 +167,7 @@ class Engine:
             driven, dW, dWout = driven[:0], dW[:0], dWout[:0]
         x = np.zeros(n) if x0 is None else np.array(x0, dtype=float)
         S = np.eye(p, n, n - p if initial_state else n)  # zero, but for the initial states, which come last
-        flags, K = self._corrections(gain, use)
+        flags, K = self._corrections(self.lead if gain is None else gain, use)
         keep = histories or bool(s.output_delays)
         Yout = np.full((N, ny), np.nan)
         SY = np.zeros((N, ny, p))

@@ -14,9 +14,10 @@ from ..data.measurement import Measurement
 from ..exceptions import DataError
 from ..systems.linear import LinearModel
 
-__all__ = ["checked_horizon", "free_runs", "integrates"]
+__all__ = ["checked_horizon", "free_runs", "integrates", "runs_away"]
 
 _WINDOWS = 10  # of a record whose model integrates
+_GROWTH = 3.0  # log by which an unstable mode may grow over a free run: an error of its start as well
 
 
 def checked_horizon(horizon: Any, known_start: bool = False) -> float | None:
@@ -48,6 +49,14 @@ def integrates(linear: LinearModel, record: Measurement) -> bool:
     return bool(np.any(step > 1e-9 * np.linalg.norm(linear.C)))
 
 
+def runs_away(linear: LinearModel, record: Measurement) -> bool:
+    """Whether an unstable mode leaves no free run over a record of that length."""
+    poles = np.linalg.eigvals(linear.A) if linear.n_states else np.zeros(0)
+    with np.errstate(divide="ignore"):
+        rates = poles.real * record.dt if linear.is_continuous else np.log(np.abs(poles))
+    return bool(rates.max(initial=0.0) * record.n_samples > _GROWTH)
+
+
 def free_runs(
     models: Sequence[LinearModel],
     records: Sequence[Measurement],
@@ -65,7 +74,8 @@ def free_runs(
     horizon : float, optional
         Length in s. Each record is cut in the whole number of equal windows that comes
         nearest. Default: the whole record; one tenth of the longest where a model integrates,
-        for a free run then drifts without bound.
+        for a free run then drifts without bound. An unstable model has no free run: it is led by an
+        observer, over the whole record.
     known_start : bool
         Whether the initial state is given: there is one start then.
 
@@ -74,7 +84,7 @@ def free_runs(
     windows : list of list of slice
         Per record.
     note : str
-        Why there are windows that nobody asked for, empty otherwise.
+        Why there are windows that nobody asked for, or no free run; empty otherwise.
 
     Raises
     ------
@@ -86,6 +96,11 @@ def free_runs(
     seconds, note, least = checked_horizon(horizon, known_start), "", 1
     n_states = max(model.n_states for model in models)
     if seconds is None:
+        if any(runs_away(m, r) for m in models if m.is_continuous for r in records):
+            return [[slice(0, record.n_samples)] for record in records], (
+                "The model is unstable and has no free run: it is judged by what it predicts one sample "
+                "ahead, led by an observer (horizon= gives short free runs)."
+            )
         if known_start or not any(integrates(m, r) for m in models for r in records):
             return [[slice(0, record.n_samples)] for record in records], note
         seconds = max(record.n_samples * record.dt for record in records) / _WINDOWS

@@ -18,7 +18,14 @@ from ..systems.linear import Array, LinearModel
 from .engine import Engine
 from .structure import Structure
 
-__all__ = ["Simulation", "estimate_initial_state", "simulate", "structure_of", "unjudged_samples"]
+__all__ = [
+    "Simulation",
+    "estimate_initial_state",
+    "simulate",
+    "simulated",
+    "structure_of",
+    "unjudged_samples",
+]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,6 +160,11 @@ def simulate(model: Any, data: Measurement, x0: str | Array = "estimate") -> Sim
     """
     if not isinstance(data, Measurement):
         raise ct.ControlArgument(f"data must be a Measurement, not {shown(data)}")
+    return simulated(model, data, x0)
+
+
+def simulated(model: Any, data: Measurement, x0: str | Array, *, led: bool = False) -> Simulation:
+    """As `simulate`; an unstable model may be led by an observer, since it has no free run."""
     inner = getattr(model, "system", model)
     if isinstance(inner, ct.StateSpace) and inner.dt != 0:
         return _simulate_discrete(LinearModel.from_statespace(inner), data, x0)
@@ -163,7 +175,7 @@ def simulate(model: Any, data: Measurement, x0: str | Array = "estimate") -> Sim
     if point is not None:
         data = data.deviation(point.inputs, point.outputs)
         start = None if start is None else start - (0.0 if isinstance(x0, str) else levels[1])
-    engine = Engine(structure, data, substeps=substeps, initial=start)
+    engine = Engine(structure, data, substeps=substeps, initial=start, led=led)
     if start is None:
         start = estimate_initial_state(engine, theta)
     run = engine.run(theta, start, sensitivity=False, histories=True)

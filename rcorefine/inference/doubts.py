@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import eig
 
 from ..data.measurement import Measurement
-from ..engine.simulation import simulate
+from ..engine.simulation import simulated
 from ..exceptions import IdentifiabilityWarning
 from ..systems.linear import Array, LinearModel
 from .covariance import pseudo_inverse
@@ -116,7 +116,7 @@ def _turned(
 
 def _against(found: Refinement, segments: Sequence[Measurement]) -> Array:
     """Outputs that do not go with the free run of the initial model."""
-    runs = [simulate(found.physical_model, record).outputs for record in segments]
+    runs = [simulated(found.physical_model, record, "estimate", led=True).outputs for record in segments]
     measured = [record.outputs for record in segments]
     one, two = (np.concatenate(rows, axis=1) for rows in (runs, measured))
     one, two = (rows - rows.mean(axis=1, keepdims=True) for rows in (one, two))

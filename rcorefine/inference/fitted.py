@@ -61,9 +61,9 @@ class FittedModel:
         return self.problem.unpack(self.point)[0]
 
     def gain(self, ratio: float) -> Array | None:
-        """Observer gain for an unknown force of that ratio; None for the free run."""
+        """Observer gain for an unknown force of that ratio; for 0 what leads an unstable model."""
         if ratio == 0:
-            return None
+            return self.problem.engines[0].lead
         if ratio not in self._gains:
             self._gains[ratio] = observer_gain(
                 self.structure, self.theta, self.problem.records[0], ratio, at=self.force_at

@@ -80,6 +80,7 @@ def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
         initial_states=starts,
         substeps=fit.steps,
         residual_orders=Whitener.fit([r for r, _ in blocks]).orders,
+        led=any(engine.lead is not None for engine in problem.engines),
         success=bool(result.status > 0 and np.isfinite(result.cost)),
         message=" ".join(part for part in (message, note) if part),
         warnings=found,
@@ -128,7 +129,7 @@ def _initial_fit(structure: Structure, records: Sequence[Measurement]) -> Array:
     """Fit of the initial model, initial state estimated (and nothing else)."""
     errors, measured = [], []
     for record in records:
-        engine = Engine(structure, record)
+        engine = Engine(structure, record, led=True)
         start = estimate_initial_state(engine, np.zeros(0))
         run = engine.run(np.zeros(0), start, sensitivity=False, check=False)
         errors.append(run.outputs - record.outputs)

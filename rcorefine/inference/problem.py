@@ -65,7 +65,7 @@ class Problem:
         self.structure, self.records, self.weights = structure, list(records), weights
         self.prior_mean, self.prior_sd = prior_mean, prior_sd
         self.initial, self.substeps = initial, substeps
-        self.engines = [Engine(structure, r, substeps=substeps, initial=initial) for r in records]
+        self.engines = [Engine(structure, r, substeps=substeps, initial=initial, led=True) for r in records]
         self.n_theta, self.n_states = structure.n_parameters, structure.n_states
         self.free_start = initial is None
         self.gain: Array | None = None

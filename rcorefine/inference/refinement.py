@@ -102,6 +102,9 @@ class Refinement(ReportedModel, CodeExports):
         What happened, in words.
     warnings : tuple of str
         What the records cannot see, one sentence each.
+    led : bool
+        Whether the initial model is unstable over such records, so that fit and rmse are those of what
+        is predicted one sample ahead.
     """
 
     physical_model: PhysicalModel
@@ -120,6 +123,7 @@ class Refinement(ReportedModel, CodeExports):
     success: bool
     message: str
     warnings: tuple[str, ...] = ()
+    led: bool = False
 
     # ------------------------------------------------------------------ the model
     def simulation_structure(self) -> tuple[Structure, Array, int]:
@@ -284,7 +288,7 @@ class Refinement(ReportedModel, CodeExports):
         list of str
         """
         lines = [
-            f"The free run explains {_percent(self.fit)} of the record "
+            f"The {'prediction' if self.led else 'free run'} explains {_percent(self.fit)} of the record "
             f"(initial model {_percent(self.initial_fit)}).",
             "std is the standard deviation that another record like this one would show"
             + (

@@ -213,7 +213,7 @@ def _carrier(
     structure = Structure(old.physical_model, base.effects, constants=widths)
     theta = np.concatenate([fitted.theta, structure.start()[fitted.theta.size :]])
     steps = max(old.substeps, 1 if structure.is_linear else 2)
-    return structure, theta, [Engine(structure, r, substeps=steps) for r in fitted.problem.records]
+    return structure, theta, [Engine(structure, r, substeps=steps, led=True) for r in fitted.problem.records]
 
 
 def _sensitivities(

@@ -70,6 +70,8 @@ def comparison_table(result: Comparison) -> Table:
 
 
 def _how(result: Comparison) -> str:
+    if result.led:
+        return f"Predicted one sample ahead, led by an observer; {_START[result.x0]}."
     if len(result.starts) == 1:
         return f"Free run over the whole record (simulation, not prediction); {_START[result.x0]}."
     length = result.data.duration / len(result.starts)

@@ -13,7 +13,7 @@ from ..diagnosis.checks.row import warned
 from ..diagnosis.hidden_force import HiddenForce
 from ..diagnosis.result import Diagnosis
 from ..effects.along_motion import unit_forces
-from ..engine.simulation import simulate
+from ..engine.simulation import simulated
 from ..systems.linear import Array
 from .figures import MEASURED, Frame, draws, plain, style, unit_text
 from .refinement import estimates_table
@@ -196,7 +196,7 @@ def _residuals(axes: Any, found: Diagnosis, record: Measurement) -> tuple[list[A
     scale = record.outputs.std(axis=1)
     main = int(np.argmax(scale > 0))
     for i, (name, model) in enumerate(models):
-        error = record.outputs[main] - simulate(model, record).outputs[main]
+        error = record.outputs[main] - simulated(model, record, "estimate", led=True).outputs[main]
         look = style(i)
         in_time += axes[0].plot(record.timepts, error, color=look.color, lw=0.7, label=name)
         f, power = welch(error, fs=1 / record.dt, nperseg=min(512, record.n_samples))

@@ -15,7 +15,7 @@ from ..data.frequency_response import FrequencyResponse
 from ..data.levels import MOST, stretches_by_level
 from ..data.measurement import as_records
 from ..engine.amplitude_response import AmplitudeResponse, frequency_response_at
-from ..engine.simulation import simulate, structure_of
+from ..engine.simulation import simulated, structure_of
 from ..exceptions import DivergenceError
 from ..systems.linear import Array, LinearModel
 from ..systems.response import frequency_response, hold_factor
@@ -117,7 +117,7 @@ def _measured_groups(refinement: Any, linear: LinearModel, measured: Any) -> lis
     groups: list[_Group] = []
     for level, part in sorted(parts, key=lambda pair: pair[0])[:MOST]:
         try:
-            run = simulate(refinement, part).outputs
+            run = simulated(refinement, part, "estimate", led=True).outputs
         except DivergenceError:
             own = None  # the picture shows the measured dots alone
         else:

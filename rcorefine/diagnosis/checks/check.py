@@ -143,7 +143,7 @@ def _looked_over(model: Any, data: Measurement, horizon: float | None) -> tuple[
     linear = LinearModel.from_statespace(getattr(model, "system", model))
     rows += sampling_rows(linear, record)
     if compared is not None:
-        return record, [*rows, *gain_rows(compared), *feedback_rows(compared)]
+        return record, [*rows, *([] if compared.led else gain_rows(compared)), *feedback_rows(compared)]
     diverges = CheckRow(
         STOP, "free run", "", "diverges",
         "The free run leaves all bounds, so the model cannot be laid beside the record: give compare a short "

@@ -249,7 +249,7 @@ class _Judge:
 
     def _states(self, record: Measurement) -> Array:
         structure, theta, steps = self.best.simulation_structure()
-        engine = Engine(structure, record, substeps=steps)
+        engine = Engine(structure, record, substeps=steps, led=True)
         return engine.run(theta, self.best.initial_states[0], sensitivity=False, histories=True).states
 
     def _largest(self, records: Sequence[Measurement]) -> dict[str, float]:
