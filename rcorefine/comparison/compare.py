@@ -13,7 +13,7 @@ from ..data.channels import Channels, aligned, match_channels, record_for, with_
 from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement
 from ..effects.tabulated import Table
-from ..engine.free_runs import checked_horizon, free_runs, runs_away
+from ..engine.free_runs import checked_horizon, free_runs
 from ..engine.simulation import simulated, structure_of, unjudged_samples
 from ..exceptions import DataError, DivergenceError
 from ..models.physical_model import PhysicalModel
@@ -203,7 +203,6 @@ def _on_record(
         horizon=None if horizon is None else float(horizon),
         x0=x0 if isinstance(x0, str) else "given",
         holds=tuple(holds),
-        led=len(windows) == 1 and any(each.is_continuous and runs_away(each, data) for each in linear),
         notes=tuple(dict.fromkeys(notes)),
         several=several,
     )

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..arguments import as_whole, shown
 from ..data.measurement import Measurement
+from ..engine.free_runs import runs_away
 from ..results import Options, Reported, picture, show
 from ..systems.linear import Array, LinearModel
 from .failure_map.places import Places
@@ -57,8 +58,6 @@ class Comparison(Reported):
     holds : tuple of str
         How each model takes the inputs between samples: as the record declares, or
         as the model itself was found to.
-    led : bool
-        Whether a model is unstable, so that `runs` are its predictions one sample ahead.
     notes : tuple of str
         Channels that were reordered or left out, holds that differ.
     several : bool
@@ -76,7 +75,6 @@ class Comparison(Reported):
     horizon: float | None
     x0: str
     holds: tuple[str, ...]
-    led: bool
     notes: tuple[str, ...]
     several: bool
     # searched once, when first asked for
@@ -84,6 +82,12 @@ class Comparison(Reported):
 
     def _shaped(self, array: Array) -> Array:
         return array if self.several else array[0]
+
+    @property
+    def led(self) -> bool:
+        """Whether a model is unstable over the record, so that `runs` are predictions one sample ahead."""
+        away = (m.is_continuous and runs_away(m, self.data) for m in self.models)
+        return len(self.starts) == 1 and any(away)
 
     @property
     def fit(self) -> Array:
