@@ -58,6 +58,12 @@ def _no_global_random_numbers() -> Iterator[None]:
 
 
 @pytest.fixture
+def without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reports without their pictures, where a test asks for something else of them: a second each."""
+    monkeypatch.setattr("rcorefine.views.pages.parts.draw", lambda plot, alt, caption: "left out")
+
+
+@pytest.fixture
 def rng(request: pytest.FixtureRequest) -> np.random.Generator:
     """Generator seeded by the name of the test: the same numbers in every run and order."""
     return np.random.default_rng(zlib.crc32(request.node.nodeid.encode()))

@@ -235,6 +235,11 @@ def is_nothing(value: Any) -> bool:
     return False
 
 
+def is_transfer_function(value: Any) -> bool:
+    """A model where it has a realization."""
+    return isinstance(value, ct.TransferFunction)
+
+
 def is_window(value: Any) -> bool:
     return is_text(value) or isinstance(value, tuple)
 
@@ -271,7 +276,7 @@ UNITS = {
 TABLE = {"delimiter": is_text, "decimal": is_text, "header": is_texts}
 OPTIONAL = {key: or_none(kind) for key, kind in UNITS.items()}
 FIT = {
-    "model": is_nothing,
+    "model": is_transfer_function,
     "data": is_nothing,
     "free": lambda value: is_text(value) or is_listing(value),
     "tolerance": is_level,
@@ -595,7 +600,7 @@ CALLS: dict[str, Call] = {
     "PhysicalModel.from_statespace": Call(
         lambda: rco.PhysicalModel.from_statespace,
         lambda: {"sys": ct.ss([[0.5]], [[1.0]], [[1.0]], 0, True), "dt": DT},
-        {"sys": is_nothing, "dt": is_positive},
+        {"sys": is_transfer_function, "dt": is_positive},
     ),
     "physical": Call(
         lambda: rco.physical,
@@ -636,7 +641,9 @@ CALLS: dict[str, Call] = {
             "physical": is_flag,
         },
     ),
-    "ports": Call(lambda: rco.ports, lambda: {"model": model()}, {"model": is_nothing, "dt": is_positive}),
+    "ports": Call(
+        lambda: rco.ports, lambda: {"model": model()}, {"model": is_transfer_function, "dt": is_positive}
+    ),
     "d2c": Call(
         lambda: rco.d2c,
         lambda: {"system": ct.ss([[0.5]], [[1.0]], [[1.0]], 0, 0.1)},
@@ -701,18 +708,18 @@ CALLS: dict[str, Call] = {
     "effect_library": Call(
         lambda: rco.effect_library,
         lambda: {"model": model()},
-        {"model": is_nothing, "kinds": is_texts, "places": is_texts, "dt": is_positive},
+        {"model": is_transfer_function, "kinds": is_texts, "places": is_texts, "dt": is_positive},
     ),
     "simulate": Call(
         lambda: rco.simulate,
         lambda: {"model": model(), "data": record()},
-        {"model": is_nothing, "data": is_nothing, "x0": is_state},
+        {"model": is_transfer_function, "data": is_nothing, "x0": is_state},
     ),
     "frequency_response_at": Call(
         lambda: rco.frequency_response_at,
         lambda: {"model": model(), "omega": [3.0], "amplitude": 1.0, "harmonics": 3},
         {
-            "model": is_nothing,
+            "model": is_transfer_function,
             "omega": is_numbers,
             "amplitude": is_numbers,
             "source": lambda v: is_text(v) or is_number(v),
@@ -724,11 +731,9 @@ CALLS: dict[str, Call] = {
     "check": Call(
         lambda: rco.check,
         lambda: {"model": model(), "data": record(), "information": False},
-        {"model": is_nothing, "data": is_nothing, "information": is_flag},
+        {"model": is_transfer_function, "data": is_nothing, "information": is_flag},
     ),
-    "compare": Call(
-        lambda: rco.compare, lambda: {"model": model(), "data": record()}, {**FIT, "model": is_nothing}
-    ),
+    "compare": Call(lambda: rco.compare, lambda: {"model": model(), "data": record()}, FIT),
     "Comparison.plot": _plot(comparison, kind=is_text, measured=is_nothing, omega=is_numbers),
     "Comparison.report": _report(comparison),
     "Comparison.select": Call(
@@ -853,7 +858,7 @@ CALLS: dict[str, Call] = {
         lambda: rco.RCORefiner,
         lambda: {"model": model().system, "dt": DT, "order": 2, "window": 20},
         {
-            "model": is_nothing,
+            "model": is_transfer_function,
             "dt": is_positive,
             "effects": is_listing,
             "noise": is_numbers,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import pickle
 
 import control as ct
@@ -102,7 +101,7 @@ class Client:
 @pytest.mark.parametrize("kind", [Carrier, Client])
 def test_work_travels_without_compiled_code(kind):
     """Rivals refitted elsewhere are those refitted here, and no kernel is in the parcel."""
-    data = record(motor(0.5), seed=21)
+    data = record(motor(0.5), 600, seed=21)
     candidates = [rco.Effect(law, f"link{i}") for law in ("damping", "coulomb_friction") for i in (1, 2)]
     here = rco.diagnose(motor(), data, candidates=candidates)
     executor = kind()
@@ -128,7 +127,7 @@ def test_an_executor_is_one(wrong, data):
 # ------------------------------------------------------------------ NumPy's errors
 def test_numpy_may_raise_on_everything(data):
     """What underflows on the way is none of the user's errors, and his setting stays."""
-    friction = record(motor(), 1200, seed=3)
+    friction = record(motor(), 600, seed=3)
     candidates = [rco.Effect(law, "link2") for law in ("coulomb_friction", "stiffness", "hysteresis")]
     with np.errstate(all="raise"):
         before = np.geterr()
@@ -141,6 +140,7 @@ def test_numpy_may_raise_on_everything(data):
 
 
 # ------------------------------------------------------------------ names in scripts
+@pytest.mark.usefixtures("without_pictures")
 @pytest.mark.parametrize("end", ["\n", "\r", "\r\n", "\x0c", "\u2028"])
 def test_a_line_break_in_a_name_begins_no_line_of_code(end, tmp_path, monkeypatch):
     code = f"a{end}raise SystemError('live')  #"
@@ -161,24 +161,6 @@ def test_a_line_break_in_a_name_begins_no_line_of_code(end, tmp_path, monkeypatc
         assert main(["compare", model.name, "r.npz", "--dt", "0.02", "--report", "r.html"]) in (0, 1)
         head = code_of(tmp_path / "r.html").split("from hashlib", 1)[0]
         exec(compile(head, "report", "exec"), {})
-
-
-@pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason="counts descriptors by /proc")
-def test_a_report_leaves_no_file_open(tmp_path, data):
-    """But for the fonts that matplotlib keeps, once and for all."""
-
-    def opened():
-        links = (f"/proc/self/fd/{fd}" for fd in os.listdir("/proc/self/fd"))
-        return sorted(
-            name
-            for link in links
-            if os.path.exists(link) and not (name := os.readlink(link)).endswith(".ttf")
-        )
-
-    result = rco.compare(motor(), data)
-    before = opened()
-    result.report(tmp_path / "r.html")
-    assert opened() == before
 
 
 # ------------------------------------------------------------------ measured responses

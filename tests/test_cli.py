@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -81,10 +82,12 @@ def test_failed_work_ends_with_1(tmp_path, capsys):
     assert blocked.read_text() == "a file, not a folder"
 
 
-def test_module_is_the_command():
-    done = run("--version")
-    assert done.returncode == 0
-    assert done.stdout.strip() == f"rcorefine {rco.__version__}"
+def test_module_is_the_command(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["rcorefine", "--version"])
+    with pytest.raises(SystemExit) as end:
+        runpy.run_module("rcorefine", run_name="__main__")
+    assert end.value.code == 0
+    assert capsys.readouterr().out.strip() == f"rcorefine {rco.__version__}"
 
 
 def test_demo_ends_well_and_in_time(demo):

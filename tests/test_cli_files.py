@@ -6,6 +6,8 @@ import json
 import os
 import subprocess
 import sys
+import warnings
+from argparse import Namespace
 from pathlib import Path
 
 import control as ct
@@ -17,6 +19,7 @@ import rcorefine as rco
 from rcorefine.commands.analysis import wanted_candidates
 from rcorefine.commands.cli import main
 from rcorefine.commands.example import NAMES, example_csv, example_toml
+from rcorefine.commands.records import read_record
 from rcorefine.models.reading import builder_names, read_model
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -118,22 +121,21 @@ def test_in_a_process_of_its_own(files):
     assert done.stderr == ""
     assert done.stdout.count("\n") == 1
     assert json.loads(done.stdout)["exit_code"] == 1
-    done = run("compare", "model.toml", "nix.csv", cwd=files)
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert done.stderr == "rcorefine compare: nix.csv: No such file or directory\n"
 
 
-def test_warnings_are_lines_on_standard_error(files, tmp_path):
+def test_warnings_are_lines_on_standard_error(files, tmp_path, monkeypatch, capsys):
     """A free decay: the constant input is pointed out, without a place in the source."""
     columns = simulated(n=400)
     columns["force"] = 0.0 * columns["force"]
     columns["q1"] = np.exp(-0.2 * columns["time"]) * np.cos(9.998 * columns["time"])
     path = csv(tmp_path / "decay.csv", columns)
-    done = run("compare", files / "model.toml", path, cwd=files)
-    assert done.returncode in (0, 1)
-    assert done.stderr.startswith("rcorefine: warning: compare: constant")
-    assert ".py" not in done.stderr
+    monkeypatch.setattr(sys, "argv", ["rcorefine", "compare", str(files / "model.toml"), str(path)])
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        assert main() in (0, 1)
+    err = capsys.readouterr().err
+    assert err.startswith("rcorefine: warning: compare: constant")
+    assert ".py" not in err
 
 
 def test_a_reader_that_leaves_does_not_change_the_answer(files):
@@ -282,6 +284,7 @@ def test_json_of_diagnose_and_improve(call):
     assert code == 1
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_report_is_written_and_named(call, files):
     code, out, _ = call("compare", "model.toml", "soft.csv", "--report", "said.html")
     assert code == 1
@@ -554,9 +557,10 @@ def test_examples_work_when_fed_back(call, tmp_path, name):
     assert "exists" in err
     exact = tmp_path / "exact.csv"
     exact.write_text(example_csv(name, exact=True))
-    _, out, _ = call("compare", model, exact, "--json")
+    system = read_model(model)
+    data = read_record(exact, system, Namespace(input=None, output=None, time=None, dt=None, hold="zoh"))
     # 2 % of noise leaves a fit of 98 %
-    assert all(abs(o["fit"] - 98) < 0.2 for o in json.loads(out)["models"][0]["outputs"])
+    assert np.abs(rco.compare(system, data).fit - 98).max() < 0.2
 
 
 @pytest.mark.slow

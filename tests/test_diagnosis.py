@@ -23,12 +23,12 @@ def diagnosed(seed, *, settings=None, **record):
 
 @pytest.fixture(scope="module")
 def friction():
-    return diagnosed(31, effect="coulomb_friction", loss=0.2, plant="quarter car")
+    return diagnosed(31, effect="coulomb_friction", loss=0.2, plant="quarter car", samples=1200)
 
 
 @pytest.fixture(scope="module")
 def nothing():
-    return diagnosed(32, effect=None, samples=1200)
+    return diagnosed(32, effect=None, samples=800)
 
 
 def least_of(n, rate, level=1e-3):
@@ -101,7 +101,7 @@ def test_threads_change_nothing(friction):
 
 
 def test_two_amplitudes_agree_on_a_true_law():
-    hidden = hidden_record(33, plant="quarter car", effect="quadratic_damping", loss=0.2)
+    hidden = hidden_record(33, plant="quarter car", effect="quadratic_damping", loss=0.2, samples=1000)
     half = rco.Measurement(0.3 * hidden.data.inputs, hidden.at_scale(0.3), dt=hidden.data.dt, hold="foh")
     found = rco.diagnose(hidden.plant.model, [hidden.data, half], candidates=hidden.candidates)
     assert found.verdict in ("effect", "ambiguous")
@@ -109,7 +109,7 @@ def test_two_amplitudes_agree_on_a_true_law():
 
 
 def test_two_amplitudes_refute_a_law_that_only_mimics():
-    hidden = hidden_record(34, plant="quarter car", effect="coulomb_friction", loss=0.2)
+    hidden = hidden_record(34, plant="quarter car", effect="coulomb_friction", loss=0.2, samples=1000)
     half = rco.Measurement(0.3 * hidden.data.inputs, hidden.at_scale(0.3), dt=hidden.data.dt, hold="foh")
     mimic = [rco.Effect("damping", hidden.place)]
     found = rco.diagnose(hidden.plant.model, [hidden.data, half], candidates=mimic)
@@ -137,7 +137,7 @@ def test_short_record_is_refused(nothing):
 @pytest.mark.parametrize("kind", ["white", "ar", "resonant", "t3"])
 def test_no_alarm_where_nothing_is_missing(kind):
     n = 6
-    verdicts = [diagnosed(900 + i, effect=None, noise_kind=kind, samples=1000)[1].verdict for i in range(n)]
+    verdicts = [diagnosed(900 + i, effect=None, noise_kind=kind, samples=700)[1].verdict for i in range(n)]
     assert verdicts.count("adequate") >= least_of(n, 0.95)
 
 
@@ -146,7 +146,7 @@ def test_hidden_effects_are_named(plant):
     n = 3
     right = wrong = 0
     for i in range(n):
-        hidden, found = diagnosed(950 + i, plant=plant, loss=0.2, samples=1200)
+        hidden, found = diagnosed(950 + i, plant=plant, loss=0.2, samples=1000)
         truth = (hidden.kind, hidden.place)
         names = [(e.kind, e.place) for e in found.ambiguous]
         right += found.verdict != "unexplained" and truth in names

@@ -20,7 +20,7 @@ def chain(k2=150.0, masses=2, **options) -> rco.PhysicalModel:
     return rco.mass_spring_damper([1.0, 0.7, 1.2][:masses], [0.5] * masses, k, **options)
 
 
-def record(system, n=2000, dt=0.04, noise=0.01, seed=5, signs=None) -> Measurement:
+def record(system, n=1000, dt=0.04, noise=0.01, seed=5, signs=None) -> Measurement:
     rng = np.random.default_rng(seed)
     w = rng.standard_normal(n)
     y = np.atleast_2d(ct.forced_response(system.system.sample(dt), U=w).outputs)

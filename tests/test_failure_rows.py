@@ -5,6 +5,7 @@ from __future__ import annotations
 import control as ct
 import numpy as np
 import pytest
+from hidden.generator import Law, held_motion
 
 import rcorefine as rco
 from rcorefine import Measurement
@@ -24,14 +25,12 @@ def record(measured=1, friction=0.0, factor=1.0, zero=0.0, seed=3, noise=0.01):
     """The axis in steps of current, integrated here; the sensor shows factor * y + zero."""
     rng = np.random.default_rng(seed)
     w = np.repeat(rng.uniform(-4, 4, N // 40 + 1), 40)[:N] + 0.2 * rng.standard_normal(N)
-    fine, x, v, y = 50, 0.0, 0.0, np.empty(N)
-    for k in range(N):
-        y[k] = (x, v)[measured]
-        for _ in range(fine):
-            rate = (GAIN * w[k] - DRAG * v - friction * np.tanh(v / 0.003)) / INERTIA
-            v += STEP / fine * rate
-            x += STEP / fine * v
-    y = factor * y + zero
+    law = Law("coulomb_friction", np.array([friction, 0.003, 0.0]))
+    motion = held_motion(
+        [[0, 1], [0, -DRAG / INERTIA]], np.outer(w, [0, GAIN / INERTIA]), STEP,
+        [(law, [0, -1 / INERTIA], [1, 0], [0, 1])],
+    )  # fmt: skip
+    y = factor * motion[:, measured] + zero
     y = y + noise * y.std() * rng.standard_normal(N)
     return Measurement(w, y, dt=STEP, input_labels="current", output_labels="y")
 

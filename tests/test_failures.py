@@ -226,28 +226,31 @@ def test_horizon_is_flat_for_the_true_model_and_ends_in_the_free_run():
         horizon_error(rco.compare(model(), data), [0])
 
 
+@pytest.fixture(scope="module")
+def two():
+    """The true model and one with a spring more, on one record."""
+    changed = A.copy()
+    changed[2, 0] -= 30.0
+    return rco.compare([model(), model(changed)], record(*clean()))
+
+
 @pytest.mark.parametrize(
     "kind, shape",
     [("time", (4, 1)), ("residual", (2, 2)), ("horizon", (2, 1)), ("map", (4, 2)), ("bode", (6, 1))],
 )
-def test_pictures(kind, shape):
-    changed = A.copy()
-    changed[2, 0] -= 30.0
-    result = rco.compare([model(), model(changed)], record(*clean()))
-    cplt = result.plot(
-        kind, label=["a $", "b"], title="T", legend_loc="upper left", rcParams={"font.size": 8}
-    )
+def test_pictures(two, kind, shape):
+    cplt = two.plot(kind, label=["a $", "b"], title="T", legend_loc="upper left", rcParams={"font.size": 8})
     assert isinstance(cplt, ct.ControlPlot)
     assert cplt.axes.shape == shape
     assert cplt.figure.get_suptitle() == "T"
     cplt.figure.canvas.draw()
-    again = result.plot(kind, ax=cplt.axes, show_legend=False)
+    again = two.plot(kind, ax=cplt.axes, show_legend=False)
     assert again.figure is cplt.figure
     plt.close("all")
     with pytest.raises(ct.ControlDimension):
-        result.plot(kind, label=["only one"])
+        two.plot(kind, label=["only one"])
     with pytest.raises(ct.ControlArgument, match="kind"):
-        result.plot("bodé")
+        two.plot("bodé")
 
 
 def test_measured_response_is_compared_directly():

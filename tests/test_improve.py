@@ -72,15 +72,15 @@ def test_two_effects_are_found_and_the_held_out_error_falls_to_the_noise():
 
 
 def test_no_step_where_nothing_is_missing():
-    ladder = improve(chain(), record([], seed=2, n=2500), candidates=LAWS)
+    ladder = improve(chain(), record([], seed=2, n=1500), candidates=LAWS)
     assert len(ladder.steps) == 1
     assert ladder.verdict == "adequate"
     assert ladder.steps[0].effect is None
 
 
 def test_validation_record_judges_and_max_effects_stops():
-    data = record([("stiffness", "link2", -30.0)], seed=3, n=2500)
-    other = record([("stiffness", "link2", -30.0)], seed=4, n=1500)
+    data = record([("stiffness", "link2", -30.0)], seed=3, n=1500)
+    other = record([("stiffness", "link2", -30.0)], seed=4, n=1000)
     ladder = improve(chain(), data, validation=other, candidates=LAWS)
     assert [(e.kind, e.place) for e in ladder.effects] == [("stiffness", "link2")]
     assert ladder.steps[-1].validation_rmse[0] < ladder.steps[0].validation_rmse[0]
@@ -122,7 +122,7 @@ def test_short_records_are_climbed_on_whole() -> None:
 def test_coulomb_friction_with_an_offset_is_tied_with_asymmetric_friction() -> None:
     """F+ and F- are one force and one constant: no record tells them apart."""
     rng = np.random.default_rng(3)
-    push = 10 * rng.standard_normal(3000)
+    push = 10 * rng.standard_normal(1500)
     friction = Law("coulomb_friction", np.array([1.5, 1e-3, 0.0]))
     rows = (np.array([-1.0]), np.array([0.0]), np.array([1.0]))
     y = held_motion([[-2.0]], push[:, None] + 0.7, 0.05, [(friction, *rows)])[:, 0]

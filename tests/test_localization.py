@@ -139,7 +139,7 @@ def chain(k, sensors=("displacement", (1, 3)), c=(0.2, 0.16, 0.12)):
     return rco.mass_spring_damper([1, 1, 1], c, k, force=3, sensors=sensors)
 
 
-def chain_record(k, noise, seed, n=3000, dt=0.02, **kwargs):
+def chain_record(k, noise, seed, n=1500, dt=0.02, **kwargs):
     rng = np.random.default_rng(seed)
     return record_of(chain(k, **kwargs), rng.standard_normal(n), dt, noise, rng)
 
@@ -196,7 +196,7 @@ def test_detection_limit_is_kept():
 def test_gain_and_lost_damping_are_told_apart():
     true = chain([12, 8, 6], c=(0.2, 0.16, 0.04))
     rng = np.random.default_rng(3)
-    found = localize_damage(chain([10, 8, 6]), record_of(true, rng.standard_normal(4000), 0.05, 0.02, rng))
+    found = localize_damage(chain([10, 8, 6]), record_of(true, rng.standard_normal(2500), 0.05, 0.02, rng))
     changes = {(row.kind, row.place): row.change for row in found.named}
     assert set(changes) == {("stiffness", "link1"), ("damping", "link3")}
     assert changes["stiffness", "link1"] == pytest.approx(2.0, abs=0.1)
@@ -227,7 +227,7 @@ def test_papers_two_dof():
 
 def test_plain_statespace():
     example = rco.examples.two_dof()
-    data = example.record(n_samples=4000, noise=0.01, rng=1)
+    data = example.record(n_samples=2500, noise=0.01, rng=1)
     found = localize_damage(example.initial, data)
     assert {row.label for row in found.named} == {"stiffness at q1-q2", "stiffness at q2"}
     assert isinstance(found.system, ct.StateSpace)
@@ -384,7 +384,7 @@ def test_log_likelihood_of_white_noise(rng):
 
 
 # --------------------------------------------------------------- sensors and residual
-def three_masses(k, gains, seed, sensors="velocity", offsets=(0.0, 0.0), n=2500, delay=0):
+def three_masses(k, gains, seed, sensors="velocity", offsets=(0.0, 0.0), n=1500, delay=0):
     """Model and record of a chain that `mass_spring_damper` builds, its sensors not as declared."""
 
     def build(springs):

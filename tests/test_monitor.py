@@ -11,7 +11,7 @@ import sys
 import control as ct
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from hidden.generator import Law, held_motion
 from scipy.linalg import expm
 from scipy.signal import lfilter
 from scipy.stats import binom, poisson
@@ -127,7 +127,7 @@ def test_thresholds_share_out_the_stated_rate():
 def test_finds_a_stiffness_loss_names_the_link_and_dates_it():
     delays, right, since, sizes = [], [], [], []
     for seed in range(100, 104):
-        plant = Chain(seed)
+        plant = Chain(seed, n=1 + seed % 3)  # up to six masses: `test_delay_and_link_over_many_structures`
         w, y = plant.record(step(SHORT, int(15 * plant.period)))
         monitor = rco.Monitor(plant.model, dt=plant.dt, learn=2000)
         monitor.update(w[:SHORT], y[:SHORT])
@@ -161,13 +161,14 @@ def test_small_change_has_the_size_of_the_sensitivity():
 
 
 @pytest.mark.parametrize(
-    ("kind", "law"),
+    ("kind", "numbers"),
     [
-        ("coulomb_friction", lambda d, v: 0.12 * np.tanh(v / 2e-4)),
-        ("cubic_stiffness", lambda d, v: 4e4 * d**3),
+        ("coulomb_friction", [0.12, 2e-4, 0.0]),
+        ("cubic_stiffness", [4e4, 0.0, 0.0]),
     ],
 )
-def test_names_effects_that_are_no_stiffness(kind, law):
+def test_names_effects_that_are_no_stiffness(kind, numbers):
+    law = Law(kind, np.array(numbers))
     plant = Chain(17, n=2, sensor="velocity")
     before, after = 3000, 900
     rng = np.random.default_rng(5)
@@ -179,16 +180,10 @@ def test_names_effects_that_are_no_stiffness(kind, law):
         states.append(x)
         x = Phi @ x + G * value
 
-    def rate(t, x, value):
-        drive = np.zeros(2 * n)
-        drive[n + plant.force] = value / plant.m[plant.force]
-        drive[n] -= law(x[0], x[n]) / plant.m[0]
-        return A @ x + drive
-
-    for value in w[before:]:
-        states.append(x)
-        x = solve_ivp(rate, (0, plant.dt), x, args=(value,), rtol=1e-7, atol=1e-10).y[:, -1]
-    y = np.array(states)[:, n + plant.mass]
+    unit = np.eye(2 * n)
+    steer = np.outer(w[before:], unit[n + plant.force] / plant.m[plant.force])
+    after_it = held_motion(A, steer, plant.dt, [(law, -unit[n] / plant.m[0], unit[0], unit[n])], start=x)
+    y = np.concatenate([states, after_it])[:, n + plant.mass]
     y = y + 0.01 * y[:before].std() * rng.standard_normal(y.size)
     monitor = rco.Monitor(plant.model, dt=plant.dt, learn=2000).run(rco.Measurement(w, y, dt=plant.dt))
     assert monitor.alarm is not None
@@ -240,15 +235,11 @@ def test_refined_model_with_friction_inside_is_healthy():
     model = rco.mass_spring_damper(1.0, 0.4, 100.0, sensors="velocity")
     dt, N = 0.03, 3600
     w = lfilter([1.0], [1.0, -0.5], rng.standard_normal(N))
-    states, x = [], np.zeros(2)
-    for i, value in enumerate(w):
-        k = 100.0 if i < 3000 else 90.0
-        states.append(x)
-        x = solve_ivp(
-            lambda t, x, k=k, f=value: [x[1], f - k * x[0] - 0.4 * x[1] - 0.2 * np.tanh(x[1] / 1e-3)],
-            (0, dt), x, rtol=1e-7, atol=1e-9,
-        ).y[:, -1]  # fmt: skip
-    y = np.array(states)[:, 1]
+    steer = np.outer(w, [0.0, 1.0])
+    friction = [(Law("coulomb_friction", np.array([0.2, 1e-3, 0.0])), [0, -1], [1, 0], [0, 1])]
+    healthy = held_motion([[0, 1], [-100.0, -0.4]], steer[:3001], dt, friction)
+    damaged = held_motion([[0, 1], [-90.0, -0.4]], steer[3000:], dt, friction, start=healthy[-1])
+    y = np.concatenate([healthy[:-1], damaged])[:, 1]
     y = y + 0.03 * y.std() * rng.standard_normal(N)
     before = rco.Measurement(w[:1500], y[:1500], dt=dt)
     refined = rco.refine(model, before, [rco.Effect("coulomb_friction", "link1")])
@@ -382,7 +373,7 @@ class Trap:
 @pytest.mark.filterwarnings("ignore:custom cannot be compiled")
 def test_a_failed_update_changes_nothing(start):
     plant = Chain(34, n=2, sensor="displacement")
-    w, y = plant.record(step(1000, 5000))
+    w, y = plant.record(step(1000, 1300))
     traps = Trap(), Trap()
     one, two = (
         rco.Monitor(
@@ -452,8 +443,8 @@ def test_reset_starts_again():
 def short_watch():
     """Statistic over its threshold, and what the alarm names."""
     plant = Chain(15, n=1, sensor="velocity")
-    monitor = rco.Monitor(plant.model, few(plant), dt=plant.dt, learn=400)
-    monitor.update(*plant.record(step(600, 150)))
+    monitor = rco.Monitor(plant.model, few(plant)[:3], dt=plant.dt, learn=250)
+    monitor.update(*plant.record(step(350, 120, loss=0.2)))
     return monitor.statistic, monitor.alarm.effect.label
 
 

@@ -77,9 +77,9 @@ def test_agrees_with_input_output_response(name):
 
 
 def test_refinement_gives_the_nonlinear_system():
-    w = 10 * np.random.default_rng(1).standard_normal(400)
+    w = 10 * np.random.default_rng(1).standard_normal(200)
     structure = Structure(chain(), [Effect("cubic_stiffness", "x1-x2")])
-    blank = Measurement(w, np.zeros((2, 400)), dt=STEP, hold="foh")
+    blank = Measurement(w, np.zeros((2, 200)), dt=STEP, hold="foh")
     response = ct.input_output_response(
         nonlinear_system(structure, np.array([30.0])), blank.timepts, w, np.zeros(4),
         solve_ivp_kwargs={"rtol": 1e-8, "atol": 1e-10},

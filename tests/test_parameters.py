@@ -32,7 +32,7 @@ def matrices(**factor: float) -> tuple[np.ndarray, np.ndarray]:
     return A, np.array([[0], [0], [1 / m1], [0]])
 
 
-def record(seed: int, dt: float = 0.03, n: int = 1500, **factor: float) -> rco.Measurement:
+def record(seed: int, dt: float = 0.03, n: int = 1000, **factor: float) -> rco.Measurement:
     """Noise of 3 % on both positions."""
     rng = np.random.default_rng(seed)
     force = 10 * rng.standard_normal(n)
@@ -84,7 +84,7 @@ def test_a_single_spring_keeps_its_name() -> None:
 
 
 def test_improve_fits_the_numbers_and_adds_no_law() -> None:
-    ladder = rco.improve(BUILT, record(5, n=3000, **FACTORS))
+    ladder = rco.improve(BUILT, record(5, n=2000, **FACTORS))
     assert [step.action for step in ladder.steps] == ["start", "parameters"]
     assert ladder.verdict == "adequate"
     assert ladder.effects == ()
@@ -94,7 +94,7 @@ def test_improve_fits_the_numbers_and_adds_no_law() -> None:
 
 @pytest.mark.parametrize("slow", [0.002, -0.003])
 def test_a_clock_that_is_off_is_found_as_such(slow: float) -> None:
-    true = record(6, dt=0.03 * (1 + slow))
+    true = record(6, dt=0.03 * (1 + slow), n=1500)
     data = rco.Measurement(true.inputs, true.outputs, dt=0.03)
     found = rco.diagnose(PLAIN, data)
     assert found.verdict == "effect"
@@ -116,9 +116,9 @@ def test_a_clock_speeds_up_every_state_and_leaves_what_sensors_read() -> None:
 
 def test_inputs_that_run_otherwise_between_the_samples_are_no_missing_law() -> None:
     rng = np.random.default_rng(9)
-    force = 10 * rng.standard_normal(1500)
+    force = 10 * rng.standard_normal(1000)
     system = ct.ss(*matrices(), np.eye(4)[:2], np.zeros((2, 1)))
-    y = ct.forced_response(system, 0.03 * np.arange(1500), force).outputs  # linear between the samples
+    y = ct.forced_response(system, 0.03 * np.arange(1000), force).outputs  # linear between the samples
     data = rco.Measurement(
         force, y + 0.03 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape), dt=0.03
     )

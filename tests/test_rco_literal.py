@@ -166,7 +166,7 @@ def test_without_numba_too() -> None:
         "assert not NUMBA\n"
         "for size in (1, 2):\n"
         "    for delay in (0, 1, 2):\n"
-        "        worst = max(discrepancies(size, delay))\n"
+        "        worst = max(discrepancies(size, delay, n_samples=300))\n"
         "        assert worst < 1e-8, (size, delay, worst)\n"
     )
     here = Path(__file__).parent

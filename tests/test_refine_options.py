@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 import pickle
 import warnings
 
@@ -186,6 +187,7 @@ def test_silent_output_does_no_harm():
 
 
 # --------------------------------------------------------------------------- laws
+@functools.cache
 def cubic_record(coefficient=40.0, seed=2, n=1000):
     model, times = chain(), np.arange(n) * STEP
     rng = np.random.default_rng(seed)
@@ -239,9 +241,10 @@ def test_coefficients_partly_fixed():
 
 def test_width_of_a_friction_force_is_the_users():
     wide = Effect("coulomb_friction", "x1", fixed={"width": 0.07})
-    result = refine(chain(), record(), [wide])
+    data = record(n=300)
+    result = refine(chain(), data, [wide])
     assert list(result.constants.values()) == [0.07]
-    by_default = refine(chain(), record(), [Effect("coulomb_friction", "x1")])
+    by_default = refine(chain(), data, [Effect("coulomb_friction", "x1")])
     assert 0 < by_default.constants[0] < 0.07
 
 

@@ -56,7 +56,7 @@ def test_the_order_holds_beside_a_fixed_coefficient():
 @pytest.mark.filterwarnings("ignore::rcorefine.IdentifiabilityWarning")
 @pytest.mark.parametrize("seed", [21, 24])
 def test_refine_of_a_diagnosis_ends_no_lower_than_the_ranking(seed):
-    hidden = servo_record(seed, samples=2000)
+    hidden = servo_record(seed, samples=1500)
     offered = [rco.Effect(kind, "angle") for kind in ("asymmetric_friction", "damping", "input_gain")]
     offered[2] = rco.Effect("input_gain", "voltage")
     found = rco.diagnose(hidden.plant.model, hidden.data, candidates=offered)
@@ -65,7 +65,7 @@ def test_refine_of_a_diagnosis_ends_no_lower_than_the_ranking(seed):
 
 @pytest.fixture(scope="module")
 def servo():
-    hidden = servo_record(5, samples=3500)
+    hidden = servo_record(5, samples=2200)
     return hidden, rco.diagnose(hidden.plant.model, hidden.data)
 
 
@@ -136,7 +136,7 @@ def test_the_width_of_friction_is_that_of_the_record():
 
 def test_windows_of_one_record_are_no_amplitudes():
     """Cut into windows, some are louder than others: nothing to be read from that."""
-    hidden = servo_record(101, samples=2000)
+    hidden = servo_record(101, samples=1500)
     offered = [rco.Effect("coulomb_friction", "angle"), rco.Effect("damping", "angle")]
     found = rco.diagnose(hidden.plant.model, hidden.data, candidates=offered)
     assert found.verdict == "effect"

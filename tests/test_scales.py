@@ -80,7 +80,7 @@ def localized(of_inputs, of_outputs, pair):
 def watched(of_inputs, of_outputs, pair):
     kinds = ("stiffness", "damping", "clearance", "coulomb_friction")
     candidates = [rco.Effect(kind, place) for kind in kinds for place in ("q1", "q1-q2")]
-    monitor = rco.Monitor(in_units(of_inputs, of_outputs), candidates, dt=DT, learn=600)
+    monitor = rco.Monitor(in_units(of_inputs, of_outputs), candidates, dt=DT, learn=400)
     monitor.run(record(pair, of_inputs, of_outputs))
     alarm = monitor.alarm
     value = np.array(list(alarm.coefficients.values())) / of_inputs
@@ -139,7 +139,7 @@ def improved(of_inputs, of_outputs, pair):
         (compared, {"friction": 0.6}),
         (refined, {"friction": 0.6}),
         (localized, {"change": 1}),
-        (watched, {"n": 1500, "change": 900}),
+        (watched, {"n": 1000, "change": 600}),
         (streamed, {"change": 1}),
         (adequate, {}),
         (diagnosed, {"friction": 0.6}),

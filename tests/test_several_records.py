@@ -157,15 +157,15 @@ def mimic():
     hidden = hidden_record(2003, plant="ring", effect="clearance", loss=0.03, noise=0.03)
     found = rco.diagnose(hidden.plant.model, hidden.data, candidates=hidden.candidates)
     assert found.verdict in ("effect", "ambiguous")
-    second = again(hidden, 2 * hidden.data.inputs, 3)
-    return hidden, found, [hidden.data, second]
-
-
-def test_impostor_is_refuted_by_a_second_amplitude(mimic):
-    hidden, found, records = mimic
+    records = [hidden.data, again(hidden, 2 * hidden.data.inputs, 3)]
     seen = rco.confirm(
         found.best.refinement, records, candidates=hidden.candidates, force_ratio=found.force_ratio
     )
+    return hidden, records, seen
+
+
+def test_impostor_is_refuted_by_a_second_amplitude(mimic):
+    hidden, records, seen = mimic
     assert seen.verdict == "refuted"
     assert seen.p_value < 1e-6
     assert "needs" in seen.message
@@ -173,8 +173,7 @@ def test_impostor_is_refuted_by_a_second_amplitude(mimic):
 
 
 def test_words_and_picture_of_a_confirmation(mimic):
-    hidden, found, records = mimic
-    seen = rco.confirm(found.best.refinement, records, candidates=hidden.candidates)
+    *_, seen = mimic
     assert max(map(len, str(seen).splitlines())) <= 80
     assert str(pickle.loads(pickle.dumps(seen))) == str(seen)
     assert "refuted" in seen._repr_html_()

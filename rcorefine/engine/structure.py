@@ -199,8 +199,8 @@ class Structure:
         return np.array([i for i, q in enumerate(self.parameters) if q.effect not in skip], dtype=np.int64)
 
     def discretize(self, theta: Array, step: float, *, derivatives: bool = True) -> Discrete:
-        """One substep of `step` seconds, exact for the linear part; kept, for every window asks for it."""
-        key = (theta.tobytes(), step, derivatives)
+        """One substep of `step` seconds, exact for the linear part; kept, for it is asked for again."""
+        key = (theta[self.absorbed].tobytes(), step, derivatives)
         if key not in self._substeps:
             while len(self._substeps) >= _SUBSTEPS_KEPT:
                 del self._substeps[next(iter(self._substeps))]

@@ -97,6 +97,7 @@ def integrate(
         np.array([at.d if at.d is not None else np.zeros(n) for _, at in every]),
         np.array([at.v for _, at in every]), np.array([LAWS[one.kind] for one, _ in every]),
         np.array([one.p for one, _ in every]), memory, plant.dt, rtol, atol, 400 * w.shape[1],
+        False, np.zeros(n + memory),
     )  # fmt: skip
     if not np.isfinite(x).all() or np.abs(x[:, :n]).max() > 1e3 * np.abs(x0).max():
         raise FloatingPointError("the plant with this effect runs away")
@@ -104,9 +105,13 @@ def integrate(
 
 
 def held_motion(
-    A: Array, steer: Array, dt: float, laws: Sequence[tuple[Law, Array, Array, Array]] = ()
+    A: Array,
+    steer: Array,
+    dt: float,
+    laws: Sequence[tuple[Law, Array, Array, Array]] = (),
+    start: Array | None = None,
 ) -> Array:
-    """States (N, n) from rest under rates `steer` (N, n) that are held over each sample.
+    """States (N, n) from rest, or from `start`, under rates `steer` (N, n) that are held over each sample.
 
     Each law comes with the rates that its resisting force makes, and the rows that sense
     displacement and velocity. A thousand samples take milliseconds where `solve_ivp`, called
@@ -119,6 +124,7 @@ def held_motion(
     x = march(
         np.asarray(A, dtype=float), np.ascontiguousarray(steer, dtype=float), *rows, codes, numbers, 0, dt,
         1e-7, np.full(n, 1e-9), 4000 * len(steer), True,
+        np.zeros(n) if start is None else start,
     )  # fmt: skip
     assert np.isfinite(x).all()
     return x

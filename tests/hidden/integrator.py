@@ -124,8 +124,8 @@ def _rate(A, drive, slope, s, act, sense_d, sense_v, codes, p, t, x, n, out):
 
 
 @njit(cache=True)
-def march(A, steer, act, sense_d, sense_v, codes, p, memory, dt, rtol, atol, most, held=False):
-    """States (N, n + memory); row 0 is rest; nan from where it runs away or gets too stiff.
+def march(A, steer, act, sense_d, sense_v, codes, p, memory, dt, rtol, atol, most, held, start):
+    """States (N, n + memory); row 0 is `start`; nan from where it runs away or gets too stiff.
 
     One row of act, sense_d, sense_v and p per law; only the first may have inner states.
     steer runs linearly between samples, or is held.
@@ -133,7 +133,7 @@ def march(A, steer, act, sense_d, sense_v, codes, p, memory, dt, rtol, atol, mos
     N, n = steer.shape
     size = n + memory
     X = np.full((N, size), np.nan)
-    x = np.zeros(size)
+    x = start.copy()
     X[0] = x
     k = np.zeros((7, size))
     c = np.array([0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0])

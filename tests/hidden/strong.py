@@ -105,6 +105,7 @@ def _record(
     x = march(
         plant.A, np.ascontiguousarray((plant.B @ w).T), place.act[None], place.d[None], place.v[None],
         np.array([LAWS[kind]]), law[None], memory, plant.dt, 1e-8, atol, 2000 * N, held,
+        np.zeros(len(atol)),
     ).T  # fmt: skip
     if not np.isfinite(x).all():
         raise FloatingPointError("the plant with this effect runs away")

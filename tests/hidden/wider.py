@@ -388,7 +388,7 @@ def march_with(plant: Plant, w: Array, site: Site | None, code: str, p: Array) -
     sense = np.zeros(n) if at.d is None else at.d
     steer = np.ascontiguousarray((plant.B @ w).T)
     one = (at.act[None], sense[None], at.v[None], np.array([LAWS[code]]), p[None])
-    x = march(plant.A, steer, *one, memory, plant.dt, 1e-8, atol, 3000 * N, True).T
+    x = march(plant.A, steer, *one, memory, plant.dt, 1e-8, atol, 3000 * N, True, np.zeros(len(atol))).T
     if not np.isfinite(x).all():
         raise FloatingPointError("the plant with this effect runs away")
     inner = np.zeros(2)
