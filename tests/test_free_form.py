@@ -211,6 +211,15 @@ def test_no_name_but_place_and_curve():
     assert 0.0 <= shares[0] <= 100.0
 
 
+def test_where_nothing_passes_the_smallest_error_stands_first():
+    model, records, _, found = sine_spring()
+    fits = [row.fit_after for row in found.ranking]
+    assert fits == sorted(fits, reverse=True)
+    for row in found.ranking:  # least squares of the plain error: none does better
+        alone = rco.refine(model, records[0], [row.effect])
+        assert row.fit_after == pytest.approx(alone.fit[0], abs=0.3)
+
+
 def test_what_lies_beyond_the_table_is_said():
     model, records, _, found = sine_spring()
     better = rco.refine(model, records[0], [found.law()])

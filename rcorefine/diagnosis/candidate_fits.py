@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..effects.effect import Effect
 from ..inference.descent import descend, lacking
 from ..inference.fitted import FittedModel
-from ..inference.refinement import Refinement
 from ..inference.search import step_matters
 from ..inference.sensitivities import Candidate
 from ..inference.whitening import FTest, Whitener
@@ -80,15 +79,6 @@ class CandidateFits:
         if index not in self._models:
             self._models[index] = fitted_model(self.fitted, self.rivals[index], self.whitener, self.ratio)
         return self._models[index]
-
-    def in_free_run(self, most: int) -> list[tuple[Effect, Refinement]]:
-        """The rivals whose plain error is smallest, at the minimum of that error."""
-        runs = [(r, r.free_run) for r in self.rivals if r.free_run is not None]
-        found = []
-        for rival, run in sorted(runs, key=lambda pair: pair[1].cost)[:most]:
-            plain = replace(rival, descent=run)
-            found.append((rival.effect, fitted_model(self.fitted, plain, self.whitener, 0.0).refinement))
-        return found
 
 
 def shortlist(

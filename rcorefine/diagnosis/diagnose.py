@@ -33,7 +33,7 @@ from .floating import Floated, as_good, explaining_numbers, outdone, rivals_of_n
 from .judging import Judged, beside_force, judge, outweighs, pair_hint, second_chance
 from .open_law import open_law, probabilities
 from .places import in_race
-from .ranking import detectable, ranking
+from .ranking import detectable, in_free_run, ranking
 from .remarks import amplitude_test, fit_remarks, remarks
 from .residual_tests import TestedResidual, run_tests
 from .result import Diagnosis
@@ -280,8 +280,9 @@ def _named(
     shares, none, places = probabilities(race, judged.beside if judged.passed else -np.inf, law)
     if word == "unexplained":  # none is printed for what fails its own tests
         shares, none = np.full(len(shares), np.nan), 1.0
-    p_values = [p_of[rival.effect] for rival in race.rivals]
-    rows = ranking(race, p_values, shares, case.base, validation, case.settings["horizon"])
+    shown = in_free_run(race) if word == "unexplained" and case.thorough else race
+    p_values = [p_of[rival.effect] for rival in shown.rivals]
+    rows = ranking(shown, p_values, shares, case.base, validation, case.settings["horizon"])
     notes = [*_about_hold(case), *fit_remarks(race), *remarks(race, scored, batteries)]
     notes += said_of_families(race.rivals, held)
     notes += [sentence] if sentence else []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,11 +15,28 @@ from ..inference.levels import Levels
 from ..inference.refinement import Refinement
 from ..inference.sensitivities import Candidate
 from ..inference.whitening import project
+from .candidate_fit import log_likelihood, prior_cost, whitener_of
 from .candidate_fits import CandidateFits
 from .residual_tests import TestedResidual
 from .result import Detectable, RankedEffect
 
-__all__ = ["detectable", "ranking"]
+__all__ = ["detectable", "in_free_run", "ranking"]
+
+
+def in_free_run(race: CandidateFits) -> CandidateFits:
+    """The rivals at the minima of their plain error, the smallest first.
+
+    That tells them apart where no residual is noise: a filter fitted to slow errors makes them cheap,
+    and a likelihood then trades most of the free run for little at high frequencies.
+    """
+    rivals = [replace(r, descent=r.free_run) for r in race.rivals if r.free_run is not None]
+    rivals.sort(key=lambda rival: rival.descent.cost)
+    whitener = whitener_of(rivals[0])
+    for rival in rivals:
+        rival.log_likelihood = log_likelihood(rival, whitener)
+    white = whitener.apply(race.fitted.residuals(race.ratio))
+    base = -0.5 * (float(white @ white) + prior_cost(race.fitted.problem, race.fitted.point))
+    return replace(race, rivals=rivals, whitener=whitener, base_log_likelihood=base, _models={})
 
 
 def ranking(

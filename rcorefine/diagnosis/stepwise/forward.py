@@ -9,6 +9,7 @@ from ...inference.refinement import Refinement
 from ...refinement.refine import refine
 from ..candidate_fits import CandidateFits
 from ..open_law import open_law
+from ..ranking import in_free_run
 from ..result import Diagnosis
 from .selection import Choice, StepwiseSelection, coefficients_of, determined, same
 
@@ -109,10 +110,10 @@ def _one(ladder: StepwiseSelection, found: Diagnosis, race: CandidateFits, choic
 def _pair(ladder: StepwiseSelection, race: CandidateFits, rest: list[Effect]) -> Choice | None:
     """Two effects that help only together: every second one behind each of the best first ones."""
     found: list[tuple[float, tuple[Effect, Effect], Refinement]] = []
-    for one, first in race.in_free_run(_PAIRS_FROM):
+    for one, first in _in_free_run(race, _PAIRS_FROM):
         others = [effect for effect in rest if not same(effect, one)]
         _, second = ladder.investigate(first, others) if others else (None, None)
-        for two, both in second.in_free_run(_TRIED) if second is not None else []:
+        for two, both in _in_free_run(second, _TRIED) if second is not None else []:
             found.append((ladder.share((one, two), both), (one, two), both))
     for saved, pair, both in sorted(found, key=lambda row: -row[0])[:_REFITTED]:
         settled = _settled(ladder, pair, both) if saved >= ladder.levels.earned else None
@@ -120,6 +121,12 @@ def _pair(ladder: StepwiseSelection, race: CandidateFits, rest: list[Effect]) ->
             ladder.by_error = True
             return Choice(pair, settled)
     return None
+
+
+def _in_free_run(race: CandidateFits, most: int) -> list[tuple[Effect, Refinement]]:
+    """The rivals whose plain error is smallest, at the minimum of that error."""
+    plain = in_free_run(race)
+    return [(r.effect, plain.model(i).refinement) for i, r in enumerate(plain.rivals[:most])]
 
 
 def _settled(
@@ -144,7 +151,7 @@ def _by_error(
     """
     parts = ladder.parts
     rows = []
-    for effect, refinement in race.in_free_run(_TRIED):
+    for effect, refinement in _in_free_run(race, _TRIED):
         size = max(len(coefficients_of(effect, refinement)), 1)
         saved = -ladder.rise(refinement, parts.fit, parts.choose) / size
         if saved > ladder.levels.earned and ladder.is_new([*ladder.effects, effect]):
