@@ -14,7 +14,7 @@ import pytest
 from hidden.generator import Law, held_motion
 from scipy.linalg import expm
 from scipy.signal import lfilter
-from scipy.stats import binom, poisson
+from scipy.stats import binom, chi2, poisson
 
 import rcorefine as rco
 from rcorefine.streaming.gaps import whole_block
@@ -257,6 +257,137 @@ def test_refined_model_with_friction_inside_is_healthy():
     assert "at link1 or the like is missing" in bare.remarks[0]
     assert "refine" in str(bare)
     assert monitor.remarks == ()
+
+
+# ------------------------------------------------------------------------- nuisances
+class Off(Chain):
+    """A chain whose model has every mass, damping and stiffness off by a few parts in a thousand."""
+
+    def __init__(self, seed, n, spread=0.005):
+        super().__init__(seed, n=n, sensor="velocity")
+        error = [1 + spread * self.rng.uniform(-1, 1, x.size) for x in (self.m, self.c, self.k)]
+        numbers = (x * e for x, e in zip((self.m, self.c, self.k), error, strict=True))
+        self.model = rco.mass_spring_damper(
+            *numbers, force=self.force + 1, sensors=(self.sensor, self.mass + 1)
+        )
+
+    def grown(self, loss, at, times=3.0, follows=0.0):
+        """A record whose input grows at a sample; noise of 3 %, and a share of the reading."""
+        w, clean = self.record(loss, noise=0.0, scale=np.where(np.arange(len(loss)) < at, 1.0, times))
+        noise = np.hypot(0.0 if follows else 0.03 * clean[:at].std(), follows * np.abs(clean))
+        return w, clean + noise * self.rng.standard_normal(len(loss))
+
+
+@pytest.mark.parametrize(("seed", "n", "follows"), [(51, 2, 0), (54, 3, 0.05)])
+def test_an_input_that_grows_rings_nothing_and_a_change_right_after_does(seed, n, follows):
+    plant = Off(seed, n)
+    start = 4000 + int(2 * plant.period)
+    monitor = rco.Monitor(plant.model, few(plant), dt=plant.dt, learn=2000)
+    monitor.update(*plant.grown(np.zeros(7000), 4000, follows=follows))
+    assert monitor.alarm is None
+    assert monitor.past_alarms == ()
+    assert monitor.adequacy.adequate
+    soon = rco.Monitor(plant.model, few(plant), dt=plant.dt, learn=2000)  # two periods after the growth
+    w, y = plant.grown(step(start, int(20 * plant.period)), 4000, follows=follows)
+    soon.update(w, y)
+    assert soon.alarm is not None
+    assert start <= soon.alarm.sample < start + 10 * plant.period
+    true = rco.Effect("stiffness", f"link{plant.link + 1}")
+    assert true in [row.effect for row in soon.ranking[:2]]  # with one sensor link1 and link4 are much alike
+
+
+def test_what_learning_leaves_open_widens_the_statistics_by_as_much():
+    # models drawn from the prior, an input that grows: each score has the variance that is stated
+    z = []
+    for seed in range(500, 520):
+        plant = Off(seed, 1, spread=0.0)
+        error = 1 + 0.01 * plant.rng.standard_normal(2)
+        model = rco.mass_spring_damper(
+            plant.m, plant.c, plant.k * error, force=plant.force + 1, sensors=("velocity", plant.mass + 1)
+        )
+        w, y = plant.grown(np.zeros(2600), 1000)
+        springs = [rco.Effect("stiffness", f"link{i}") for i in (1, 2)]
+        monitor = rco.Monitor(model, springs, dt=plant.dt, learn=1000, tolerance=0.01)
+        monitor.update(w, y)
+        memory = monitor._stream.memory
+        z.append((memory["N"] / np.sqrt(memory["V"] + memory["doubt"]))[-1, 0])
+        assert memory["doubt"][-1, 0] > 0.5 * memory["V"][-1, 0]  # without it the test would say nothing
+    low, high = chi2.ppf([0.001, 0.999], len(z))
+    assert low < np.sum(np.square(z)) < high
+
+
+def friction_record(rng, N, dt, damaged=None, scale=1.0):
+    """One mass with dry friction, a weaker spring from a sample on, integrated in small steps."""
+    w = scale * lfilter([1.0], [1.0, -0.5], rng.standard_normal(N))
+    x, v, y = 0.0, 0.0, np.zeros(N)
+    fine = 40
+    h = dt / fine
+    for i, force in enumerate(w):
+        k = 90.0 if damaged is not None and i >= damaged else 100.0
+        y[i] = v
+        for _ in range(fine):  # velocity first, then position: symplectic
+            v += h * (force - k * x - 0.4 * v - 0.2 * np.tanh(v / 2e-3))
+            x += h * v
+    return w, y + 0.03 * y.std() * rng.standard_normal(N)
+
+
+def test_says_what_is_missing_and_takes_in_what_refine_found(rng):
+    model, dt = rco.mass_spring_damper(1.003, 0.4, 99.6, sensors="velocity"), 0.03
+    w, y = friction_record(rng, 5200, dt, damaged=4500)
+    before = rco.Measurement(w[:1500], y[:1500], dt=dt)
+    kinds = ("stiffness", "damping", "coulomb_friction", "cubic_stiffness")
+    candidates = [rco.Effect(kind, "link1") for kind in kinds]
+    bare = rco.Monitor(model, candidates, dt=dt, learn=2000, disturbance=0.0)
+    assert bare.adequacy is None
+    bare.update(w[:2000], y[:2000])
+    assert not bare.adequacy.adequate
+    assert bare.adequacy.missing == rco.Effect("coulomb_friction", "link1")
+    line = (
+        "better = rco.refine(model, healthy_record, [rco.Effect('coulomb_friction', 'link1')], free='linear')"
+    )
+    assert line in bare.adequacy.sentence
+    scope = {"rco": rco, "model": model, "healthy_record": before}
+    exec(line, scope)
+    monitor = rco.Monitor(scope["better"], candidates, dt=dt, learn=2000)
+    monitor.update(w[:4500], y[:4500])
+    assert monitor.adequacy.adequate
+    assert monitor.adequacy.missing is None
+    assert str(monitor.adequacy) in str(monitor).replace("\n  ", " ")
+    assert monitor.alarm is None
+    monitor.update(w[4500:], y[4500:])
+    assert monitor.alarm.effect == rco.Effect("stiffness", "link1")
+    assert abs(monitor.alarm.coefficients["stiffness"] + 10) < 3
+
+
+def test_takes_in_what_a_diagnosis_refines_and_its_covariance(rng):
+    model, dt = rco.mass_spring_damper(1.0, 0.4, 100.0, sensors="velocity"), 0.03
+    w, y = friction_record(rng, 4000, dt)
+    friction = rco.Effect("coulomb_friction", "link1")
+    found = rco.diagnose(model, rco.Measurement(w[:1000], y[:1000], dt=dt), candidates=[friction])
+    refined = found.refine()
+    monitor = rco.Monitor(refined, [friction, rco.Effect("stiffness", "link1")], dt=dt, learn=1500)
+    monitor.update(w, y)
+    assert monitor.alarm is None
+    stream = monitor._stream
+    effects = stream.observer.structure.effects
+    at = effects.index(friction)
+    force = float(stream.observer.structure.value(stream.observer.theta, at, "force"))
+    row = refined.parameter("force")
+    assert abs(force - 0.2) < 3 * row.std  # moved on, with what the estimate is worth
+    assert 0 < abs(force - row.value) < 3 * row.std
+    column = stream.bank.candidates.index(friction)
+    assert column in stream.bank.owner[stream.bank.numbers]
+
+
+def test_noise_that_does_not_follow_the_signal_is_not_taken_to():
+    plant = Off(55, 2)
+    w, y = plant.grown(np.zeros(2000), 1000)
+    monitor = rco.Monitor(plant.model, few(plant), dt=plant.dt, learn=2000)
+    monitor.update(w, y)
+    constant, square, mean = monitor._stream.healthy.noise[0]
+    power = monitor._stream.healthy.power[0]
+    # the share of a square has a standard deviation of about 2 % of the variance in 2000 samples
+    assert (square + mean) * power < 0.1 * constant
 
 
 # ------------------------------------------------------------------------- streaming

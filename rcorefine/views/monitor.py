@@ -38,12 +38,16 @@ def monitor_table(monitor: Monitor) -> Table:
         figure = f"{number(row.coefficients[first])} +/- {number(row.std[first], 2)} {unit}".rstrip()
         rows.append([row.effect.label, figure, f"{row.probability:.3f}", number(row.log_likelihood, 3)])
     notes = [state.sentence] if state is not None else []
+    if monitor.adequacy is not None and monitor.adequacy.adequate:
+        notes.append(monitor.adequacy.sentence)
     notes += list(monitor.remarks)
     notes += [f"Ended: {alarm.sentence}" for alarm in monitor.past_alarms[-2:]]
     if stream is not None:
         ratio = float(monitor.statistic[-1]) if monitor.statistic.size else 0.0
         force = stream.healthy.ratio
         noise = "white" if not any(stream.healthy.orders) else f"AR({max(stream.healthy.orders)})"
+        grows = stream.healthy.noise[:, 1:].sum(axis=1) * stream.healthy.power
+        noise += ", larger where the signal is" if (grows > stream.healthy.noise[:, 0]).any() else ""
         notes.append(
             f"The largest statistic stands at {ratio:.2f} of its threshold. Healthy noise: {noise}"
             + (f", unmeasured force about {100 * force:.2g} % of the input." if force else ".")

@@ -21,6 +21,7 @@ from ...models.library import effect_library
 from ...systems.discretization import discretize
 from ...systems.linear import Array
 from .kernels import CODES, forces
+from .numbers import Numbers
 
 __all__ = ["Bank", "build_bank", "checked_candidates"]
 
@@ -29,14 +30,14 @@ _MOST_SHAPES = 3  # of a law with a gap, a limit or a fading speed
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bank:
-    """Columns of all candidates.
+    """Columns of all candidates, and of what is known of the model but for a doubt.
 
     Attributes
     ----------
     effects : tuple of Effect
-        Candidates.
+        Candidates, then numbers of the model that are none.
     owner : ndarray of int, shape (k,)
-        Candidate of each column.
+        Effect of each column.
     rows : ndarray, shape (2, k, n + n_w)
         What each column senses of states and inputs: d and v.
     codes, values, widths, pick
@@ -51,6 +52,12 @@ class Bank:
         Transition and output matrix that forces pass, (n, n) and (n_y, n).
     scale : ndarray, shape (k,)
         Unit in which each coefficient is counted, so that forces have unit size.
+    watched : int
+        Columns of the candidates, which come first.
+    numbers : ndarray of int, shape (p,)
+        Columns of the doubtful numbers.
+    root : ndarray, shape (p, p)
+        Root R of the covariance R R' of these, in the units of `scale`.
     """
 
     effects: tuple[Effect, ...]
@@ -66,6 +73,14 @@ class Bank:
     Phi: Array
     C: Array
     scale: Array
+    watched: int
+    numbers: NDArray[np.int64]
+    root: Array
+
+    @property
+    def candidates(self) -> tuple[Effect, ...]:
+        """What is watched for."""
+        return self.effects[: int(self.owner[self.watched - 1]) + 1]
 
     @property
     def laws(self) -> NDArray[np.int64]:
@@ -121,8 +136,7 @@ def checked_candidates(model: Any, given: Sequence[Effect] | None) -> tuple[Effe
 
 
 def build_bank(
-    structure: Structure,
-    theta: Array,
+    numbers: Numbers,
     candidates: Sequence[Effect],
     data: Measurement,
     hold: str,
@@ -132,8 +146,8 @@ def build_bank(
 
     Parameters
     ----------
-    structure, theta
-        Healthy model.
+    numbers : Numbers
+        Healthy model, and what is known of it but for a doubt.
     candidates : sequence of Effect
         What may come.
     data : Measurement
@@ -147,10 +161,12 @@ def build_bank(
     -------
     Bank
     """
+    effects = tuple(dict.fromkeys([*candidates, *(effect for effect, _ in numbers.moving)]))
+    structure, theta = numbers.structure, numbers.theta
     motion = Motion(structure, theta, data)
     A = _along(structure, theta, data, gain)
     found: list[_Column] = []
-    for owner, effect in enumerate(candidates):
+    for owner, effect in enumerate(effects):
         found += _columns(structure, theta, A, owner, effect, motion)
     n, k = structure.n_states, len(found)
     drive = np.zeros((2, n, k))
@@ -160,7 +176,7 @@ def build_bank(
             acts = np.column_stack([found[j].act for j in which])
             _, drive[0][:, which], drive[1][:, which] = discretize(A, acts, data.dt, hold_of)
     bank = Bank(
-        tuple(candidates),
+        effects,
         np.array([c.owner for c in found], dtype=np.int64),
         np.ascontiguousarray(np.stack([[c.d for c in found], [c.v for c in found]])),
         np.array([c.code for c in found], dtype=np.int64),
@@ -173,11 +189,25 @@ def build_bank(
         np.ascontiguousarray(discretize(A, np.zeros((n, 1)), data.dt)[0]),
         np.ascontiguousarray(structure.matrices(theta).C.astype(float)),
         np.ones(k),
+        sum(column.owner < len(candidates) for column in found),
+        np.zeros(0, dtype=np.int64),
+        np.zeros((0, 0)),
     )
     unit = _sizes(bank, structure, theta, data, gain)
     # a law that has nothing to work on here, as hysteresis without a displacement
     idle = unit == 0
-    return replace(bank, scale=unit, codes=np.where(idle, CODES["constant"], bank.codes))
+    bank = replace(bank, scale=unit, codes=np.where(idle, CODES["constant"], bank.codes))
+    at = np.array([_column_of(bank, *one) for one in numbers.moving], dtype=np.int64)
+    felt = unit[at] > 0
+    size = unit[at][felt]
+    values, vectors = np.linalg.eigh(numbers.covariance[np.ix_(felt, felt)] / np.outer(size, size))
+    return replace(bank, numbers=at[felt], root=vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _column_of(bank: Bank, effect: Effect, name: str) -> int:
+    """First column of a coefficient of an effect."""
+    owner = bank.effects.index(effect)
+    return next(j for j in range(bank.size) if bank.owner[j] == owner and bank.names[j] == name)
 
 
 def _sizes(bank: Bank, structure: Structure, theta: Array, data: Measurement, gain: Array) -> Array:

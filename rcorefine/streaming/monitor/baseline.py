@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import nnls
+from scipy.signal import lfilter
 from scipy.stats import norm
 
 from ...data.measurement import Measurement
@@ -18,17 +20,20 @@ from ...exceptions import DataError
 from ...inference.autoregression import autoregression
 from ...inference.whitening import innovations
 from ...systems.linear import Array
+from .kernels import CLIP, EVEN
 
-__all__ = ["Healthy", "learn"]
+__all__ = ["FREE", "Healthy", "learn", "noise_law"]
 
 #: Unknown force over the measured input, relative to sensor noise of 3 %: observer gains that are tried.
 RATIOS = (0.0, *(float(r) for r in np.geomspace(2**-11, 2, 13)))
-_FREE = 0.9999  # spectral radius up to which the model may run free
+FREE = 0.9999  # spectral radius up to which the model may run free
 _WORTH = 3.0  # log-likelihood that another gain has to earn
 _MOST_MISSING = 0.2
 _STANDS_OUT = 8.0  # standard deviations at which a sample is left out of what is learned
 _MOST_ALONE = 0.05  # share of samples up to which they are outliers, not the noise itself
 _PASSES = 3
+_REWEIGHTED = 4  # passes of the noise law
+_CONSTANT = 1e-3  # share of the noise that is there whatever the signal
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +58,15 @@ class Healthy:
         Order of the whitening filter of each output.
     mean : ndarray, shape (n_y,)
         Mean of the innovations: offset of the sensors.
+    noise : ndarray, shape (n_y, 3)
+        Variance of the whitened innovations: a constant, a share of the prediction squared, and of
+        the mean of that.
+    least : ndarray, shape (n_y,)
+        The smallest variance that was seen.
+    pace : float
+        Weight of a sample in that mean.
+    power : ndarray, shape (n_y,)
+        Mean square of the predictions.
     """
 
     ratio: float
@@ -63,6 +77,10 @@ class Healthy:
     settle: int
     orders: tuple[int, ...]
     mean: Array
+    noise: Array
+    least: Array
+    pace: float
+    power: Array
 
 
 def learn(
@@ -72,7 +90,8 @@ def learn(
     data: Measurement,
     use: NDArray[np.uint8],
     disturbance: float | None,
-) -> Healthy:
+    period: int,
+) -> tuple[Healthy, NDArray[np.uint8], Array]:
     """Choose the observer and its whitening filter by likelihood.
 
     Parameters
@@ -85,10 +104,16 @@ def learn(
         Which outputs were measured.
     disturbance : float or None
         Declared ratio; None to choose it.
+    period : int
+        Samples over which the mean square of the signal is taken.
 
     Returns
     -------
-    Healthy
+    healthy : Healthy
+    sound : ndarray of uint8, shape (N, n_y)
+        `use` without samples that stand out alone.
+    scale : ndarray, shape (N, n_y)
+        Standard deviation of the whitened innovation of each sample.
 
     Raises
     ------
@@ -107,11 +132,11 @@ def learn(
     engine = Engine(structure, data, substeps=substeps)
     sound = use
     for _ in range(_PASSES):
-        healthy, white = _chosen(engine, theta, data, disturbance, sound)
+        healthy, white, scale = _chosen(engine, theta, data, disturbance, sound, period)
         before, sound = sound, np.where(_alone(white, sound), 0, sound).astype(np.uint8)
         if np.array_equal(before, sound):
             break
-    return healthy
+    return healthy, sound, scale
 
 
 def _alone(white: Array, use: NDArray[np.uint8]) -> NDArray[np.bool_]:
@@ -123,19 +148,24 @@ def _alone(white: Array, use: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 
 def _chosen(
-    engine: Engine, theta: Array, data: Measurement, disturbance: float | None, use: NDArray[np.uint8]
-) -> tuple[Healthy, Array]:
-    """The likeliest observer, and its whitened innovations."""
+    engine: Engine,
+    theta: Array,
+    data: Measurement,
+    disturbance: float | None,
+    use: NDArray[np.uint8],
+    period: int,
+) -> tuple[Healthy, Array, Array]:
+    """The likeliest observer, its whitened innovations, and their standard deviations."""
     structure = engine.structure
-    best: tuple[float, Healthy, Array] | None = None
+    best: tuple[float, Healthy, Array, Array] | None = None
     for ratio in RATIOS if disturbance is None else (disturbance,):
         for everywhere in (False, True):
             gain, radius = _gain(structure, theta, data, ratio, everywhere)
-            if ratio == 0 and radius > _FREE:
+            if ratio == 0 and radius > FREE:
                 if disturbance is None:
                     continue  # what was once wrong about the state would stay wrong
                 gain, radius = _gain(structure, theta, data, RATIOS[1], everywhere)
-            found = _evaluated(engine, theta, gain, ratio, radius, use)
+            found = _evaluated(engine, theta, gain, ratio, radius, use, period)
             if found is not None and (best is None or found[0] < best[0] - _WORTH):
                 best = found
             if ratio == 0:
@@ -165,8 +195,14 @@ def _gain(
 
 
 def _evaluated(
-    engine: Engine, theta: Array, gain: Array, ratio: float, radius: float, use: NDArray[np.uint8]
-) -> tuple[float, Healthy, Array] | None:
+    engine: Engine,
+    theta: Array,
+    gain: Array,
+    ratio: float,
+    radius: float,
+    use: NDArray[np.uint8],
+    period: int,
+) -> tuple[float, Healthy, Array, Array] | None:
     """Minus log-likelihood, the observer and what its filter leaves; None where it cannot follow."""
     y, flags = engine.data.outputs, use.T > 0
     spread = np.maximum(y.std(axis=1), 1e-300)
@@ -178,28 +214,93 @@ def _evaluated(
     e = y - run.outputs
     mean = np.array([row[there].mean() for row, there in zip(e, flags, strict=True)])
     e = np.where(flags, e - mean[:, None], 0.0)
-    rows, orders, white = [], [], []
+    square = run.outputs**2
+    power = square.mean(axis=1)
+    local = lfilter([1.0 / period], [1.0, 1.0 / period - 1.0], square - power[:, None], axis=1)
+    rows, orders, white, noise, scale = [], [], [], [], []
     cost = 0.0
     for i in range(e.shape[0]):
-        a, variance = autoregression(e[i], known=flags[i])
+        a, _ = autoregression(e[i], known=flags[i])
+        w = innovations(a, e[i])
         floor = max(1e-24 * spread[i] ** 2, 1e-300)  # a record without noise
-        n = int(flags[i].sum())
-        cost += 0.5 * n * math.log(max(variance, floor)) + 0.5 * math.log(n) * (a.size - 1)
+        sizes = np.column_stack([np.ones(w.size), square[i], power[i] + local[i]])
+        law = noise_law(w[flags[i]], sizes[flags[i]], floor)
+        variance = variance_by(law, sizes)
+        cost += 0.5 * float(np.log(variance[flags[i]]).sum())
+        cost += 0.5 * math.log(int(flags[i].sum())) * (a.size - 1)
+        noise.append(law)
+        scale.append(np.sqrt(variance))
         rows.append(a[1:])
         orders.append(a.size - 1)
-        white.append(innovations(a, e[i]))
+        white.append(w / scale[-1])
+        mean[i] += np.average(e[i][flags[i]], weights=1.0 / variance[flags[i]])
     q = max(orders)
     filters = np.zeros((len(rows), q))
     for i, row in enumerate(rows):
         filters[i, : row.size] = row
     w = np.array(white)[:, q:]
     covariance = np.atleast_2d(np.cov(w, bias=True))
-    diagonal = np.maximum(np.diag(covariance), 1e-24 * spread**2)
+    diagonal = np.maximum(np.diag(covariance), 1e-24)
     covariance = covariance + np.diag(diagonal - np.diag(covariance) + 1e-12 * diagonal)
     lower = np.linalg.cholesky(covariance)
     correlation = covariance / np.sqrt(np.outer(diagonal, diagonal))
     cost += 0.5 * w.shape[1] * math.log(max(np.linalg.det(correlation), 1e-300))
     settle = math.ceil(math.log(0.01) / math.log(radius)) if 0 < radius < 1 else 1
-    mix = np.linalg.inv(lower)
-    healthy = Healthy(ratio, gain, x0, filters, np.tril(mix), settle, tuple(orders), mean)
-    return cost, healthy, np.array(white)
+    mix = np.tril(np.linalg.inv(lower))
+    least = np.array([row[there].min() ** 2 for row, there in zip(scale, flags, strict=True)])
+    healthy = Healthy(
+        ratio, gain, x0, filters, mix, settle, tuple(orders), mean,
+        np.array(noise), least, 1.0 / period, power,
+    )  # fmt: skip
+    return cost, healthy, np.array(white), np.array(scale).T
+
+
+def variance_by(law: Array, sizes: Array) -> Array:
+    """Variance of each sample, never far below that of those around it; see `noise_law`."""
+    return np.asarray(np.maximum(sizes @ law, EVEN * (law[0] + (law[1] + law[2]) * sizes[:, 2])))
+
+
+def noise_law(white: Array, sizes: Array, floor: float) -> Array:
+    """Variance of a signal as a sum of sizes, each with a factor of zero or more.
+
+    Parameters
+    ----------
+    white : ndarray, shape (N,)
+        Signal.
+    sizes : ndarray, shape (N, 3)
+        Ones, the square of what the variance may grow with, and the mean of that around.
+    floor : float
+        Least variance.
+
+    Returns
+    -------
+    ndarray, shape (3,)
+        Factors, by weighted least squares of the squares (each scatters as its own variance), one
+        square counting as that of 3 standard deviations at most. The last one has to earn its place:
+        where the signal is as large all the time, nothing tells it from a constant.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> level = rng.standard_normal(20000) ** 2
+    >>> e = np.sqrt(1 + 4 * level) * rng.standard_normal(20000)
+    >>> print(noise_law(e, np.column_stack([np.ones(20000), level, np.ones(20000)]), 1e-300).round(1))
+    [1. 4. 0.]
+    """
+    mean = max(float(np.mean(white**2)), floor)
+    least = max(floor, _CONSTANT * mean)  # a signal that rests tells nothing of the noise there
+
+    def fitted(used: int) -> tuple[float, Array]:
+        law = np.array([mean, 0.0, 0.0])
+        for _ in range(_REWEIGHTED):
+            variance = variance_by(law, sizes)
+            square = 1.005 * np.minimum(white**2, CLIP**2 * variance)
+            scaled = sizes[:, :used] / variance[:, None]
+            unit = np.maximum(np.linalg.norm(scaled, axis=0), 1e-300)
+            law[:used] = nnls(scaled / unit, square / variance)[0] / unit
+            law[0] = max(law[0], least)
+        variance = variance_by(law, sizes)
+        return 0.5 * float(np.sum(np.log(variance) + np.minimum(white**2 / variance, CLIP**2))), law
+
+    plain, whole = fitted(2), fitted(3)
+    return whole[1] if whole[0] < plain[0] - _WORTH else plain[1]

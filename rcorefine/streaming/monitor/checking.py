@@ -36,6 +36,7 @@ _TINY = np.finfo(float).tiny
 _RANGES = {
     "size": (_TINY, _INF), "factor": (_TINY, _INF), "V": (0.0, _INF), "spread": (0.0, _INF),
     "known": (0.0, _INF), "crowd": (0.0, _INF), "ring_use": (0, ALONE),
+    "power": (0.0, _INF), "doubt": (0.0, _INF), "ring_scale": (_TINY, _INF),
 }  # fmt: skip
 
 
@@ -68,6 +69,10 @@ def check_monitor(monitor: Monitor, content: Mapping[str, Any]) -> None:
     _check_watch(content["watch"], monitor)
     for remark in content["remarks"]:
         check_like(remark, "", "remarks")
+    if monitor._covariance is not None:
+        check_like(monitor._covariance, np.full((s.n_parameters,) * 2, _NAN), "covariance")
+    if content.get("adequacy") is not None:
+        _check_adequacy(content["adequacy"], monitor)
     if not learning:
         _check_parts(content["stream"], monitor)
 
@@ -122,6 +127,15 @@ def _check_watch(found: Any, monitor: Monitor) -> None:
             check_like(part[name], dict.fromkeys(part[name], _NAN), name)
 
 
+def _check_adequacy(found: Any, monitor: Monitor) -> None:
+    fits = (_NAN,) * monitor._structure.n_outputs
+    fresh = {"fit": fits, "fit_moved": fits, "score": _NAN, "adequate": True, "sentence": ""}
+    check_like({name: found[name] for name in fresh}, fresh, "adequacy")
+    check_like(found["moved"], dict.fromkeys(found["moved"], _NAN), "adequacy.moved")
+    if found["missing"] is not None and found["missing"] not in monitor.candidates:
+        raise DataError("adequacy.missing is none of the candidates: the file is damaged")
+
+
 def _check_parts(found: Any, monitor: Monitor) -> None:
     """What was learned: observer and noise, columns of the candidates, windows."""
     s = monitor._structure
@@ -133,12 +147,19 @@ def _check_parts(found: Any, monitor: Monitor) -> None:
         {
             "ratio": 0.0, "gain": np.zeros((n, ny)), "x0": np.zeros(n), "filters": np.zeros((ny, q)),
             "mix": np.zeros((ny, ny)), "settle": 1, "orders": (0,) * ny, "mean": np.zeros(ny),
+            "noise": np.zeros((ny, 3)), "least": np.zeros(ny), "pace": 1.0, "power": np.zeros(ny),
         },
         "healthy",
     )  # fmt: skip
+    healthy = found["healthy"]
+    check_range(healthy["noise"], 0.0, _INF, "healthy.noise")
+    check_range(healthy["least"], _TINY, _INF, "healthy.least")
+    check_range(healthy["pace"], 0.0, 1.0, "healthy.pace")
     bank, integers = dict(found["bank"]), np.zeros(k, dtype=np.int64)
-    if bank.pop("effects") != monitor.candidates:
+    effects, watched = bank.pop("effects"), len(monitor.candidates)
+    if effects[:watched] != monitor.candidates:
         raise DataError("bank.effects are not the candidates: the file is damaged")
+    p = len(bank["numbers"])
     check_like(
         bank,
         {
@@ -146,12 +167,16 @@ def _check_parts(found: Any, monitor: Monitor) -> None:
             "values": np.zeros((k, 4)), "widths": np.zeros(k), "pick": integers,
             "drive": np.zeros((2, n, k)), "through": np.zeros((ny, k)), "names": ("",) * k,
             "Phi": np.zeros((n, n)), "C": np.zeros((ny, n)), "scale": np.zeros(k),
+            "watched": 1, "numbers": np.zeros(p, dtype=np.int64), "root": np.zeros((p, p)),
         },
         "bank",
     )  # fmt: skip
     check_range(bank["pick"], 0, 3, "bank.pick")
-    if set(bank["owner"].tolist()) != set(range(len(monitor.candidates))):
+    owner = bank["owner"].tolist()
+    if set(owner) != set(range(len(effects))) or set(owner[: bank["watched"]]) != set(range(watched)):
         raise DataError("bank.owner does not name each candidate: the file is damaged")
+    check_range(bank["watched"], 1, k, "bank.watched")
+    check_range(bank["numbers"], 0, k - 1, "bank.numbers")
     for code in bank["codes"].tolist():
         if code not in _CODES:
             raise DataError(f"bank.codes holds {code}, the code of no law: the file is damaged")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,7 @@ from ...inference.starts import Motion, law_widths, shape_starts
 from ...inference.whitening import innovations
 from ...systems.linear import Array
 
-__all__ = ["Fit", "Segment", "fit_candidate"]
+__all__ = ["Fit", "Segment", "descend", "fit_candidate"]
 
 _EVALUATIONS = 20
 _LITTLE = 0.01  # twice the log-likelihood that a last step may still add
@@ -51,6 +51,8 @@ class Segment:
         Observer gain.
     filters, mix : ndarray
         Whitening, the present noise level included.
+    scale : ndarray, shape (N, n_y)
+        By how much the noise is larger at each sample.
     free_state : bool
         Whether the initial state is not to be trusted, and is fitted too.
     """
@@ -64,6 +66,7 @@ class Segment:
     gain: Array
     filters: Array
     mix: Array
+    scale: Array
     free_state: bool
 
     @property
@@ -84,6 +87,7 @@ class Segment:
         shape = flags.reshape(ny, N, *([1] * (errors.ndim - 2)))
         filled = np.where(shape, errors, 0.0)
         white = np.array([innovations(np.r_[1.0, self.filters[i]], filled[i]) for i in range(ny)])
+        white /= self.scale.T.reshape(shape.shape)
         mixed = np.tensordot(self.mix, white, axes=(1, 0))[:, there]
         return np.asarray(mixed.reshape(-1, *errors.shape[2:]))
 
@@ -96,8 +100,10 @@ class Fit:
     ----------
     effect : Effect
         Candidate.
-    coefficients, std : ndarray, shape (p,)
-        Estimates and standard deviations.
+    coefficients : ndarray, shape (p,)
+        Estimates.
+    covariance : ndarray, shape (p, p)
+        Of these.
     cost : float
         Sum of squares of the whitened innovations.
     points : int
@@ -108,10 +114,15 @@ class Fit:
 
     effect: Effect | None
     coefficients: Array
-    std: Array
+    covariance: Array
     cost: float
     points: int
     state: Array
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations, shape (p,)."""
+        return standard_deviations(self.covariance)
 
 
 def fit_candidate(
@@ -177,45 +188,59 @@ def fit_candidate(
             ):  # far off its motion a law turns into another one
                 low[i] = max(low[i], start[i] / _REACH)
                 high[i] = min(high[i], start[i] * _REACH)
-        found = _descend(segment, engine, gain, x0, np.clip(start, low, high), low, high, effect, worst)
+        theta0[p0:] = np.clip(start, low, high)
+        found = descend(
+            segment, engine, gain, x0, theta0, np.arange(p0, p), low, high, effect=effect, worst=worst
+        )
         if best is None or found.cost < best.cost:
             best = found
     assert best is not None
     return best
 
 
-def _descend(
+def descend(
     segment: Segment,
     engine: Engine,
     gain: Array,
     x0: Array,
-    start: Array,
+    theta: Array,
+    loose: NDArray[np.int64],
     lower: Array,
     upper: Array,
-    effect: Effect | None,
-    worst: float,
+    *,
+    effect: Effect | None = None,
+    worst: float = math.inf,
+    prior: Callable[[Array], Rows] | None = None,
 ) -> Fit:
-    p0, p, n = segment.theta.size, start.size, x0.size
+    """Fit the coefficients `loose` of `theta`, and the initial state where it is free, from one start."""
+    start = theta[loose]
+    p, n = start.size, x0.size
     free = n if segment.free_state else 0
     y = segment.data.outputs
     K = gain if gain.any() else None
 
     slopes = p > 0 or free > 0
-    sizes = np.concatenate([natural_sizes(engine.structure, [engine.data])[p0:], np.ones(free)])
+    sizes = np.concatenate([natural_sizes(engine.structure, [engine.data])[loose], np.ones(free)])
 
     nothing = Rows(np.full(1, np.inf), np.zeros((1, p + free)))
 
     def rows(point: Array) -> Rows:
-        theta = np.concatenate([segment.theta, point[:p]])
+        there = theta.copy()
+        there[loose] = point[:p]
         begin = x0 + point[p:] if free else x0
         run = engine.run(
-            theta, begin, sensitivity=slopes, initial_state=slopes and free > 0, gain=K,
+            there, begin, sensitivity=slopes, initial_state=slopes and free > 0, gain=K,
             use=segment.use > 0, check=False,
         )  # fmt: skip
         if run.blew_up >= 0 or not np.isfinite(run.outputs).all():
             return nothing
         r = segment.whiten(run.outputs - y)
-        J = segment.whiten(run.sensitivity[:, :, p0:]) if slopes else np.zeros((r.size, 0))
+        columns = np.r_[loose, theta.size : theta.size + free]
+        J = segment.whiten(run.sensitivity[:, :, columns]) if slopes else np.zeros((r.size, 0))
+        if prior is not None:
+            more, slope = prior(point[:p])[:2]
+            r = np.concatenate([r, more])
+            J = np.vstack([J, np.pad(slope, ((0, 0), (0, free)))])
         sound = np.abs(r).max(initial=0.0) < _HUGE and np.abs(J).max(initial=0.0) < _HUGE
         # no more points than unknowns tell nothing
         return Rows(r, J) if sound and r.size > point.size else nothing
@@ -238,8 +263,8 @@ def _descend(
         settled=settled,
     )
     point, cost, (r, J, _) = run.point, 2.0 * run.cost, run.rows
-    std = np.full(p, np.inf)
+    spread = np.diag(np.full(p, np.inf))
     if p and math.isfinite(cost):
-        std = standard_deviations(covariance(J.T @ J))[:p]
+        spread = covariance(J.T @ J)[:p, :p]
     points = r.size if math.isfinite(cost) else 0
-    return Fit(effect, point[:p], std, cost, points, x0 + point[p:] if free else x0)
+    return Fit(effect, point[:p], spread, cost, points, x0 + point[p:] if free else x0)

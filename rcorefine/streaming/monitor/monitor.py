@@ -16,6 +16,7 @@ from ...arithmetic import own_arithmetic
 from ...data.measurement import Measurement
 from ...effects.effect import Effect
 from ...exceptions import ModelError
+from ...inference.levels import levels
 from ...results import Result
 from ...systems.discretization import check_sampling_time
 from ..checks import as_size
@@ -23,15 +24,16 @@ from ..gaps import Block, as_missing, block_with_gaps, whole_block
 from ..persistence import read_file, write_file
 from ..restoring import damaged
 from ..samples import checked_block
+from .adequacy import Adequacy, adequacy_of, explained
 from .bank import build_bank, checked_candidates
-from .baseline import learn as learn_from
 from .course import Course
+from .numbers import numbers_of, settled
 from .observer import Observer, as_base, pace_of
 from .readings import Readings
 from .records import learning_record, record_to_watch
 from .saving import content_of, restored
 from .sequential_test import Watch
-from .standing import misfit_remarks
+from .standing import idle_remarks
 from .stream import Stream, Windows
 from .thresholds import threshold, window_lengths
 from .watching import watch_block
@@ -56,8 +58,9 @@ class Monitor(Result, Readings):
     Parameters
     ----------
     model : StateSpace, PhysicalModel or Refinement
-        Healthy structure, continuous time. Where its numbers are not exact, refine it
-        first (`refine` on a healthy record): a wrong model is a change from the start.
+        Healthy structure, continuous time. A `Refinement` (of `refine` or `Diagnosis.refine()`)
+        brings its effects, and the covariance of what was estimated. What is missing from the model
+        is a change from the start: see `adequacy`, and refine it on a healthy record.
     candidates : sequence of Effect, optional
         What may come; default `effect_library` without hidden modes.
     dt : float
@@ -82,15 +85,22 @@ class Monitor(Result, Readings):
     patience : float, optional
         Periods of the first mode that an alarm may wait for a clear name, default 4; 0 rings
         at once, with the best name that there is.
+    tolerance : float, optional
+        Relative standard deviation within which the numbers of the model (parameters, masses, gains)
+        are moved to fit the learning phase; default 0.05. What the learning phase leaves open of them
+        is no change later. 0 trusts the model to the last digit.
 
     Attributes
     ----------
-    dt, false_alarms, learn, disturbance, hold, missing, patience
+    dt, false_alarms, learn, disturbance, hold, missing, patience, tolerance
         As given.
     candidates : tuple of Effect
         Candidates, in the order of `probability`.
+    adequacy : Adequacy or None
+        After learning, how far the model is from the samples: `.fit`, `.fit_moved` in percent, `.moved`
+        numbers, the `.missing` effect, `.adequate`, and a `.sentence` that says what to do.
     remarks : tuple of str
-        What the learning phase showed, one sentence each.
+        What else the learning phase showed, one sentence each.
 
     Raises
     ------
@@ -111,6 +121,12 @@ class Monitor(Result, Readings):
     observer too, so that single outliers of a sensor ring nothing. While nothing is wrong the
     noise level is followed, and where the statistics of a candidate scatter more than by
     theory (an unmeasured force of unknown color, say) its thresholds rise by as much.
+
+    *Nuisances.* The numbers of the model are moved to the maximum of their posterior given the learning
+    phase; the covariance P that is left widens each statistic by ``c' P c``, c the sum of products of
+    its sensitivities with those of the numbers: an error of the model that grows with the signal is no
+    change. The variance of the innovations may have a part that follows the signal, found by weighted
+    least squares; beyond the signals of the learning phase it goes on growing.
 
     *Name.* After a crossing the candidates are fitted to the samples since the change
     (nonlinear, in the observer's form) until one place is clear, then from time to time to the last 8
@@ -156,8 +172,16 @@ class Monitor(Result, Readings):
         missing: str = "raise",
         windows: tuple[int, int] | None = None,
         patience: float = 4.0,
+        tolerance: float | None = None,
     ) -> None:
         self._structure, self._theta, self._substeps = as_base(model, hold)
+        covariance = getattr(model, "covariance", None)
+        self._covariance = None if covariance is None else np.asarray(covariance, dtype=float)
+        self.tolerance = (
+            levels().off
+            if tolerance is None
+            else as_number(tolerance, "tolerance", least=0.0, error=ModelError)
+        )
         if dt is None:
             name = self._structure.linear_model.name
             raise ModelError(f"model {name!r} is continuous: give dt, the sampling time in seconds")
@@ -193,6 +217,7 @@ class Monitor(Result, Readings):
         self._count = 0
         self._latest = np.zeros(linear.n_inputs)
         self.remarks: tuple[str, ...] = ()
+        self.adequacy: Adequacy | None = None
         self._watch = Watch(
             self._pace.period, self.dt, self.false_alarms, self.patience, _BLOCKS * self._block
         )
@@ -239,7 +264,7 @@ class Monitor(Result, Readings):
 
     def _way_back(self, coming: int) -> Callable[[], None]:
         """What restores the present state after an update of `coming` samples that failed."""
-        names = ("_stream", "_count", "_latest", "remarks")
+        names = ("_stream", "_count", "_latest", "remarks", "adequacy")
         before: dict[str, Any] = {name: getattr(self, name) for name in names}
         before |= {name: copy(getattr(self, name)) for name in ("_waiting", "_watch", "_course")}
         stream = None if self._stream is None else self._stream.way_back(coming)
@@ -261,10 +286,8 @@ class Monitor(Result, Readings):
             if self._count < self.learn:
                 return
             whole = Block.joined(self._waiting)
-            self._stream = self._start(whole)
+            self._stream = self._learn(whole)
             self._waiting = []
-            watch_block(self._stream, self._watch, self._course, whole)
-            self.remarks = misfit_remarks(self._stream)
         watch_block(self._stream, self._watch, self._course, block, position)
         self._count = self._stream.n_samples
 
@@ -290,16 +313,26 @@ class Monitor(Result, Readings):
         self.update(ordered.inputs, ordered.outputs)
         return self
 
-    def _start(self, block: Block) -> Stream:
+    def _learn(self, block: Block) -> Stream:
         """Learn from the first samples."""
         data = learning_record(block, self.dt, self.hold)
-        healthy = learn_from(self._structure, self._theta, self._substeps, data, block.use, self.disturbance)
-        bank = build_bank(self._structure, self._theta, self.candidates, data, self.hold, healthy.gain)
+        known = numbers_of(self._structure, self._theta, self._substeps, self._covariance, self.tolerance)
+        numbers, healthy = settled(known, data, block.use, self.disturbance, self._pace.period)
+        before, after = (
+            explained(numbers, theta, data, block.use, healthy.gain) for theta in (known.theta, numbers.theta)
+        )
+        bank = build_bank(numbers, self.candidates, data, self.hold, healthy.gain)
         keep = 1.0 - 1.0 / self._lengths
-        levels = threshold(self.false_alarms / _PER, keep, bank.size)
-        windows = Windows(keep, levels, self._block, _BLOCKS, 1.0 / (_SLOW * self._pace.period))
-        observer = Observer(self._structure, self._theta, self.dt, self.hold, self._substeps, healthy.gain)
-        return Stream(observer, healthy, bank, windows, self.learn)
+        heights = threshold(self.false_alarms / _PER, keep, bank.size)
+        windows = Windows(keep, heights, self._block, _BLOCKS, 1.0 / (_SLOW * self._pace.period))
+        observer = Observer(
+            numbers.structure, numbers.theta, self.dt, self.hold, self._substeps, healthy.gain
+        )
+        stream = Stream(observer, healthy, bank, windows, self.learn)
+        watch_block(stream, self._watch, self._course, block)
+        found = self.adequacy = adequacy_of(stream, known, numbers, self.tolerance, (before, after), self.dt)
+        self.remarks = idle_remarks(stream) + (() if found.adequate else (found.sentence,))
+        return stream
 
     # ------------------------------------------------------------------ files
 

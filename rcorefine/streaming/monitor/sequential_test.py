@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ...inference.levels import levels
 from ...systems.linear import Array
 from .alarm import Alarm, MonitorRow
 from .standing import change_of, fit_all, fit_one, linear_estimates, shares, standing
@@ -82,9 +83,8 @@ class Watch:
         """Take note that a threshold was crossed at the last sample taken."""
         sample = stream.n_samples - 1
         since, columns = change_of(stream)
-        mem, levels = stream.memory, stream.windows.levels
-        V = mem["V"] * mem["factor"]
-        score = np.abs(mem["N"]) / np.sqrt(np.where(V > 1e-200, V, np.inf))
+        levels = stream.windows.levels
+        score = np.abs(stream.memory["N"]) / np.sqrt(stream.variances())
         window = int(np.argmax((score / levels[:, None]).max(axis=1)))
         owner = int(stream.bank.owner[int(np.argmax(columns))])
         self.found = Alarm(
@@ -131,7 +131,7 @@ class Watch:
                 if self._sure() or waited >= self.patience * self.period:
                     self.confirmed = True
                     self.found = replace(self.found, sample=sample - 1, time=(sample - 1) * self.dt)
-                    self._state(self.rows[0])
+                    self._state()
                 else:
                     last = self.crossed + 1 + round(self.patience * self.period)
                     self.next_naming = min(self.next_naming, last)
@@ -169,7 +169,7 @@ class Watch:
         self.misfit = misfit
         self.found = replace(self.found, since_sample=since, since=since * self.dt)
         estimates, spreads, gains = linear_estimates(stream, since)
-        effects, owner = stream.bank.effects, stream.bank.owner
+        effects, owner = stream.bank.candidates, stream.bank.owner
         fitted = {fit.effect: (fit, gain) for fit, gain in scored}
         worst = min((gain for _, gain in scored), default=math.inf)
         all_gains = np.zeros(len(effects))
@@ -192,7 +192,7 @@ class Watch:
         rows = [replace(row, probability=float(share)) for row, share in zip(rows, p, strict=True)]
         self.rows = sorted(rows, key=lambda row: (-row.probability, -row.log_likelihood))
         self.gains = all_gains
-        self._state(self.rows[0])
+        self._state()
 
     def change(self, stream: Stream) -> float:
         """Log-likelihood ratio of a change, 0 at the threshold; never less than when it rang."""
@@ -200,9 +200,18 @@ class Watch:
         at_alarm = 0.5 * (self.found.statistic**2 - self.found.threshold**2)
         return max(at_alarm, float(standing(stream)[1].max()))
 
-    def _state(self, row: MonitorRow) -> None:
-        """Put the best row into the alarm."""
+    def _state(self) -> None:
+        """Put the best row into the alarm; of those that explain the change as well there, the simplest."""
         assert self.found is not None
+        best, near = self.rows[0], 0.5 * levels().rival
+        alike = [
+            row
+            for row in self.rows
+            if row.fitted == best.fitted
+            and row.effect.place == best.effect.place
+            and row.log_likelihood > best.log_likelihood - near
+        ]
+        row = min(alike, key=lambda one: len(one.coefficients))
         first = next(iter(row.coefficients))
         self.value, self.std = row.coefficients[first], row.std[first]
         found = replace(
@@ -212,7 +221,8 @@ class Watch:
             std=row.std,
             probability=row.probability,
         )
-        self.found = replace(found, sentence=_sentence(found))
+        others = tuple(other.effect.kind for other in alike if other is not row)
+        self.found = replace(found, sentence=_sentence(found, others))
 
     def follow(self, stream: Stream) -> None:
         """Fit the named effect to the last periods alone; end the alarm where it is gone."""
@@ -243,12 +253,13 @@ class Watch:
         stream.restart(start, state)
 
 
-def _sentence(alarm: Alarm) -> str:
+def _sentence(alarm: Alarm, others: tuple[str, ...] = ()) -> str:
     figures = ", ".join(
         f"{name} {value:+.4g} +/- {alarm.std[name]:.2g}" for name, value in alarm.coefficients.items()
     )
+    alike = f"; {', '.join(others)} would explain it as well" if others else ""
     ended = "" if alarm.ended is None else f" It was gone by t = {alarm.ended:.6g} s."
     return (
         f"Alarm at t = {alarm.time:.6g} s: {alarm.effect.label} since about t = {alarm.since:.6g} s "
-        f"({figures}; probability {alarm.probability:.2f}).{ended}"
+        f"({figures}; probability {alarm.probability:.2f}{alike}).{ended}"
     )

@@ -21,9 +21,9 @@ __all__ = [
     "find_state",
     "fit_all",
     "fit_one",
+    "idle_remarks",
     "linear_estimates",
     "linear_rows",
-    "misfit_remarks",
     "shares",
     "standing",
 ]
@@ -46,17 +46,16 @@ def standing(stream: Stream) -> tuple[float, Array]:
         Half of (squared score - squared threshold), the best of each candidate's
         columns and windows; 0 at the threshold.
     """
-    mem, levels = stream.memory, stream.windows.levels**2
-    V = mem["V"] * mem["factor"]
-    square = mem["N"] ** 2 / np.where(V > 1e-200, V, np.inf)
+    levels = stream.windows.levels**2
+    square = stream.memory["N"] ** 2 / stream.variances()
     ratio = float(np.sqrt((square / levels[:, None]).max(initial=0.0)))
     best = (0.5 * (square - levels[:, None])).max(axis=0)
     return ratio, _by_candidate(stream, best)
 
 
 def _by_candidate(stream: Stream, values: Array) -> Array:
-    gain = np.full(len(stream.bank.effects), -np.inf)
-    np.maximum.at(gain, stream.bank.owner, values)
+    gain = np.full(len(stream.bank.candidates), -np.inf)
+    np.maximum.at(gain, stream.bank.owner[: values.size], values)
     return gain
 
 
@@ -102,7 +101,7 @@ def linear_estimates(stream: Stream, since: int) -> tuple[Array, Array, Array]:
     recent = starts + stream.windows.block > since
     N, V = sums[0][recent].sum(axis=0), sums[1][recent].sum(axis=0)
     safe = np.where(V > 1e-200, V, np.inf)
-    scale = stream.bank.scale
+    scale = stream.bank.scale[: stream.bank.watched]
     return N / safe * scale, scale / np.sqrt(safe), 0.5 * N**2 / safe
 
 
@@ -113,15 +112,16 @@ def linear_rows(stream: Stream) -> list[MonitorRow]:
     mem, keep = stream.memory, stream.windows.keep[:, None]
     V = np.where(mem["V"] > 1e-200, mem["V"], np.inf)
     levels = stream.windows.levels[:, None] ** 2
-    square = mem["N"] ** 2 / (V * mem["factor"])
+    wide = stream.variances()
+    square = mem["N"] ** 2 / wide
     rows = []
-    for i, effect in enumerate(stream.bank.effects):
+    for i, effect in enumerate(stream.bank.candidates):
         own = np.flatnonzero(stream.bank.owner == i)
         m, c = np.unravel_index(int(np.argmax((square - levels)[:, own])), (keep.size, own.size))
         j = own[c]
         scale = stream.bank.scale[j] / (1.0 + float(keep[m, 0]))  # forgetting sums s^2 once, not twice
         name = stream.bank.names[j]
-        value, std = scale * mem["N"][m, j] / V[m, j], scale * np.sqrt(mem["factor"][m, j] / V[m, j])
+        value, std = scale * mem["N"][m, j] / V[m, j], scale * np.sqrt(wide[m, j]) / V[m, j]
         rows.append(
             MonitorRow(
                 effect,
@@ -135,33 +135,22 @@ def linear_rows(stream: Stream) -> list[MonitorRow]:
     return sorted(rows, key=lambda row: (-row.probability, -row.log_likelihood))
 
 
-def misfit_remarks(stream: Stream) -> tuple[str, ...]:
-    """Whether a candidate was there already in the learning phase, in words."""
-    _, _, gains = linear_estimates(stream, 0)
-    owner, effects = stream.bank.owner, stream.bank.effects
+def idle_remarks(stream: Stream) -> tuple[str, ...]:
+    """Candidates that are not watched for, in words."""
+    owner, effects = stream.bank.owner, stream.bank.candidates
     idle = [e.label for i, e in enumerate(effects) if not stream.bank.scale[owner == i].any()]
-    found = (f"Not watched, for nothing moves there that the law needs: {', '.join(idle)}.",) if idle else ()
-    best = int(np.argmax(gains))
-    score = math.sqrt(2 * float(gains[best]))
-    if score < stream.windows.levels[-1]:
-        return found
-    label = effects[owner[best]].label
-    return (
-        *found,
-        f"The model does not explain the learning phase: {label} or the like is missing ({score:.0f} "
-        "standard deviations). Thresholds stand higher for it; refine the model on a healthy record first.",
-    )
+    return (f"Not watched, for nothing moves there that the law needs: {', '.join(idle)}.",) if idle else ()
 
 
 def segment_of(stream: Stream, start: int, free_state: bool, mean: Array) -> Segment:
     """Samples from `start` on as the fit needs them."""
-    W, Y, use, x0 = stream.recent(start)
+    W, Y, use, scale, x0 = stream.recent(start)
     observer, healthy = stream.observer, stream.healthy
     data = Measurement(W.T, (Y - mean).T, dt=observer.dt, hold=observer.hold)
     mix = healthy.mix / np.sqrt(stream.memory["size"])[:, None]
     return Segment(
         observer.structure, observer.theta, observer.substeps, data, use, x0, observer.gain,
-        healthy.filters, mix, free_state,
+        healthy.filters, mix, scale, free_state,
     )  # fmt: skip
 
 
@@ -201,7 +190,7 @@ def fit_all(
     misfit : float
         Mean square of what the best fit leaves, in units of the noise.
     """
-    effects = stream.bank.effects
+    effects = stream.bank.candidates
     estimates, _, gains = linear_estimates(stream, since)
     order = np.argsort(-_by_candidate(stream, gains))
     chosen = [int(i) for i in order[:_SHORTLIST]]
@@ -274,7 +263,7 @@ class _Contest:
         self, scored: list[tuple[Fit, float]], since: int, latest: int
     ) -> tuple[list[tuple[Fit, float]], int]:
         """The change where the leaders fit best: earlier or later than the linear scores say."""
-        index = {effect: i for i, effect in enumerate(self.stream.bank.effects)}
+        index = {effect: i for i, effect in enumerate(self.stream.bank.candidates)}
         leaders = [index[fit.effect] for fit, _ in scored[:_LEADERS] if fit.effect is not None]
         known = {fit.effect: fit.coefficients for fit, _ in scored if fit.effect is not None}
         best = {fit.effect: (fit, gain) for fit, gain in scored}

@@ -18,7 +18,7 @@ from .observer import Observer
 
 __all__ = ["Stream", "Windows"]
 
-_RINGS = ("ring_w", "ring_y", "ring_use", "ring_x")  # the last samples
+_RINGS = ("ring_w", "ring_y", "ring_use", "ring_x", "ring_scale")  # the last samples
 _FIND = 64  # blocks after a missing input from which the state is found anew
 _CROWDED = 400  # most samples over which those that stand out are counted
 _SLOWEST = 1.0 / 50_000  # least weight of a sample in the noise level
@@ -84,24 +84,29 @@ class Stream:
         self._thinning = max(4 * self.windows.fading, 1 / _CROWDED)  # four periods
         if self.memory:
             return
-        k, M = self.bank.size, self.windows.keep.size
+        k, M, p = self.bank.watched, self.windows.keep.size, self.bank.numbers.size
+        columns = self.bank.size
         n, ny = self.observer.gain.shape
         nw = self.observer.structure.n_inputs
         q = self.healthy.filters.shape[1]
         kept = self.windows.block * self.windows.blocks
-        inner = np.full((3, k), np.nan)
+        inner = np.full((3, columns), np.nan)
         inner[0] = 0.0
         self.memory = {
             **self.observer.begin(self.healthy.x0),
             "inner": inner,
-            "Xc": np.zeros((n, k)),
+            "Xc": np.zeros((n, columns)),
             "past_e": np.zeros((q, ny)),
-            "past_s": np.zeros((q, ny, k)),
+            "past_s": np.zeros((q, ny, columns)),
             "known": np.zeros(ny),
             "N": np.zeros((M, k)),
             "V": np.zeros((M, k)),
+            "power": self.healthy.power.copy(),
+            "cross": np.zeros((k, p)),
+            "shared": np.zeros((M, k, p)),
+            "doubt": np.zeros((M, k)),
             "mean_e": self.healthy.mean.copy(),
-            "mean_s": np.zeros((ny, k)),
+            "mean_s": np.zeros((ny, columns)),
             "spread": np.ones((M, k + 1)) * np.r_[np.ones(k), 0.0],
             "factor": np.ones((M, k)),
             "crowd": np.zeros(ny),
@@ -112,6 +117,7 @@ class Stream:
             "lost": np.full(1, -1, dtype=np.int64),
             "ring_w": np.zeros((kept, nw)),
             "ring_y": np.zeros((kept, ny)),
+            "ring_scale": np.ones((kept, ny)),
             "ring_use": np.zeros((kept, ny), dtype=np.uint8),
             "ring_x": np.zeros((kept, n)),
         }
@@ -165,13 +171,15 @@ class Stream:
         calm, pause = self._calm(known)
         state = {key: mem[key] for key in ("x", "z", "w")}
         after, before, F, inner = self._motion(state, W, Y, use, first)
-        ratio = np.zeros(len(W))
+        ratio, scale = np.zeros(len(W)), np.ones(Y.shape)
+        h = self.healthy
         done = int(kernels.scores(
-            Y - after[1], use, calm, F, bank.Phi, bank.drive, bank.C, bank.through, self.observer.gain,
-            self.healthy.filters, self.healthy.mix, w.keep, w.levels**2, stop, _SLOWEST, w.fading,
-            stop, w.block, mem["Xc"], mem["past_e"], mem["past_s"], mem["known"], mem["N"], mem["V"],
-            mem["mean_e"], mem["mean_s"], mem["spread"], mem["factor"], self._spread, self._thinning,
-            mem["crowd"], mem["size"], mem["sums"], mem["counters"], ratio,
+            Y - after[1], after[1], use, calm, F, bank.Phi, bank.drive, bank.C, bank.through,
+            self.observer.gain, h.filters, h.noise, h.least, h.pace, h.mix, w.keep, w.levels**2, stop,
+            _SLOWEST, w.fading, stop, bank.numbers, bank.root, w.block, mem["Xc"], mem["past_e"],
+            mem["past_s"], mem["known"], mem["N"], mem["V"], mem["power"], mem["cross"], mem["shared"],
+            mem["doubt"], mem["mean_e"], mem["mean_s"], mem["spread"], mem["factor"], self._spread,
+            self._thinning, mem["crowd"], mem["size"], mem["sums"], mem["counters"], scale, ratio,
         ))  # fmt: skip
         left_out = bool((use[:done] == kernels.ALONE).any())
         marks, use = use[:done], (use[:done] == 1).astype(np.uint8)
@@ -188,6 +196,7 @@ class Stream:
         place, here = at % len(mem["ring_w"]), at - first
         mem["ring_w"][place], mem["ring_y"][place] = W[here], Y[here]
         mem["ring_use"][place], mem["ring_x"][place] = marks[here], before[here]
+        mem["ring_scale"][place] = scale[here]
         return done, ratio[:done]
 
     @property
@@ -238,14 +247,23 @@ class Stream:
         raise_pending()
         return (after, outputs), before, F * bank.scale, inner
 
-    def recent(self, start: int) -> tuple[Array, Array, NDArray[np.uint8], Array]:
-        """Samples from `start` on, as far as they are kept: inputs, outputs, flags, state at the start."""
+    def recent(self, start: int) -> tuple[Array, Array, NDArray[np.uint8], Array, Array]:
+        """Samples from `start` on, as far as they are kept: inputs, outputs, flags, noise, first state."""
         mem = self.memory
         place = np.arange(start, self.n_samples) % len(mem["ring_w"])
         marks = mem["ring_use"][place]
         # what was left out, where it turned out to be the beginning of a change
         use = (marks == 1) | ((marks == kernels.ALONE) & (mem["crowd"] > kernels.FEW))
-        return mem["ring_w"][place], mem["ring_y"][place], use.astype(np.uint8), mem["ring_x"][place[0]]
+        return (
+            mem["ring_w"][place], mem["ring_y"][place], use.astype(np.uint8), mem["ring_scale"][place],
+            mem["ring_x"][place[0]],
+        )  # fmt: skip
+
+    def variances(self) -> Array:
+        """Variance of the scores by chance, (M, k); inf where nothing is seen."""
+        mem = self.memory
+        wide = (mem["V"] + mem["doubt"]) * mem["factor"]
+        return np.where(wide > 1e-200, wide, np.inf)
 
     @property
     def oldest(self) -> int:
@@ -262,13 +280,13 @@ class Stream:
     def restart(self, start: int, state: Array) -> None:
         """Begin anew as healthy, from the state that was found at sample `start`."""
         self.found(start, state)
-        for key in ("N", "V", "sums", "Xc", "past_e", "past_s"):
+        for key in ("N", "V", "sums", "Xc", "past_e", "past_s", "cross", "shared", "doubt"):
             self.memory[key][:] = 0
 
     def found(self, start: int, state: Array) -> None:
         """Go on from the state that was found at sample `start`."""
         mem = self.memory
-        W, Y, use, _ = self.recent(start)
+        W, Y, use, _, _ = self.recent(start)
         begin = {"x": state, "z": mem["z"], "w": mem["w"][:0]}
         after, _, _ = self.observer.advance(begin, W, Y, use, start)
         mem["x"], mem["z"] = after["x"], after["z"]
