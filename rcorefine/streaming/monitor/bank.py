@@ -20,7 +20,7 @@ from ...inference.starts import Motion, law_widths, shape_starts
 from ...models.library import effect_library
 from ...systems.discretization import discretize
 from ...systems.linear import Array
-from .kernels import CODES, forces
+from .forces import CODES, forces
 from .numbers import Numbers
 
 __all__ = ["Bank", "build_bank", "checked_candidates"]
@@ -199,9 +199,11 @@ def build_bank(
     bank = replace(bank, scale=unit, codes=np.where(idle, CODES["constant"], bank.codes))
     at = np.array([_column_of(bank, *one) for one in numbers.moving], dtype=np.int64)
     felt = unit[at] > 0
-    size = unit[at][felt]
-    values, vectors = np.linalg.eigh(numbers.covariance[np.ix_(felt, felt)] / np.outer(size, size))
-    return replace(bank, numbers=at[felt], root=vectors * np.sqrt(np.maximum(values, 0.0)))
+    known = numbers.covariance[np.ix_(felt, felt)]
+    spread = np.sqrt(np.diag(known))
+    values, vectors = np.linalg.eigh(known / np.outer(spread, spread))
+    root = (spread / unit[at][felt])[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    return replace(bank, numbers=at[felt], root=root)
 
 
 def _column_of(bank: Bank, effect: Effect, name: str) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,6 +92,7 @@ def learn(
     use: NDArray[np.uint8],
     disturbance: float | None,
     period: int,
+    most: float = math.inf,
 ) -> tuple[Healthy, NDArray[np.uint8], Array]:
     """Choose the observer and its whitening filter by likelihood.
 
@@ -106,6 +108,8 @@ def learn(
         Declared ratio; None to choose it.
     period : int
         Samples over which the mean square of the signal is taken.
+    most : float, optional
+        Largest ratio to try: a better model has less that nobody measured.
 
     Returns
     -------
@@ -131,8 +135,9 @@ def learn(
             raise DataError(f"output {label!r} is constant over the learning phase; check the sensor")
     engine = Engine(structure, data, substeps=substeps)
     sound = use
+    ratios = [ratio for ratio in RATIOS if ratio <= most] if disturbance is None else [disturbance]
     for _ in range(_PASSES):
-        healthy, white, scale = _chosen(engine, theta, data, disturbance, sound, period)
+        healthy, white, scale = _chosen(engine, theta, data, ratios, sound, period)
         before, sound = sound, np.where(_alone(white, sound), 0, sound).astype(np.uint8)
         if np.array_equal(before, sound):
             break
@@ -151,18 +156,18 @@ def _chosen(
     engine: Engine,
     theta: Array,
     data: Measurement,
-    disturbance: float | None,
+    ratios: Sequence[float],
     use: NDArray[np.uint8],
     period: int,
 ) -> tuple[Healthy, Array, Array]:
     """The likeliest observer, its whitened innovations, and their standard deviations."""
     structure = engine.structure
     best: tuple[float, Healthy, Array, Array] | None = None
-    for ratio in RATIOS if disturbance is None else (disturbance,):
+    for ratio in ratios:
         for everywhere in (False, True):
             gain, radius = _gain(structure, theta, data, ratio, everywhere)
             if ratio == 0 and radius > FREE:
-                if disturbance is None:
+                if len(ratios) > 1:
                     continue  # what was once wrong about the state would stay wrong
                 gain, radius = _gain(structure, theta, data, RATIOS[1], everywhere)
             found = _evaluated(engine, theta, gain, ratio, radius, use, period)

@@ -11,7 +11,8 @@ from ...exceptions import DataError
 from ...inference.autoregression import MAX_ORDER
 from ..restoring import check_like, check_range
 from .course import ROWS
-from .kernels import ALONE, CODES
+from .forces import CODES
+from .kernels import ALONE
 
 if TYPE_CHECKING:
     from .monitor import Monitor

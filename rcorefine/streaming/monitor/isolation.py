@@ -221,7 +221,6 @@ def descend(
 
     slopes = p > 0 or free > 0
     sizes = np.concatenate([natural_sizes(engine.structure, [engine.data])[loose], np.ones(free)])
-
     nothing = Rows(np.full(1, np.inf), np.zeros((1, p + free)))
 
     def rows(point: Array) -> Rows:
@@ -238,9 +237,7 @@ def descend(
         columns = np.r_[loose, theta.size : theta.size + free]
         J = segment.whiten(run.sensitivity[:, :, columns]) if slopes else np.zeros((r.size, 0))
         if prior is not None:
-            more, slope = prior(point[:p])[:2]
-            r = np.concatenate([r, more])
-            J = np.vstack([J, np.pad(slope, ((0, 0), (0, free)))])
+            r, J = _beside(r, J, prior(point[:p]))
         sound = np.abs(r).max(initial=0.0) < _HUGE and np.abs(J).max(initial=0.0) < _HUGE
         # no more points than unknowns tell nothing
         return Rows(r, J) if sound and r.size > point.size else nothing
@@ -263,8 +260,12 @@ def descend(
         settled=settled,
     )
     point, cost, (r, J, _) = run.point, 2.0 * run.cost, run.rows
-    spread = np.diag(np.full(p, np.inf))
-    if p and math.isfinite(cost):
-        spread = covariance(J.T @ J)[:p, :p]
+    spread = covariance(J.T @ J)[:p, :p] if p and math.isfinite(cost) else np.diag(np.full(p, np.inf))
     points = r.size if math.isfinite(cost) else 0
     return Fit(effect, point[:p], spread, cost, points, x0 + point[p:] if free else x0)
+
+
+def _beside(residual: Array, jacobian: Array, prior: Rows) -> tuple[Array, Array]:
+    """Rows of the data, and those of the prior of the first unknowns."""
+    wide = np.pad(prior.jacobian, ((0, 0), (0, jacobian.shape[1] - prior.jacobian.shape[1])))
+    return np.concatenate([residual, prior.residual]), np.vstack([jacobian, wide])

@@ -24,18 +24,18 @@ from ..gaps import Block, as_missing, block_with_gaps, whole_block
 from ..persistence import read_file, write_file
 from ..restoring import damaged
 from ..samples import checked_block
-from .adequacy import Adequacy, adequacy_of, explained
-from .bank import build_bank, checked_candidates
+from .adequacy import Adequacy
+from .bank import checked_candidates
 from .course import Course
-from .numbers import numbers_of, settled
-from .observer import Observer, as_base, pace_of
+from .learning import learned
+from .observer import as_base, pace_of
 from .readings import Readings
-from .records import learning_record, record_to_watch
+from .records import record_to_watch
 from .saving import content_of, restored
 from .sequential_test import Watch
 from .standing import idle_remarks
-from .stream import Stream, Windows
-from .thresholds import threshold, window_lengths
+from .stream import Stream
+from .thresholds import window_lengths
 from .watching import watch_block
 
 __all__ = ["Monitor"]
@@ -44,23 +44,20 @@ _PER = 100_000  # samples to which `false_alarms` refers
 _LEAST = 2000  # samples of the learning phase
 _LEARN_PERIODS = 20
 _BLOCKS = 256
-_SLOW = 16  # periods of the mean that is taken off
 
 
 class Monitor(Result, Readings):
     """Watch a structure on a stream: is it still healthy, and if not, what has changed since when.
 
-    A steady observer of the healthy model follows the samples. What it does not explain is
-    whitened; every candidate effect contributes what it would add to the outputs, and a
-    sequential test asks at each sample whether one of them has been present for the last
-    8, 16, 32, ... samples. The memory taken does not grow with the stream.
+    A steady observer of the healthy model follows the samples. What it does not explain is whitened;
+    every candidate effect contributes what it would add to the outputs, and a sequential test asks at
+    each sample whether one has been present for the last 8, 16, 32, ... samples.
 
     Parameters
     ----------
     model : StateSpace, PhysicalModel or Refinement
-        Healthy structure, continuous time. A `Refinement` (of `refine` or `Diagnosis.refine()`)
-        brings its effects, and the covariance of what was estimated. What is missing from the model
-        is a change from the start: see `adequacy`, and refine it on a healthy record.
+        Healthy structure, continuous time. A `Refinement` brings its effects, and the covariance of
+        what was estimated. What is missing from the model is a change from the start: see `adequacy`.
     candidates : sequence of Effect, optional
         What may come; default `effect_library` without hidden modes.
     dt : float
@@ -74,11 +71,10 @@ class Monitor(Result, Readings):
     disturbance : float, optional
         Unmeasured force over the measured input, rms; by default found by likelihood.
     hold : {"zoh", "foh"}, optional
-        The input between samples: held, or linear.
+        Input between samples.
     missing : {"raise", "hold-out"}, optional
-        With "hold-out" samples that are NaN or masked are predicted over and not judged. After
-        a gap of an input the monitor pauses until its observer has settled, at most 8 periods;
-        then the state is found anew.
+        With "hold-out" samples that are NaN or masked are predicted over and not judged. After a gap of
+        an input the monitor pauses until its observer has settled, at most 8 periods.
     windows : tuple of two int, optional
         Shortest and longest memory of the test in samples; default a quarter of a period
         (at least 8) and 200 periods of the first mode.
@@ -87,8 +83,7 @@ class Monitor(Result, Readings):
         at once, with the best name that there is.
     tolerance : float, optional
         Relative standard deviation within which the numbers of the model (parameters, masses, gains)
-        are moved to fit the learning phase; default 0.05. What the learning phase leaves open of them
-        is no change later. 0 trusts the model to the last digit.
+        are moved to fit the learning phase; default 0.05. 0 trusts the model to the last digit.
 
     Attributes
     ----------
@@ -97,8 +92,8 @@ class Monitor(Result, Readings):
     candidates : tuple of Effect
         Candidates, in the order of `probability`.
     adequacy : Adequacy or None
-        After learning, how far the model is from the samples: `.fit`, `.fit_moved` in percent, `.moved`
-        numbers, the `.missing` effect, `.adequate`, and a `.sentence` that says what to do.
+        After learning, how far the model is from the samples: `.fit` in percent, `.fit_moved` with the
+        numbers `.moved`, the `.missing` effect, `.adequate`, `.sentence` with what to do.
     remarks : tuple of str
         What else the learning phase showed, one sentence each.
 
@@ -111,22 +106,18 @@ class Monitor(Result, Readings):
 
     Notes
     -----
-    *Test.* With the whitened innovation r and the whitened sensitivity s of a candidate, the
-    statistic of a window with forgetting factor g is ``sum g^i s r / sqrt(sum g^2i s^2)``: for
-    a healthy structure of unit variance whatever the input does. Thresholds
-    follow from the rate at which such a process crosses a level by chance (Siegmund),
-    the stated rate shared out evenly among columns and windows, which errs to the
-    safe side because they are correlated. One innovation counts for 3 standard deviations at most, and
-    up to three samples in a short while that stand out by more than 8 are left out altogether, in the
-    observer too, so that single outliers of a sensor ring nothing. While nothing is wrong the
-    noise level is followed, and where the statistics of a candidate scatter more than by
-    theory (an unmeasured force of unknown color, say) its thresholds rise by as much.
+    *Test.* With the whitened innovation r and the whitened sensitivity s of a candidate, the statistic
+    of a window with forgetting factor g is ``sum g^i s r / sqrt(sum g^2i s^2)``, of unit variance
+    whatever the input does. Thresholds follow from the rate at which such a process crosses a level by
+    chance (Siegmund), shared out evenly among columns and windows, which errs to the safe side. One
+    innovation counts for 3 standard deviations at most, and up to three in a short while beyond 8 are
+    left out, so that outliers ring nothing. While nothing is wrong the noise level is followed, and
+    where statistics scatter more than by theory their thresholds rise by as much.
 
-    *Nuisances.* The numbers of the model are moved to the maximum of their posterior given the learning
-    phase; the covariance P that is left widens each statistic by ``c' P c``, c the sum of products of
-    its sensitivities with those of the numbers: an error of the model that grows with the signal is no
-    change. The variance of the innovations may have a part that follows the signal, found by weighted
-    least squares; beyond the signals of the learning phase it goes on growing.
+    *Nuisances.* The numbers of the model are moved to where the learning phase wants them; the covariance
+    P that is left widens each statistic by ``c' P c``, c the sum of products of its sensitivity with
+    those of the numbers: an error of the model that grows with the signal is no change. The variance of
+    the noise may have a part that follows the signal, and goes on growing beyond the learning phase.
 
     *Name.* After a crossing the candidates are fitted to the samples since the change
     (nonlinear, in the observer's form) until one place is clear, then from time to time to the last 8
@@ -177,19 +168,15 @@ class Monitor(Result, Readings):
         self._structure, self._theta, self._substeps = as_base(model, hold)
         covariance = getattr(model, "covariance", None)
         self._covariance = None if covariance is None else np.asarray(covariance, dtype=float)
-        self.tolerance = (
-            levels().off
-            if tolerance is None
-            else as_number(tolerance, "tolerance", least=0.0, error=ModelError)
-        )
+        usual_error = levels().off if tolerance is None else tolerance
+        self.tolerance = as_number(usual_error, "tolerance", least=0.0, error=ModelError)
         if dt is None:
             name = self._structure.linear_model.name
             raise ModelError(f"model {name!r} is continuous: give dt, the sampling time in seconds")
         self.dt = check_sampling_time(dt)
         if as_text(hold, "hold") not in ("zoh", "foh"):
             raise ct.ControlArgument(
-                f"hold must be 'zoh' or 'foh' on a stream, not {hold!r}: a band-limited input "
-                "needs the future"
+                f"hold must be 'zoh' or 'foh' on a stream, not {hold!r}: band-limited needs the future"
             )
         self.hold = hold
         self.missing = as_missing(missing)
@@ -240,15 +227,14 @@ class Monitor(Result, Readings):
         control.ControlDimension
             If shapes do not fit.
         DataError
-            If a sample is missing or not finite (see `missing`), or the learning phase is
-            of no use.
+            If a sample is missing or not finite (see `missing`), or the learning phase is of no use
+            (begin anew with `reset`).
         DivergenceError
             If the observer leaves all bounds.
 
         Notes
         -----
-        The result does not depend on how the stream is cut into blocks. An update that raises
-        changes nothing; where the learning phase itself is of no use, begin anew with `reset`.
+        How the stream is cut into blocks makes no difference. An update that raises changes nothing.
         """
         linear = self._structure.linear_model
         if self.missing == "raise":
@@ -264,7 +250,7 @@ class Monitor(Result, Readings):
 
     def _way_back(self, coming: int) -> Callable[[], None]:
         """What restores the present state after an update of `coming` samples that failed."""
-        names = ("_stream", "_count", "_latest", "remarks", "adequacy")
+        names = "_stream", "_count", "_latest", "remarks", "adequacy"
         before: dict[str, Any] = {name: getattr(self, name) for name in names}
         before |= {name: copy(getattr(self, name)) for name in ("_waiting", "_watch", "_course")}
         stream = None if self._stream is None else self._stream.way_back(coming)
@@ -286,8 +272,9 @@ class Monitor(Result, Readings):
             if self._count < self.learn:
                 return
             whole = Block.joined(self._waiting)
-            self._stream = self._learn(whole)
-            self._waiting = []
+            self._stream, self.adequacy = learned(self, whole, _PER, _BLOCKS)
+            said = () if self.adequacy.adequate else (self.adequacy.sentence,)
+            self.remarks, self._waiting = idle_remarks(self._stream) + said, []
         watch_block(self._stream, self._watch, self._course, block, position)
         self._count = self._stream.n_samples
 
@@ -313,36 +300,15 @@ class Monitor(Result, Readings):
         self.update(ordered.inputs, ordered.outputs)
         return self
 
-    def _learn(self, block: Block) -> Stream:
-        """Learn from the first samples."""
-        data = learning_record(block, self.dt, self.hold)
-        known = numbers_of(self._structure, self._theta, self._substeps, self._covariance, self.tolerance)
-        numbers, healthy = settled(known, data, block.use, self.disturbance, self._pace.period)
-        before, after = (
-            explained(numbers, theta, data, block.use, healthy.gain) for theta in (known.theta, numbers.theta)
-        )
-        bank = build_bank(numbers, self.candidates, data, self.hold, healthy.gain)
-        keep = 1.0 - 1.0 / self._lengths
-        heights = threshold(self.false_alarms / _PER, keep, bank.size)
-        windows = Windows(keep, heights, self._block, _BLOCKS, 1.0 / (_SLOW * self._pace.period))
-        observer = Observer(
-            numbers.structure, numbers.theta, self.dt, self.hold, self._substeps, healthy.gain
-        )
-        stream = Stream(observer, healthy, bank, windows, self.learn)
-        watch_block(stream, self._watch, self._course, block)
-        found = self.adequacy = adequacy_of(stream, known, numbers, self.tolerance, (before, after), self.dt)
-        self.remarks = idle_remarks(stream) + (() if found.adequate else (found.sentence,))
-        return stream
-
     # ------------------------------------------------------------------ files
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the monitor to a file, to go on later exactly where it stood.
+        """Write the monitor to a file (replaced in one step), to go on later exactly where it stood.
 
         Parameters
         ----------
         path : path-like
-            File, replaced in one step.
+            File.
         """
         write_file(path, content_of(self))
 

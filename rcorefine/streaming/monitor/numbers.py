@@ -17,7 +17,7 @@ from ...inference.assembly import nominal_size
 from ...inference.covariance import standard_deviations
 from ...models.library import effect_library
 from ...systems.linear import Array
-from .baseline import Healthy, learn
+from .baseline import RATIOS, Healthy, learn
 from .isolation import Segment, descend
 
 __all__ = ["Numbers", "numbers_of", "settled"]
@@ -135,11 +135,12 @@ def settled(
     healthy : Healthy
         Observer and noise.
     """
-    before = numbers
+    before, most = numbers, np.inf
     for _ in range(_ROUNDS):
         healthy, sound, scale = learn(
-            numbers.structure, numbers.theta, numbers.substeps, data, use, disturbance, period
+            numbers.structure, numbers.theta, numbers.substeps, data, use, disturbance, period, most
         )
+        most = max(healthy.ratio, RATIOS[1])
         if numbers.loose.size == 0:
             break
         last, numbers = numbers, _fitted(before, numbers.theta, data, sound, scale, healthy)

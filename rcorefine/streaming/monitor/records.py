@@ -1,4 +1,4 @@
-"""Records of the monitor: the samples that it learned from, and a whole one that it is to take."""
+"""A whole record that the monitor is to take."""
 
 from __future__ import annotations
 
@@ -6,26 +6,13 @@ import math
 from typing import Any
 
 import control as ct
-import numpy as np
 
 from ...data.channels import match_channels, record_for
 from ...data.measurement import Measurement
 from ...exceptions import DataError
 from ...systems.linear import LinearModel
-from ..gaps import Block
 
-__all__ = ["learning_record", "record_to_watch"]
-
-
-def learning_record(block: Block, dt: float, hold: str) -> Measurement:
-    """The samples of the learning phase as a record."""
-    if not block.known.all():
-        sample = int(np.argmin(block.known))
-        raise DataError(
-            f"an input is missing at sample {sample}, in the learning phase of {len(block.inputs)} samples; "
-            "start the stream where the inputs are whole"
-        )
-    return Measurement(block.inputs.T, block.outputs.T, dt=dt, hold=hold)
+__all__ = ["record_to_watch"]
 
 
 def record_to_watch(model: LinearModel, dt: float, hold: str, data: Any) -> Measurement:

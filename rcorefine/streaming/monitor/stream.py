@@ -14,6 +14,7 @@ from ...systems.linear import Array
 from . import kernels
 from .bank import Bank
 from .baseline import Healthy
+from .forces import forces
 from .observer import Observer
 
 __all__ = ["Stream", "Windows"]
@@ -231,7 +232,7 @@ class Stream:
         before = states - np.where(use > 0, Y - outputs, 0.0) @ self.observer.gain.T
         sensed = np.ascontiguousarray(np.hstack([before, W]))
         F, inner = np.zeros((len(W), bank.size)), self.memory["inner"].copy()
-        kernels.forces(
+        forces(
             sensed,
             bank.rows,
             bank.codes,
