@@ -18,6 +18,7 @@ from scipy.stats import binom, chi2, poisson
 
 import rcorefine as rco
 from rcorefine.streaming.gaps import whole_block
+from rcorefine.streaming.monitor.stream import Stream
 from rcorefine.streaming.monitor.thresholds import crossing_rate, threshold
 
 SHORT = 3000  # healthy samples before a change
@@ -684,7 +685,9 @@ def test_the_learned_noise_level_is_not_forgotten_for_that_of_the_first_samples(
         w, y = plant.record(np.zeros(500))
         monitor = rco.Monitor(plant.model, few(plant), dt=plant.dt, learn=500)
         block = whole_block(w[:, None], y[:, None])
-        stream = monitor._start(block)
+        monitor.update(w, y)
+        done = monitor._stream
+        stream = Stream(done.observer, done.healthy, done.bank, done.windows, done.learned)
         for k in range(20):
             part = slice(k, k + 1)
             stream.advance(
