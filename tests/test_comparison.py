@@ -253,7 +253,9 @@ def test_constant_output_has_no_fit(w):
 
 def test_divergence_names_the_model_and_the_way_out():
     w = np.sin(np.arange(20_000.0))
-    wild = ct.ss([[1.0]], [[1.0]], [[1.0]], [[0.0]], name="wild")
+    wild = ct.ss(
+        [[1.1]], [[0.1]], [[1.0]], [[0.0]], 0.1, name="wild"
+    )  # a continuous one is led (test_unstable)
     with pytest.raises(DivergenceError, match="'wild' diverges.*horizon"):
         compare(wild, Measurement(w, w, dt=0.1))
     assert np.isfinite(compare(wild, Measurement(w, w, dt=0.1), horizon=2.0).rmse).all()
