@@ -113,3 +113,12 @@ def test_the_gain_keeps_the_model_on_the_record():
     inner = step.A @ (np.eye(4) - gain @ step.C)
     assert np.abs(np.linalg.eigvals(inner)).max() < 1
     assert np.abs(np.linalg.eigvals(step.A)).max() > 1
+
+
+def test_following_the_record_is_not_called_adequate(tmp_path):
+    result = rco.compare(CART, under_control(3, "dry"))
+    assert (len(result.failures), result.failures.looked) == (0, ())
+    page = result.report(tmp_path / "report.html").read_text()
+    assert "does not make it adequate" in page
+    assert "Nothing stands out" not in str(result.failures)
+    result.plot("horizon")

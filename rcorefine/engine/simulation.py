@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..arguments import as_state, shown
 from ..data.measurement import Measurement
-from ..exceptions import ModelError
+from ..exceptions import DivergenceError, ModelError
 from ..gauss_newton import Rows, gauss_newton
 from ..systems.linear import Array, LinearModel
 from .engine import Engine
@@ -225,10 +225,13 @@ def _simulate_discrete(model: LinearModel, data: Measurement, x0: str | Array) -
         )
     check_channels(model, data)
     start = as_state(x0, model.n_states)
-    states = _march_discrete(model, data.inputs, np.zeros(model.n_states))
-    forced = model.C @ states + model.D @ data.inputs
+    with np.errstate(over="ignore", invalid="ignore"):
+        states = _march_discrete(model, data.inputs, np.zeros(model.n_states))
+        unit = _powers(model, data.n_samples) if start is None or start.any() else np.zeros((0, 1, 1))
+        forced = model.C @ states + model.D @ data.inputs
+    if not (np.isfinite(forced).all() and np.isfinite(unit).all()):
+        raise DivergenceError(f"its state leaves all bounds within {data.n_samples} samples")
     if start is None or start.any():
-        unit = _powers(model, data.n_samples)
         if start is None and model.n_states == 0:
             start = np.zeros(0)
         if start is None:

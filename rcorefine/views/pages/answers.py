@@ -55,6 +55,12 @@ def comparison_answer(result: Comparison) -> tuple[list[str], bool]:
         f"{number(rmse[i], 3)}{' ' + data.output_units[i] if data.output_units[i] else ''} in {label}"
         for i, label in enumerate(data.output_labels)
     )
+    if result.led:
+        return [
+            first.replace("The free run of", "Led by the record,").replace(" explains", " predicts"),
+            f"What it misses one sample ahead is typically {sizes}.",
+            "That an unstable model follows the record does not make it adequate; diagnose tests it.",
+        ], True
     if not found:
         return [
             first,

@@ -10,7 +10,7 @@ from ...comparison.adequacy import failures_of
 from ...comparison.failure_map.search import Failure
 from ...comparison.responses import FrequencyComparison
 from ...comparison.result import KINDS, Comparison
-from ...engine.simulation import simulate
+from ...engine.simulation import simulated
 from ...systems.linear import LinearModel
 from ..comparison import comparison_table
 from ..failure_map import ROLES
@@ -193,8 +193,7 @@ def _comparison_code(result: Comparison) -> str:
 
 def _reproduces(model: LinearModel, result: Comparison, index: int) -> bool:
     """Whether the linear model alone gives the run that was compared."""
-    run = simulate(
-        model.to_statespace(), result.data, result.initial_states[index][0][: model.n_states]
-    ).outputs
+    start = result.initial_states[index][0][: model.n_states]
+    run = simulated(model.to_statespace(), result.data, start, led=True).outputs
     scale = float(np.abs(result.runs[index]).max()) or 1.0
     return bool(np.abs(run - result.runs[index]).max() < 1e-6 * scale)
