@@ -123,10 +123,10 @@ def improve(
     settings = {"tolerance": tolerance, "offset": offset, "noise": noise, "horizon": horizon}
     with own_arithmetic(), warnings.catch_warnings(), Progress(progress, executor) as bar:
         warnings.simplefilter("ignore", IdentifiabilityWarning)  # ties are in the ledger
-        odd = looks(model, records, horizon)
         ladder = StepwiseSelection(
             model, parts, free=free, settings=settings, significance=significance, progress=bar
         )
+        odd = looks(model, records, horizon)  # by now the channels of every record are known to be there
         physical = ladder.current.physical_model
         library = candidates_of(physical) if candidates is None else candidates
         _climb(ladder, library, max_effects)
