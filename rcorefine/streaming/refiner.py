@@ -40,11 +40,10 @@ _SETTINGS = (
 class RCORefiner(Result, Learned):
     """Refine a linear model on measured samples, in two concurrent stages.
 
-    Stage 1 adapts a *dynamic* correction until the simulated output follows the measured one; its
-    state then estimates the true one. Stage 2 fits a *static* correction to that motion: a refined
-    model of the same order. With nothing but a model and `dt` several forms of the static correction
-    run as exact filters and compete; `window`, `markov` or a ``static_...`` setting asks for the
-    paper's own equations. How both work is in ``docs/refiner.md``.
+    Stage 1 adapts a *dynamic* correction until the output follows; its state estimates the true one.
+    Stage 2 fits a *static* correction to that: a refined model of the same order. By default several
+    forms of it run as exact filters and compete; `window`, `markov` or a ``static_...`` setting asks
+    for the paper's own equations. More in ``docs/refiner.md``.
 
     Parameters
     ----------
@@ -53,48 +52,35 @@ class RCORefiner(Result, Learned):
     dt : float, optional
         Sampling time in s of the samples; a continuous model needs it.
     static : {"auto", "nonzero", "discrete", "input"} or sequence, optional
-        What may change: "nonzero" entries of the model, all entries of the "discrete" model, the paper's
-        u = theta [x; w] through the "input"; "auto" lets these compete. Or entries by name
-        (``["A[1,0]", "B[1,0]"]``), or effects.
+        What may change: "nonzero" entries of the model, all of the "discrete" one, the paper's u = theta
+        [x; w] through the "input"; "auto": these compete. Or entries (``["A[1,0]"]``), or effects.
     effects : sequence of Effect, optional
-        Physical effects, as ``static=[...]`` takes them too; estimated in continuous time.
+        Physical effects, as in ``static=[...]``.
     history : bool, optional
-        Keep both stages' course of every sample; otherwise memory is constant.
+        Keep every sample's course; otherwise memory is constant.
     missing : {"raise", "hold-out"}, optional
         With "hold-out" samples that are NaN or masked are predicted over, not learned from.
 
     Other Parameters
     ----------------
-    order, static_order : int, optional
-        n_c, memory of the correction in samples: of stage 1 (default 5), of the paper's stage 2 (0).
-    window, static_window : int, optional
-        p, samples in the sliding window: 800 by the paper's equations, 100 beside the filters.
-    markov, static_markov : int, optional
-        mu, Markov parameters of u -> y from the first above 1e-10 of its terms, default 20; more where
-        that path has zeros outside the unit circle.
-    learning_rate, static_learning_rate : float, optional
-        alpha, weight of the change of theta, default 1e5 for signals of unit size; larger is slower.
-    static_average : int, optional
-        Samples whose static coefficients the paper's refined model averages, default two windows.
+    order, window, markov, learning_rate : int or float, optional
+        Stage 1: memory n_c in samples (5), window p (800; 100 beside the filters), mu Markov parameters
+        (20 or more), weight alpha of a change of theta (1e5; larger is slower).
+    static_order, static_window, static_markov, static_learning_rate, static_average : int or float, optional
+        The same of the paper's stage 2 (n_c = 0), and samples that its model averages (two windows).
     correction_input, correction_feedthrough : array_like of shape (n, l_u), (n_y, l_u), optional
-        B_u and D_u, where the correction acts, in the timebase of the model; default B and D (zero
-        where B_u is given).
+        B_u, D_u: where the correction acts; default B and D (zero where B_u is given).
     use_estimated_states : bool, optional
         With False stage 1 does not run; the paper's stage 2 then sees its own model's states.
     scale : "auto" or mapping, optional
-        Typical size of signals for the paper's equations: ``{"inputs": ..., "outputs": ...}``, a number
-        or one per signal, and "states", "corrections"; "auto" takes the first samples' rms.
+        Size of signals: ``{"inputs": ..., "outputs": ...}``, "states", "corrections"; "auto": rms.
     noise : float or array_like of shape (n_y,), optional
         Sensor noise (standard deviation, units of the outputs); else from the innovations.
     hold : {"zoh", "foh"}, optional
-        The input between samples: held, or linear.
-    disturbance : float, optional
-        Unknown force over the measured input, rms; default 0, with `forgetting` 0.03.
-    forgetting : float, optional
-        What a sample leaves standing of what is known along its direction: 1 forgets nothing, 0.998
-        follows changes over about 500 samples.
-    substeps : int, optional
-        Steps per sample for nonlinear effects, default 4 (second order).
+        The input between samples.
+    disturbance, forgetting, substeps : float, float and int, optional
+        Unknown force over the input, rms (0; 0.03 with `forgetting`); share of what is known that a
+        sample leaves (1); steps per sample for nonlinear effects (4).
 
     Attributes
     ----------
@@ -108,31 +94,18 @@ class RCORefiner(Result, Learned):
     control.ControlDimension
         If B_u, D_u or a scale has the wrong shape.
     ModelError
-        If a setting is out of range, a continuous model comes without dt, dt contradicts the model's,
-        or the correction reaches no output.
+        If a setting is out of range, dt is missing or contradicts, or the correction reaches no output.
 
     Notes
     -----
-    One refiner may be used by several threads; calls wait for one another.
-
-    References
-    ----------
-    "Damage localization for structural health monitoring using retrospective
-    cost model refinement", equations (23) to (46).
+    Several threads may use it in turn. The paper's equations are (23) to (46).
 
     Examples
     --------
     >>> example = rco.examples.rlc()
-    >>> data = example.record()
-    >>> refiner = rco.RCORefiner(example.initial, dt=example.dt).run(data)
-    >>> plot = refiner.bode_plot(data)                 # initial, refined and measured
-    >>> inductance = 250.0 / float((refiner.system.C @ refiner.system.B)[0, 0])
-    >>> print(f"{1e3 * inductance:.3f} mH")
+    >>> refiner = rco.RCORefiner(example.initial, dt=example.dt).run(example.record())
+    >>> print(f"{250e3 / float((refiner.system.C @ refiner.system.B)[0, 0]):.3f} mH")
     55.000 mH
-
-    The same by the paper's equations and settings:
-
-    >>> paper = rco.RCORefiner(example.initial, dt=example.dt, **example.settings).run(data)
     """
 
     def __init__(
