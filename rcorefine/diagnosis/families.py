@@ -90,7 +90,7 @@ def _same_force(special: CandidateFit, general: CandidateFit, level: float) -> b
 def said_of_families(rivals: Sequence[CandidateFit], held: dict[int, int]) -> list[str]:
     """What contains a law that is as likely: a sentence each."""
     return [
-        f"{rivals[i].effect.label} contains {rivals[j].effect.kind} and gains no more than its further "
+        f"{rivals[i].effect.label} contains {rivals[j].effect.label} and gains no more than its further "
         "coefficients cost: no rival."
         for i, j in held.items()
     ]

@@ -114,7 +114,7 @@ def _columns(found: Diagnosis) -> list[str]:
         return []
     said = "p is the chance of such a score with nothing missing; "
     if found.verdict != "unexplained":
-        said += "probability compares the candidates with each other and with none of them; "
+        said += "P, the probability, compares the candidates with each other and with none of them; "
     return [said + "std is one standard deviation of the coefficient."]
 
 

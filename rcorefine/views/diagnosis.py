@@ -31,9 +31,9 @@ def diagnosis_told(found: Diagnosis) -> Told:
     title = f"Diagnosis: {found.verdict}"
     if found.floated is not None:
         return above, estimates_table(found.parameters, title, above[1:]), []
-    headers = ["effect", "coefficient", "std", "fit %", "p-value"]
+    headers = ["effect", "value", "std", "fit %", "p-value"]
     named = found.verdict != "unexplained"  # no probability for what fails its own tests
-    headers += ["probability"] if named else []
+    headers += ["P"] if named else []
     rows = []
     for row in found.ranking[:_SHOWN]:
         first = next(iter(row.coefficients))

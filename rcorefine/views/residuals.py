@@ -75,7 +75,7 @@ def plot_horizon(result: Comparison, frame: Frame) -> ct.ControlPlot:
     """Error against how far ahead is predicted; see `Comparison.plot`."""
     found = horizon_error(result)
     data = result.data
-    names = frame.labels(result.names)
+    names, led = frame.labels(result.names), "led by the record"
     with frame.axes([2.2] * data.n_outputs, 1) as (axes, lines):
         for i in range(data.n_outputs):
             axis = axes[i, 0]
@@ -84,7 +84,7 @@ def plot_horizon(result: Comparison, frame: Frame) -> ct.ControlPlot:
                 lines[i, 0] += axis.plot(found.seconds, found.rmse[m, i], marker=".", **look)
                 axis.axhline(
                     found.free_run[m, i], color=style(m).color, linewidth=0.8, linestyle=":", zorder=2,
-                    label="free run" if m == 0 else None,
+                    label=(led if result.led else "free run") if m == 0 else None,
                 )  # fmt: skip
             axis.set_xscale("log")
             axis.set_yscale("log")
