@@ -437,6 +437,14 @@ CALLS: dict[str, Call] = {
         )
         for language in ("python", "c", "matlab", "modelica")
     },
+    "Refinement.linearize": Call(
+        _method(refinement, "linearize"),
+        lambda: {"states": np.zeros(2), "inputs": [0.0]},
+        {
+            "states": lambda v: is_state(v) and np.size(v) == 2,
+            "inputs": lambda v: is_state(v) and np.size(v) == 1,
+        },
+    ),
     "Refinement.with_hold": Call(
         _method(refinement, "with_hold"), lambda: {"hold": "foh"}, {"hold": or_none(is_text)}
     ),

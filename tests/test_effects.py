@@ -61,6 +61,7 @@ TABLE = {
     "output_saturation": ("output", ("limit",)),
     "output_rectification": ("output", ("fraction",)),
     "clock": ("input", ("slow",)),
+    "model_parameter": ("parameter", ("value",)),
     "custom": ("mechanical first_order any", ("scale",)),
     "tabulated": ("mechanical first_order", ("scale",)),
 }

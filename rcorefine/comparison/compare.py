@@ -16,6 +16,7 @@ from ..effects.tabulated import Table
 from ..engine.free_runs import checked_horizon, free_runs
 from ..engine.simulation import simulated, structure_of, unjudged_samples
 from ..exceptions import DataError, DivergenceError
+from ..models.conversion import as_model
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array, LinearModel
 from .failure_map.places import given_places
@@ -114,7 +115,7 @@ def compare(
     responses = isinstance(data, (FrequencyResponse, ct.FrequencyResponseData))
     horizon = _checked(data, responses, x0, horizon)
     several = isinstance(model, (list, tuple))
-    models = list(model) if several else [model]
+    models = [as_model(each) for each in (model if several else [model])]
     if not models:
         raise ct.ControlArgument("no model to compare; give one StateSpace or a list of them")
     linear = [LinearModel.from_statespace(getattr(each, "system", each)) for each in models]

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..effects.along_motion import unit_forces
 from ..engine.observer import observer_gain
+from ..engine.point import forces_at_rest, resting
 from ..inference.descent import Descent, descend
 from ..inference.fitted import FittedModel
 from ..inference.problem import Problem
@@ -195,7 +196,7 @@ def imitated(giver: Candidate, point: Array, taker: Candidate, most: int = 1) ->
     tries: list[tuple[float, Array]] = []
     for shape in _shapes(giver, theta, taker, float(np.sqrt(np.mean(d**2)))):
         columns = unit_forces(
-            taker.effect, d, v, [shape], w, taker.fitted.structure.resting(taker.effect.place)
+            taker.effect, d, v, [shape], w, resting(taker.fitted.structure, taker.effect.place)
         )
         if columns is None:
             return []
@@ -244,9 +245,9 @@ def force_along(candidate: Candidate, point: Array) -> tuple[Array, Array, Array
         d, v = sensed(structure.model, port.name, run.states, w)
         if at_port:
             last = structure.n_ports - 1
-            rows.append((d, v, w, run.forces[last] - structure.rest(theta)[last]))
+            rows.append((d, v, w, run.forces[last] - forces_at_rest(structure, theta)[last]))
         else:
-            unit = unit_forces(effect, d, v, [], rest=structure.resting(effect.place))
+            unit = unit_forces(effect, d, v, [], rest=resting(structure, effect.place))
             if unit is None:
                 return None
             rows.append((d, v, w, theta[-1] * unit[0]))

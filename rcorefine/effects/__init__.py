@@ -9,7 +9,7 @@ from .law import KINDS, Coefficient, register
 
 # the order in which laws are listed to people
 from . import springs, dampers, friction, hysteresis, fields, bodies, flows, entries  # noqa: F401, isort: skip
-from . import input_path, output_path, record, custom, tabulated  # noqa: F401, isort: skip
+from . import input_path, output_path, record, custom, tabulated, right_hand_side  # noqa: F401, isort: skip
 from .tabulated import Table  # isort: skip
 
 __all__ = ["KINDS", "Coefficient", "InputLaw", "OutputLaw", "PortLaw", "Table", "register"]

@@ -19,7 +19,16 @@ import numpy as np
 from ..exceptions import RCOWarning
 from ..jit import NUMBA, address_of, call_at, compiled, compiled_law
 
-__all__ = ["COUNT", "MAX_COEFFICIENTS", "address", "evaluate", "forces_along", "raise_pending", "through"]
+__all__ = [
+    "COUNT",
+    "MAX_COEFFICIENTS",
+    "address",
+    "code_of",
+    "evaluate",
+    "forces_along",
+    "raise_pending",
+    "through",
+]
 
 MAX_COEFFICIENTS: Final = 4
 COUNT: Final = 18  # numbers that a law writes, before the derivatives by the inputs
@@ -112,12 +121,10 @@ def address(
     source = _source(arguments, signals, values, slopes is not None, memory, scaled, by_name)
     plain = _defined(source, {"law": law, "slopes": slopes, "carray": lambda w, n: w}, law)
     if not NUMBA:
-        code = len(_PLAIN) + 1
-        _PLAIN[code] = plain
-        return code, plain
+        return code_of(plain)
     try:
         names = {"law": compiled_law(law), "slopes": None if slopes is None else compiled_law(slopes)}
-        return address_of(_defined(source, {**names, "carray": None}, law), cache=_importable(law))
+        return code_of(plain, _defined(source, {**names, "carray": None}, law), cache=_importable(law))
     except TypeError as error:
         warnings.warn(
             f"{label} cannot be compiled and is called in Python, which is some hundred times slower: "
@@ -125,7 +132,33 @@ def address(
             RCOWarning,
             stacklevel=2,
         )
-    return _callback(plain)
+    return code_of(plain)
+
+
+def code_of(
+    plain: Callable[..., None], fast: Callable[..., None] | None = None, *, cache: bool = False
+) -> tuple[int, Any]:
+    """Code by which `evaluate` calls a function, and what is to be kept as long as it is used.
+
+    Parameters
+    ----------
+    plain : callable
+        The function in Python.
+    fast : callable, optional
+        The same for numba to compile; without it, where kernels are compiled, they call Python.
+    cache : bool
+        Whether numba may keep it beside its file.
+
+    Raises
+    ------
+    TypeError
+        If numba cannot compile it.
+    """
+    if not NUMBA:
+        code = len(_PLAIN) + 1
+        _PLAIN[code] = plain
+        return code, plain
+    return _callback(plain) if fast is None else address_of(fast, cache=cache)
 
 
 def _source(

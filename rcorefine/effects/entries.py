@@ -27,6 +27,10 @@ class Entry(AbsorbedLaw):
         """Add t to the entry."""
         into.A[site.entry] += values[0]
 
+    def sits(self, model: Any, place: str) -> bool:
+        """At an entry of A."""
+        return bool(model.entry(place))
+
     def bounds_in(self, structure: Any, place: str) -> tuple[float, float]:
         """A decay does not turn into growth."""
         row, column = structure.model.entry(place)

@@ -260,6 +260,10 @@ class Law:
         """Bounds of the coefficients that the model sets at a place."""
         return -inf, inf
 
+    def sits(self, model: Any, place: str) -> bool:
+        """Whether the place is one that only this law knows, no port and no channel of the model."""
+        return False
+
     def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
         """Whether people would look for it at a first-order port.
 

@@ -21,7 +21,9 @@ from ..systems.linear import Array
 from . import kernels
 from .inputs import BAND_LIMITED_FACTOR, InputSignal
 from .observer import leading_gain
+from .point import field_numbers
 from .structure import Structure
+from .substep import Discrete
 
 __all__ = ["Engine", "Trajectory"]
 
@@ -43,7 +45,7 @@ class Trajectory:
     states : ndarray, shape (n, N)
         States at the samples (after the correction where an observer acts).
     forces : ndarray, shape (m, N)
-        Resisting forces of the effects that keep a port.
+        Resisting forces of the effects that keep a port, then the rows of a nonlinear model's field.
     blew_up : int
         First sample at which the state left all bounds, -1 if none.
     """
@@ -149,21 +151,19 @@ class Engine:
         DivergenceError
             If a state leaves all bounds.
         """
-        s, data = self.structure, self.data
-        n, ny, m, N = s.n_states, s.n_outputs, s.n_ports, data.n_samples
+        s = self.structure
+        n, ny, m, N = s.n_states, s.n_outputs, s.n_forces, self.data.n_samples
         p = (s.n_parameters if sensitivity else 0) + (n if initial_state else 0)
         derivatives = sensitivity and s.n_parameters > 0
-        step = data.dt / self.substeps
-        disc = s.discretize(theta, step, derivatives=derivatives)
-        pieces = _PIECES if s.jumps else 1
-        fine = s.discretize(theta, step / pieces, derivatives=derivatives) if pieces > 1 else disc
+        disc, fine, pieces = self._substep(theta, derivatives)
         Ms, dMs = np.stack([disc.M, fine.M]), np.stack([disc.dM, fine.dM])
         drive = self._signal.drive(s, theta)
         codes, values, columns, widths = s.laws(theta)
         outcodes, outvalues, outcolumns = s.output_laws(theta)
+        field, fvalues, fcolumns = field_numbers(s, theta)
         driven, dW, dWout = drive.driven, drive.dW, drive.dWout
         if not sensitivity:
-            columns, outcolumns = np.full_like(columns, -1), np.full_like(outcolumns, -1)
+            columns, outcolumns, fcolumns = (np.full_like(one, -1) for one in (columns, outcolumns, fcolumns))
             driven, dW, dWout = driven[:0], dW[:0], dWout[:0]
         x = np.zeros(n) if x0 is None else np.array(x0, dtype=float)
         S = np.eye(p, n, n - p if initial_state else n)  # zero, but for the initial states, which come last
@@ -185,18 +185,27 @@ class Engine:
             blew_up = kernels.march(
                 Ms, dMs, pieces, disc.linear, disc.O, disc.dO, disc.P, disc.dP, codes, values, columns,
                 widths, drive.W, drive.nodes, drive.Wout, dW, dWout, driven, self._measured, flags, K,
-                outcodes, outvalues, outcolumns, x, np.zeros(m + ny), S, self.substeps, Yout, SY, X, F, limit,
+                outcodes, outvalues, outcolumns, x, np.zeros(s.n_ports + ny), S, self.substeps, Yout, SY, X,
+                F, limit, field, fvalues, fcolumns,
             )  # fmt: skip
         raise_pending()
         if blew_up >= 0 and check:
             raise DivergenceError(
-                f"the simulation left all bounds at sample {blew_up} (t = {blew_up * data.dt:.6g} s): the "
-                "model with these effects is unstable; start from other coefficients or bound them"
+                f"the simulation left all bounds at sample {blew_up} (t = {blew_up * self.data.dt:.6g} s): "
+                "the model with these effects is unstable; start from other coefficients or bound them"
             )
         for index, channel in s.output_delays:
             if np.isfinite(Yout[:, channel]).all():  # where it blew up there is nothing to shift
                 self._delay_output(theta, index, channel, Yout, SY, sensitivity)
         return _trajectory(Yout - self._level, SY, X, F, int(blew_up))
+
+    def _substep(self, theta: Array, derivatives: bool) -> tuple[Discrete, Discrete, int]:
+        """A substep, a piece of it for where a force jumps, and the number of pieces."""
+        step = self.data.dt / self.substeps
+        whole = self.structure.discretize(theta, step, derivatives=derivatives)
+        if not self.structure.jumps:
+            return whole, whole, 1
+        return whole, self.structure.discretize(theta, step / _PIECES, derivatives=derivatives), _PIECES
 
     def _corrections(self, gain: Array | None, use: NDArray[np.bool_] | None) -> tuple[NDArray[Any], Array]:
         """Where the observer corrects, shape (N, n_y), and its gain; nowhere in a free run."""

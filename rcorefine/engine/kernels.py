@@ -100,15 +100,48 @@ def _solve_in_place(J, R):
 
 
 @compiled
+def _force_jacobian(J, parts, Q, slopes, m):
+    """Derivatives of what the forces lack of their laws, and of the field, by the forces at the end."""
+    for j in range(J.shape[0]):
+        for i in range(m):
+            J[i, j] = -(parts[i, 1] * Q[i, j] + parts[i, 2] * Q[m + i, j])
+        for i in range(J.shape[0] - m):
+            total = 0.0
+            for k in range(Q.shape[0] - 2 * m):
+                total += slopes[i, k] * Q[2 * m + k, j]
+            J[m + i, j] = -total
+        J[j, j] += 1.0
+
+
+@compiled
+def _field_sensitivity(sf, slopes, staken, columns):
+    """Sensitivity (p, nf) of the field's rows, from that of what it takes, (p, ns), and of its parameters."""
+    ns = staken.shape[1]
+    for q in range(sf.shape[0]):
+        for i in range(sf.shape[1]):
+            total = 0.0
+            for k in range(ns):
+                total += slopes[i, k] * staken[q, k]
+            sf[q, i] = total
+    if sf.shape[0] > 0:
+        for c in range(columns.size):
+            if columns[c] >= 0:
+                for i in range(sf.shape[1]):
+                    sf[columns[c], i] += slopes[i, ns + c]
+
+
+@compiled
 def march(
-    Ms,  # (2, n, n + 2 nw + 2 m)    [Phi, Gamma0, Gamma1, Psi0, Psi1] of a substep, and of a piece of it
-    dMs,  # (2, q, n, n + 2 nw + 2 m) their derivatives, for the parameters listed in `linear`
+    # Forces are those of m laws, and with a field (a right-hand side that is not linear) nf of its
+    # rows behind them, all = m + nf; the field takes ns states and inputs.
+    Ms,  # (2, n, n + 2 nw + 2 all)  [Phi, Gamma0, Gamma1, Psi0, Psi1] of a substep, and of a piece of it
+    dMs,  # (2, q, n, n + 2 nw + 2 all) their derivatives, for the parameters listed in `linear`
     pieces,  # int                   pieces of a substep in which a force jumps
     linear,  # (q,)               rows of the sensitivity that dM and dO drive
-    O,  # (ny, n + nw + m)        [C, D, G]
-    dO,  # (q, ny, n + nw + m)
-    P,  # (2 m, n + nw)           d = P[:m] [x; w], v = P[m:] [x; w]
-    dP,  # (q or 0, 2 m, n + nw)
+    O,  # (ny, n + nw + all)      [C, D, G]
+    dO,  # (q, ny, n + nw + all)
+    P,  # (2 m + ns, n + nw)      d = P[:m] [x; w], v = P[m:2m] [x; w]; what the field takes
+    dP,  # (q or 0, 2 m + ns, n + nw)
     codes,  # (m,)                law of each port, as `evaluate` takes it
     values,  # (m, 6)             its coefficients; 1 where it feels the inputs; 1 where it jumps
     columns,  # (m, 4)            their rows in the sensitivity, -1 where fixed
@@ -132,8 +165,11 @@ def march(
     Yout,  # (N, ny)
     SY,  # (N, ny, p)
     X,  # (N, n) or (0, n)
-    F,  # (N, m) or (0, m)
+    F,  # (N, all) or (0, all)
     limit,  # stop when a state exceeds this
+    field,  # int                 code of the field, as `evaluate` takes it
+    fvalues,  # (1, nq)           its parameters
+    fcolumns,  # (nq,)            their rows in the sensitivity, -1 where fixed
 ):
     """March over the record; return the first sample that blew up, or -1."""
     n = x.shape[0]
@@ -143,8 +179,10 @@ def march(
     p = S.shape[0]
     samples = Wout.shape[0]
     nz = Ms.shape[2]
+    nf = (nz - n - 2 * nw) // 2 - m
+    ns = P.shape[0] - 2 * m
     senses_input = False
-    for i in range(2 * m):
+    for i in range(P.shape[0]):
         for j in range(nw):
             if P[i, n + j] != 0.0:
                 senses_input = True
@@ -156,11 +194,11 @@ def march(
     Phis = np.ascontiguousarray(Ms[:, :, :n])
     Gamma0s = np.ascontiguousarray(Ms[:, :, n : n + nw])
     Gamma1s = np.ascontiguousarray(Ms[:, :, n + nw : n + 2 * nw])
-    Psi0s = np.ascontiguousarray(Ms[:, :, n + 2 * nw : n + 2 * nw + m])
-    Psi1s = np.ascontiguousarray(Ms[:, :, n + 2 * nw + m :])
+    Psi0s = np.ascontiguousarray(Ms[:, :, n + 2 * nw : n + 2 * nw + m + nf])
+    Psi1s = np.ascontiguousarray(Ms[:, :, n + 2 * nw + m + nf :])
     Px = np.ascontiguousarray(P[:, :n])
     Pw = np.ascontiguousarray(P[:, n:])
-    Qs = np.zeros((2, 2 * m, m))
+    Qs = np.zeros((2, P.shape[0], m + nf))
     for grade in range(2):
         Qs[grade] = Px @ Psi1s[grade]
     Cx = np.ascontiguousarray(O[:, :n])
@@ -168,21 +206,28 @@ def march(
     Gf = np.ascontiguousarray(O[:, n + nw :])
 
     step = np.zeros(nz)
-    out = np.zeros(n + nw + m)
+    out = np.zeros(n + nw + m + nf)
     xw = np.zeros(n + nw)
     w_now, w_end = xw[n : n + nw - 1], step[n + nw : n + 2 * nw - 1]  # the inputs without the constant one
     y = np.zeros(ny)
     sy = np.zeros((p, ny))
-    sense = np.zeros(2 * m)
-    free = np.zeros(2 * m)
-    f = np.zeros(m)
-    trial = np.zeros(m)
-    residual = np.zeros(m)
-    newton = np.zeros((1, m))
+    sense = np.zeros(P.shape[0])
+    free = np.zeros(P.shape[0])
+    f = np.zeros(m + nf)
+    trial = np.zeros(m + nf)
+    residual = np.zeros(m + nf)
+    newton = np.zeros((1, m + nf))
     d_last = np.zeros(m)
     v_last = np.zeros(m)
-    f_start = np.zeros(m)
-    Jn = np.zeros((m, m))
+    f_start = np.zeros(m + nf)
+    Jn = np.zeros((m + nf, m + nf))
+    own = np.zeros(ns)
+    table = np.zeros((1, nf * (2 + ns + fvalues.shape[1])))
+    slopes = table.reshape((nf, 2 + ns + fvalues.shape[1]))[:, 2:]  # of the field, by what it takes
+    slopes_wanted = 1.0  # 2 where a parameter of the field is free
+    for c in range(fcolumns.size):
+        if fcolumns[c] >= 0:
+            slopes_wanted = 2.0
     parts = np.zeros((m + ny, COUNT + nw - 1))  # what the laws write, those of outputs behind
     shown = parts[m:]
     past = np.zeros((3 + 3 * p, ny))  # of outputs; in one piece, for a stream comes here with every sample
@@ -190,10 +235,10 @@ def march(
     sy_raw, sy_last, szy = past[3 : 3 + p], past[3 + p : 3 + 2 * p], past[3 + 2 * p :]
     if remembers:
         zy[:] = z[m:]
-    sf = np.zeros((p, m))
+    sf = np.zeros((p, m + nf))
     sz = np.zeros((p, m))
     sd_last = np.zeros((p, m))
-    ssense = np.zeros((p, 2 * m))
+    ssense = np.zeros((p, P.shape[0]))
     Snew = np.zeros((p, n))
     dw_a = np.zeros((p, nw))
     dw_b = np.zeros((p, nw))
@@ -203,7 +248,7 @@ def march(
     for k in range(samples):
         # forces at the sample: new where the state was corrected or the port senses the input
         for attempt in range(2):
-            if m > 0 and (stale or senses_input):
+            if m + nf > 0 and (stale or senses_input):
                 xw[:n] = x
                 xw[n:] = Wout[k]
                 _apply(sense, P, xw)
@@ -245,6 +290,12 @@ def march(
                     z[i] = part[5]
                     d_last[i] = sense[i]
                     v_last[i] = sense[m + i]
+                if nf > 0:
+                    wanted = slopes_wanted if p > 0 or first else 0.0
+                    evaluate(field, 0.0, 0.0, 0.0, 0.0, fvalues, 0, wanted, sense[2 * m :], table)
+                    for i in range(nf):
+                        f[m + i] = table[0, i * (2 + ns + fvalues.shape[1])]
+                    _field_sensitivity(sf[:, m:], slopes, ssense[:, 2 * m :], fcolumns)
                 first = False
                 stale = False
             if attempt == 1:
@@ -258,7 +309,7 @@ def march(
             if p > 0:
                 sy[:, :] = 0.0
                 _add_rows(sy, S, Cx)
-                if m > 0:
+                if m + nf > 0:
                     _add_rows(sy, sf, Gf)
                 _add_forcing(sy, linear, dO, out)
                 for r in range(driven.shape[0]):
@@ -331,10 +382,10 @@ def march(
                     rise = W[after, j] - W[row, j]
                     step[n + j] = W[row, j] + early * rise
                     step[n + nw + j] = W[row, j] + late * rise
-                step[n + 2 * nw : n + 2 * nw + m] = f
-                step[n + 2 * nw + m :] = 0.0
+                step[n + 2 * nw : n + 2 * nw + m + nf] = f
+                step[n + 2 * nw + m + nf :] = 0.0
                 _apply(x, M, step)
-                if m > 0:
+                if m + nf > 0:
                     xw[:n] = x
                     xw[n:] = step[n + nw : n + 2 * nw]
                     _apply(free, P, xw)
@@ -349,7 +400,7 @@ def march(
                         for i in range(m):
                             d = free[i]
                             v = free[m + i]
-                            for j in range(m):
+                            for j in range(m + nf):
                                 d += Q[i, j] * trial[j]
                                 v += Q[m + i, j] * trial[j]
                             evaluate(
@@ -359,33 +410,43 @@ def march(
                             residual[i] = trial[i] - parts[i, 0]
                             size += residual[i] * residual[i]
                             level = max(level, abs(parts[i, 0]))
+                        if nf > 0:
+                            for j in range(ns):
+                                own[j] = free[2 * m + j]
+                                for i in range(m + nf):
+                                    own[j] += Q[2 * m + j, i] * trial[i]
+                            # derivatives from before serve a Newton step, unless it takes long
+                            wanted = 1.0 if iteration % 4 == 3 else 0.0
+                            evaluate(field, 0.0, 0.0, 0.0, 0.0, fvalues, 0, wanted, own, table)
+                            for i in range(nf):
+                                at = i * (2 + ns + fvalues.shape[1])
+                                residual[m + i] = trial[m + i] - table[0, at]
+                                size += residual[m + i] * residual[m + i]
+                                level = max(level, table[0, at + 1])
                         if size >= best and scale > 1e-6 and iteration > 0:
                             scale *= 0.5
-                            for i in range(m):
+                            for i in range(m + nf):
                                 trial[i] = f[i] - scale * newton[0, i]
                             continue
                         best = size
                         if size <= 1e-20 * (level * level + 1e-300) or not np.isfinite(size):
                             break
-                        for i in range(m):
-                            for j in range(m):
-                                Jn[i, j] = -(parts[i, 1] * Q[i, j] + parts[i, 2] * Q[m + i, j])
-                            Jn[i, i] += 1.0
-                            newton[0, i] = residual[i]
+                        _force_jacobian(Jn, parts, Q, slopes, m)
+                        newton[0] = residual
                         _solve_in_place(Jn, newton)
                         scale = 1.0
-                        for i in range(m):
+                        for i in range(m + nf):
                             f[i] = trial[i]
                             trial[i] = f[i] - newton[0, i]
                     f[:] = trial
-                    step[n + 2 * nw + m :] = f
+                    step[n + 2 * nw + m + nf :] = f
                     if grade == 0 and pieces > 1:
                         # a friction force jumps inside this substep: once more, in small pieces
                         jumps = False
                         for i in range(m):
                             if values[i, 5] != 0.0:
                                 v = free[m + i]
-                                for j in range(m):
+                                for j in range(m + nf):
                                     v += Q[m + i, j] * f[j]
                                 stuck = 3.0 * widths[i]
                                 moves, moved = abs(v) > stuck, abs(v_last[i]) > stuck
@@ -400,7 +461,7 @@ def march(
                 if p > 0:
                     Snew[:, :] = 0.0
                     _add_rows(Snew, S, Phis[grade])
-                    if m > 0:
+                    if m + nf > 0:
                         _add_rows(Snew, sf, Psi0s[grade])
                     _add_forcing(Snew, linear, dMs[grade], step)
                     if driven.shape[0] > 0:
@@ -413,7 +474,7 @@ def march(
                                 dw_b[driven[r], j] += dW[r, row, j] + late * rise
                         _add_rows(Snew, dw_a, Gamma0s[grade])
                         _add_rows(Snew, dw_b, Gamma1s[grade])
-                    if m > 0:
+                    if m + nf > 0:
                         ssense[:, :] = 0.0
                         _add_rows(ssense, Snew, Px)
                         if senses_input and driven.shape[0] > 0:
@@ -435,16 +496,17 @@ def march(
                             for c in range(4):
                                 if columns[i, c] >= 0:
                                     sf[columns[i, c], i] += parts[i, 9 + c]
-                            for j in range(m):
-                                Jn[i, j] = -(parts[i, 1] * Q[i, j] + parts[i, 2] * Q[m + i, j])
-                            Jn[i, i] += 1.0
+                        if nf > 0:
+                            evaluate(field, 0.0, 0.0, 0.0, 0.0, fvalues, 0, slopes_wanted, own, table)
+                            _field_sensitivity(sf[:, m:], slopes, ssense[:, 2 * m :], fcolumns)
+                        _force_jacobian(Jn, parts, Q, slopes, m)
                         _solve_in_place(Jn, sf)
                         _add_rows(Snew, sf, Psi1)
                         for i in range(m):
                             for q in range(p):
                                 sd = ssense[q, i]
                                 sv = ssense[q, m + i]
-                                for j in range(m):
+                                for j in range(m + nf):
                                     sd += Q[i, j] * sf[q, j]
                                     sv += Q[m + i, j] * sf[q, j]
                                 sz[q, i] = (
@@ -462,7 +524,7 @@ def march(
                     z[i] = parts[i, 5]
                     d_last[i] = free[i]
                     v_last[i] = free[m + i]
-                    for j in range(m):
+                    for j in range(m + nf):
                         d_last[i] += Q[i, j] * f[j]
                         v_last[i] += Q[m + i, j] * f[j]
                 piece += 1

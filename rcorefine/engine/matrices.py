@@ -6,13 +6,14 @@ entry is an analytic function of the coefficients, so that a complex step gives 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..effects.absorbed import AbsorbedLaw, Assembly, Site
+from .point import act_scales, forces_at_rest
 
 if TYPE_CHECKING:
     from .structure import Structure
@@ -58,8 +59,13 @@ def site_of(structure: Structure, index: int) -> Site:
 def continuous_matrices(structure: Structure, theta: NDArray[Any]) -> Matrices:
     """Matrices at `theta` (real, or complex for derivatives)."""
     model, n, nw, ny = structure.model, structure.n_states, structure.n_inputs, structure.n_outputs
-    into = _absorbed(structure, theta)
-    E, P = _ports(structure, into.A.dtype)
+    n0, field = structure.linear_model.n_states, structure.field
+    scales = act_scales(structure, theta)
+    into = _absorbed(structure, theta, scales)
+    E, P = _ports(structure, into.A.dtype, scales)
+    if field is not None:  # its rows are forces on every state of the model, and then on the outputs
+        E = np.hstack([E, np.eye(n, n0 + ny)])
+        E[n0:] = 0.0
     Ux, lag_drive = _input_lags(into)
 
     # masses are divided by, lagged inputs are states
@@ -74,12 +80,14 @@ def continuous_matrices(structure: Structure, theta: NDArray[Any]) -> Matrices:
         B[state] += drive
 
     # sensors see states, their rates (accelerometers) and inputs; then come their own lags and laws
-    n0, kind = structure.linear_model.n_states, A.dtype
+    kind = A.dtype
     Co, Ca = np.zeros((ny, n), kind), np.zeros((ny, n), kind)
     Co[:, :n0], Ca[:, :n0] = model.output_state, model.output_rate
     C = Co + model.output_input @ Ux + Ca @ A
     D = model.output_input @ into.Uw + Ca @ B
     G = Ca @ E
+    if field is not None:
+        G[:, structure.n_ports + n0 :] += np.eye(ny)
     for i, state, lag in into.output_lags:
         A[state] = C[i] / lag
         A[state, state] -= 1.0 / lag
@@ -94,13 +102,16 @@ def continuous_matrices(structure: Structure, theta: NDArray[Any]) -> Matrices:
     point = model.operating_point
     if point is not None:  # states and inputs are what they have above it; sensors and ports are absolute
         sense[:, n + nw] += P[:, :n0] @ point.states + P[:, n:] @ point.inputs
-        rest = structure.rest(theta)
-        B[:, nw] -= E @ rest
-        D[:, nw] += point.outputs - G @ rest
+        rest = forces_at_rest(structure, theta)
+        laws = slice(structure.n_ports)
+        B[:, nw] -= E[:, laws] @ rest
+        D[:, nw] += (1.0 if field is None else into.output_gain) * point.outputs - G[:, laws] @ rest
+    if field is not None:  # it takes the states and what the inputs become
+        sense = np.vstack([sense, np.eye(n0, n + nw + 1), np.hstack([Ux, into.Uw])])
     return Matrices(A, B, E, C, D, G, sense)
 
 
-def _absorbed(structure: Structure, theta: NDArray[Any]) -> Assembly:
+def _absorbed(structure: Structure, theta: NDArray[Any], scales: dict[str, Any]) -> Assembly:
     """The model's own matrices, with the linear effects in them."""
     base, n, nw, ny = structure.linear_model, structure.n_states, structure.n_inputs, structure.n_outputs
     kind = theta.dtype if theta.size else np.dtype(float)
@@ -114,17 +125,28 @@ def _absorbed(structure: Structure, theta: NDArray[Any]) -> Assembly:
         effect = structure.effects[index]
         assert isinstance(effect.spec, AbsorbedLaw)
         values = [structure.value(theta, index, name) for name in effect.coefficients]
+        if effect.place in scales:
+            site = replace(site, act=scales[effect.place] * site.act)
         effect.spec.absorb(into, site, *values)
+    point = structure.model.operating_point
+    if point is not None and point.field is not None:  # a nonlinear model is absolute, and so are they
+        n0 = base.n_states
+        into.constant[:n0] += (into.A[:n0, :n0] - base.A) @ point.states + (
+            into.Bu[:n0] - base.B
+        ) @ point.inputs
+        into.Uw[:, nw] += into.Uw[:, :nw] @ point.inputs - point.inputs
     return into
 
 
-def _ports(structure: Structure, kind: np.dtype[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+def _ports(
+    structure: Structure, kind: np.dtype[Any], scales: dict[str, Any]
+) -> tuple[NDArray[Any], NDArray[Any]]:
     """Where the forces of the other effects act (n, m), and what they sense (2 m, n + n_w)."""
     n, m, n0 = structure.n_states, structure.n_ports, structure.linear_model.n_states
     E, P = np.zeros((n, m), kind), np.zeros((2 * m, n + structure.n_inputs), kind)
     for row, index in enumerate(structure.port_effects):
         port = structure.model.port(structure.effects[index].place)
-        E[:n0, row] = port.act
+        E[:n0, row] = scales.get(port.name, 1.0) * port.act
         P[row, :n0], P[row, n:] = port.position, port.position_input
         P[m + row, :n0], P[m + row, n:] = port.velocity, port.velocity_input
     return E, P

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import control as ct
@@ -11,6 +12,7 @@ from ..effects.compiled import COUNT, evaluate
 from ..effects.formula import FormulaLaw, InputLaw, OutputLaw, PortLaw
 from ..exceptions import ModelError
 from ..systems.linear import Array
+from .point import field_numbers
 from .structure import Structure
 
 __all__ = ["nonlinear_system"]
@@ -56,30 +58,19 @@ def nonlinear_system(structure: Structure, theta: Array, name: str | None = None
         evaluate(codes[i], d, v, d, z, values[i : i + 1], 0, widths[i], w, out)
         return float(out[0, 0])
 
-    point = structure.model.operating_point
-    level, above = np.zeros(nw), np.zeros(n + len(memory))
+    field, (_, numbers, _) = structure.field, field_numbers(structure, theta)
+    drive, point = _drive(structure, theta), structure.model.operating_point
+    above = np.zeros(n + len(memory))
     if point is not None:
-        level, above[: point.states.size] = point.inputs, point.states
-
-    def acting(u: Any) -> Array:
-        w = np.append(np.atleast_1d(np.asarray(u, dtype=float)), 1.0)
-        for index, channel in structure.input_statics:
-            effect = structure.effects[index]
-            assert isinstance(effect.spec, InputLaw)
-            w[channel] = effect.spec.through(w[[channel]], *structure.law_values(theta, index))[0][0]
-        return w
-
-    rest = np.append(acting(level)[:nw] if structure.balanced else level, 0.0)
-
-    def drive(u: Any) -> Array:
-        return np.asarray(acting(u) - rest)
+        above[: point.states.size] = point.states
 
     def forces(x: Array, w: Array) -> tuple[Array, Array]:
         sense = matrices.P @ np.concatenate([x[:n], w])
         inner = dict(zip(memory, x[n:], strict=True))
-        return np.array(
-            [force(i, sense[i], sense[m + i], inner.get(i, 0.0), w[:nw]) for i in range(m)]
-        ), sense
+        found = [force(i, sense[i], sense[m + i], inner.get(i, 0.0), w[:nw]) for i in range(m)]
+        if field is not None:
+            found += field.table(numbers[0], sense[2 * m :])[:, 0].tolist()
+        return np.array(found), sense
 
     def update(t: float, x: Any, u: Any, params: Any) -> Array:
         x, w = np.asarray(x, dtype=float) - above, drive(u)
@@ -111,6 +102,23 @@ def nonlinear_system(structure: Structure, theta: Array, name: str | None = None
         states=labels,
         name=name or linear.name,
     )
+
+
+def _drive(structure: Structure, theta: Array) -> Callable[[Any], Array]:
+    """What the inputs become behind the laws at them, above the operating point, and a constant one."""
+    point, nw = structure.model.operating_point, structure.n_inputs
+    level = np.zeros(nw) if point is None else point.inputs
+
+    def acting(u: Any) -> Array:
+        w = np.append(np.atleast_1d(np.asarray(u, dtype=float)), 1.0)
+        for index, channel in structure.input_statics:
+            effect = structure.effects[index]
+            assert isinstance(effect.spec, InputLaw)
+            w[channel] = effect.spec.through(w[[channel]], *structure.law_values(theta, index))[0][0]
+        return w
+
+    rest = np.append(acting(level)[:nw] if structure.balanced else level, 0.0)
+    return lambda u: np.asarray(acting(u) - rest)
 
 
 def _refuse_without_equation(structure: Structure) -> None:

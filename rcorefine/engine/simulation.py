@@ -14,6 +14,7 @@ from ..arguments import as_state, shown
 from ..data.measurement import Measurement
 from ..exceptions import DivergenceError, ModelError
 from ..gauss_newton import Rows, gauss_newton
+from ..models.conversion import as_model
 from ..systems.linear import Array, LinearModel
 from .engine import Engine
 from .structure import Structure
@@ -26,6 +27,8 @@ __all__ = [
     "structure_of",
     "unjudged_samples",
 ]
+
+_STILL, _MOST_STEPS = 1e-3, 64  # a run that doubled substeps move by less of its size has enough of them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,6 +168,7 @@ def simulate(model: Any, data: Measurement, x0: str | Array = "estimate") -> Sim
 
 def simulated(model: Any, data: Measurement, x0: str | Array, *, led: bool = False) -> Simulation:
     """As `simulate`; an unstable model may be led by an observer, since it has no free run."""
+    model = as_model(model)
     inner = getattr(model, "system", model)
     if isinstance(inner, ct.StateSpace) and inner.dt != 0:
         return _simulate_discrete(LinearModel.from_statespace(inner), data, x0)
@@ -175,12 +179,30 @@ def simulated(model: Any, data: Measurement, x0: str | Array, *, led: bool = Fal
     if point is not None:
         data = data.deviation(point.inputs, point.outputs)
         start = None if start is None else start - (0.0 if isinstance(x0, str) else levels[1])
+    if structure.field is not None and model is structure.model:
+        substeps = _settled_steps(structure, data, start, led)
     engine = Engine(structure, data, substeps=substeps, initial=start, led=led)
     if start is None:
         start = estimate_initial_state(engine, theta)
     run = engine.run(theta, start, sensitivity=False, histories=True)
     outputs, states = run.outputs + levels[0][:, None], run.states + levels[1][:, None]
     return Simulation(outputs, states, run.forces, start + levels[1])
+
+
+def _settled_steps(structure: Structure, data: Measurement, start: Array | None, led: bool) -> int:
+    """Substeps whose doubling no longer moves the free run of a nonlinear model."""
+    steps, before, theta = 2, None, np.zeros(0)
+    if start is None:
+        start = estimate_initial_state(Engine(structure, data, substeps=steps, led=led), theta)
+    while steps < _MOST_STEPS:
+        engine = Engine(structure, data, substeps=steps, initial=start, led=led)
+        outputs = engine.run(theta, start, sensitivity=False, check=False).outputs
+        if before is not None:
+            moved, size = np.abs(outputs - before).max(axis=1), outputs.std(axis=1)
+            if bool(np.all(moved <= _STILL * size)):
+                break
+        steps, before = 2 * steps, outputs
+    return steps
 
 
 def _levels(structure: Structure, data: Measurement) -> tuple[Array, Array]:

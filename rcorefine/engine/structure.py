@@ -11,15 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..effects.absorbed import AbsorbedLaw
-from ..effects.compiled import COUNT, MAX_COEFFICIENTS, evaluate
+from ..effects.compiled import MAX_COEFFICIENTS
 from ..effects.effect import Effect
 from ..effects.formula import FormulaLaw, InputLaw, OutputLaw, PortLaw
+from ..effects.right_hand_side import Field, ModelParameter
 from ..exceptions import ModelError
 from ..models.conversion import as_physical
-from ..models.operating_point import sensed
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array, LinearModel
 from .matrices import Matrices, continuous_matrices, site_of
+from .point import about_point
 from .substep import Discrete, discretized
 
 __all__ = ["Parameter", "Structure"]
@@ -77,6 +78,7 @@ class Structure:
         self._input_statics: list[int] = []
         self._output_statics: list[int] = []
         self._delayed_outputs: list[int] = []
+        self._numbers: list[int] = []  # of a nonlinear model
         for index, effect in enumerate(self.effects):
             self._register(index, effect)
         self.n_states = base.n_states + len(self.added_states)
@@ -105,6 +107,8 @@ class Structure:
             self._input_statics.append(index)
         elif isinstance(law, OutputLaw):
             (self._delayed_outputs if law.delays else self._output_statics).append(index)
+        elif isinstance(law, ModelParameter):
+            self._numbers.append(index)
         else:
             self._port_effects.append(index)
 
@@ -212,31 +216,18 @@ class Structure:
     def balanced(self) -> bool:
         """Whether the forces of the laws at the operating point are in the point already."""
         point = self.model.operating_point
-        return point is not None and point.balanced
+        return point is not None and point.field is None
 
-    def resting(self, place: str) -> tuple[float, float] | None:
-        """Displacement and velocity of a port at the operating point, None where nothing balances there."""
-        if not self.balanced:
-            return None
-        nothing = np.zeros((self.n_states + self.n_inputs, 1))
-        d, v = sensed(self.model, place, nothing, nothing[: self.n_inputs])
-        return float(d[0]), float(v[0])
+    @property
+    def field(self) -> Field | None:
+        """What a nonlinear model has beside its linear part."""
+        point = self.model.operating_point
+        return None if point is None else point.field
 
-    def rest(self, theta: NDArray[Any]) -> NDArray[Any]:
-        """Forces (m,) of the laws at the operating point, with their derivatives where theta is complex."""
-        found = np.zeros(self.n_ports, theta.dtype if theta.size else float)
-        if not self.balanced:
-            return found
-        codes, values, columns, widths = self.laws(theta.real)
-        written = np.zeros((self.n_ports, COUNT))
-        for row, index in enumerate(self._port_effects):
-            d, v = self.resting(self.effects[index].place) or (0.0, 0.0)
-            evaluate(codes[row], d, v, d, 0.0, values, row, widths[row], written[0, :0], written)
-            found[row] = written[row, 0]
-            for slot, column in enumerate(columns[row]):
-                if column >= 0:
-                    found[row] += written[row, 9 + slot] * (theta[column] - theta[column].real)
-        return found
+    @property
+    def n_forces(self) -> int:
+        """Number of forces in the matrices: those of the laws at ports, then the rows of the field."""
+        return self.n_ports + (0 if self.field is None else self.field.n_rows)
 
     def laws(self, theta: Array) -> tuple[NDArray[np.int64], Array, NDArray[np.int64], Array]:
         """Codes, coefficients, their columns in theta, and widths of the port laws, as `march` takes them."""
@@ -305,6 +296,11 @@ class Structure:
         return np.array([column for column in found if column >= 0], dtype=np.int64)
 
     @property
+    def number_effects(self) -> tuple[int, ...]:
+        """Indices of the effects that change a parameter of a nonlinear model."""
+        return tuple(self._numbers)
+
+    @property
     def input_statics(self) -> list[tuple[int, int]]:
         """(effect, channel) of dead zones, saturations and delays at inputs."""
         labels = self.linear_model.input_labels
@@ -326,7 +322,7 @@ class Structure:
     def is_linear(self) -> bool:
         """Whether every effect is absorbed into A, B, C, D."""
         others = self._port_effects + self._input_statics + self._output_statics + self._delayed_outputs
-        return not others
+        return not others and self.field is None
 
     def state_labels(self) -> list[str]:
         """State names, those that effects add included."""
@@ -337,12 +333,12 @@ class Structure:
 
     def system(self, theta: Array, name: str | None = None) -> ct.StateSpace:
         """The model with its linear effects, as a continuous `StateSpace`."""
-        matrices = self.matrices(theta.astype(float))
+        A, B, C, D = about_point(self, theta.astype(float))
         nw = self.n_inputs
         return self.linear_model.with_arrays(
-            A=matrices.A,
-            B=matrices.B[:, :nw],
-            C=matrices.C,
-            D=matrices.D[:, :nw],
+            A=A,
+            B=B[:, :nw],
+            C=C,
+            D=D[:, :nw],
             state_labels=tuple(self.state_labels()),
         ).to_statespace(name)

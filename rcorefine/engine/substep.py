@@ -46,7 +46,7 @@ def discretized(structure: Structure, theta: Array, step: float, *, derivatives:
         shifted[column] += 1j * _TINY_STEP
         points.append(shifted)
     sets = [structure.matrices(point) for point in points]
-    n, drive = structure.n_states, structure.n_inputs + 1 + structure.n_ports
+    n, drive = structure.n_states, structure.n_inputs + 1 + structure.n_forces
     size = n + 2 * drive
     blocks = np.zeros((len(sets), size, size), complex if len(linear) else float)
     # units of inputs, outputs and forces must not cost digits of A

@@ -44,4 +44,14 @@ def linearized(structure: Structure, theta: Array, run: Trajectory, inputs: Arra
         along = np.where(size > 0, slopes / scale, 0.0) @ rows[:, :n]
         A = A + np.outer(matrices.E[:, i].astype(float), along)
         C = C + np.outer(matrices.G[:, i].astype(float), along)
+    if structure.field is not None:
+        taken = matrices.P[2 * ports :].astype(float)
+        moved = (taken @ drive).T
+        moved = moved - moved.mean(axis=0)
+        scale = np.sqrt(np.mean(moved**2, axis=0))
+        scale = np.where(scale > 0, scale, 1.0)
+        rows = forces[ports:] - forces[ports:].mean(axis=1, keepdims=True)
+        by = np.linalg.lstsq(moved / scale, rows.T, rcond=1e-8)[0].T / scale @ taken[:, :n]
+        A = A + matrices.E[:, ports:].astype(float) @ by
+        C = C + matrices.G[:, ports:].astype(float) @ by
     return A, C

@@ -10,7 +10,7 @@ import control as ct
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..arguments import as_text
+from ..arguments import as_text, as_vector
 from ..data.measurement import Measurement
 from ..effects.effect import Effect
 from ..engine.nonlinear import nonlinear_system
@@ -158,6 +158,30 @@ class Refinement(ReportedModel, CodeExports):
         """
         structure, theta, _ = self.simulation_structure()
         return nonlinear_system(structure, theta, name=f"{self.physical_model.linear.name}_refined")
+
+    def linearize(self, states: ArrayLike, inputs: ArrayLike) -> ct.StateSpace:
+        """The refined model about any point, nonlinear effects included.
+
+        Parameters
+        ----------
+        states : array_like of shape (n,)
+            States, those of laws with memory behind, in units of the model; absolute ones.
+        inputs : array_like of shape (n_w,)
+            Inputs.
+
+        Returns
+        -------
+        StateSpace
+            For Bode plots and design: `control.linearize` of `nonlinear`, labels kept.
+        """
+        system = self.nonlinear
+        x, u = as_vector(states, "states", system.nstates), as_vector(inputs, "inputs", system.ninputs)
+        linear = ct.linearize(system, x, u)
+        linear.update_names(
+            name=f"{self.physical_model.name}_linearized",
+            inputs=system.input_labels, outputs=system.output_labels, states=system.state_labels,
+        )  # fmt: skip
+        return linear
 
     @property
     def ports(self) -> tuple[Any, ...]:

@@ -11,6 +11,7 @@ from ..effects.along_motion import unit_forces
 from ..effects.effect import Effect
 from ..engine.engine import Engine
 from ..engine.linear_response import linear_responses
+from ..engine.point import resting
 from ..engine.structure import Structure
 from ..systems.discretization import discretize
 from ..systems.linear import Array
@@ -124,7 +125,8 @@ def candidate_columns(
     laws: list[tuple[int, list[dict[str, float]]]] = []
     for i, candidate in enumerate(found):
         law = candidate.effect.spec
-        if law.secant or law.at_channel:
+        # along the motion of a nonlinear model nothing short of its own derivatives is right
+        if law.secant or law.at_channel or (fitted.structure.field is not None and not law.is_parameter):
             for ratio in ratios:
                 candidate.columns[ratio] = _own_columns(candidate, ratio)
         elif law.is_parameter:  # they ride along in one simulation
@@ -161,7 +163,7 @@ def _law_columns(
         for i, shapes in laws:
             effect = found[i].effect
             d, v = fitted.port(effect.place, ratio, record)
-            w, rest = fitted.problem.records[record].inputs, fitted.structure.resting(effect.place)
+            w, rest = fitted.problem.records[record].inputs, resting(fitted.structure, effect.place)
             columns = unit_forces(effect, d, v, shapes, w, rest)
             if columns is None:
                 found[i].columns[ratio] = _own_columns(found[i], ratio)

@@ -17,13 +17,19 @@ from ..exceptions import ModelError
 from ..systems.discretization import check_sampling_time
 from .detection import recognized
 from .link_ports import Declared, weighted
+from .nonlinear import as_known, from_nonlinear, is_nonlinear
 from .operating_point import as_operating_point
 from .parameters import NominalParameter
 from .physical_model import PhysicalModel
 from .ports import Port
 from .units import combine_units
 
-__all__ = ["as_physical", "physical", "ports"]
+__all__ = ["as_model", "as_physical", "physical", "ports"]
+
+
+def as_model(model: Any) -> Any:
+    """The model itself, a nonlinear system of python-control as the physical model that it is."""
+    return as_known(model) if is_nonlinear(model) else model
 
 
 def as_physical(model: Any, *, dt: float | None = None) -> PhysicalModel:
@@ -58,6 +64,8 @@ def as_physical(model: Any, *, dt: float | None = None) -> PhysicalModel:
     inner = getattr(model, "physical_model", None)
     if isinstance(inner, PhysicalModel):
         return inner
+    if is_nonlinear(model):
+        return as_known(model)
     return PhysicalModel.from_statespace(model, dt=dt)
 
 
@@ -154,16 +162,19 @@ def physical(
     given = {name: _weights(name, ends) for name, ends in as_mapping(links, "links", "weights").items()}
     named = {k: as_text(v, f"unit of {k!r}") for k, v in as_mapping(units, "units", "units").items()}
     numbers = {k: _number(k, v) for k, v in as_mapping(parameters, "parameters", "parameters").items()}
-    if isinstance(system, ct.StateSpace):
-        masses = {place: value for kind, place, value in numbers.values() if kind == Mass.name}
-        model = PhysicalModel(**recognized(system, dt, Declared(given, named, masses)))
+    masses = {place: value for kind, place, value in numbers.values() if kind == Mass.name}
+    declared = Declared(given, named, masses)
+    if is_nonlinear(system):
+        model = from_nonlinear(system, declared, operating_point)
+    elif isinstance(system, ct.StateSpace):
+        model = PhysicalModel(**recognized(system, dt, declared))
     else:
         model = as_physical(system, dt=dt)
     own = {port.name for port in model.ports}
     more = [_sum_port(model, name, ends) for name, ends in given.items() if name not in own]
     model = _in_units(replace(model, ports=(*model.ports, *more)), named)
     model = replace(model, parameters=_named(model, numbers))
-    if operating_point is None:
+    if operating_point is None or model.operating_point is not None:
         return model
     return replace(model, operating_point=as_operating_point(operating_point, model.linear))
 

@@ -11,6 +11,7 @@ import numpy as np
 from ..arguments import as_mapping, as_number, as_state, as_vector
 from ..data.channels import match_channels, record_for
 from ..data.measurement import Measurement
+from ..effects.right_hand_side import Field
 from ..exceptions import ModelError
 from ..systems.linear import Array, LinearModel
 
@@ -28,15 +29,20 @@ class OperatingPoint:
     ----------
     inputs, states, outputs : ndarray
         In the order and the units of the model's signals, shapes (n_w,), (n,), (n_y,).
-    balanced : bool
-        Whether the plant rests there: what an effect gives at the point is in the point already, and
-        only the rest of it is added to the model.
+    field : Field, optional
+        What the linear model leaves out of a nonlinear one. Without it the plant rests at the point:
+        what an effect gives there is in the point already, and only the rest of it is added.
     """
 
     inputs: Array
     states: Array
     outputs: Array
-    balanced: bool = True
+    field: Field | None = None
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the numbers in the right-hand side of a nonlinear model."""
+        return () if self.field is None else self.field.functions.names
 
 
 def as_operating_point(given: Any, linear: LinearModel) -> OperatingPoint:
@@ -85,6 +91,11 @@ def refuse_point(model: PhysicalModel, what: str) -> PhysicalModel:
     ModelError
         If it does.
     """
+    if model.operating_point is not None and model.operating_point.field is not None:
+        raise ModelError(
+            f"{what} takes no nonlinear model yet: give it a linearization, the .system of "
+            "physical(system, operating_point=...), or Refinement.linearize(states, inputs)"
+        )
     if model.operating_point is not None:
         raise ModelError(
             f"{what} takes no operating point yet: leave it out of physical(...) and give what the signals "

@@ -286,8 +286,7 @@ class PhysicalModel(Result):
         """
         _check_type(effect)
         where = effect.spec.where
-        if effect.kind == Entry.name:
-            self.entry(effect.place)
+        if effect.spec.sits(self, effect.place):
             return effect
         for channel, labels in (("input", self.linear.input_labels), ("output", self.linear.output_labels)):
             if channel in where:

@@ -18,7 +18,7 @@ from ...data.measurement import Measurement
 from ...exceptions import DataError, DivergenceError, RCOWarning
 from ...inference.levels import levels
 from ...inference.sensitivities import candidate_columns
-from ...models.conversion import as_physical
+from ...models.conversion import as_model, as_physical
 from ...models.operating_point import ordered_record
 from ...models.physical_model import PhysicalModel
 from ...progress import Progress
@@ -133,17 +133,22 @@ def _of_record(row: CheckRow, about: str) -> CheckRow:
 
 def _looked_over(model: Any, data: Measurement, horizon: float | None) -> tuple[Measurement, list[CheckRow]]:
     """The record in the order of the model's channels, and its rows without those on information."""
+    model = as_model(model)
     physical = getattr(model, "physical_model", model)
     point = physical.operating_point if isinstance(physical, PhysicalModel) else None
+    straight = point is None or point.field is None
     # what is linear about a point is laid beside what the record has above it
-    beside = (model, data) if point is None else (physical.system, ordered_record(physical, data))
+    about = point is not None and straight
+    beside = (physical.system, ordered_record(physical, data)) if about else (model, data)
     compared = _compared(*beside, horizon)
-    record = compared.data if compared is not None and point is None else data
-    rows = [*signal_rows(record), *level_rows(data, point)]
+    record = data if compared is None or about else compared.data
+    rows = [*signal_rows(record), *(level_rows(data, point) if straight else ())]
     linear = LinearModel.from_statespace(getattr(model, "system", model))
     rows += sampling_rows(linear, record)
     if compared is not None:
-        return record, [*rows, *([] if compared.led else gain_rows(compared)), *feedback_rows(compared)]
+        # of a nonlinear model a gain says little
+        rows += gain_rows(compared) if straight and not compared.led else ()
+        return record, [*rows, *feedback_rows(compared)]
     diverges = CheckRow(
         STOP, "free run", "", "diverges",
         "The free run leaves all bounds, so the model cannot be laid beside the record: give compare a short "

@@ -186,6 +186,7 @@ def advance(sizes, fixed, packed, counters, block, frozen, record, laws):
                     laws.values, laws.columns, laws.widths, Wn, laws.foh, Wout, dW, dWout, affected,
                     measured, unused, none, laws.outcodes, laws.outvalues, laws.outcolumns, x, z, through,
                     laws.substeps, Y, shown, X0, F0, limit,
+                    0, np.zeros((1, 0)), np.zeros(0, dtype=np.int64),
                 )  # fmt: skip
                 if blew_up >= 0:
                     return k, DIVERGED

@@ -15,6 +15,7 @@ from ...effects.compiled import raise_pending
 from ...engine.engine import _PIECES
 from ...engine.inputs import InputSignal
 from ...engine.kernels import march
+from ...engine.point import field_numbers
 from ...engine.simulation import structure_of
 from ...engine.structure import Structure
 from ...exceptions import DivergenceError, ModelError
@@ -181,7 +182,7 @@ class Observer:
             np.ascontiguousarray(drive.W[skip * self.substeps :]), drive.nodes,
             np.ascontiguousarray(drive.Wout[skip:]), none, none, np.zeros(0, dtype=np.int64),
             measured, flags, self.gain, *self._out, x, z, np.zeros((0, n)), self.substeps,
-            Yout, SY, X, F, limit,
+            Yout, SY, X, F, limit, *field_numbers(s, self.theta),
         )  # fmt: skip
         raise_pending()
         if blew_up >= 0:

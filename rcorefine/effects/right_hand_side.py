@@ -1,0 +1,282 @@
+"""The right-hand side of a nonlinear model, as kernels call it: what its linear part leaves out."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..exceptions import RCOWarning
+from ..jit import NUMBA, compiled_law
+from ..systems.linear import Array
+from .absorbed import nominal_is_left
+from .compiled import code_of
+from .law import Coefficient, Law, register
+
+__all__ = ["Field", "ModelParameter", "RightHandSide"]
+
+_AHEAD = 2  # columns of the table before the derivatives: the value, and the size of what it came from
+_Function = Callable[..., Any]
+
+
+@register
+class ModelParameter(Law):
+    """Number in the right-hand side of a nonlinear model."""
+
+    where = frozenset(["parameter"])
+    coefficients = (Coefficient("value", "", explanation="change of the parameter"),)
+    formula = "params[place] + t"
+    explanation = "The parameter {place} of the model differs from its value."
+    is_parameter = True
+    on_request = True
+    along_motion = False
+
+    def bounds_in(self, structure: Any, place: str) -> tuple[float, float]:
+        """What is positive stays so."""
+        return nominal_is_left(self.name, structure, place)
+
+    def sits(self, model: Any, place: str) -> bool:
+        """At a parameter of the model."""
+        return model.operating_point is not None and place in model.operating_point.parameters
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RightHandSide:
+    """The functions of a `control.NonlinearIOSystem`, and its parameters.
+
+    Parameters
+    ----------
+    update, output : callable
+        ``f(t, x, u, params)``; no `output` reads the first states.
+    names : tuple of str
+        Numbers among the parameters, in order.
+    others : mapping
+        What else stands among them, held.
+    n_states, n_outputs : int
+        Sizes.
+    label : str
+        For messages.
+    """
+
+    update: _Function
+    output: _Function | None
+    names: tuple[str, ...]
+    others: Mapping[str, Any]
+    n_states: int
+    n_outputs: int
+    label: str
+
+    def __call__(self, x: Array, u: Array, values: Array, t: float = 0.0) -> Array:
+        """Rates and outputs in one row, (n + n_y,)."""
+        params = {**self.others, **dict(zip(self.names, values.tolist(), strict=True))}
+        rates = np.asarray(_plain(self.update)(t, x, u, params), dtype=float).reshape(-1)
+        shown = x[: self.n_outputs]
+        if self.output is not None:
+            shown = np.asarray(_plain(self.output)(t, x, u, params), dtype=float).reshape(-1)
+        return np.concatenate([rates, shown])
+
+    def compiled(self) -> _Function:
+        """``f(x, u, values, row)``, compiled, which fills a row with rates and outputs."""
+        entries = "".join(f"{name!r}: p[{i}], " for i, name in enumerate(self.names))
+        held = "".join(f"{name!r}: held_{i}, " for i, name in enumerate(self.others))
+        lines = [
+            "def whole(x, u, p, row):",
+            f"    params = {{'': True, {entries}{held}}}",  # of several types: its keys are known to numba
+            "    rates = update(0.0, x, u, params)",
+            *(f"    row[{i}] = rates[{i}]" for i in range(self.n_states)),
+        ]
+        if self.output is None:
+            lines += [f"    row[{self.n_states + i}] = x[{i}]" for i in range(self.n_outputs)]
+        else:
+            lines += ["    shown = output(0.0, x, u, params)"]
+            lines += [f"    row[{self.n_states + i}] = shown[{i}]" for i in range(self.n_outputs)]
+        scope: dict[str, Any] = {f"held_{i}": value for i, value in enumerate(self.others.values())}
+        scope |= {"update": compiled_law(self.update)}
+        scope |= {"output": None if self.output is None else compiled_law(self.output)}
+        exec("\n".join(lines), scope)
+        made: _Function = compiled_law(scope["whole"])
+        return made
+
+
+def _plain(function: _Function) -> _Function:
+    """What numba compiled, as it was written: it takes a dict."""
+    return getattr(function, "py_func", function)
+
+
+class Field:
+    """What the linear part of a nonlinear model leaves out of its rates and outputs.
+
+    Parameters
+    ----------
+    functions : RightHandSide
+        The model.
+    nominal : ndarray, shape (q,)
+        Its parameters.
+    level : ndarray, shape (n + n_w,)
+        States and inputs about which the linear part stands.
+    linear : ndarray, shape (n + n_y, n + n_w)
+        The linear part, of the outputs without what they read of rates.
+    rate_sensors : ndarray, shape (n_y, n)
+        What outputs read of rates.
+    outputs : ndarray, shape (n_y,)
+        Outputs at the level.
+
+    Attributes
+    ----------
+    code : int
+        What `evaluate` takes: coefficients are the parameters, inputs are states and inputs above the
+        level, and the width says what is wanted: 0 values, 1 derivatives by states and inputs, 2 by
+        parameters too. It writes a table (n + n_y, 2 + n + n_w + q): value, size, derivatives.
+    speed : str
+        "compiled" or "Python".
+    """
+
+    def __init__(
+        self,
+        functions: RightHandSide,
+        nominal: Array,
+        level: Array,
+        linear: Array,
+        rate_sensors: Array,
+        outputs: Array,
+    ) -> None:
+        self._made = (functions, nominal, level, linear, rate_sensors, outputs)
+        self.functions, self.nominal = functions, nominal
+        self.n_rows, self.n_signals = linear.shape
+        self.n_columns = _AHEAD + self.n_signals + nominal.size
+        n, x0 = functions.n_states, level
+        numbers = (x0, linear, rate_sensors, outputs)
+        self._fill = fill_of(_tolerant(functions), n, numbers, lambda function: function)
+        self.speed = "Python"
+        self.code, self._keep = self._address(n, numbers)
+
+    def _address(self, n: int, numbers: tuple[Array, ...]) -> tuple[int, Any]:
+        q, z, shape, fill = self.nominal.size, self.n_signals, (self.n_rows, self.n_columns), self._fill
+
+        def plain(d: Any, v: Any, d0: Any, z0: Any, p: Any, want: float, w: Any, nw: int, out: Any) -> None:
+            fill(_row(p, q), np.array(w[:z]), want, _row(out, shape[0] * shape[1]).reshape(shape))
+
+        if NUMBA:
+            try:
+                fast = fill_of(self.functions.compiled(), n, numbers, compiled_law)
+                self._compare(fast)
+                scope = {"fill": fast, "carray": None}
+                exec(_ENTRY.format(q=q, z=z, rows=shape[0], columns=shape[1]), scope)
+                found = code_of(plain, scope["evaluate"])
+            except (TypeError, ValueError) as error:
+                warnings.warn(
+                    f"the functions of {self.functions.label} cannot be compiled and are called in Python, "
+                    f"which is some hundred times slower: {str(error).strip().splitlines()[0]}",
+                    RCOWarning,
+                    stacklevel=2,
+                )
+            else:
+                self.speed = "compiled"
+                return found
+        return code_of(plain)
+
+    def _compare(self, fast: _Function) -> None:
+        """Whether the compiled functions say what the plain ones say."""
+        for share in (0.0, 1e-3):
+            z = share * np.maximum(np.abs(self._made[2]), 1.0)
+            here, there = (np.zeros((self.n_rows, self.n_columns)) for _ in range(2))
+            self._fill(self.nominal, z, 2.0, here)
+            try:
+                fast(self.nominal, z, 2.0, there)
+            except Exception as error:  # numba's own errors have no common base
+                raise TypeError(str(error)) from error
+            if not np.allclose(here[:, 0], there[:, 0], rtol=1e-9, atol=1e-12, equal_nan=True):
+                raise ValueError("compiled, they give other values than in Python")
+
+    def table(self, values: Array, z: Array, want: float = 0.0) -> Array:
+        """Value, size and derivatives of each row at states and inputs above the level."""
+        out = np.zeros((self.n_rows, self.n_columns))
+        self._fill(values, z, want, out)
+        return out
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Field, self._made
+
+
+_ENTRY = """
+def evaluate(_d, _v, _d_start, _z_start, _p, _width, _w, _nw, _out):
+    fill(carray(_p, ({q},)), carray(_w, ({z},)), _width, carray(_out, ({rows}, {columns})))
+"""
+
+
+def _row(values: Any, size: int) -> Array:
+    """An array of what a kernel hands over: a row, or its address."""
+    if isinstance(values, np.ndarray):
+        return values[:size]
+    return np.ctypeslib.as_array(values, (max(size, 1),))[:size]
+
+
+def _tolerant(functions: RightHandSide) -> _Function:
+    """The functions in Python, NaN where a search has left what they are defined for."""
+
+    def whole(x: Array, u: Array, p: Array, row: Array) -> None:
+        try:
+            row[:] = functions(x, u, p)
+        except ArithmeticError:
+            row[:] = np.nan
+        except ValueError as error:  # of math.sqrt and math.log
+            if "math domain" not in str(error) and "expected a" not in str(error):
+                raise
+            row[:] = np.nan
+
+    return whole
+
+
+def fill_of(whole: _Function, n: int, numbers: tuple[Array, ...], made: _Function) -> _Function:
+    """Function that fills the table, of ``whole(x, u, p, row)`` and `numbers` as `Field` has them."""
+    level, linear, rate_sensors, outputs = (np.ascontiguousarray(one, dtype=float) for one in numbers)
+    rows, signals = linear.shape
+
+    def remainder(z, p, row):  # type: ignore[no-untyped-def]
+        both = level + z
+        whole(both[:n], both[n:], p, row)
+        for i in range(rows - n):
+            row[n + i] -= outputs[i]
+            for j in range(n):
+                row[n + i] -= rate_sensors[i, j] * row[j]
+
+    remainder = made(remainder)
+
+    def fill(p, z, want, out):  # type: ignore[no-untyped-def]
+        at, up, low = np.empty(rows), np.empty(rows), np.empty(rows)
+        remainder(z, p, at)
+        for i in range(rows):
+            straight = 0.0
+            for j in range(signals):
+                straight += linear[i, j] * z[j]
+            out[i, 0] = at[i] - straight
+            out[i, 1] = abs(at[i]) + abs(straight)
+        if want < 1.0:
+            return
+        moved = z.copy()
+        for j in range(signals):
+            h = 1e-5 * max(abs(level[j] + z[j]), 1e-4)
+            moved[j] = z[j] + h
+            remainder(moved, p, up)
+            moved[j] = z[j] - h
+            remainder(moved, p, low)
+            moved[j] = z[j]
+            for i in range(rows):
+                out[i, 2 + j] = (up[i] - low[i]) / (2.0 * h) - linear[i, j]
+        if want < 2.0:
+            return
+        other = p.copy()
+        for c in range(p.size):
+            h = 1e-5 * (abs(p[c]) if p[c] != 0.0 else 1e-2)
+            other[c] = p[c] + h
+            remainder(z, other, up)
+            other[c] = p[c] - h
+            remainder(z, other, low)
+            other[c] = p[c]
+            for i in range(rows):
+                out[i, 2 + signals + c] = (up[i] - low[i]) / (2.0 * h)
+
+    return made(fill)  # type: ignore[no-any-return]

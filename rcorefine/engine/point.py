@@ -1,0 +1,103 @@
+"""At the operating point of a model: what laws give there, and the field of a nonlinear one."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..effects.compiled import COUNT, evaluate
+from ..models.operating_point import sensed
+from ..systems.linear import Array
+
+if TYPE_CHECKING:
+    from .structure import Structure
+
+__all__ = ["about_point", "act_scales", "field_numbers", "forces_at_rest", "resting"]
+
+
+def resting(structure: Structure, place: str) -> tuple[float, float] | None:
+    """Displacement and velocity of a port at the operating point, None where nothing balances there."""
+    if not structure.balanced:
+        return None
+    nothing = np.zeros((structure.n_states + structure.n_inputs, 1))
+    d, v = sensed(structure.model, place, nothing, nothing[: structure.n_inputs])
+    return float(d[0]), float(v[0])
+
+
+def forces_at_rest(structure: Structure, theta: NDArray[Any]) -> NDArray[Any]:
+    """Forces (m,) of the laws at the operating point, with their derivatives where theta is complex."""
+    found = np.zeros(structure.n_ports, theta.dtype if theta.size else float)
+    if not structure.balanced:
+        return found
+    codes, values, columns, widths = structure.laws(theta.real)
+    written = np.zeros((structure.n_ports, COUNT))
+    for row, index in enumerate(structure.port_effects):
+        d, v = resting(structure, structure.effects[index].place) or (0.0, 0.0)
+        evaluate(codes[row], d, v, d, 0.0, values, row, widths[row], written[0, :0], written)
+        found[row] = written[row, 0]
+        for slot, column in enumerate(columns[row]):
+            if column >= 0:
+                found[row] += written[row, 9 + slot] * (theta[column] - theta[column].real)
+    return found
+
+
+def field_numbers(structure: Structure, theta: Array) -> tuple[int, Array, NDArray[np.int64]]:
+    """Code of the field, its parameters and their columns in theta, as `march` takes them."""
+    field = structure.field
+    if field is None:
+        return 0, np.zeros((1, 0)), np.zeros(0, dtype=np.int64)
+    values, names = field.nominal[None].copy(), field.functions.names
+    columns = np.full(len(names), -1, dtype=np.int64)
+    for index in structure.number_effects:
+        effect = structure.effects[index]
+        which = names.index(effect.place)
+        values[0, which] += float(structure.value(theta, index, effect.coefficients[0]))
+        columns[which] = structure.position(index, effect.coefficients[0])
+    return field.code, values, columns
+
+
+def act_scales(structure: Structure, theta: NDArray[Any]) -> dict[str, Any]:
+    """Share of its nominal effect that a force has at each port where parameters of the model float.
+
+    A port whose force acts like an input is measured in units of that input: where the parameters
+    change what the input does, they change what the force does.
+    """
+    field, base = structure.field, structure.linear_model
+    if field is None or not structure.number_effects or not base.n_inputs:
+        return {}
+    _, (values,), columns = field_numbers(structure, theta.real)
+    n, free = base.n_states, [c for c in range(columns.size) if columns[c] >= 0]
+
+    def gains(p: Array) -> Array:
+        slopes = field.table(p, np.zeros(field.n_signals), 1.0)[:n, 2 + n : 2 + field.n_signals]
+        return np.asarray(base.B + slopes)
+
+    B = gains(values).astype(theta.dtype if theta.size else float)
+    for c in free if np.iscomplexobj(theta) else ():
+        step = 1e-5 * (abs(values[c]) or 1e-2) * np.eye(values.size)[c]
+        slope = (gains(values + step) - gains(values - step)) / (2.0 * step[c])
+        B = B + slope * (theta[columns[c]] - theta[columns[c]].real)
+    found = {}
+    for port in structure.model.ports:
+        row = int(np.argmax(np.abs(port.act)))
+        for j, column in enumerate(base.B.T):
+            alike = abs(column @ port.act) > (1 - 1e-6) * np.linalg.norm(column) * np.linalg.norm(port.act)
+            if alike and column[row] != 0.0:
+                found[port.name] = B[row, j] / base.B[row, j]
+                break
+    return found
+
+
+def about_point(structure: Structure, theta: Array) -> tuple[Array, Array, Array, Array]:
+    """A, B, C, D with the linear effects, and of a nonlinear model with its slopes at the point."""
+    matrices = structure.matrices(theta)
+    A, B, C, D = matrices.A, matrices.B, matrices.C, matrices.D
+    field, ports, n = structure.field, structure.n_ports, structure.n_states
+    if field is not None:
+        table = field.table(field_numbers(structure, theta)[1][0], np.zeros(field.n_signals), 1.0)
+        by = table[:, 2 : 2 + field.n_signals] @ matrices.P[2 * ports :]
+        E, G = matrices.E[:, ports:], matrices.G[:, ports:]
+        A, B, C, D = A + E @ by[:, :n], B + E @ by[:, n:], C + G @ by[:, :n], D + G @ by[:, n:]
+    return A, B, C, D

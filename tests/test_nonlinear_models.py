@@ -1,0 +1,277 @@
+"""A nonlinear model of python-control as the start: against scipy, and found again with what was hidden."""
+
+import pickle
+
+import control as ct
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import rcorefine as rco
+from rcorefine.engine.engine import Engine
+from rcorefine.engine.structure import Structure
+from rcorefine.exceptions import ModelError, RCOWarning
+from rcorefine.jit import NUMBA
+
+DT = 0.02
+PENDULUM = {"m": 1.0, "c": 0.1, "l": 0.5}
+
+
+def swing(t, x, u, params):
+    inertia = params["m"] * params["l"] ** 2
+    pull = params["m"] * 9.81 * params["l"] * np.sin(x[0])
+    return np.array([x[1], (u[0] - params["c"] * x[1] - pull) / inertia])
+
+
+def angle(t, x, u, params):
+    return x[:1]
+
+
+def pendulum(update=swing, **params):
+    return ct.nlsys(
+        update, angle, params={**PENDULUM, **params}, name="pendulum",
+        states=["theta", "omega"], inputs=["torque"], outputs=["angle"],
+    )  # fmt: skip
+
+
+def torque(seed, n):
+    rng = np.random.default_rng(seed)
+    w = np.convolve(rng.standard_normal(n + 100), np.hanning(61), mode="same")[50:-50]
+    return 0.7 * w / w.std(), rng
+
+
+def record(seed=0, n=600, hold="zoh", coulomb=0.0, noise=0.0, **params):
+    """The plant by Runge and Kutta in steps of a fortieth of a sample."""
+    p = {**PENDULUM, **params}
+    w, rng = torque(seed, n)
+
+    def rate(x, u):
+        pull = p["m"] * 9.81 * p["l"] * np.sin(x[0]) + coulomb * np.tanh(x[1] / 1e-3)
+        return np.array([x[1], (u - p["c"] * x[1] - pull) / (p["m"] * p["l"] ** 2)])
+
+    steps, x, out = 40, np.zeros(2), np.zeros(n)
+    h = DT / steps
+    for k in range(n):
+        out[k] = x[0]
+        if k == n - 1:
+            break
+        for j in range(steps):
+            a, b = (w[k] + (w[k + 1] - w[k]) * s / steps if hold == "foh" else w[k] for s in (j, j + 1))
+            k1 = rate(x, a)
+            k2 = rate(x + h / 2 * k1, (a + b) / 2)
+            k3 = rate(x + h / 2 * k2, (a + b) / 2)
+            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + h * k3, b))
+    y = out + noise * out.std() * rng.standard_normal(n)
+    return rco.Measurement(w, y, dt=DT, hold=hold, input_labels="torque", output_labels="angle")
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+def test_free_run_is_that_of_a_finer_integration(hold):
+    data = record(seed=1, hold=hold, n=300)
+    assert np.abs(data.outputs).max() > 0.8  # far from the small angles of the linear model
+    errors = [
+        np.abs(Engine(Structure(pendulum()), data, substeps=s).run(np.zeros(0)).outputs - data.outputs).max()
+        for s in (2, 4, 8)
+    ]
+    assert errors[2] < 1e-5
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)  # of second order
+    assert np.abs(rco.simulate(pendulum(), data, "zero").outputs - data.outputs).max() < 2e-3
+
+
+def test_sensitivities_are_differences_of_runs():
+    effects = [
+        rco.Effect("model_parameter", "l"), rco.Effect("damping", "theta"), rco.Effect("mass", "theta"),
+        rco.Effect("coulomb_friction", "theta"), rco.Effect("input_gain", "torque"),
+        rco.Effect("input_lag", "torque"), rco.Effect("output_gain", "angle"),
+    ]  # fmt: skip
+    engine = Engine(Structure(pendulum(), effects, constants={3: 0.1}), record(n=200), substeps=4)
+    theta, x0 = np.array([0.02, 0.01, 0.02, 0.05, 0.03, 0.05, 0.02]), np.array([0.1, 0.2, 0.0])
+    found = engine.run(theta, x0, initial_state=True).sensitivity[0]
+    for j in range(10):
+        step = 1e-6 * np.eye(10)[j]
+        up, low = (
+            engine.run(theta + s * step[:7], x0 + s * step[7:], sensitivity=False).outputs[0] for s in (1, -1)
+        )
+        np.testing.assert_allclose(found[:, j], (up - low) / 2e-6, atol=1e-5 * np.abs(found[:, j]).max())
+
+
+def test_effects_at_a_point_that_is_not_zero_are_absolute():
+    """The same plant, linearized elsewhere, with effects at rates, input and output: the same run."""
+    data = record(n=300)
+    effects = [
+        rco.Effect("damping", "theta"), rco.Effect("stiffness", "theta"), rco.Effect("mass", "theta"),
+        rco.Effect("quadratic_damping", "theta"), rco.Effect("input_gain", "torque"),
+        rco.Effect("output_gain", "angle"), rco.Effect("input_saturation", "torque", fixed={"limit": 0.9}),
+    ]  # fmt: skip
+    theta = np.array([0.03, 0.2, 0.03, 0.05, 0.1, -0.05])
+    runs = []
+    for point in ({"inputs": 0.0, "states": [0.0, 0.0]}, {"inputs": 0.3, "states": [0.4, 0.2]}):
+        model = rco.physical(pendulum(), operating_point=point)
+        op = model.operating_point
+        above = data.deviation(op.inputs, op.outputs)
+        run = Engine(Structure(model, effects), above, substeps=16).run(theta, -op.states)
+        runs.append(run.outputs[0] + op.outputs[0])
+    np.testing.assert_allclose(runs[0], runs[1], atol=1e-4)
+    p, w = PENDULUM, data.inputs[0]
+
+    def rate(t, x, u):
+        u = 1.1 * np.clip(u, -0.9, 0.9)
+        force = 0.03 * x[1] + 0.2 * x[0] + 0.05 * x[1] * abs(x[1])
+        pull = p["m"] * 9.81 * p["l"] * np.sin(x[0])
+        return [x[1], (u - p["c"] * x[1] - pull - force) / (p["m"] * p["l"] ** 2 + 0.03)]
+
+    x, out = np.zeros(2), []
+    for u in w:
+        out.append(0.95 * x[0])
+        x = solve_ivp(rate, (0, DT), x, args=(u,), rtol=1e-9, atol=1e-10).y[:, -1]
+    np.testing.assert_allclose(runs[1], out, atol=2e-4)
+
+
+def test_refine_finds_parameters_and_friction():
+    data = record(seed=0, n=1000, noise=0.02, coulomb=0.05)
+    better = rco.refine(pendulum(l=0.485), data, [rco.Effect("coulomb_friction", "theta")], free=["l"])
+    for name, true in (("l", 0.5), ("coulomb_friction", 0.05)):  # in units of the torque, whatever l was
+        row = better.parameter(name)
+        assert abs(row.value - true) < 4 * row.std < 0.1 * true
+    assert better.parameter("l").initial == pytest.approx(0.485)
+    rate = better.nonlinear.updfcn(0.0, [2.0, 0.5], [0.1], {})[1]
+    length, friction = better.parameter("l").value, better.parameter("coulomb_friction").value
+    exact = (0.1 - 0.1 * 0.5 - 9.81 * length * np.sin(2.0) - friction) / length**2
+    assert rate == pytest.approx(exact, rel=1e-3)
+    slope = better.linearize([2.0, 0.5], [0.1])
+    assert slope.A[1, 0] == pytest.approx(-9.81 / length * np.cos(2.0), rel=1e-4)
+    assert slope.state_labels == ["theta", "omega"]
+    assert better.system.A[1, 0] == pytest.approx(-9.81 / length, rel=1e-4)
+
+
+def test_tolerance_is_a_prior_of_params():
+    data = record(seed=2, n=400, noise=0.02)
+    better = rco.refine(pendulum(c=0.102, l=0.501), data, tolerance=0.05)
+    assert {row.name for row in better.parameters if row.role == "linear"} == {"m", "c", "l"}
+    assert better.parameter("l").value == pytest.approx(0.5, abs=4 * better.parameter("l").std)
+
+
+def test_compare_and_the_untold_outputs():
+    data = record(seed=1, n=300)
+    found = rco.compare([pendulum(), pendulum(l=0.45), rco.physical(pendulum()).system], data)
+    assert found.fit[0, 0] > 99.5
+    assert found.fit[1, 0] < 90
+    assert found.fit[2, 0] < 90  # the linear model misses the angle
+    states = ct.nlsys(swing, None, params=PENDULUM, states=2, inputs=1, outputs=2)
+    both = rco.Measurement(data.inputs, np.vstack([data.outputs, data.outputs]), dt=DT)
+    assert rco.simulate(states, both, "zero").outputs.shape == (2, 300)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_diagnose_names_friction_at_the_pivot(seed):
+    data = record(seed=seed, n=700, coulomb=0.05, noise=0.02)
+    friction = ["coulomb_friction", "damping", "cubic_damping", "quadratic_damping", "stiffness"]
+    laws = [rco.Effect(kind, "theta") for kind in friction]
+    found = rco.diagnose(pendulum(), data, candidates=laws)
+    assert found.verdict == "effect"
+    assert found.best.effect == rco.Effect("coulomb_friction", "theta")
+
+
+def test_nothing_missing_is_adequate_and_wrong_numbers_are_parameters():
+    exact = rco.diagnose(pendulum(), record(seed=3, n=500, noise=0.03))
+    assert exact.verdict == "adequate"
+
+
+def test_improve_adds_the_friction():
+    data = record(seed=4, n=1500, coulomb=0.05, noise=0.02)
+    laws = [rco.Effect(kind, "theta") for kind in ("coulomb_friction", "damping", "stiffness")]
+    ladder = rco.improve(pendulum(), data, candidates=laws)
+    assert [step.effect.kind for step in ladder.steps[1:]] == ["coulomb_friction"]
+
+
+def test_a_link_is_declared():
+    def tanks(t, h, u, params):
+        flow = params["a"] * np.sqrt(np.maximum(h[0], 0.0))
+        return np.array([u[0] - flow, flow - params["b"] * np.sqrt(np.maximum(h[1], 0.0))])
+
+    system = ct.nlsys(
+        tanks, None, params={"a": 0.5, "b": 0.4}, states=["h1", "h2"], inputs=["q"], outputs=["h1", "h2"]
+    )
+    nowhere = ct.nlsys(
+        lambda t, x, u, p: np.log(x) if x > 0 else x + np.inf, None, states=1, inputs=1, outputs=1
+    )
+    with pytest.raises(ModelError, match="operating_point"):
+        rco.physical(nowhere)
+    model = rco.physical(
+        system,
+        links={"shunt": {"h1": 1.0, "h2": -1.0}},
+        operating_point={"inputs": 0.6, "states": {"h1": 1.44, "h2": 2.25}},
+    )
+    assert "shunt" in [port.name for port in model.ports]
+    steady = rco.simulate(
+        model, rco.Measurement(np.full(50, 0.6), np.tile([[1.44], [2.25]], 50), dt=0.5), "zero"
+    )
+    np.testing.assert_allclose(steady.outputs[:, -1], [1.44, 2.25], rtol=1e-6)
+
+
+def test_python_and_compiled_give_the_same():
+    if not NUMBA:
+        pytest.skip("nothing is compiled")
+    import numba
+
+    assert rco.physical(pendulum()).operating_point.field.speed == "compiled"
+    assert rco.physical(pendulum(numba.njit(swing))).operating_point.field.speed == "compiled"
+
+    def untyped(t, x, u, params):
+        return swing(t, x, u, {k: params[k] for k in list(params)})
+
+    with pytest.warns(RCOWarning, match="called in Python"):
+        slow = rco.physical(pendulum(untyped))
+    data = record(n=60)
+    one, two = (
+        Engine(Structure(m, [rco.Effect("model_parameter", "c")]), data, substeps=2).run(np.array([0.01]))
+        for m in (slow, rco.physical(pendulum()))
+    )
+    np.testing.assert_allclose(one.outputs, two.outputs, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(one.sensitivity, two.sensitivity, rtol=1e-6, atol=1e-9)
+
+
+def test_a_model_is_made_once_and_pickles():
+    system = pendulum()
+    from rcorefine.models.conversion import as_physical
+
+    assert as_physical(system) is as_physical(system)
+    system.params["l"] = 0.6
+    assert as_physical(system).parameters[2].value == 0.6
+    again = pickle.loads(pickle.dumps(as_physical(system)))
+    data = record(n=50)
+    np.testing.assert_allclose(
+        rco.simulate(again, data, "zero").outputs, rco.simulate(system, data, "zero").outputs
+    )
+
+
+def late(t, x, u, params):
+    return np.array([np.sin(t + 0.1) - x[0]])
+
+
+@pytest.mark.parametrize(
+    ("system", "words"),
+    [
+        (lambda: ct.nlsys(late, None, states=1, inputs=1, outputs=1), "depends on time"),
+        (lambda: ct.nlsys(swing, angle, params=PENDULUM, states=2, inputs=1, outputs=1, dt=0.1), "discrete"),
+        (lambda: ct.nlsys(swing, angle, params=PENDULUM, states=3, inputs=1, outputs=1), "give 3 numbers"),
+        (lambda: ct.nlsys(swing, angle, params=PENDULUM, inputs=1, outputs=1), "how many states"),
+    ],
+)
+def test_what_cannot_be_taken_is_refused(system, words):
+    with pytest.raises(ModelError, match=words):
+        rco.physical(system())
+
+
+def test_what_takes_no_nonlinear_model_says_so():
+    model = rco.physical(pendulum())
+    for refused in (
+        lambda: rco.RCORefiner(model, dt=DT, effects=[rco.Effect("damping", "theta")]),
+        lambda: rco.Monitor(pendulum(), dt=DT),
+        lambda: rco.frequency_response_at(model, [1.0], [1.0]),
+        lambda: rco.localize_damage(model, record(n=100)),
+    ):
+        with pytest.raises(ModelError, match="no nonlinear model yet"):
+            refused()
+    with pytest.raises(ModelError, match="no port 'x'"):
+        rco.refine(model, record(n=100), [rco.Effect("model_parameter", "x")])
