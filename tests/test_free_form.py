@@ -14,6 +14,7 @@ import rcorefine as rco
 from rcorefine.diagnosis import residual_tests
 from rcorefine.diagnosis.beside import Beside, stops
 from rcorefine.effects.along_motion import unit_forces
+from rcorefine.effects.tabulated import share_beyond
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
 from rcorefine.inference.fitted import fitted_from
@@ -228,8 +229,8 @@ def test_what_lies_beyond_the_table_is_said():
     assert any(beyond in note for note in rco.compare(better, strong, x0="zero").notes)
     gentle = rco.Measurement(0.5 * records[1].inputs, records[1].outputs, dt=0.02, hold="zoh")
     assert not any(beyond in note for note in rco.compare(better, gentle, x0="zero").notes)
-    assert BOTH.share_beyond([0.0, 3.0, -1.0, 0.0], [0.0, 0.0, 1.0, -1.5]) == 0.5
-    assert SPRING.share_beyond([0.0, 3.0], [9.0, 9.0]) == 0.5
+    assert share_beyond(BOTH, np.array([0.0, 3.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0, -1.5])) == 0.5
+    assert share_beyond(SPRING, np.array([0.0, 3.0]), np.array([9.0, 9.0])) == 0.5
 
 
 def test_words_and_pictures_give_no_probability_to_what_failed():

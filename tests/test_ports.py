@@ -386,8 +386,8 @@ class TestTimebase:
 
 class TestPhysicalModel:
     def test_wrong_type_says_what_to_do(self):
-        with pytest.raises(ct.ControlArgument, match=r"control\.ss"):
-            ports(ct.tf([1], [1, 1]))
+        with pytest.raises(ct.ControlArgument, match=r"StateSpace, not FrequencyResponseData"):
+            ports(ct.frd([1.0, 0.5], [1.0, 2.0]))
 
     def test_unknown_port_lists_those_that_exist(self):
         with pytest.raises(ModelError, match="x1, x2, x1-x2"):

@@ -133,7 +133,7 @@ def test_unknown_keyword() -> None:
 @pytest.mark.parametrize(
     "model, advice",
     [
-        (ct.tf([1], [1, 1]), r"control.ss"),
+        (ct.frd([1.0, 0.5], [1.0, 2.0]), "StateSpace, not FrequencyResponseData"),
         (ct.nlsys(None, lambda t, x, u, params: u, inputs=1, outputs=1), "linearize"),
         (np.eye(2), "StateSpace"),
         (None, "StateSpace"),

@@ -12,7 +12,7 @@ from ..arguments import as_state
 from ..data.channels import Channels, aligned, match_channels, record_for, with_outputs
 from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement
-from ..effects.tabulated import Table
+from ..effects.tabulated import Table, share_beyond
 from ..engine.free_runs import checked_horizon, free_runs
 from ..engine.simulation import simulated, structure_of, unjudged_samples
 from ..exceptions import DataError, DivergenceError
@@ -306,7 +306,7 @@ def _beyond_tables(model: Any, name: str, states: Array, inputs: Array) -> list[
         if isinstance(effect.law, Table):
             port = structure_of(model)[0].model.port(effect.place)
             d = port.position @ states + port.position_input @ inputs
-            share = effect.law.share_beyond(d, port.velocity @ states + port.velocity_input @ inputs)
+            share = share_beyond(effect.law, d, port.velocity @ states + port.velocity_input @ inputs)
             if share > 0.0:
                 said.append(
                     f"{name!r} moves beyond the knots of {effect.label} in {100 * share:.2g} % of the "

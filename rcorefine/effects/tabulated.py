@@ -18,7 +18,7 @@ from ..systems.linear import Array
 from .formula import PortLaw
 from .law import Coefficient, register
 
-__all__ = ["Table", "Tabulated"]
+__all__ = ["Table", "Tabulated", "share_beyond"]
 
 
 @dataclass(frozen=True)
@@ -87,25 +87,27 @@ class Table:
         high = (1 - q) * force[i + 1, j] + q * force[i + 1, j + 1]
         return np.asarray((1 - p) * low + p * high)
 
-    def share_beyond(self, d: ArrayLike, v: ArrayLike) -> float:
-        """Share of a motion that lies beyond the outer knots.
 
-        Parameters
-        ----------
-        d, v : array_like, shape (N,)
-            Displacement and velocity.
+def share_beyond(table: Table, d: Array, v: Array) -> float:
+    """Share of a motion that lies beyond the outer knots, where the force goes on straight.
 
-        Returns
-        -------
-        float
-            Where it is not 0, the force there follows from no knot: it goes on straight.
-        """
-        out = np.zeros(np.shape(d), dtype=bool)
-        for knots, x in ((self.d, np.asarray(d, dtype=float)), (self.v, np.asarray(v, dtype=float))):
-            if len(knots) > 1:
-                slack = 1e-9 * (knots[-1] - knots[0])
-                out |= (x < knots[0] - slack) | (x > knots[-1] + slack)
-        return float(np.mean(out))
+    Parameters
+    ----------
+    table : Table
+        Force at knots.
+    d, v : ndarray, shape (N,)
+        Displacement and velocity.
+
+    Returns
+    -------
+    float
+    """
+    out = np.zeros(d.shape, dtype=bool)
+    for knots, x in ((table.d, d), (table.v, v)):
+        if len(knots) > 1:
+            slack = 1e-9 * (knots[-1] - knots[0])
+            out |= (x < knots[0] - slack) | (x > knots[-1] + slack)
+    return float(np.mean(out))
 
 
 def _cells(knots: Array, x: Array) -> tuple[Any, Array]:

@@ -63,8 +63,8 @@ def sampling_rows(linear: LinearModel, data: Measurement) -> Iterator[CheckRow]:
     if unstable:
         yield CheckRow(
             LOOK, "stability", "", f"pole at {max(p.real for p in unstable):.3g}",
-            "The model is unstable, so it is judged by what it predicts one sample ahead; no gain or unit "
-            "can be read.",
+            "The model is unstable, so it is judged by what it predicts one sample ahead (or in short free "
+            "runs, horizon=); no gain or unit can be read.",
         )  # fmt: skip
 
 
