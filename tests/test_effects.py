@@ -44,6 +44,7 @@ TABLE = {
     "radiation": ("first_order", ("radiation",)),
     "input_power": ("input", ("power", "level")),
     "input_play": ("input", ("gap",)),
+    "input_rate_limit": ("input", ("rate",)),
     "constant_force": ("mechanical first_order", ("force",)),
     "sqrt_flow": ("first_order", ("flow",)),
     "threshold_flow": ("first_order", ("flow", "threshold")),

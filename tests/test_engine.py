@@ -314,6 +314,43 @@ def test_input_statics_and_their_derivatives():
         np.testing.assert_allclose(answer.sensitivity[:, :, 0], (up - down) / 2e-6, atol=1e-6)
 
 
+def chased(w, rate, hold, fine):
+    """An actuator that follows w no faster than a rate: sample by sample, `fine` points in each."""
+    points = np.arange((w.size - 1) * fine + 1) / fine
+    command = (
+        np.append(np.repeat(w[:-1], fine), w[-1]) if hold == "zoh" else np.interp(points, range(w.size), w)
+    )
+    found, r, reach = np.empty(command.size), w[0], rate * DT / fine
+    for k in range(command.size):
+        found[k] = r
+        target = command[k] if hold == "zoh" else command[min(k + 1, command.size - 1)]
+        r += np.clip(target - r, -reach, reach)
+    return found
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+def test_an_actuator_cannot_move_faster_than_a_rate(hold):
+    model, w = chain(), np.cumsum(force(200)) / 4.0
+    rate, fine = 0.6 * np.abs(np.diff(w)).max() / DT, 200
+    acts = chased(w, rate, hold, fine)
+    if hold == "zoh":  # what acts is the mean over each sample
+        means = np.append(((acts[:-1] + acts[1:]) / 2).reshape(-1, fine).mean(axis=1), 0.0)
+        truth = ct.forced_response(ct.sample_system(model, DT), None, means).outputs
+    else:
+        times = np.arange(acts.size) * DT / fine
+        truth = ct.forced_response(model, times, acts).outputs[:, ::fine]
+    structure = Structure(model, [Effect("input_rate_limit", "f")])
+    engine = Engine(structure, record(w, hold), substeps=16)
+    answer = engine.run(np.array([rate]), x0=np.zeros(4))
+    scale = np.abs(truth).max(axis=1, keepdims=True)
+    without = Engine(Structure(model), record(w, hold)).run(np.zeros(0), x0=np.zeros(4)).outputs
+    assert np.abs((without - truth) / scale).max() > 0.05
+    assert np.abs((answer.outputs - truth) / scale).max() < (1e-4 if hold == "zoh" else 2e-3)
+    up, low = (engine.run(np.array([rate + s]), x0=np.zeros(4)).outputs for s in (1e-5, -1e-5))
+    slope = (up - low) / 2e-5
+    np.testing.assert_allclose(answer.sensitivity[:, :, 0], slope, atol=1e-3 * np.abs(slope).max())
+
+
 def test_lags_gains_and_offsets_are_exact():
     model, w = chain(), force(150)
     u = held(w, "zoh")

@@ -250,6 +250,47 @@ def test_play_at_an_input_on_a_stream():
     assert np.ravel(refiner.static_theta)[0] == pytest.approx(0.7, rel=0.02)
 
 
+def slow_valve(seed, hold, n=1500, dt=0.02, rate=3.0, fine=20):
+    """Command and displacement of a mass behind an actuator of a largest speed, by an own Runge-Kutta."""
+    rng = np.random.default_rng(seed)
+    t = dt * np.arange(n)
+    steps = np.repeat(rng.uniform(-2.0, 2.0, n // 50), 50)
+    w = steps if hold == "zoh" else 2.0 * np.sin(1.9 * t + rng.uniform(0, 6)) + np.sin(4.3 * t)
+    h, r, x, y = dt / fine, w[0], np.zeros(2), np.zeros(n)
+    A, b = np.array([[0.0, 1.0], [-20.0, -0.8]]), np.array([0.0, 1.0])
+    for k in range(n - 1):
+        y[k] = x[0]
+        for j in range(fine):
+            target = w[k] if hold == "zoh" else w[k] + (j + 1) / fine * (w[k + 1] - w[k])
+            end = r + np.clip(target - r, -rate * h, rate * h)
+            mid, one = 0.5 * (r + end), A @ x + b * r
+            two = A @ (x + 0.5 * h * one) + b * mid
+            three = A @ (x + 0.5 * h * two) + b * mid
+            x = x + h / 6 * (one + 2 * two + 2 * three + A @ (x + h * three) + b * end)
+            r = end
+    y[-1] = x[0]
+    y += 0.01 * y.std() * rng.standard_normal(n)
+    return rco.Measurement(w, y, dt=dt, hold=hold)
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+def test_the_rate_of_an_actuator_is_found(hold):
+    model, errors = rco.mass_spring_damper(1.0, 0.8, 20.0), []
+    for seed in range(5):
+        found = rco.refine(model, slow_valve(seed, hold), [rco.Effect("input_rate_limit", "force")])
+        (row,) = [row for row in found.parameters if row.role == "effect"]
+        errors.append((row.value - 3.0) / row.std)
+        assert row.std < 0.05
+    assert np.abs(errors).max() < 3.3  # of five normal ones, in 995 of 1000 cases
+    assert np.sum(np.square(errors)) < 16.7  # chi-square of five, 99.5 %
+
+
+def test_a_rate_is_refused_on_a_stream():
+    model = rco.mass_spring_damper(1.0, 0.8, 20.0)
+    with pytest.raises(rco.ModelError, match="time between samples"):
+        rco.RCORefiner(model, dt=0.02, effects=[rco.Effect("input_rate_limit", "force")])
+
+
 def test_a_monitor_watches_for_a_users_law():
     model, data, y = dragged(6000, value=30.0, seed=4)
     sound = Engine(Structure(model), data).run(np.zeros(0)).outputs

@@ -34,6 +34,7 @@ MAX_COEFFICIENTS: Final = 4
 COUNT: Final = 18  # numbers that a law writes, before the derivatives by the inputs
 # where a law writes the derivatives of its force and of its inner state by what it takes
 _SLOTS: Final = {"d": (1, 6), "v": (2, 17), "d_start": (3, 7), "z_start": (4, 8)}
+_FOREVER: Final = 1e200  # s: a signal that has stood at its first value
 _STEP = "1e-6 * max(abs({x}), 1e-3)"
 
 _PLAIN: dict[int, Callable[..., None]] = {}  # laws by code, where nothing is compiled
@@ -50,13 +51,13 @@ if NUMBA:
         code : int
             Address of the law, as `address` gives it.
         d, v : float
-            Displacement and velocity; of a law at an input or output its signal and nothing.
+            Displacement and velocity; of a law at an input or output its signal and whether it is held.
         d_start, z_start : float
             Displacement and inner state at the start of the step.
         values, i
             Coefficients and constants: row i of an array.
         width : float
-            Scale over which a jump is smoothed.
+            Scale over which a jump is smoothed; of a law at an input the length of the step.
         w : ndarray, shape (n_w,)
             Inputs.
         out : ndarray
@@ -280,8 +281,8 @@ def raise_pending() -> None:
 
 
 @compiled
-def through(code, values, signal, slopes, value, own):  # type: ignore[no-untyped-def]
-    """Pass a signal (N,) through a law.
+def through(code, values, signal, slopes, value, own, step, held, settled):  # type: ignore[no-untyped-def]
+    """Pass a signal (N,) through a law, with `step` s from one value to the next.
 
     `slopes` (q, N), its derivatives by something, become those of `value`; `own` (4, N) takes the
     derivatives by the law's coefficients.
@@ -291,7 +292,8 @@ def through(code, values, signal, slopes, value, own):  # type: ignore[no-untype
     z, last = 0.0, signal[0]
     own_z, before_z, before = np.zeros(own.shape[0]), np.zeros(q), slopes[:, 0].copy()
     for k in range(signal.size):
-        evaluate(code, signal[k], 0.0, last, z, values, 0, 1.0, nothing, out)
+        lasts = _FOREVER if k == 0 and settled else step
+        evaluate(code, signal[k], held, last, z, values, 0, lasts, nothing, out)
         value[k] = out[0, 0]
         for c in range(own.shape[0]):
             own[c, k] = out[0, 9 + c] + out[0, 4] * own_z[c]

@@ -133,8 +133,19 @@ class FormulaLaw(Law):
         """What the kernels take; of this process only."""
         return self._address[0]
 
+    @property
+    def feels_time(self) -> bool:
+        """Whether the formula takes the time between the values of its signal."""
+        return "step" in self.arguments and "step" in self.signals
+
     def through(
-        self, signal: Array, *values: float, slopes: Array | None = None
+        self,
+        signal: Array,
+        *values: float,
+        slopes: Array | None = None,
+        step: float = 1.0,
+        held: bool = False,
+        settled: bool = True,
     ) -> tuple[Array, Array, Array]:
         """What the law makes of a signal that is known.
 
@@ -146,6 +157,12 @@ class FormulaLaw(Law):
             Coefficients and constants.
         slopes : ndarray, shape (q, N), optional
             Derivatives of the signal by something.
+        step : float
+            Time [s] from one value to the next.
+        held : bool
+            Whether each value is held up to the next one.
+        settled : bool
+            Whether the signal stood at its first value before; else it was zero.
 
         Returns
         -------
@@ -160,7 +177,7 @@ class FormulaLaw(Law):
         row[0, : len(values)] = values
         passed = np.zeros((0, signal.size)) if slopes is None else np.array(slopes, dtype=float)
         value, own = np.empty(signal.size), np.empty((MAX_COEFFICIENTS, signal.size))
-        through(self.code, row, signal, passed, value, own)
+        through(self.code, row, signal, passed, value, own, step, float(held), settled)
         raise_pending()
         return value, own, passed
 
@@ -181,11 +198,15 @@ class InputLaw(FormulaLaw):
     """What happens to an input before it acts: ``law(w, ...)``.
 
     The formula may take ``w``, ``w_start`` and ``z_start`` (input and inner state at the start of the
-    step) and the law's coefficients and constants.
+    step), ``step`` (its length [s]), ``held`` (1 where w is held from here to the end of the step, and the
+    value is to be the mean over it; 0 where w runs in a straight line and is reached at the end) and
+    the law's coefficients and constants.
     """
 
     where = frozenset({"input"})
-    signals = MappingProxyType({"w": "d", "w_start": "d_start", "z_start": "z_start"})
+    signals = MappingProxyType(
+        {"w": "d", "w_start": "d_start", "z_start": "z_start", "step": "width", "held": "v"}
+    )
 
 
 class OutputLaw(FormulaLaw):

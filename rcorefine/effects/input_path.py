@@ -252,3 +252,60 @@ class InputPlay(InputLaw):
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Gaps in shares of the command."""
         return [{"gap": float(q)} for q in np.quantile(np.abs(seen.signal), [0.1, 0.3, 0.6])]
+
+
+@register
+class InputRateLimit(InputLaw):
+    """Actuator that cannot move faster than a rate.
+
+    It moves towards the command at that rate until it has reached it. Before the record it stands at the
+    command's first value (at zero where the initial state is given as zero). Between samples the command
+    is what the record's hold says. A held one is chased over the sample, and what acts is the mean over the
+    sample: exact but for what the model tells apart within a sample. Else it runs in straight lines
+    between the nodes of the engine, exact at them but for where it turns between two.
+    """
+
+    where = frozenset(["input"])
+    coefficients = (
+        Coefficient(
+            "rate", "signal/s", lower=0.0, default_start=None, shapes=True, explanation="fastest change"
+        ),
+    )
+    formula = "dr/dt = rate sgn(w - r) until r = w, w -> r"
+    explanation = "The input {place} cannot change faster than a rate: the actuator lags behind large moves."
+    on_request = True  # a servo or a valve has one; a force that is switched has none
+
+    @staticmethod
+    def law(w, z_start, step, held, rate):  # type: ignore[no-untyped-def]
+        """Formula."""
+        gap, reach = w - z_start, rate * step
+        r = z_start + min(max(gap, -reach), reach)
+        if held == 0.0:
+            return r, r
+        if abs(gap) < reach:
+            return w - 0.5 * gap * abs(gap) / reach, r
+        return 0.5 * (z_start + r), r
+
+    @staticmethod
+    def slopes(w, z_start, step, held, rate):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        gap, reach = w - z_start, rate * step
+        if abs(gap) < reach:
+            row = (w, 1.0, 0.0, 0.0, 0.0, 0.0)
+            if held == 0.0:
+                return row, row
+            late = abs(gap) / reach
+            mean = w - 0.5 * gap * late
+            return (mean, 1.0 - late, late, 0.5 * gap * late / step, 0.0, 0.5 * gap * late / rate), row
+        side = 1.0 if gap > 0.0 else -1.0
+        row = (z_start + side * reach, 0.0, 1.0, side * rate, 0.0, side * step)
+        if held == 0.0:
+            return row, row
+        return (z_start + 0.5 * side * reach, 0.0, 1.0, 0.5 * side * rate, 0.0, 0.5 * side * step), row
+
+    def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
+        """Rates that the command exceeds now and then."""
+        rates = np.abs(np.diff(seen.signal)) / seen.dt
+        rates = rates[rates > 0]
+        levels = np.quantile(rates, [0.95, 0.8, 0.5, 0.2]) if rates.size else [1.0]
+        return [{"rate": float(q)} for q in levels]

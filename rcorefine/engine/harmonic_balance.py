@@ -181,7 +181,8 @@ class Balance:
                 delay = values[0]
             else:
                 # with memory, the second of two turns has forgotten where it began
-                signal = law.through(np.tile(signal, 2), *values)[0][signal.size :]
+                step = 2 * np.pi / omega / signal.size
+                signal = law.through(np.tile(signal, 2), *values, step=step)[0][signal.size :]
         order = np.arange(self.harmonics + 1)
         w[self.channel] = _phasors(signal @ self.analysis.T) * np.exp(-1j * order * omega * delay)
         return w

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,7 +113,7 @@ class InputSignal:
         for channel in sorted({c for _, c in statics}):
             here = [index for index, c in statics if c == channel]
             samples = self.inputs[channel] if self._fine is None else self._fine[channel]
-            signal, slopes = _statics(structure, theta, here, samples)
+            signal, slopes = self._statics(structure, theta, here, samples)
             delay, column = _delay(structure, theta, here)
             signals = [signal, *slopes.values()]
             at_nodes, at_samples, rate, rate_out = self._delayed(np.array(signals), delay)
@@ -134,6 +134,41 @@ class InputSignal:
             np.array(dWout) if dWout else np.zeros(shape_out),
             np.array(driven, dtype=np.int64),
         )
+
+    def _statics(
+        self, structure: Structure, theta: Array, effects: list[int], signal: Array
+    ) -> tuple[Array, dict[int, Array]]:
+        """The laws in turn, and the derivative by each free coefficient."""
+        columns: list[int] = []
+        point = structure.model.operating_point
+        value = signal
+        held = self._fine is None
+        time: dict[str, Any] = {
+            "step": self.dt if held else self.dt / self.substeps,
+            "held": held,
+            "settled": point is not None or self._before > 0,
+        }
+        if point is not None:  # laws see absolute values; before the record the input stood at the point
+            level = point.inputs[
+                structure.linear_model.input_labels.index(structure.effects[effects[0]].place)
+            ]
+            value = np.concatenate([[level], signal + level])
+        slopes = np.zeros((0, value.size))
+        for index in effects:
+            law = structure.effects[index].spec
+            if law.delays or not isinstance(law, InputLaw):
+                continue
+            value, own, slopes = law.through(
+                value, *structure.law_values(theta, index), slopes=slopes, **time
+            )
+            found = structure.law_columns(index)
+            free = [c for c, column in enumerate(found) if column >= 0]
+            slopes = np.vstack([slopes, own[free]])
+            columns += [found[c] for c in free]
+        if point is not None:
+            value = value[1:] - (value[0] if structure.balanced else level)
+            slopes = slopes[:, 1:] - (slopes[:, :1] if structure.balanced else 0.0)
+        return value, dict(zip(columns, slopes, strict=True))
 
     def _delayed(self, signals: Array, delay: float) -> tuple[Array, Array, Array, Array]:
         """Signals (k, points) at the nodes and samples, shifted; and the rate of the first."""
@@ -168,32 +203,6 @@ def _refine(w: Array, factor: int) -> Array:
     """Linear interpolation of each row by an integer factor."""
     points = np.arange((w.shape[1] - 1) * factor + 1) / factor
     return np.stack([np.interp(points, np.arange(w.shape[1]), row) for row in w])
-
-
-def _statics(
-    structure: Structure, theta: Array, effects: list[int], signal: Array
-) -> tuple[Array, dict[int, Array]]:
-    """The laws in turn, and the derivative by each free coefficient."""
-    columns: list[int] = []
-    point = structure.model.operating_point
-    value = signal
-    if point is not None:  # laws see absolute values; before the record the input stood at the point
-        level = point.inputs[structure.linear_model.input_labels.index(structure.effects[effects[0]].place)]
-        value = np.concatenate([[level], signal + level])
-    slopes = np.zeros((0, value.size))
-    for index in effects:
-        law = structure.effects[index].spec
-        if law.delays or not isinstance(law, InputLaw):
-            continue
-        value, own, slopes = law.through(value, *structure.law_values(theta, index), slopes=slopes)
-        found = structure.law_columns(index)
-        free = [c for c, column in enumerate(found) if column >= 0]
-        slopes = np.vstack([slopes, own[free]])
-        columns += [found[c] for c in free]
-    if point is not None:
-        value = value[1:] - (value[0] if structure.balanced else level)
-        slopes = slopes[:, 1:] - (slopes[:, :1] if structure.balanced else 0.0)
-    return value, dict(zip(columns, slopes, strict=True))
 
 
 def _delay(structure: Structure, theta: Array, effects: list[int]) -> tuple[float, int]:

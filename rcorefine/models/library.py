@@ -65,7 +65,7 @@ def effect_library(
     Left out unless asked for by `kinds`: springs between a mass and the ground where the model
     has neither spring nor another link at that mass; masses, hidden modes and constant
     forces between two masses; laws that need to know more than a model says (`gravity`,
-    `cogging`, `magnetic_force`, `radiation`, `load_friction`, `play`, `input_play`,
+    `cogging`, `magnetic_force`, `radiation`, `load_friction`, `play`, `input_play`, `input_rate_limit`,
     `input_power`); `custom` laws (which need a law); entries of A that a port explains.
     Effects that act exactly alike are listed once, at the place whose parameter they change
     (in a series circuit, resistance at the resistor).

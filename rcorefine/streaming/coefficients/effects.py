@@ -249,6 +249,11 @@ def make_effects_setup(
                 f"{effect.label}: a delay at an output needs the future and cannot be estimated on a stream; "
                 "use an input_delay, an output_lag, or refine() on a record"
             )
+        if isinstance(effect.spec, InputLaw) and effect.spec.feels_time:
+            raise ModelError(
+                f"{effect.label}: a law that feels the time between samples is not estimated on a stream; "
+                "use refine() on a record"
+            )
     if not effects:
         raise ModelError("effects is empty: name at least one Effect, or leave effects out")
     seen: set[tuple[str, str]] = set()
