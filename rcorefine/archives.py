@@ -13,7 +13,7 @@ import numpy as np
 
 from .exceptions import DataError
 
-__all__ = ["arrays_of", "most_bytes", "read_archive"]
+__all__ = ["array_of", "arrays_of", "most_bytes", "read_archive"]
 
 _ROOM = 1 << 31  # bytes that any file may unfold to ...
 _TIMES = 100  # ... and how many times its own size beyond that
@@ -80,11 +80,11 @@ def arrays_of(raw: bytes) -> dict[str, np.ndarray[Any, Any]]:
             name = item.filename.removesuffix(".npy")
             if name in found:
                 raise ValueError(f"two arrays are called {name!r}")
-            found[name] = _array(archive.read(item), name)
+            found[name] = array_of(archive.read(item), name)
     return found
 
 
-def _array(content: bytes, name: str) -> np.ndarray[Any, Any]:
+def array_of(content: bytes, name: str) -> np.ndarray[Any, Any]:
     """One array; its header must claim as many bytes as follow."""
     stream = io.BytesIO(content)
     version = np.lib.format.read_magic(stream)

@@ -11,6 +11,7 @@ from typing import Any
 
 import control as ct
 import numpy as np
+from scipy.sparse import issparse
 
 from ..archives import read_archive
 from ..data.matlab import read_matlab
@@ -18,6 +19,7 @@ from ..exceptions import ModelError
 from ..systems.linear import Array
 from . import builders
 from .conversion import physical
+from .matrix_files import read_matrix
 from .physical_model import PhysicalModel
 
 __all__ = ["MATRICES", "builder_names", "read_model"]
@@ -25,7 +27,8 @@ __all__ = ["MATRICES", "builder_names", "read_model"]
 #: Table of a TOML file that holds matrices; the others are named like the builders.
 MATRICES = "state_space"
 _LABELS = ("inputs", "outputs", "states")
-_KNOWN = ("links", "units", "parameters")  # what `physical` takes beside the matrices
+_KNOWN = ("links", "units", "parameters", "operating_point")  # what `physical` takes beside the matrices
+_IN_FILES = {MATRICES: ("A", "B", "C", "D"), builders.mechanical.__name__: ("M", "C", "K", "force_map")}
 _MAPS = ("force", "force_map")  # a list of lists is a matrix there
 _MOST_STATES = 1000  # of a model in a file; a chain of 500 masses takes seconds, one of 2000 minutes
 # what Python raises where a value is not of the kind that a builder expects
@@ -50,15 +53,18 @@ def read_model(path: str | PathLike[str]) -> ct.StateSpace | PhysicalModel:
     ----------
     path : str or path
         ``.toml``: one table, ``[state_space]`` with A, B, C, D (and dt, inputs, outputs, states, name,
-        and links, units, parameters as in `physical`), or a table named like a builder
-        (``[mass_spring_damper]``, ``[series_rlc]``, ...) with its parameters. ``.npz`` or ``.mat``:
+        and links, units, parameters, operating_point as in `physical`), or a table named like a builder
+        (``[mass_spring_damper]``, ``[series_rlc]``, ...) with its parameters. Matrices of these (A, B,
+        C, D; M, C, K and force_map of ``[mechanical]``) may stand in files of their own,
+        ``A = "A.csv"``: .csv, .mtx (Matrix Market) or .npy, beside the TOML file. ``.npz`` or ``.mat``:
         arrays A, B, C, and D, dt, inputs, outputs, states, name where they are not 0 and not the
         default names.
 
     Returns
     -------
     StateSpace or PhysicalModel
-        Matrices give a `StateSpace`, with links, units or parameters and from builders a `PhysicalModel`.
+        Matrices give a `StateSpace`; with links, units, parameters or an operating point, and from
+        builders, a `PhysicalModel`.
 
     Raises
     ------
@@ -119,6 +125,9 @@ def _from_toml(file: Path) -> ct.StateSpace | PhysicalModel:
     if not isinstance(table, dict):
         raise ModelError(f"{file}: {kind} must be a table, [{kind}] on a line of its own")
     where = f"{file}, [{kind}]"
+    for key in _IN_FILES.get(kind, ()):
+        if isinstance(table.get(key), str):
+            table[key] = _from_file(file.parent / table[key], f"{where}, {key}")
     if kind == MATRICES:
         holds = f"the table holds {', '.join(table) or 'nothing'}"
         declared = {key: table.pop(key) for key in _KNOWN if key in table}
@@ -138,10 +147,19 @@ def _from_toml(file: Path) -> ct.StateSpace | PhysicalModel:
     return model
 
 
+def _from_file(path: Path, where: str) -> Array:
+    """Matrix of a file, its size and numbers checked; a .npy of one dimension stays one row or column."""
+    found = read_matrix(path, where)
+    _check_size(max(found.shape, default=0), where)
+    found = found.toarray() if issparse(found) else found
+    matrix = _matrix(found, f"{where}: {path}")
+    return matrix[0] if np.ndim(found) == 1 else matrix
+
+
 def _physical(plain: ct.StateSpace, known: Mapping[str, Any], where: str) -> PhysicalModel:
     try:
         return physical(plain, **known)
-    except (ModelError, ct.ControlArgument) as error:
+    except (ModelError, ct.ControlArgument, ct.ControlDimension) as error:
         raise ModelError(f"{where}: {error}") from error
 
 
