@@ -508,6 +508,7 @@ CALLS: dict[str, Call] = {
             "damping_ratio": is_numbers,
             "excitation": is_text,
             "links": is_mapping,
+            "n_modes": or_none(is_number),
         },
         M=[2.0, 1.0],
         K=[[3.0, -1.0], [-1.0, 1.0]],

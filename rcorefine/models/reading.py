@@ -127,7 +127,8 @@ def _from_toml(file: Path) -> ct.StateSpace | PhysicalModel:
     where = f"{file}, [{kind}]"
     for key in _IN_FILES.get(kind, ()):
         if isinstance(table.get(key), str):
-            table[key] = _from_file(file.parent / table[key], f"{where}, {key}")
+            path, whole = file.parent / table[key], "n_modes" not in table
+            table[key] = _from_file(path, f"{where}, {key}", whole=whole)
     if kind == MATRICES:
         holds = f"the table holds {', '.join(table) or 'nothing'}"
         declared = {key: table.pop(key) for key in _KNOWN if key in table}
@@ -147,9 +148,11 @@ def _from_toml(file: Path) -> ct.StateSpace | PhysicalModel:
     return model
 
 
-def _from_file(path: Path, where: str) -> Array:
+def _from_file(path: Path, where: str, *, whole: bool) -> Any:
     """Matrix of a file, its size and numbers checked; a .npy of one dimension stays one row or column."""
     found = read_matrix(path, where)
+    if issparse(found) and not whole:  # a few modes of it are kept
+        return found
     _check_size(max(found.shape, default=0), where)
     found = found.toarray() if issparse(found) else found
     matrix = _matrix(found, f"{where}: {path}")

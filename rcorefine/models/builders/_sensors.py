@@ -107,7 +107,7 @@ def parse_force(force: Any, size: int) -> tuple[Array, list[str]]:
 
 
 def input_map(
-    excitation: str, force: Any, M: Array, units: Units
+    excitation: str, force: Any, M: Any, units: Units
 ) -> tuple[Array, Array, list[str], tuple[str, ...]]:
     """Columns of F, base flags, labels and units of the inputs."""
     as_choice(excitation, "excitation", ("force", "base"))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
 import control as ct
 import numpy as np
 from scipy.linalg import eigh
+from scipy.sparse import csc_matrix, diags, issparse
 
 from ... import arguments
 from ...arguments import as_text
@@ -18,6 +20,7 @@ from ..parameters import NominalParameter
 from ..physical_model import PhysicalModel
 from ._assembly import Place, SecondOrder, Units, unit_vector
 from ._checks import as_index, as_labels, as_matrix, as_vector
+from ._modes import as_sparse, lowest_modes
 from ._sensors import input_map, parse_sensors
 
 __all__ = ["mechanical"]
@@ -33,6 +36,7 @@ def mechanical(
     force_map: int | Sequence[int] | Array | None = None,
     links: Mapping[str, Any] | None = None,
     sensors: Any = "displacement",
+    n_modes: int | None = None,
     inputs: str | Sequence[str] | None = None,
     outputs: str | Sequence[str] | None = None,
     states: Sequence[str] | None = None,
@@ -44,8 +48,9 @@ def mechanical(
 
     Parameters
     ----------
-    M : array_like of shape (n, n)
-        Mass matrix, symmetric and positive definite; n numbers make a diagonal one.
+    M : array_like or sparse array of shape (n, n)
+        Mass matrix, symmetric and positive definite; n numbers make a diagonal one. `M`, `C` and `K` may
+        be sparse, as `scipy.io.mmread` gives them.
     C : array_like of shape (n, n), optional
         Damping matrix; not symmetric where there are gyroscopic forces.
         Zero if neither it nor `damping_ratio` is given.
@@ -53,7 +58,7 @@ def mechanical(
         Stiffness matrix, symmetric; zero if it is not given.
     damping_ratio : float or sequence of n floats, optional
         Modal damping ratios, in the order of the natural frequencies, in place of `C`:
-        C = M Phi diag(2 zeta omega) Phi' M with Phi' M Phi = I.
+        C = M Phi diag(2 zeta omega) Phi' M with Phi' M Phi = I. With `n_modes` one for each of these.
     excitation : {"force", "base"}, optional
         ``"base"`` makes the acceleration of the base, the same for all displacements, the
         first input; the states are then relative to the base.
@@ -66,6 +71,9 @@ def mechanical(
         d = g @ q. Default: every pair that K or C couples, named ``"mass1-mass2"``.
     sensors : str, tuple or list, optional
         As for `mass_spring_damper`, ``("velocity", 1)`` and so on.
+    n_modes : int, optional
+        Keep the lowest so many modes, those of a rigid body among them: for matrices of
+        finite elements. The states are then modal, q = Phi eta with Phi' M Phi = I.
     inputs, outputs, states : str or sequence of str, optional
         Labels.
     position_unit, force_unit : str, optional
@@ -76,17 +84,22 @@ def mechanical(
     Returns
     -------
     PhysicalModel
-        Model with a port for each link and ``mass1..mass{n}`` for the displacements.
+        Model with a port for each link and ``mass1..mass{n}`` for the displacements; with `n_modes`
+        for each of the named `links` (none by default) and ``mode1..mode{n_modes}``.
 
     Raises
     ------
     control.ControlDimension
         If sizes do not fit.
     ModelError
-        If M is not positive definite or a matrix is not symmetric.
+        If M is not positive definite or a matrix is not symmetric; with `n_modes` also if there are not as
+        many modes or K has a negative direction.
 
     Notes
     -----
+    What `n_modes` leaves out is also missing below the last mode kept: the static part of the higher
+    modes. Keep modes up to twice the highest frequency of interest, and compare with one more.
+
     Any symmetric K is a sum of springs between pairs (-K_ij) and to the ground (the sum of row
     i, at ``mass{i}``). These are the nominal parameters; those of C likewise, if it was given.
 
@@ -97,24 +110,26 @@ def mechanical(
     ['mass1-mass2', 'mass1', 'mass2']
     >>> bool(np.allclose(ct.damp(model.system, doprint=False)[1], 0.02))
     True
-    """
-    given = np.atleast_1d(arguments.as_array(M, "M", error=ModelError))
-    given = np.diag(as_vector(given, "M")) if given.ndim == 1 else given
-    n = given.shape[0]
-    mass = as_matrix(given, "M", n, symmetric=True)
-    smallest = float(np.linalg.eigvalsh(mass)[0])
-    if smallest <= 0:
-        raise ModelError(
-            f"M must be positive definite, its smallest eigenvalue is {smallest:g}; "
-            "every displacement needs a mass"
-        )
-    stiffness = np.zeros((n, n)) if K is None else as_matrix(K, "K", n, symmetric=True)
-    damping = np.zeros((n, n)) if C is None else as_matrix(C, "C", n, symmetric=False)
-    if damping_ratio is not None:
-        if C is not None:
-            raise ct.ControlArgument("give C or damping_ratio, not both")
-        damping = _modal_damping(mass, stiffness, damping_ratio)
 
+    A free-free bar of 500 elements, by its rigid mode and its first two elastic ones:
+
+    >>> from scipy.sparse import diags
+    >>> ends = np.r_[1.0, np.full(499, 2.0), 1.0]
+    >>> K = diags([-np.ones(500), ends, -np.ones(500)], [-1, 0, 1]) * 500.0
+    >>> bar = mechanical(diags(ends / 1000), K=K, damping_ratio=0.01, n_modes=3, sensors=("velocity", 501))
+    >>> [port.name for port in bar.ports]
+    ['mode1', 'mode2', 'mode3']
+    >>> [round(q.value**0.5 / np.pi, 3) for q in bar.parameters if q.kind == "stiffness"]
+    [0.0, 1.0, 2.0]
+    """
+    if n_modes is not None:
+        return _by_modes(
+            M, C, K, n_modes, damping_ratio, links, sensors, excitation, force_map,
+            Units(as_text(position_unit, "position_unit"), as_text(force_unit, "force_unit")),
+            inputs, outputs, states, as_text(name, "name"),
+        )  # fmt: skip
+    mass, damping, stiffness = _whole(M, C, K, damping_ratio)
+    n = mass.shape[0]
     listed = damping if C is not None and np.allclose(damping, damping.T) else np.zeros((n, n))
     places, pairs = _named_links(links, n) if links is not None else _found_links(stiffness, listed)
     points = [
@@ -138,12 +153,93 @@ def mechanical(
     )
 
 
-def _modal_damping(M: Array, K: Array, ratio: Any) -> Array:
-    values = as_vector(ratio, "damping_ratio", positive=False)
-    if values.size not in (1, M.shape[0]):
-        raise ct.ControlDimension(
-            f"damping_ratio has {values.size} entries, expected 1 or one per mode ({M.shape[0]})"
+def _whole(M: Any, C: Any, K: Any, damping_ratio: Any) -> tuple[Array, Array, Array]:
+    """Mass, damping and stiffness, checked."""
+    M, C, K = (X.toarray() if issparse(X) else X for X in (M, C, K))
+    given = np.atleast_1d(arguments.as_array(M, "M", error=ModelError))
+    given = np.diag(as_vector(given, "M")) if given.ndim == 1 else given
+    n = given.shape[0]
+    mass = as_matrix(given, "M", n, symmetric=True)
+    smallest = float(np.linalg.eigvalsh(mass)[0])
+    if smallest <= 0:
+        raise ModelError(
+            f"M must be positive definite, its smallest eigenvalue is {smallest:g}; "
+            "every displacement needs a mass"
         )
+    stiffness = np.zeros((n, n)) if K is None else as_matrix(K, "K", n, symmetric=True)
+    damping = np.zeros((n, n)) if C is None else as_matrix(C, "C", n, symmetric=False)
+    if damping_ratio is not None:
+        if C is not None:
+            raise ct.ControlArgument("give C or damping_ratio, not both")
+        damping = _modal_damping(mass, stiffness, damping_ratio)
+    return mass, damping, stiffness
+
+
+def _by_modes(
+    M: Any, C: Any, K: Any, n_modes: Any, ratio: Any, links: Any, sensors: Any, excitation: str,
+    force_map: Any, units: Units, inputs: Any, outputs: Any, states: Any, name: str,
+) -> PhysicalModel:  # fmt: skip
+    """The lowest modes of a structure, with its sensors, forces and named links projected on them."""
+    if not issparse(M):
+        M = np.atleast_1d(arguments.as_array(M, "M", error=ModelError))
+        M = diags(as_vector(M, "M"), format="csc") if M.ndim == 1 else M
+    n = M.shape[0]
+    r = as_index(n_modes, "n_modes", n) + 1
+    mass = as_sparse(M, "M", n, symmetric=True)
+    stiffness = csc_matrix((n, n)) if K is None else as_sparse(K, "K", n, symmetric=True)
+    squares, shapes = lowest_modes(mass, stiffness, r)
+    damping = np.zeros((r, r))
+    if C is not None:
+        if ratio is not None:
+            raise ct.ControlArgument("give C or damping_ratio, not both")
+        damping = shapes.T @ (as_sparse(C, "C", n, symmetric=False) @ shapes)
+    elif ratio is not None:
+        damping = np.diag(2.0 * _ratios(ratio, r) * np.sqrt(squares))
+    places = [] if links is None else _named_links(links, n)[0]
+    F, base, input_default, input_units = input_map(excitation, force_map, mass, units)
+    found = parse_sensors(sensors, n, {place.name: place for place in places}, base, units)
+    rows = [
+        replace(s, **{key: getattr(s, key) @ shapes for key in ("displacement", "velocity", "acceleration")})
+        for s in found
+    ]
+    modes = [
+        Place(f"mode{i + 1}", unit_vector(r, (i, 1.0)), f"mode of {np.sqrt(w2):.4g} rad/s", absolute=False)
+        for i, w2 in enumerate(squares)
+    ]
+    own = [replace(place, direction=place.direction @ shapes) for place in places]
+    diagonal = {"damping": np.diag(damping), "stiffness": squares}
+    model = SecondOrder(np.eye(r), damping, np.diag(squares), shapes.T @ F, 0.0 * base, units).build(
+        [*own, *modes],
+        rows,
+        [
+            NominalParameter(f"{kind[0]}[{mode.name}]", float(value), "", kind, mode.name)
+            for kind, values in diagonal.items()
+            for mode, value in zip(modes, values, strict=True)
+        ],
+        inputs=as_labels(inputs, "inputs", input_default),
+        input_units=input_units,
+        outputs=as_labels(outputs, "outputs", [sensor.label for sensor in found]),
+        states=as_labels(states, "states", [f"{x}{i + 1}" for x in ("eta", "deta") for i in range(r)]),
+        name=name,
+    )
+    ports = tuple(
+        replace(p, modal=True, position_unit="", velocity_unit="", force_unit="") if k >= len(own) else p
+        for k, p in enumerate(model.ports)
+    )
+    return replace(model, ports=ports, state_units=("",) * (2 * r))
+
+
+def _ratios(ratio: Any, count: int) -> Array:
+    values = as_vector(ratio, "damping_ratio", positive=False)
+    if values.size not in (1, count):
+        raise ct.ControlDimension(
+            f"damping_ratio has {values.size} entries, expected 1 or one per mode ({count})"
+        )
+    return values
+
+
+def _modal_damping(M: Array, K: Array, ratio: Any) -> Array:
+    values = _ratios(ratio, M.shape[0])
     squared, modes = eigh(K, M)
     if squared[0] < -1e-9 * np.abs(squared).max():
         raise ModelError(
