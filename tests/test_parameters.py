@@ -8,8 +8,10 @@ import pytest
 from scipy.signal import cont2discrete, dlsim
 
 import rcorefine as rco
+from rcorefine.diagnosis.absorbed import numbers_that_moved
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
+from rcorefine.inference.refinement import EstimatedParameter
 
 M, C, K = (1.0, 0.6), (0.4, 0.3), (120.0, 90.0)  # two masses on the ground and on each other
 FACTORS = {"m2": 0.97, "k1": 1.03, "k2": 0.98, "c1": 1.04}
@@ -137,3 +139,12 @@ def test_numbers_that_leave_most_of_the_record_do_not_explain_it():
     assert found.verdict != "parameters"
     assert found.best.effect.kind == "coulomb_friction"
     assert abs(found.best.coefficients["force"] - 0.6) < 0.06
+
+
+def test_numbers_that_moved_far_may_stand_in_for_a_law():
+    def row(value, std):
+        return EstimatedParameter("k", "stiffness", "q1", 100.0, value, value - 100.0, std, "", "linear")
+
+    assert "stand in" not in numbers_that_moved([row(125.0, 1.0)])
+    assert "stand in" not in numbers_that_moved([row(140.0, 5.0)])  # 40 +- 15 %: not for certain
+    assert "k moved so far" in numbers_that_moved([row(40.0, 3.0)])

@@ -12,6 +12,7 @@ __all__ = ["numbers_that_moved", "what_was_absorbed"]
 
 _SURE = 3.0  # standard deviations from which on a number has moved
 _MOST = 6  # numbers that are listed
+_FAR = 0.3  # of a number: more than people are off who know their plant
 
 
 def what_was_absorbed(base: Refinement) -> str:
@@ -61,7 +62,12 @@ def numbers_that_moved(rows: Sequence[EstimatedParameter]) -> str:
     if not said:
         return "No single one moved for certain; together they explain the residual."
     more = f" and {len(sure) - _MOST} more" if len(sure) > _MOST else ""
-    return f"Off for certain: {', '.join(said)}{more}."
+    far = [row.name for row in sure if abs(row.coefficient) - _SURE * row.std > _FAR * abs(row.initial)]
+    doubt = (
+        f" {', '.join(far[:_MOST])} moved so far that they may stand in for a law at a place that the model "
+        "does not show: declare its links with physical(...)."
+    )
+    return f"Off for certain: {', '.join(said)}{more}.{doubt if far else ''}"
 
 
 def _moved(row: EstimatedParameter) -> bool:
