@@ -285,6 +285,18 @@ def test_the_rate_of_an_actuator_is_found(hold):
     assert np.sum(np.square(errors)) < 16.7  # chi-square of five, 99.5 %
 
 
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+def test_about_an_operating_point_a_rate_is_the_same(hold):
+    plain, data = rco.mass_spring_damper(1.0, 0.8, 20.0), slow_valve(3, hold)
+    about = rco.physical(plain, operating_point={"inputs": [50.0], "states": [2.5, 0.0]})
+    absolute = rco.Measurement(data.inputs + 50.0, data.outputs + 2.5, dt=data.dt, hold=hold)
+    found = []
+    for model, record in ((plain, data), (about, absolute)):
+        fit = rco.refine(model, record, [rco.Effect("input_rate_limit", "force")])
+        found += [row for row in fit.parameters if row.role == "effect"]
+    assert found[1].value == pytest.approx(found[0].value, abs=1e-3 * found[0].std)
+
+
 def test_a_rate_is_refused_on_a_stream():
     model = rco.mass_spring_damper(1.0, 0.8, 20.0)
     with pytest.raises(rco.ModelError, match="time between samples"):

@@ -292,7 +292,7 @@ def through(code, values, signal, slopes, value, own, step, held, settled):  # t
     z, last = 0.0, signal[0]
     own_z, before_z, before = np.zeros(own.shape[0]), np.zeros(q), slopes[:, 0].copy()
     for k in range(signal.size):
-        lasts = _FOREVER if k == 0 and settled else step
+        lasts = _FOREVER if k < settled else step
         evaluate(code, signal[k], held, last, z, values, 0, lasts, nothing, out)
         value[k] = out[0, 0]
         for c in range(own.shape[0]):

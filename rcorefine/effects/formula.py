@@ -145,7 +145,7 @@ class FormulaLaw(Law):
         slopes: Array | None = None,
         step: float = 1.0,
         held: bool = False,
-        settled: bool = True,
+        settled: int = 1,
     ) -> tuple[Array, Array, Array]:
         """What the law makes of a signal that is known.
 
@@ -161,8 +161,8 @@ class FormulaLaw(Law):
             Time [s] from one value to the next.
         held : bool
             Whether each value is held up to the next one.
-        settled : bool
-            Whether the signal stood at its first value before; else it was zero.
+        settled : int
+            How many of its first values the signal stood at for long; before these it was zero.
 
         Returns
         -------

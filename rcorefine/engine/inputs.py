@@ -146,7 +146,7 @@ class InputSignal:
         time: dict[str, Any] = {
             "step": self.dt if held else self.dt / self.substeps,
             "held": held,
-            "settled": point is not None or self._before > 0,
+            "settled": (point is not None) + (self._before > 0),
         }
         if point is not None:  # laws see absolute values; before the record the input stood at the point
             level = point.inputs[
