@@ -285,6 +285,16 @@ def test_the_rate_of_an_actuator_is_found(hold):
     assert np.sum(np.square(errors)) < 16.7  # chi-square of five, 99.5 %
 
 
+def test_a_rate_is_told_from_a_lag_where_the_command_steps():
+    model = rco.mass_spring_damper(1.0, 0.8, 20.0)
+    kinds = ("input_rate_limit", "input_lag", "input_delay")
+    for seed, rate in ((11, 3.0), (13, 3.0), (21, 0.6)):  # steps of any size, slow and fast actuators
+        record = slow_valve(seed, "zoh", rate=rate)
+        found = rco.diagnose(model, record, candidates=[rco.Effect(kind, "force") for kind in kinds])
+        assert found.best.effect.kind == "input_rate_limit"
+        assert abs(found.best.coefficients["rate"] - rate) < 4 * found.best.std["rate"]
+
+
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
 def test_about_an_operating_point_a_rate_is_the_same(hold):
     plain, data = rco.mass_spring_damper(1.0, 0.8, 20.0), slow_valve(3, hold)

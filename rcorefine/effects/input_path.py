@@ -304,8 +304,11 @@ class InputRateLimit(InputLaw):
         return (z_start + 0.5 * side * reach, 0.0, 1.0, 0.5 * side * rate, 0.0, 0.5 * side * step), row
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
-        """Rates that the command exceeds now and then."""
-        rates = np.abs(np.diff(seen.signal)) / seen.dt
-        rates = rates[rates > 0]
-        levels = np.quantile(rates, [0.95, 0.8, 0.5, 0.2]) if rates.size else [1.0]
-        return [{"rate": float(q)} for q in levels]
+        """Rates that the command exceeds now and then, over one sample and over stretches between steps."""
+        found = []
+        for samples in (64, 16, 4, 1):
+            rates = np.abs(seen.signal[samples:] - seen.signal[:-samples]) / (samples * seen.dt)
+            rates = rates[rates > 0]
+            if rates.size:
+                found.append({"rate": float(np.quantile(rates, 0.7))})
+        return found or [{"rate": 1.0}]
