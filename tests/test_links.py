@@ -459,3 +459,16 @@ class TestLadder:
         np.testing.assert_allclose(found["shunt v2"].act, [0, 0, 0, -1 / C[1]])
         np.testing.assert_allclose(found["i1"].act, [-1 / L[0], 0, 0, 0])
         assert "threshold_flow" in {e.kind for e in rco.effect_library(sys, places="shunt v1")}
+
+
+def test_a_link_of_one_displacement_goes_to_the_ground():
+    chain = ct.ss(
+        [[0, 0, 1, 0], [0, 0, 0, 1], [-9, 4, -0.3, 0.1], [8, -8, 0.2, -0.2]], [[0], [0], [1], [0]],
+        [[1, 0, 0, 0]], [[0]], states=["a", "b", "va", "vb"],
+    )  # fmt: skip
+    port = rco.physical(chain, links={"wall": {"a": 1.0}}).port("wall")
+    np.testing.assert_allclose(port.position, [1, 0, 0, 0])
+    np.testing.assert_allclose(port.velocity, [0, 0, 1, 0])
+    assert port.act[2] < 0
+    assert np.count_nonzero(port.act) == 1
+    assert port.description.startswith("at a")

@@ -186,8 +186,9 @@ def _link_port(
     nothing = np.zeros(linear.n_inputs)
     what = weighted({labels[item.state]: size for item, _, size in ends})
     sources = "; ".join(dict.fromkeys(masses.origin[j] for j in v))
-    ratio = f"mass ratio {masses.mass[v[1]] / masses.mass[v[0]]:.4g} from the symmetry of A; "
-    between = " and ".join(labels[item.state] for item, *_ in ends)
+    two = len(v) == 2
+    ratio = f"mass ratio {masses.mass[v[1]] / masses.mass[v[0]]:.4g} from the symmetry of A; " if two else ""
+    where = " and ".join(labels[item.state] for item, *_ in ends)
     return Port(
         name or what,
         "mechanical",
@@ -197,7 +198,7 @@ def _link_port(
         velocity=row_of(n, {j: unit * size for _, j, size in ends}),
         velocity_input=nothing,
         acceleration_input=nothing,
-        description=f"between {between}, d = {what}; {ratio if len(v) == 2 else ''}{sources}",
+        description=f"{'between' if len(v) > 1 else 'at'} {where}, d = {what}; {ratio}{sources}",
     )
 
 
