@@ -206,3 +206,12 @@ def test_a_smooth_error_has_no_spikes():
     y = y + 0.02 * y.std() * np.random.default_rng(1).standard_normal(2000)
     found = rco.check(slow, rco.Measurement(w, y, dt=0.05), information=False)
     assert "spikes" not in [row.what for row in found.looks]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_slow_actuator_is_no_unit_and_no_sign(seed):
+    w = np.random.default_rng([seed, 4]).standard_normal(400).repeat(5)
+    late = ct.forced_response(ct.tf([1], [0.3, 1]), np.arange(w.size) * DT, w).outputs
+    slow = ct.forced_response(MODEL, np.arange(w.size) * DT, late).outputs
+    rows = look(w, slow + 0.02 * slow.std() * np.random.default_rng(seed).standard_normal(w.size))
+    assert not {"units", "sign"} & set(rows)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hidden.generator import OUTSIDE, hidden_record
 from scipy import stats
+from scipy.signal import lfilter
 
 import rcorefine as rco
 
@@ -161,3 +162,18 @@ def test_what_no_candidate_explains_is_said_to_be_unexplained(kind):
     n = 6
     verdicts = [diagnosed(970 + i, effect=kind, loss=0.15)[1].verdict for i in range(n)]
     assert verdicts.count("unexplained") >= least_of(n, 0.95)
+
+
+@pytest.mark.parametrize(
+    ("color", "share", "doubted"), [(0.9, 0.5, True), (0.0, 0.5, False), (0.9, 0.05, False)]
+)
+def test_much_noise_of_a_color_is_doubted(color, share, doubted):
+    model = rco.mass_spring_damper([1.0], [0.4], [100.0], sensors="displacement")
+    rng = np.random.default_rng(0)
+    w = rng.standard_normal(2000)
+    y = ct.forced_response(model.system.sample(0.02), inputs=w).outputs
+    noise = lfilter([1.0], [1.0, -color], rng.standard_normal(2000))
+    data = rco.Measurement(w, y + share * y.std() * noise / noise.std(), dt=0.02)
+    found = rco.diagnose(model, data, candidates=[rco.Effect("stiffness", "link1")])
+    assert found.verdict == "adequate"
+    assert ("passes for noise with a memory" in str(found).replace("\n", " ")) == doubted

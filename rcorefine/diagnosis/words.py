@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from .absorbed import numbers_that_moved, what_was_absorbed
 
 if TYPE_CHECKING:
@@ -12,6 +14,7 @@ if TYPE_CHECKING:
 __all__ = ["sentences"]
 
 _OPEN = 0.05  # probability of none of these from which on it is said
+_MUCH = 75.0  # % of fit below which noise of a color is doubted
 _VERDICTS = {
     "adequate": "Nothing is missing that this record could show.",
     "parameters": "The numbers of the model are off; mended, no law is missing that this record could show.",
@@ -40,7 +43,11 @@ def sentences(found: Diagnosis) -> list[str]:
     lines = [_VERDICTS[found.verdict].format(best=_best(found), alike=alike, where=where)]
     worst = min(found.tests, key=lambda t: t.p_value) if found.tests else None
     if found.verdict == "adequate":
-        lines = [f"{lines[0]} {what_was_absorbed(found.base)}".rstrip(), *_shown(found)]
+        lines = [
+            f"{lines[0]} {what_was_absorbed(found.base)}".rstrip(),
+            *_left_to_noise(found),
+            *_shown(found),
+        ]
     elif worst is not None:  # without motion nothing could be tested
         lines += _open_law(found)
         lines.append(f"The model as it is fails: {worst.name}, p = {worst.p_value:.2g}.")
@@ -71,6 +78,19 @@ def sentences(found: Diagnosis) -> list[str]:
     if found.verdict == "ambiguous" and len(found.ambiguous) > 1:
         lines.append("suggest_experiment() names the record that would tell them apart.")
     return [*lines, *found.notes]
+
+
+def _left_to_noise(found: Diagnosis) -> list[str]:
+    """Where much of the record passes for noise with a memory: the error of a model may look like that."""
+    fits, orders = found.base.fit[np.isfinite(found.base.fit)], found.base.residual_orders
+    if not any(orders) or fits.min(initial=100.0) >= _MUCH:
+        return []
+    run = "the prediction" if found.base.led else "the free run"
+    return [
+        f"But {run} explains only {fits.min():.3g} % of the record; the rest passes for noise with a memory "
+        f"(order {max(orders)}). If the sensor has no such noise, give a record with another input: steps, a "
+        "sweep."
+    ]
 
 
 def _place(found: Diagnosis) -> str:

@@ -39,6 +39,7 @@ _LEAST = 0.03  # of a gain that is worth a word
 _NEAR = 0.1  # most that a known factor may be missed by
 _FAR, _ABOUT = 5.0, 0.25  # a factor that no parameter makes; the log by which a unit may then be missed
 _RELATED = 0.3  # correlation below which no gain is read
+_CLEAR, _SAME = 0.8, 0.97  # the same for a sign, and for a unit of a size that dynamics could make
 _SPIKE = 8.0  # robust standard deviations from the samples before and after
 _NORMAL = 1.4826  # standard deviation over the median absolute deviation, for normal noise
 _SMALL = 1e-4  # of an output's size: what is smaller carries no error
@@ -161,8 +162,10 @@ def _gain_row(label: str, found: _Gain) -> Iterator[CheckRow]:
     if off <= max(_SURE * found.std, _LEAST):
         yield CheckRow(OK, "gain", label, figure, f"{label} has the size that the model says.")
         return
-    size = _unit(abs(value), found.std)
-    if value < 0 and value + _SURE * found.std < 0:
+    # missing dynamics turn and shrink a response too, but then little of the record goes with the model
+    like = abs(found.correlation)
+    size = _unit(abs(value), found.std) if like > _SAME or abs(np.log(abs(value))) > np.log(_FAR) else ""
+    if like > _CLEAR and value + _SURE * found.std < 0:
         more = f", and {size}" if size else ""
         yield CheckRow(
             STOP, "sign", label, figure,
