@@ -6,6 +6,7 @@ import control as ct
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete, dlsim
+from scipy.stats import chi2, norm
 
 import rcorefine as rco
 from rcorefine.diagnosis.absorbed import numbers_that_moved
@@ -68,6 +69,27 @@ def test_numbers_that_are_off_are_no_missing_law(model: object) -> None:
     assert np.all(better.fit > 96.5)
     assert rco.diagnose(better, record(2, **FACTORS)).verdict == "adequate"
     assert found.suggest_experiment().chosen is None
+
+
+def test_a_prior_that_numbers_have_left_pulls_them_no_more() -> None:
+    factors = {"m2": 0.93, "k1": 1.12, "c1": 1.25}
+    z = []
+    for seed in range(40, 44):
+        rows = rco.diagnose(BUILT, record(seed, **factors)).parameters
+        by_name = {row.name: row for row in rows}
+        for name in ("m1", "m2", "c1", "c2", "k1", "k2"):
+            row = by_name[name]
+            z.append((row.value / row.initial - factors.get(name, 1.0)) / (row.std / row.initial))
+    assert norm.isf(0.005 / 24) > np.max(np.abs(z))
+    assert chi2.isf(0.005, len(z)) > np.sum(np.square(z))
+
+
+def test_numbers_far_off_are_told_where_the_verdict_cannot_promise_them() -> None:
+    factors = {"m2": 0.8, "k1": 1.2, "c1": 1.6}
+    found = rco.diagnose(BUILT, record(41, **factors))
+    assert found.verdict in ("parameters", "unexplained")
+    said = [note for note in found.notes if "With its numbers free" in note]
+    assert found.verdict == "parameters" or all(name in said[0] for name in factors)
 
 
 def test_masses_of_a_plain_model_float_as_far_as_nothing_rescales_them() -> None:

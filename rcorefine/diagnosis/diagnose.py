@@ -29,7 +29,7 @@ from .checks.check import looks
 from .colored_noise import gain_over_color
 from .excitation import no_motion, not_excited
 from .families import hosts, said_of_families
-from .floating import Floated, as_good, explaining_numbers, outdone, rivals_of_numbers
+from .floating import Floated, as_good, explaining_numbers, far_numbers, outdone, rivals_of_numbers
 from .judging import Judged, beside_force, judge, outweighs, pair_hint, second_chance
 from .open_law import open_law, probabilities
 from .places import in_race
@@ -287,6 +287,7 @@ def _named(
     notes += said_of_families(race.rivals, held)
     notes += [sentence] if sentence else []
     if case.thorough and word == "unexplained":
+        notes += [said] if (said := far_numbers(case)) else []
         with case.progress.step("pairs"):
             notes += pair_hint(case, judged, scored)
     own = {"force_ratio": race.ratio, "notes": tuple(notes), **case.about}
@@ -326,7 +327,7 @@ def _parameters(case: Case, numbers: Floated, tests: Sequence[FTest]) -> Diagnos
     """No law is missing, the numbers are off."""
     return Diagnosis(
         "parameters", (), (), tuple(tests), tuple(numbers.tests), (), force_ratio=0.0,
-        floated=numbers.fitted.refinement, notes=tuple(_about_hold(case)), **case.about,
+        floated=numbers.refinement, notes=tuple(_about_hold(case)), **case.about,
     )  # fmt: skip
 
 

@@ -13,12 +13,14 @@ from ..effects.effect import Effect
 from ..exceptions import IdentifiabilityWarning
 from ..inference.assembly import nominal_size
 from ..inference.fitted import FittedModel, fitted_from
+from ..inference.refinement import Refinement
 from ..inference.sensitivities import Candidate, candidate_columns, parameter_columns
 from ..inference.starts import Motion
 from ..inference.whitening import FTest, project, rank_basis
 from ..models.library import effect_library
 from ..refinement.base_fit import base_fit
 from ..systems.linear import Array
+from .absorbed import numbers_that_moved
 from .candidate_fit import log_likelihood, prior_cost
 from .candidate_fits import STRONG, CandidateFits, fit_candidates
 from .case import Case, not_held
@@ -27,11 +29,13 @@ from .places import in_race
 from .residual_tests import TestedResidual, run_tests
 from .verdict import keeps_name, overall
 
-__all__ = ["Floated", "as_good", "explaining_numbers", "outdone", "rivals_of_numbers"]
+__all__ = ["Floated", "as_good", "explaining_numbers", "far_numbers", "outdone", "rivals_of_numbers"]
 
 _OWN = 1e-4  # share of a column that no other number explains, below which it is none of its own
 _PROMISED = 0.5  # share of the gain of the numbers that the score of a law must promise to be worth a refit
 _LAWS = 3  # of them
+_LEFT = 2.0  # standard deviations of a prior beyond which a number has left it
+_ROUNDS = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,12 +53,15 @@ class Floated:
     evidence : float
         Log-likelihood under its own filter, averaged over the prior of the numbers: what it gains by
         choosing them is not counted.
+    refinement : Refinement
+        What is reported of them: where a number went far beyond its prior, that no longer pulls it back.
     """
 
     fitted: FittedModel
     battery: TestedResidual
     tests: list[FTest]
     evidence: float
+    refinement: Refinement
 
 
 def explaining_numbers(case: Case) -> Floated | None:
@@ -69,22 +76,69 @@ def explaining_numbers(case: Case) -> Floated | None:
     with warnings.catch_warnings(), case.progress.step("parameters"):
         warnings.simplefilter("ignore", IdentifiabilityWarning)  # the priors settle what the record cannot
         refined = base_fit(case.base, case.records, free=numbers, **case.options)
-        problem = case.fitted.problem
-        noise = 1.0 / problem.weights  # in the units of the noise that the candidates are compared in
-        fitted = fitted_from(refined, problem.records, tolerance=case.options["tolerance"], noise=noise)
-        battery = TestedResidual(fitted)
-        motions = [Motion(fitted.structure, fitted.theta, m.data) for m in case.motions]
-        if case.excess(fitted) > case.levels.noise_excess:
+        found = _tested(case, refined)
+        if found is None:
             return None
-        if overall(run_tests(battery, [], motions)) < case.significance:
-            return None  # the library cannot mend what fails without it
-        library = not_held(case.library, fitted.structure.effects)
-        near = in_race(fitted, library, (0.0,))
-        scored = candidate_columns(fitted, near, motions[0], (0.0,))
-        tests = run_tests(battery, scored, motions, len(library) - len(near))
-        if overall(tests) < case.significance or gain_over_color(battery, scored) >= case.levels.color:
-            return None
-    return Floated(fitted, battery, tests, _evidence(battery, case.fitted.problem.n_theta))
+        fitted, battery, tests = found
+        reported = _let_go(case, numbers, refined)
+    return Floated(fitted, battery, tests, _evidence(battery, case.fitted.problem.n_theta), reported)
+
+
+def far_numbers(case: Case) -> str:
+    """What to say where no law explains the records, but numbers far from what the model says do; else empty.
+
+    They may be far off, or stand in for a law that the library lacks: the records do not tell.
+    """
+    numbers = _numbers(case)
+    if not numbers:
+        return ""
+    with warnings.catch_warnings(), case.progress.step("parameters"):
+        warnings.simplefilter("ignore", IdentifiabilityWarning)
+        refined = base_fit(case.base, case.records, free=numbers, **case.options)
+        loose = _let_go(case, numbers, refined)
+        if loose is refined or _tested(case, loose) is None:
+            return ""
+    rows = [row for row in loose.parameters if row.role == "linear"]
+    return (
+        'With its numbers free (refine(model, data, free="linear")) the model passes every test: they are '
+        f"far off, or stand in for a law that was not offered. {numbers_that_moved(rows)}"
+    )
+
+
+def _tested(case: Case, refined: Refinement) -> tuple[FittedModel, TestedResidual, list[FTest]] | None:
+    """A model whose numbers float on its records, if it passes every test."""
+    problem = case.fitted.problem
+    noise = 1.0 / problem.weights  # in the units of the noise that the candidates are compared in
+    fitted = fitted_from(refined, problem.records, tolerance=case.options["tolerance"], noise=noise)
+    battery = TestedResidual(fitted)
+    motions = [Motion(fitted.structure, fitted.theta, m.data) for m in case.motions]
+    if case.excess(fitted) > case.levels.noise_excess:
+        return None
+    if overall(run_tests(battery, [], motions)) < case.significance:
+        return None  # the library cannot mend what fails without it
+    library = not_held(case.library, fitted.structure.effects)
+    near = in_race(fitted, library, (0.0,))
+    scored = candidate_columns(fitted, near, motions[0], (0.0,))
+    tests = run_tests(battery, scored, motions, len(library) - len(near))
+    if overall(tests) < case.significance or gain_over_color(battery, scored) >= case.levels.color:
+        return None
+    return fitted, battery, tests
+
+
+def _let_go(case: Case, numbers: list[Effect], refined: Refinement) -> Refinement:
+    """The numbers without the pull of a prior that they have left: it grows to as far as they went."""
+    for _ in range(_ROUNDS):
+        moved = {(row.kind, row.place): abs(row.coefficient) for row in refined.parameters}
+        wider = []
+        for effect in numbers:
+            (name,), (sd,) = effect.coefficients, effect.prior.values()
+            far = moved[effect.kind, effect.place]
+            wider.append(effect.replace(prior={name: far}) if far > _LEFT * sd else effect)
+        if [e.prior for e in wider] == [e.prior for e in numbers]:  # equality of effects leaves priors out
+            break
+        numbers = wider
+        refined = base_fit(case.base, case.records, free=numbers, **case.options)
+    return refined
 
 
 def _evidence(battery: TestedResidual, held: int) -> float:
