@@ -6,6 +6,7 @@ out. The estimator is retrospective cost model refinement (D'Amato et al.).
 
 from . import examples
 from .comparison import Comparison, compare
+from .data.frequency_response import FrequencyResponse
 from .data.measurement import Measurement
 from .diagnosis import Diagnosis, diagnose
 from .diagnosis.checks.check import check
@@ -67,6 +68,7 @@ __all__ = [
     "Effect",
     "EstimatedParameter",
     "ExcitationWarning",
+    "FrequencyResponse",
     "IdentifiabilityWarning",
     "Improvement",
     "Measurement",

@@ -22,7 +22,6 @@ import control as ct
 import numpy as np
 
 import rcorefine as rco
-from rcorefine.data.frequency_response import FrequencyResponse
 
 N, DT = 240, 0.05
 
@@ -117,9 +116,10 @@ def files() -> dict[str, pathlib.Path]:
     np.savetxt(at / "a.csv", np.column_stack([u, y]), delimiter=",", header="u,y", comments="")
     scipy.io.savemat(at / "a.mat", {"u": u, "y": y})
     np.savez(at / "a.npz", u=u, y=y)
+    (at / "frf.csv").write_text("f [Hz],H,phase [deg]\n" + "".join(f"{k + 1},1,{-k}\n" for k in range(20)))
     watched().save(at / "monitor.npz")
     taught().save(at / "refiner.npz")
-    return {name: at / name for name in ("a.csv", "a.mat", "a.npz", "monitor.npz", "refiner.npz")}
+    return {name: at / name for name in ("a.csv", "frf.csv", "a.mat", "a.npz", "monitor.npz", "refiner.npz")}
 
 
 # ------------------------------------------------------------------ what an argument may be
@@ -376,8 +376,21 @@ def _parts() -> Mapping[str, Any]:
     return {item: getattr(built, item) for item in inspect.signature(rco.PhysicalModel).parameters}
 
 
+def is_points(value: Any) -> bool:
+    """A complex response."""
+    return is_numbers(value) or (getattr(getattr(value, "dtype", None), "kind", "") == "c")
+
+
 EXAMPLE = {"form": is_text, "dt": is_positive}
-MEASURE = rco.Measurement
+MEASURE, RESPONSE = rco.Measurement, rco.FrequencyResponse
+SPECTRUM = {
+    **UNITS,
+    "amplitude": is_numbers,
+    "n_averages": is_positive,
+    "segment_length": is_whole,
+    "n_omitted": is_whole,
+    "dt": is_level,
+}
 CALLS: dict[str, Call] = {
     # the record
     "Measurement": Call(
@@ -485,11 +498,42 @@ CALLS: dict[str, Call] = {
         lambda: {"response": record().to_response()},
         {**UNITS, "response": is_nothing, "dt": is_positive},
     ),
-    "FrequencyResponse.from_frd": Call(
-        lambda: FrequencyResponse.from_frd,
-        lambda: {"response": ct.frd([1.0, 0.5], [1.0, 2.0], name="analyzer")},
-        {"response": is_nothing, "hold": is_text},
+    "FrequencyResponse": Call(
+        lambda: RESPONSE,
+        lambda: {"response": np.arange(1.0, 8.0), "omega": np.arange(1.0, 8.0)},
+        {**SPECTRUM, "response": is_points, "omega": is_numbers, "std": is_numbers, "coherence": is_numbers},
     ),
+    "FrequencyResponse.from_frd": Call(
+        lambda: RESPONSE.from_frd,
+        lambda: {"response": ct.frd(np.arange(1.0, 8.0), np.arange(1.0, 8.0), name="analyzer")},
+        {
+            **{key: or_none(kind) for key, kind in SPECTRUM.items()},
+            "response": is_nothing,
+            "std": or_none(is_numbers),
+            "coherence": or_none(is_numbers),
+        },
+        more=("std", "coherence", "amplitude", "n_averages", "input_units", "output_units", "name"),
+    ),
+    "FrequencyResponse.from_csv": Call(
+        lambda: RESPONSE.from_csv,
+        lambda: {"path": files()["frf.csv"], "frequency": "f", "magnitude": "H", "phase": "phase"},
+        {
+            **{key: or_none(kind) for key, kind in SPECTRUM.items()},
+            **dict.fromkeys(("magnitude", "phase", "real", "imag", "coherence", "std"), is_texts),
+            **dict.fromkeys(("frequency", "frequency_unit", "magnitude_unit", "phase_unit"), is_text),
+            **TABLE,
+            "path": is_path,
+        },
+        more=("amplitude", "n_averages", "input_labels", "output_labels", "dt", "hold", "name"),
+    ),
+    "FrequencyResponse.from_uff": Call(
+        lambda: RESPONSE.from_uff,
+        lambda: {"path": files()["a.npz"]},
+        {**{key: or_none(kind) for key, kind in SPECTRUM.items()}, "path": is_path, "sets": is_places},
+        work="rcorefine.data.response_formats.read_uff_responses",
+        more=("amplitude", "n_averages", "input_labels", "output_labels", "dt", "hold", "name"),
+    ),
+    **{f"FrequencyResponse.{name}": Call(_method(response, name), dict) for name in ("isctime", "isdtime")},
     "FrequencyResponse.plot": _plot(response),
     # models and their places
     "mass_spring_damper": _builder(

@@ -17,6 +17,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import control as ct
 import numpy as np
 import pandas as pd
 import pytest
@@ -55,6 +56,13 @@ WITH_KEYWORDS: dict[str, Callable[[], object]] = {
     "Measurement.from_hdf5": lambda: _read_with_unknown_keyword("hdf5"),
     "Measurement.from_tdms": lambda: _read_with_unknown_keyword("tdms"),
     "Measurement.from_uff": lambda: rco.Measurement.from_uff("none.uff", 0, 1, no_such_keyword=1),
+    "FrequencyResponse.from_csv": lambda: rco.FrequencyResponse.from_csv(
+        "none.csv", "f", "H", "phase", no_such_keyword=1
+    ),
+    "FrequencyResponse.from_frd": lambda: rco.FrequencyResponse.from_frd(
+        ct.frd([1.0], [1.0]), no_such_keyword=1
+    ),
+    "FrequencyResponse.from_uff": lambda: rco.FrequencyResponse.from_uff("none.uff", no_such_keyword=1),
     "Measurement.from_benchmark": lambda: rco.Measurement.from_benchmark(
         SimpleNamespace(u=np.ones(9), y=np.ones(9), sampling_time=1.0), no_such_keyword=1
     ),

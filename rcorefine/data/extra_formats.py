@@ -14,7 +14,7 @@ from .columns import Columns, vectors
 from .columns import read_mat as read_old_mat
 from .matlab import Other
 
-__all__ = ["read_hdf5", "read_mat", "read_tdms", "read_uff"]
+__all__ = ["read_hdf5", "read_mat", "read_tdms", "read_uff", "read_uff_responses"]
 
 
 def _needs(module: str, reader: str) -> Any:
@@ -108,17 +108,7 @@ def read_uff(
     path: Any, sets: Sequence[int]
 ) -> tuple[list[np.ndarray[Any, Any]], list[str], list[str], float]:
     """Time histories (data sets of type 58) of a universal file: values, names, units, sampling time."""
-    pyuff = _needs("pyuff", "from_uff")
-    with open(path, "rb"):
-        pass
-    try:
-        file = pyuff.UFF(str(path))
-        kinds = [int(kind) for kind in file.get_set_types()]
-        read = [file.read_sets(k) if k < len(kinds) and kinds[k] == 58 else None for k in sets]
-    except Exception as error:
-        raise DataError(
-            f"{path} is not a universal file that pyuff can read, or it is damaged: {error}"
-        ) from error
+    kinds, read = _sets_of(path, sets)
     values, names, units, steps = [], [], [], set()
     for k, found in zip(sets, read, strict=True):
         if found is None or found.get("func_type") not in (0, 1):
@@ -135,4 +125,86 @@ def read_uff(
         names,
         units,
         as_number(steps.pop(), "the sampling time of the file", above=0.0, error=DataError),
+    )
+
+
+def _sets_of(path: Any, sets: Sequence[int] | None) -> tuple[list[int], list[dict[str, Any] | None]]:
+    """Types of all data sets of a universal file, and those asked for (all for None) that are of type 58."""
+    pyuff = _needs("pyuff", "from_uff")
+    with open(path, "rb"):
+        pass
+    try:
+        file = pyuff.UFF(str(path))
+        kinds = [int(kind) for kind in file.get_set_types()]
+        asked = range(len(kinds)) if sets is None else sets
+        return kinds, [file.read_sets(k) if k < len(kinds) and kinds[k] == 58 else None for k in asked]
+    except Exception as error:
+        raise DataError(
+            f"{path} is not a universal file that pyuff can read, or it is damaged: {error}"
+        ) from error
+
+
+_RESPONSE, _COHERENCE = 4, 6  # what an ordinate of type 58 is
+
+
+def read_uff_responses(path: Any, sets: Sequence[int] | None) -> dict[str, Any]:
+    """Frequency responses (data sets of type 58) of a universal file, as arguments of `FrequencyResponse`."""
+    responses, known = _sorted(path, sets)
+    outputs, inputs = (list(dict.fromkeys(place[side] for place in responses)) for side in (0, 1))
+    if len(responses) != len(outputs) * len(inputs):
+        raise DataError(
+            f"{path} holds {len(responses)} responses of {len(outputs)} outputs to {len(inputs)} inputs, not "
+            "each to each; name those of a full matrix in sets="
+        )
+    first = np.asarray(next(iter(responses.values()))["x"], dtype=float).ravel()
+    for place, one in responses.items():
+        x = np.asarray(one["x"], dtype=float).ravel()
+        if x.shape != first.shape or not np.allclose(x, first, rtol=1e-6):
+            raise DataError(f"{path}: response {place[0]} to {place[1]} has other frequencies than the first")
+    table = np.array([[np.asarray(responses[y, w]["data"]).ravel() for w in inputs] for y in outputs])
+    kept = first > 0
+    made: dict[str, Any] = {"response": table[:, :, kept], "omega": 2.0 * np.pi * first[kept]}
+    made |= {"input_labels": inputs, "output_labels": outputs}
+    if len(inputs) == 1 and all((y, inputs[0]) in known for y in outputs):
+        rows = np.array([np.asarray(known[y, inputs[0]]["data"]).real.ravel() for y in outputs])
+        if rows.shape[1] == first.size:
+            made["coherence"] = np.clip(rows[:, kept], 0.0, 1.0)
+    return made
+
+
+_Found = dict[tuple[str, str], dict[str, Any]]
+
+
+def _sorted(path: Any, sets: Sequence[int] | None) -> tuple[_Found, _Found]:
+    """Frequency responses and coherences, by response and reference."""
+    kinds, read = _sets_of(path, sets)
+    found: dict[int, _Found] = {_RESPONSE: {}, _COHERENCE: {}}
+    for k, one in zip(range(len(kinds)) if sets is None else sets, read, strict=True):
+        what = -1 if one is None else int(one.get("func_type", -1))
+        if one is None or what not in found:
+            if sets is not None:
+                raise DataError(
+                    f"{path}: data set {k} is no frequency response; its sets are of types {kinds}"
+                )
+            continue
+        names = (f"{one.get(f'{side}_node', 0)}:{one.get(f'{side}_dir', 0)}" for side in ("rsp", "ref"))
+        place = next(names), next(names)
+        if place in found[what]:
+            raise DataError(
+                f"{path} holds response {place[0]} to {place[1]} twice; name one of them in sets="
+            )
+        found[what][place] = one
+    if not found[_RESPONSE]:
+        raise DataError(f"{path} holds no frequency response; its sets are of types {kinds}.{_modes(kinds)}")
+    return found[_RESPONSE], found[_COHERENCE]
+
+
+def _modes(kinds: Sequence[int]) -> str:
+    """What to do with modes."""
+    if 55 not in kinds:
+        return ""
+    return (
+        " Sets of type 55 are modes, not a measurement: make a model of them, with A and B of one block "
+        "[[0, 1], [-w^2, -2 z w]] per mode and its shape in B and C (control.ss), or give M, C and K to "
+        "rcorefine.mechanical, which keeps the lowest modes (n_modes)"
     )

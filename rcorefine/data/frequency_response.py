@@ -3,58 +3,84 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Unpack
+from typing import Any, Unpack
 
 import control as ct
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from ..arguments import as_choice
+from ..arguments import as_choice, as_labels, as_number, as_text, as_texts, as_vector, as_whole
 from ..exceptions import DataError
-from ..results import Options, Result, picture, show
+from ..results import Options, picture, show
 from ..systems.linear import Array
+from .points import as_amplitude, as_coherence, as_deviation, as_points
+from .response_formats import ResponseReaders
+from .signals import HOLDS, default_labels
 
 __all__ = ["FrequencyResponse"]
 
+_LEAST_COHERENCE = 1e-6  # below it a line says nothing, and its error is no number
 
-class FrequencyResponse(Result, ct.FrequencyResponseData):  # type: ignore[misc]
-    """Frequency response estimated from a record, with its uncertainty.
+
+class FrequencyResponse(ResponseReaders, ct.FrequencyResponseData):  # type: ignore[misc]
+    """Measured frequency response, with its uncertainty.
 
     It passes wherever python-control takes a `FrequencyResponseData`; what is computed
-    from it there is a plain one.
+    from it there is a plain one. `compare`, `refine`, `diagnose` and `improve` take it, or a list
+    of them at several amplitudes, in place of a record in time.
 
     Parameters
     ----------
-    omega : ndarray of shape (n_omega,)
-        Frequencies in rad/s.
-    response : complex ndarray of shape (n_y, n_w, n_omega)
-        H1 estimate, outputs per input.
-    coherence : ndarray of shape (n_y, n_omega)
+    response : array_like of shape (n_y, n_w, n_omega), or (n_omega,)
+        Complex response, outputs per input.
+    omega : array_like of shape (n_omega,)
+        Frequencies in rad/s, positive, each once; they are sorted.
+    std : array_like of the shape of `response`, or float, optional
+        Standard deviation of the magnitude in its unit, which is that of the real and of the
+        imaginary part. Default: from coherence and `n_averages` where both are given, else not known.
+    coherence : array_like of shape (n_y, n_omega), or (n_omega,), optional
         Share of each output's power that all inputs together explain, from
         0 to 1 (with one input the ordinary coherence).
-    std : ndarray of shape (n_y, n_w, n_omega)
-        Standard deviation of the magnitude, in its unit; see Notes.
-    n_averages : float
-        Effective number of independent segments.
+    amplitude : float or array_like of shape (n_omega,), optional
+        Peak of the sine at the input, in its unit: what nonlinear effects need.
+    input_labels, output_labels : str or sequence of str, optional
+        Names; dots, which python-control does not allow in names, become underscores.
+    input_units, output_units : str or sequence of str, optional
+        Units.
+    n_averages : float, optional
+        Number of independent averages behind each point.
     segment_length : int
-        Samples per segment.
+        Samples per segment where it was estimated from a record, 0 for none.
     n_omitted : int
         Frequencies left out because an input holds no power there.
     dt : float
-        Sampling time of the record in s.
-    hold : str
-        Hold of the record's inputs.
-    input_labels, output_labels, input_units, output_units : tuple of str
-        As in the record; dots, which python-control does not allow in names, become
-        underscores.
+        Sampling time of the record in s, 0 where the response is that of continuous signals.
+    hold : {"zoh", "foh", "bandlimited"}, optional
+        How the inputs ran between samples; default "zoh" with a sampling time, else "bandlimited".
     name : str
-        Name of the record.
+        Name.
+
+    Raises
+    ------
+    DataError
+        If a point is not finite, a frequency not positive or there twice, a coherence not between 0 and 1.
+    control.ControlDimension
+        If sizes do not fit.
 
     Notes
     -----
     The standard deviation holds the random error (noise, and whatever is not
     linear in the inputs). It does not hold the bias of too short segments: a
-    resonance narrower than the resolution `resolution` is flattened.
+    resonance narrower than the resolution `resolution` is flattened. From coherence,
+    ``std = |G| sqrt((1 - c) / (2 n c))`` (Bendat and Piersol, Random Data, ch. 9).
+
+    Examples
+    --------
+    >>> omega = np.linspace(1.0, 10.0, 5)
+    >>> measured = rco.FrequencyResponse(1 / (1j * omega + 2), omega, std=0.01, amplitude=3.0)
+    >>> measured.response.shape, float(measured.std[0, 0, 0]), float(measured.amplitude[0])
+    ((1, 1, 5), 0.01, 3.0)
+    >>> _ = ct.bode_plot(measured)
     """
 
     omega: Array
@@ -63,37 +89,66 @@ class FrequencyResponse(Result, ct.FrequencyResponseData):  # type: ignore[misc]
 
     def __init__(
         self,
+        response: ArrayLike,
+        omega: ArrayLike,
         *,
-        omega: Array,
-        response: NDArray[np.complex128],
-        coherence: Array,
-        std: Array,
-        n_averages: float,
-        segment_length: int,
-        n_omitted: int,
-        dt: float,
-        hold: str,
-        input_labels: Sequence[str],
-        output_labels: Sequence[str],
-        input_units: tuple[str, ...],
-        output_units: tuple[str, ...],
-        name: str,
+        std: ArrayLike | None = None,
+        coherence: ArrayLike | None = None,
+        amplitude: ArrayLike | None = None,
+        input_labels: str | Sequence[str] | None = None,
+        output_labels: str | Sequence[str] | None = None,
+        input_units: str | Sequence[str] | None = None,
+        output_units: str | Sequence[str] | None = None,
+        n_averages: float | None = None,
+        segment_length: int = 0,
+        n_omitted: int = 0,
+        dt: float = 0.0,
+        hold: str | None = None,
+        name: str = "measured",
     ) -> None:
+        values, points = as_points(response), as_vector(omega, "omega", above=0.0)
+        n_y, n_w, n = values.shape
+        if points.size != n:
+            raise ct.ControlDimension(f"response has {n} points and omega {points.size}")
+        order = np.argsort(points, kind="stable")
+        if n > 1 and not np.diff(points[order]).min() > 0:
+            twice = points[order][:-1][np.diff(points[order]) <= 0][0]
+            raise DataError(f"omega holds {twice:g} rad/s twice; keep one, or their mean")
+        dt = as_number(dt, "dt", least=0.0, what="a time in seconds", error=DataError)
         super().__init__(
-            response,
-            omega,
+            values[:, :, order],
+            points[order],
             dt=dt,
-            name=_undotted(name),
-            inputs=[_undotted(label) for label in input_labels],
-            outputs=[_undotted(label) for label in output_labels],
+            name=_undotted(as_text(name, "name", empty=False)),
+            inputs=[_undotted(x) for x in as_labels(input_labels, "input_labels", default_labels("u", n_w))],
+            outputs=[
+                _undotted(x) for x in as_labels(output_labels, "output_labels", default_labels("y", n_y))
+            ],
         )
-        self.coherence, self.std = coherence, std
-        self.n_averages, self.segment_length, self.n_omitted = n_averages, segment_length, n_omitted
-        self.hold, self.input_units, self.output_units = hold, input_units, output_units
+        self.hold = as_choice(hold, "hold", HOLDS) if hold is not None else "zoh" if dt else "bandlimited"
+        self.input_units, self.output_units = (
+            ("",) * count if units is None else as_texts(units, what, count)
+            for units, what, count in ((input_units, "input_units", n_w), (output_units, "output_units", n_y))
+        )
+        self.n_averages = (
+            float("nan")
+            if n_averages is None
+            else as_number(n_averages, "n_averages", above=0.0, error=DataError)
+        )
+        self.segment_length = as_whole(segment_length, "segment_length", least=0)
+        self.n_omitted = as_whole(n_omitted, "n_omitted", least=0)
+        self.amplitude = as_amplitude(amplitude, n, order)
+        self.coherence = None if coherence is None else as_coherence(coherence, n_y, n)[:, order]
+        self.std = None if std is None else as_deviation(std, values.shape)[:, :, order]
+        if self.std is None and self.coherence is not None and np.isfinite(self.n_averages) and n_w == 1:
+            known = np.maximum(self.coherence, _LEAST_COHERENCE)[:, None]
+            self.std = self.magnitude * np.sqrt((1.0 - known) / (2.0 * self.n_averages * known))
 
     @classmethod
-    def from_frd(cls, response: ct.FrequencyResponseData, *, hold: str | None = None) -> FrequencyResponse:
-        """Take a measured response whose uncertainty is not known.
+    def from_frd(
+        cls, response: ct.FrequencyResponseData, *, hold: str | None = None, **options: Any
+    ) -> FrequencyResponse:
+        """Take a measured response of python-control.
 
         Parameters
         ----------
@@ -102,11 +157,14 @@ class FrequencyResponse(Result, ct.FrequencyResponseData):  # type: ignore[misc]
         hold : {"zoh", "foh", "bandlimited"}, optional
             How the inputs ran between samples; default "zoh" where the
             response has a sampling time, else "bandlimited" (continuous).
+        **options
+            `std`, `coherence`, `amplitude`, `n_averages`, `input_units`, `output_units`, `name`
+            as in `FrequencyResponse`.
 
         Returns
         -------
         FrequencyResponse
-            With `std` 0 and `coherence` 1.
+            Without `std` and `coherence` where they are not given.
 
         Raises
         ------
@@ -118,7 +176,7 @@ class FrequencyResponse(Result, ct.FrequencyResponseData):  # type: ignore[misc]
         Examples
         --------
         >>> frd = ct.frd([1.0, 0.5], [1.0, 2.0], name="analyzer")
-        >>> FrequencyResponse.from_frd(frd).name
+        >>> rco.FrequencyResponse.from_frd(frd, std=0.1).name
         'analyzer'
         """
         if not isinstance(response, ct.FrequencyResponseData):
@@ -126,41 +184,47 @@ class FrequencyResponse(Result, ct.FrequencyResponseData):  # type: ignore[misc]
                 f"a measured response is a FrequencyResponse or control.FrequencyResponseData, "
                 f"not {type(response).__name__}; from a record take data.frequency_response()"
             )
-        if hold is not None:
-            as_choice(hold, "hold", ("zoh", "foh", "bandlimited"))
-        omega = np.array(response.omega, dtype=float)
-        values = np.array(response.frdata, dtype=complex)
-        if not np.isfinite(values).all() or not (np.isfinite(omega) & (omega > 0)).all():
+        if not (np.asarray(response.omega) > 0).all():
             raise DataError(
-                f"response {response.name!r} holds points that are not finite or frequencies that are not "
-                "positive; leave them out"
+                f"response {response.name!r} holds frequencies that are not positive; leave them out"
             )
         sampled = response.dt not in (None, True) and response.dt > 0
-        return cls(
-            omega=omega,
-            response=values,
-            coherence=np.ones((values.shape[0], omega.size)),
-            std=np.zeros(values.shape),
-            n_averages=float("nan"),
-            segment_length=0,
-            n_omitted=0,
-            dt=float(response.dt) if sampled else 0.0,
-            hold=hold or ("zoh" if sampled else "bandlimited"),
-            input_labels=tuple(response.input_labels),
-            output_labels=tuple(response.output_labels),
-            input_units=("",) * values.shape[1],
-            output_units=("",) * values.shape[0],
-            name=str(response.name),
-        )
+        own: dict[str, Any] = {
+            "dt": float(response.dt) if sampled else 0.0,
+            "input_labels": list(response.input_labels),
+            "output_labels": list(response.output_labels),
+            "name": str(response.name),
+        }
+        return cls(response.frdata, response.omega, hold=hold, **(own | options))
 
     # python-control looks the points of a measured response up by their frequency, on the imaginary
     # axis; on the unit circle, where a sampling time would send it, it knows none of them.
     def isctime(self, strict: bool = False) -> bool:
-        """Whether points are named by their frequency: always."""
+        """Whether points are named by their frequency: always.
+
+        Parameters
+        ----------
+        strict : bool
+            As of python-control's systems; makes no difference.
+
+        Returns
+        -------
+        bool
+        """
         return True
 
     def isdtime(self, strict: bool = False) -> bool:
-        """Whether points are named by where they lie on the unit circle: never."""
+        """Whether points are named by where they lie on the unit circle: never.
+
+        Parameters
+        ----------
+        strict : bool
+            As of python-control's systems; makes no difference.
+
+        Returns
+        -------
+        bool
+        """
         return False
 
     @property
@@ -191,8 +255,10 @@ class FrequencyResponse(Result, ct.FrequencyResponseData):  # type: ignore[misc]
         return np.angle(self.response)
 
     @property
-    def phase_std(self) -> Array:
-        """Standard deviation of the phase in rad, at most that of a uniform phase."""
+    def phase_std(self) -> Array | None:
+        """Standard deviation of the phase in rad, at most that of a uniform phase; None where not known."""
+        if self.std is None:
+            return None
         size = self.magnitude
         ratio = np.divide(self.std, size, out=np.full_like(self.std, np.inf), where=size > 0)
         limited: Array = np.minimum(ratio, np.pi / np.sqrt(3.0))

@@ -9,7 +9,7 @@ from typing import Any, Self
 import control as ct
 import numpy as np
 
-from ..arguments import as_choice, as_number, as_text, as_texts, shown
+from ..arguments import as_choice, as_number
 from ..exceptions import DataError
 from .columns import read_frame, wanted_columns
 from .lab_formats import LabReaders
@@ -96,14 +96,6 @@ class RecordReaders(LabReaders):
         >>> data.notes[0]
         'motor.csv: header in line 3, units in line 4, cells separated by semicolon, decimal comma'
         """
-        if delimiter is not None and len(as_text(delimiter, "delimiter")) != 1:
-            raise ct.ControlArgument(f"delimiter must be one character, not {shown(delimiter)}")
-        if delimiter is not None and delimiter in '"\r\n':
-            raise ct.ControlArgument(f"delimiter must be one character such as ';', not {delimiter!r}")
-        if decimal is not None:
-            as_choice(decimal, "decimal", (".", ","))
-        if header is not None:
-            header = as_texts(header, "header")
         return cls._read(
             read_csv, path, inputs, outputs, time, dt, options,
             delimiter=delimiter, decimal=decimal, header=header,

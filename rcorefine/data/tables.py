@@ -8,8 +8,10 @@ from operator import methodcaller
 from pathlib import Path
 from typing import Any
 
+import control as ct
 import numpy as np
 
+from ..arguments import as_choice, as_text, as_texts, shown
 from ..exceptions import DataError
 from ..systems.linear import Array
 from .columns import Columns
@@ -48,6 +50,14 @@ def read_csv(
     DataError
         As in `Measurement.from_csv`.
     """
+    if delimiter is not None and len(as_text(delimiter, "delimiter")) != 1:
+        raise ct.ControlArgument(f"delimiter must be one character, not {shown(delimiter)}")
+    if delimiter is not None and delimiter in '"\r\n':
+        raise ct.ControlArgument(f"delimiter must be one character such as ';', not {delimiter!r}")
+    if decimal is not None:
+        as_choice(decimal, "decimal", (".", ","))
+    if header is not None:
+        header = as_texts(header, "header")
     text, notes = _text(path)
     lines = text.splitlines()
     lines, more = unwrapped(lines, names, path)

@@ -116,8 +116,8 @@ def estimate_frequency_response(
     noise = np.maximum(s_yy - explained, 0.0) / (averages - data.n_inputs)
     variance = noise[:, :, None] * np.einsum("fii->fi", inverse).real[:, None, :]
     return FrequencyResponse(
-        omega=2.0 * np.pi * frequency[kept],
-        response=np.ascontiguousarray(np.moveaxis(response, 0, -1)),
+        np.ascontiguousarray(np.moveaxis(response, 0, -1)),
+        2.0 * np.pi * frequency[kept],
         coherence=np.ascontiguousarray(coherence.T),
         std=np.ascontiguousarray(np.moveaxis(np.sqrt(0.5 * variance), 0, -1)),
         n_averages=averages,

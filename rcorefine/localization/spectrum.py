@@ -31,6 +31,7 @@ class _Spectrum:
 
     def __init__(self, structure: Structure, theta: Array, columns: Array, record: Measurement) -> None:
         measured = record.frequency_response(segment_length=max(record.n_samples // 6, 16))
+        assert measured.coherence is not None  # it comes from a record
         usable = np.flatnonzero(
             (measured.omega < 0.6 * np.pi / record.dt) & (measured.coherence.max(axis=0) > _LEAST_COHERENCE)
         )

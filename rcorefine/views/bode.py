@@ -236,9 +236,8 @@ def _draw_measured(axes: Any, lines: Any, measured: FrequencyResponse, units: Bo
         lines[3 * i, j] += upper
         lines[3 * i + 1, j] += lower
         size = measured.magnitude[i, j]
-        noise = _RAYLEIGH_95 * np.divide(
-            measured.std[i, j], size, out=np.full_like(size, np.nan), where=size > 0
-        )
+        spread = np.zeros(size.shape) if measured.std is None else measured.std[i, j]
+        noise = _RAYLEIGH_95 * np.divide(spread, size, out=np.full_like(size, np.nan), where=size > 0)
         error.set_yscale("log")
         log_labels(error.yaxis)
         drawn = np.concatenate([np.zeros(0), *(np.asarray(line.get_ydata()) for line in lines[3 * i + 2, j])])

@@ -94,7 +94,8 @@ def draw_measured(
 ) -> tuple[list[Any], list[Any]]:
     """Measured points as dots with their band of two standard deviations."""
     x = measured.omega * units.frequency_factor
-    size, spread = measured.magnitude[i, j], measured.std[i, j]
+    size = measured.magnitude[i, j]
+    spread = np.zeros(size.shape) if measured.std is None else measured.std[i, j]
     # a band that reaches zero would stretch a logarithmic axis without end
     low = np.maximum(size - 2.0 * spread, 1e-3 * size)
     magnitude.fill_between(
@@ -103,7 +104,8 @@ def draw_measured(
     dots = {"color": MEASURED, "marker": ".", "markersize": 3.5, "linestyle": "none", "zorder": 2}
     band = " (band: 2 std)" if spread.any() else ""
     upper = magnitude.plot(x, units.magnitude(size), label=label + band, **dots)
-    angle, turn = measured.phase[i, j], 2.0 * measured.phase_std[i, j]
+    angle, known = measured.phase[i, j], measured.phase_std
+    turn = np.zeros(size.shape) if known is None else 2.0 * known[i, j]
     factor = units.phase_factor
     wraps = np.flatnonzero(np.abs(np.diff(angle)) > np.pi) + 1
     broken = np.insert(angle, wraps, np.nan)

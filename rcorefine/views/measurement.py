@@ -80,19 +80,21 @@ def frequency_response_table(measured: FrequencyResponse) -> Table:
     rows = []
     hertz = measured.omega / (2.0 * np.pi)
     for i, output in enumerate(measured.output_labels):
-        share = float(np.mean(measured.coherence[i] > 0.9))
+        share = None if measured.coherence is None else float(np.mean(measured.coherence[i] > 0.9))
         for j, source in enumerate(measured.input_labels):
             magnitude = measured.magnitude[i, j]
             top = int(np.argmax(magnitude))
-            relative = np.median(measured.std[i, j] / np.maximum(magnitude, np.finfo(float).tiny))
+            spread = None if measured.std is None else measured.std[i, j]
+            least = np.finfo(float).tiny
+            relative = None if spread is None else float(np.median(spread / np.maximum(magnitude, least)))
             rows.append(
                 [
                     output,
                     source,
                     number(magnitude[top]),
                     number(hertz[top]),
-                    f"{share:.0%}",
-                    f"{relative:.2%}",
+                    "-" if share is None else f"{share:.0%}",
+                    "-" if relative is None else f"{relative:.2%}",
                 ]
             )
     title = (
@@ -100,7 +102,19 @@ def frequency_response_table(measured: FrequencyResponse) -> Table:
         f"{number(hertz[0])} ... {number(hertz[-1])} Hz"
     )
     if measured.segment_length == 0:
-        return Table(headers, rows, title, ["Taken as given: coherence and error are not known."], left=2)
+        unknown = [
+            word
+            for word, value in (("coherence", measured.coherence), ("error", measured.std))
+            if value is None
+        ]
+        said = "Taken as given"
+        said += f": {' and '.join(unknown)} are not known." if unknown else "."
+        if measured.amplitude is not None:
+            low, high = measured.amplitude.min(), measured.amplitude.max()
+            unit = measured.input_units[0]
+            peak = number(low) if low == high else f"{number(low)} ... {number(high)}"
+            said += f" Sines of peak {f'{peak} {unit}'.strip()} at the input."
+        return Table(headers, rows, title, [said], left=2)
     notes = [
         f"H1 from {measured.n_averages:.1f} effective segments of {measured.segment_length} samples, "
         f"lines {number(measured.resolution / (2.0 * np.pi))} Hz apart (narrower peaks are flattened).",
@@ -127,7 +141,8 @@ def plot_frequency_response(measured: FrequencyResponse, frame: Frame) -> ct.Con
                 )
                 magnitude_limits(magnitude, lines[3 * i, j], bode)
                 x = measured.omega * bode.frequency_factor
-                lines[3 * i + 2, j] = below.plot(x, measured.coherence[i], color=MEASURED, linewidth=1.0)
+                share = np.full(x.size, np.nan) if measured.coherence is None else measured.coherence[i]
+                lines[3 * i + 2, j] = below.plot(x, share, color=MEASURED, linewidth=1.0)
                 below.set_ylim(0.0, 1.05)
         title = f"Measured frequency response of {measured.name}"
         return frame.finish(axes, lines, [axes[0, 0]], title)
