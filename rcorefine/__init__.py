@@ -4,7 +4,7 @@ The toolbox stands on python-control: `control.StateSpace` goes in and comes
 out. The estimator is retrospective cost model refinement (D'Amato et al.).
 """
 
-from . import examples
+from . import examples, exercises
 from .comparison import Comparison, compare
 from .data.frequency_response import FrequencyResponse
 from .data.measurement import Measurement
@@ -93,6 +93,7 @@ __all__ = [
     "diagnose",
     "effect_library",
     "examples",
+    "exercises",
     "frequency_response_at",
     "improve",
     "localize_damage",

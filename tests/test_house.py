@@ -24,7 +24,7 @@ ORDER = (
     "version", "exceptions", "arithmetic", "jit", "arguments", "progress", "writing", "archives", "results",
     "systems", "gauss_newton", "data", "effects", "models", "engine", "export", "inference", "comparison",
     "refinement",
-    "diagnosis", "localization", "streaming", "examples", "views", "commands", "__main__",
+    "diagnosis", "localization", "streaming", "examples", "exercises", "views", "commands", "__main__",
 )  # fmt: skip
 
 
@@ -145,7 +145,7 @@ _HOMONYMS = {
 
 def test_no_kind_of_effect_is_named_where_laws_do_not_live():
     """Others ask a law for its attributes, or import its class: a new law needs no other file."""
-    free = ("effects/", "models/builders/", "examples/", "commands/")
+    free = ("effects/", "models/builders/", "examples/", "exercises/", "commands/")
     named = []
     for file, (_, tree) in files().items():
         if file.startswith(free):

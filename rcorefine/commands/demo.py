@@ -16,8 +16,7 @@ from ..diagnosis import Diagnosis, diagnose
 from ..diagnosis.stepwise.improve import improve
 from ..diagnosis.stepwise.improvement import Improvement
 from ..effects.effect import Effect
-from ..engine.engine import Engine
-from ..engine.structure import Structure
+from ..exercises.record import hidden_outputs, noisy, record_of
 from ..jit import NUMBA
 from ..models.builders import mass_spring_damper
 from ..models.physical_model import PhysicalModel
@@ -32,7 +31,7 @@ FRICTION, LOSS = 0.5, -20.0  # what the model lacks at link2 [N], and later at l
 LAWS = ("stiffness", "damping", "cubic_stiffness", "coulomb_friction")
 STRETCH = 3.0  # s of the held-out record that are drawn: short enough to see the curves
 WIDTH = 78
-_SUBSTEPS, _SHARP = 16, 1e-3  # of the simulated truth: finer than the estimator, and a sharper sign(v)
+_SHARP = 1e-3  # of the simulated truth: a sharper sign(v) than the estimator's
 
 
 def run_demo(output: Path | str, *, seed: int = 1, progress: bool = True) -> None:
@@ -127,20 +126,10 @@ def _record(
 ) -> Measurement:
     """What the sensor reads where the effects in `hidden` act."""
     force = 20 * np.convolve(rng.standard_normal(N_SAMPLES + 4), np.ones(5) / 5, "valid")
-    blank = Measurement(force, np.zeros(N_SAMPLES), dt=DT)
-    structure = Structure(model, list(hidden), constants={0: _SHARP})  # the friction comes first
-    run = Engine(structure, blank, substeps=_SUBSTEPS).run(np.array(list(hidden.values())), sensitivity=False)
-    y = run.outputs[0]
-    return Measurement(
-        force,
-        y + NOISE * y.std() * rng.standard_normal(y.size),
-        dt=DT,
-        input_labels=model.linear.input_labels,
-        output_labels=model.linear.output_labels,
-        input_units="N",
-        output_units="m/s",
-        name=name,
-    )
+    blank = record_of(model, force, dt=DT)
+    friction_first = {effect: [value] for effect, value in hidden.items()}
+    y = noisy(hidden_outputs(model, friction_first, blank, {0: _SHARP}), NOISE, rng)
+    return record_of(model, force, y, dt=DT, name=name)
 
 
 def _where_it_fails(comparison: Comparison) -> str:

@@ -175,10 +175,8 @@ def example_csv(name: str, *, seed: int = 1, exact: bool = False) -> str:
     str
         CSV with a header line: time, inputs, outputs.
     """
-    from ..data.measurement import Measurement
     from ..effects.effect import Effect
-    from ..engine.engine import Engine
-    from ..engine.structure import Structure
+    from ..exercises.record import hidden_outputs, noisy, record_of
     from ..models.conversion import as_physical
 
     made = _EXAMPLES[name]
@@ -187,13 +185,10 @@ def example_csv(name: str, *, seed: int = 1, exact: bool = False) -> str:
     linear = model.linear
     steps = rng.standard_normal((linear.n_inputs, -(-_SAMPLES // made.hold)))
     w = made.mean + made.amplitude * np.repeat(steps, made.hold, axis=1)[:, :_SAMPLES]
-    effects = [] if exact else [Effect(made.kind, made.place)]
-    structure = Structure(model, effects, constants={0: made.width} if made.width and effects else None)
-    blank = Measurement(w, np.zeros((linear.n_outputs, _SAMPLES)), dt=made.dt)
-    theta = np.array(() if exact else made.values)
-    y = Engine(structure, blank, substeps=8).run(theta, sensitivity=False).outputs
-    noise = np.random.default_rng([seed, 1]).standard_normal(y.shape)  # the same with and without the effect
-    y = y + _NOISE * y.std(axis=1, keepdims=True) * noise
+    hidden = {} if exact else {Effect(made.kind, made.place): made.values}
+    blank = record_of(model, w, dt=made.dt)
+    y = hidden_outputs(model, hidden, blank, {0: made.width} if made.width and hidden else None)
+    y = noisy(y, _NOISE, np.random.default_rng([seed, 1]))  # the same with and without the effect
     text = io.StringIO()
     np.savetxt(
         text,

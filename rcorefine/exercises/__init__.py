@@ -1,0 +1,10 @@
+"""Exercises for a course: a record that hides an effect, another one for each student, and their grading."""
+
+from .exercise import Exercise, Mark, hidden_effect, load_exercise
+from .grading import Grade, Grades, grade
+from .plants import PLANTS as _PLANTS
+
+__all__ = ["Exercise", "Grade", "Grades", "Mark", "grade", "hidden_effect", "load_exercise", "plants"]
+
+#: Names of the plants, one for each lab.
+plants = tuple(_PLANTS)

@@ -1,0 +1,314 @@
+"""An exercise: a model, two records of a plant that lacks something, and answers under seal."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, field
+from os import PathLike, fspath
+from pathlib import Path
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from ..archives import read_archive
+from ..arguments import as_choice, as_number, as_path, as_text, as_whole
+from ..data.measurement import Measurement
+from ..effects.effect import Effect
+from ..exceptions import DataError, ModelError
+from ..models.physical_model import PhysicalModel
+from ..results import Result
+from ..writing import replacing
+from .hiding import LEVELS, TRAINING, hide
+from .plants import PLANTS
+from .record import record_of
+from .seal import is_sealed, sealed
+
+__all__ = ["Exercise", "Mark", "hidden_effect", "load_exercise"]
+
+EFFECT, PLACE, COEFFICIENT = 0.6, 0.3, 0.4  # points: for the effect, the place alone, the coefficient
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """What an answer is worth.
+
+    Attributes
+    ----------
+    effect : str
+        "right", "tied" (the record cannot tell it from the right one, so it counts), "place" (the place
+        is right, the law is not) or "wrong".
+    coefficient : bool or None
+        Whether it is near enough: within 10 %, or four standard deviations where the record shows less.
+        None where none was given, or the effect is wrong.
+    """
+
+    effect: str
+    coefficient: bool | None
+
+    @property
+    def points(self) -> float:
+        """0.6 for the effect (0.3 for the place alone) and 0.4 for the coefficient."""
+        first = {"right": EFFECT, "tied": EFFECT, "place": PLACE, "wrong": 0.0}[self.effect]
+        return first + (COEFFICIENT if self.coefficient else 0.0)
+
+    def __str__(self) -> str:
+        said = {
+            "right": "Right: this effect, at this place.",
+            "tied": "This counts: the record cannot tell it from the effect that is hidden.",
+            "place": "The place is right; the law is another one.",
+            "wrong": "Neither this effect nor this place.",
+        }[self.effect]
+        if self.coefficient is None:
+            return said
+        return f"{said} The coefficient is {'near enough' if self.coefficient else 'not near enough'}."
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Exercise(Result):
+    """A model, and records of a plant that does something the model does not.
+
+    Attributes
+    ----------
+    plant : str
+        Name of the plant.
+    level : int
+        1 to 3: how little the effect does, and how much noise there is.
+    model : PhysicalModel
+        The linear model.
+    train, test : Measurement
+        Records to find the effect in, and to judge by.
+    candidates : tuple of Effect
+        What may be hidden; one of them is.
+    ident : str
+        Name of the exercise, by which `grade` finds it.
+    """
+
+    plant: str
+    level: int
+    model: PhysicalModel
+    train: Measurement
+    test: Measurement
+    candidates: tuple[Effect, ...]
+    ident: str
+    _seals: frozenset[str] = field(repr=False)
+
+    @property
+    def has_answer(self) -> bool:
+        """Whether this copy can check answers."""
+        return bool(self._seals)
+
+    def check(self, kind: str, place: str, coefficient: float | None = None) -> Mark:
+        """Tell right from wrong.
+
+        Parameters
+        ----------
+        kind, place : str
+            The effect: of one of the `candidates`.
+        coefficient : float, optional
+            Its coefficient, in the model's units.
+
+        Returns
+        -------
+        Mark
+
+        Raises
+        ------
+        control.ControlArgument
+            If no candidate is of this kind at this place.
+        ModelError
+            If this copy was saved without its answer.
+        """
+        value = self._answer(kind, place, coefficient)
+        if not self.has_answer:
+            raise ModelError("this copy holds no answer: hand in what you found with hand_in()")
+        effect = next(
+            (
+                word
+                for word, words in (("right", (kind, place)), ("tied", (kind, place)), ("place", (place,)))
+                if is_sealed(self._seals, self.ident, word, *words)
+            ),
+            "wrong",
+        )
+        if value is None or effect not in ("right", "tied"):
+            return Mark(effect, None)
+        return Mark(effect, is_sealed(self._seals, self.ident, "value", kind, place, value=value))
+
+    def hand_in(
+        self,
+        path: str | PathLike[str],
+        student: str,
+        kind: str,
+        place: str,
+        coefficient: float | None = None,
+    ) -> Path:
+        """Write an answer as a file for `grade`; it says nothing about right or wrong.
+
+        Parameters
+        ----------
+        path : str or path
+            File, ``.json``.
+        student : str
+            Who answers.
+        kind, place : str
+            The effect: of one of the `candidates`.
+        coefficient : float, optional
+            Its coefficient, in the model's units.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        control.ControlArgument
+            If no candidate is of this kind at this place.
+        """
+        answer = {
+            "exercise": self.ident,
+            "student": as_text(student, "student"),
+            "kind": kind,
+            "place": place,
+            "coefficient": self._answer(kind, place, coefficient),
+        }
+        target = as_path(path)
+        with replacing(target) as stream:
+            stream.write(json.dumps(answer, indent=1).encode())
+        return target
+
+    def save(self, path: str | PathLike[str], *, answer: bool = True) -> Path:
+        """Write the exercise as one file, for `load_exercise`.
+
+        Parameters
+        ----------
+        path : str or path
+            File, ``.npz``.
+        answer : bool
+            Whether it can check answers; copies for students of graded work cannot.
+
+        Returns
+        -------
+        Path
+            The file.
+        """
+        target = as_path(path)
+        whole = [
+            np.hstack([getattr(r, what) for r in (self.train, self.test)]) for what in ("inputs", "outputs")
+        ]
+        seals = sorted(self._seals) if answer else []
+        about = json.dumps({"plant": self.plant, "level": self.level, "seals": seals})
+        with replacing(target) as stream:
+            np.savez_compressed(stream, inputs=whole[0], outputs=whole[1], about=np.array(about))
+        return target
+
+    def _answer(self, kind: str, place: str, coefficient: float | None) -> float | None:
+        if (kind, place) not in [(effect.kind, effect.place) for effect in self.candidates]:
+            known = ", ".join(f"{effect.kind} at {effect.place}" for effect in self.candidates)
+            raise ct.ControlArgument(f"no candidate {kind!r} at {place!r}; the candidates are {known}")
+        return None if coefficient is None else as_number(coefficient, "coefficient")
+
+
+def hidden_effect(seed: int, plant: str = "motor", level: int = 1) -> Exercise:
+    """Make an exercise: a plant with one effect that its model lacks, another one for each seed.
+
+    Parameters
+    ----------
+    seed : int
+        0 or larger. The same seed makes the same exercise.
+    plant : {"rc_circuit", "motor", "servo", "thermal", "car", "pendulum", "crane", "frame"}
+        What the record is of.
+    level : {1, 2, 3}
+        The model misses 30, 15 or 8 % of the outputs, and the noise is 1, 2 or 3 % of them.
+
+    Returns
+    -------
+    Exercise
+        The effect can be found: ``diagnose(model, train, candidates=candidates)`` names it, or
+        names it among several that the record cannot tell apart, all of which count.
+
+    Raises
+    ------
+    control.ControlArgument
+        If there is no such plant or level.
+    ModelError
+        If what this seed hides could not be found again; take another.
+
+    Notes
+    -----
+    The size of every candidate is searched so that the model misses the stated share. What is hidden is
+    at least 10 standard deviations away from every other candidate of one coefficient, at any size of
+    that; then a diagnosis must name it or tie it, with the coefficient within its tolerance.
+
+    The exercise holds neither seed nor answer, only salted digests of what counts. Who knows the
+    seed can make the exercise again and read its source: for graded work hand out files
+    (`Exercise.save` with ``answer=False``) made from seeds that you keep.
+
+    Examples
+    --------
+    >>> from rcorefine import exercises
+    >>> exercise = exercises.hidden_effect(3, "motor")
+    >>> exercise.train.n_samples, exercise.test.n_samples
+    (2000, 1000)
+    >>> print(exercise.check("input_gain", "voltage"))
+    Neither this effect nor this place.
+    """
+    seed = as_whole(seed, "seed", least=0)
+    chosen = PLANTS[as_choice(plant, "plant", tuple(PLANTS))]
+    if isinstance(level, bool) or level not in LEVELS:
+        raise ct.ControlArgument(f"level must be one of {', '.join(map(str, LEVELS))}, not {level!r}")
+    model = chosen.make()
+    candidates = chosen.candidates(model)
+    hidden = hide(chosen, model, candidates, level, [seed, level, *plant.encode()])
+    ident = _ident(plant, level, hidden.train, hidden.test)
+    seals = sealed(hidden.accepted, ident)
+    return Exercise(plant, level, model, hidden.train, hidden.test, candidates, ident, seals)
+
+
+def load_exercise(path: str | PathLike[str]) -> Exercise:
+    """Read an exercise that `Exercise.save` wrote.
+
+    Parameters
+    ----------
+    path : str or path
+        File.
+
+    Returns
+    -------
+    Exercise
+
+    Raises
+    ------
+    DataError
+        If it is another file, or damaged.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> from rcorefine import exercises
+    >>> exercise = exercises.hidden_effect(3, "motor")
+    >>> path = exercise.save(pathlib.Path(tempfile.mkdtemp()) / "ada.npz", answer=False)
+    >>> exercises.load_exercise(path).ident == exercise.ident
+    True
+    """
+    arrays = read_archive(path)
+    try:
+        about: dict[str, Any] = json.loads(str(arrays["about"]))
+        plant, level, seals = about["plant"], int(about["level"]), frozenset(map(str, about["seals"]))
+        chosen = PLANTS[plant]
+        model = chosen.make()
+        train, test = record_of(model, arrays["inputs"], arrays["outputs"], dt=chosen.dt).split(TRAINING)
+    except (KeyError, TypeError, ValueError) as error:
+        raise DataError(
+            f"{fspath(path)} is no exercise that Exercise.save wrote, or it is damaged"
+        ) from error
+    ident = _ident(plant, level, train, test)
+    return Exercise(plant, level, model, train, test, chosen.candidates(model), ident, seals)
+
+
+def _ident(plant: str, level: int, *records: Measurement) -> str:
+    digest = hashlib.sha256(f"{plant} {level}".encode())
+    for record in records:
+        digest.update(record.inputs.tobytes() + record.outputs.tobytes())
+    return digest.hexdigest()[:16]
