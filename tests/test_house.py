@@ -135,8 +135,8 @@ def test_no_module_imports_itself_by_a_detour():
 _HOMONYMS = {
     "coefficient": {
         "diagnosis/stepwise/backward.py", "diagnosis/stepwise/selection.py", "models/physical_model.py",
-        "streaming/coefficients/entries.py", "views/diagnosis.py", "views/exercises.py", "views/experiment.py",
-        "views/improvement.py", "views/monitor.py", "views/pages/diagnosis.py",
+        "streaming/coefficients/entries.py", "views/diagnosis.py", "views/exercises.py",
+        "views/experiment.py", "views/improvement.py", "views/monitor.py", "views/pages/diagnosis.py",
     },
     "damping": {"localization/localize.py"},
     "mass": {"models/detection.py"},
