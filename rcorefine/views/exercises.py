@@ -24,7 +24,7 @@ def exercise_told(exercise: Exercise) -> Told:
         if exercise.has_answer
         else "hand_in(path, student, kind, place, coefficient) writes your answer.",
     ]
-    return head, Table(["kind", "place", "coefficient"], rows, head[0], notes, 3), notes
+    return head, Table(["kind", "place", "coefficients"], rows, head[0], notes, 3), notes
 
 
 @tabulates(Grades)
