@@ -152,7 +152,7 @@ def displacement_port(linear: LinearModel, item: Displacement, masses: MassScale
     return Port(
         labels[item.state],
         "mechanical",
-        act=row_of(n, {state: -sign / masses.mass[state] for state, sign in ends.items()}),
+        act=-masses.inverse @ row_of(n, ends),
         position=row_of(n, {item.state: 1.0}),
         position_input=nothing,
         velocity=row_of(n, {state: sign * item.scale for state, sign in ends.items()}),

@@ -19,6 +19,7 @@ from .ports import Port
 __all__ = ["Declared", "Link", "find_links", "row_of", "weighted"]
 
 _ANGLES = frozenset("th theta phi psi alpha beta gamma pitch roll yaw angle rotation".split())
+_SMALL = 1e-12
 _UNEXPLAINED = 0.01  # of a damping coupling: more than rounding leaves of what the springs' links explain
 
 
@@ -63,9 +64,13 @@ def find_links(
     q, scale = [item.state for item in absolute], np.array([item.scale for item in absolute])
     n, A = len(absolute), significant(linear.A, tolerance)
     linked = np.array([[i == j or masses.linked(i, j) for j in v] for i in v], dtype=bool).reshape(n, n)
+    heft = np.sqrt(np.outer(masses.mass[v], masses.mass[v]))
 
     def force(X: Array) -> Array:  # the symmetric part, where masses make it symmetric
-        X = -masses.mass[v][:, None] * X
+        X = np.asarray(-np.linalg.solve(masses.inverse[np.ix_(v, v)], X), dtype=np.float64)
+        if masses.shared:  # what is no larger than the asymmetry is rounding, too
+            rounding = ((2.0 * np.abs(X - X.T) + _SMALL * np.abs(X)) / heft).max()
+            X[np.abs(X) <= rounding * heft] = 0.0
         return np.where(linked, 0.5 * (X + X.T), 0.0)
 
     K, C = force(A[np.ix_(v, q)] * scale), force(A[np.ix_(v, v)])
@@ -192,7 +197,7 @@ def _link_port(
     return Port(
         name or what,
         "mechanical",
-        act=row_of(n, {j: -size / masses.mass[j] for _, j, size in ends}),
+        act=-masses.inverse @ row_of(n, {j: size for _, j, size in ends}),
         position=row_of(n, {item.state: unit * size / item.scale for item, _, size in ends}),
         position_input=nothing,
         velocity=row_of(n, {j: unit * size for _, j, size in ends}),

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..systems.linear import Array, LinearModel
 from .displacements import Displacement, is_companion, significant
+from .inertia import coupled_inverse
 
 __all__ = ["MassScale", "exchanging", "relative_masses"]
 
@@ -22,8 +23,9 @@ class MassScale:
 
     Parameters
     ----------
-    mass : ndarray of shape (n,)
-        Mass that belongs to each state, 1 where nothing is known.
+    inverse : ndarray of shape (n, n)
+        Inverse of the mass matrix: the rates of the states by forces on them. Diagonal, with 1 where
+        nothing is known, unless coordinates share inertia.
     origin : tuple of str
         Where each comes from, in words.
     links : frozenset of tuple of int
@@ -32,10 +34,20 @@ class MassScale:
         1 for the input that is the acceleration of the base, otherwise 0.
     """
 
-    mass: Array
+    inverse: Array
     origin: tuple[str, ...]
     links: frozenset[tuple[int, int]]
     base_acceleration: Array
+
+    @property
+    def mass(self) -> Array:
+        """What a force on one state alone feels, of shape (n,)."""
+        return np.asarray(1.0 / np.diag(self.inverse))
+
+    @property
+    def shared(self) -> bool:
+        """Whether coordinates share inertia."""
+        return bool(np.count_nonzero(self.inverse) > len(self.inverse))
 
     def linked(self, one: int, two: int) -> bool:
         """Whether a two-sided link joins two velocity states."""
@@ -95,7 +107,48 @@ def relative_masses(
                     origin[state] += " and the symmetry of A"
             else:
                 origin[state] = f"forces are per unit mass of {labels[anchor]}"
-    return MassScale(mass, tuple(origin), frozenset(kept), base)
+    inverse = np.diag(1.0 / mass)
+    moving = [item.moving for item in displacements if item.absolute and item.moving is not None]
+    if len(moving) == len(displacements) and not (set(moving) & set(declared or {})):
+        _share_inertia(linear, displacements, inverse, origin, kept, tolerance)
+    return MassScale(inverse, tuple(origin), frozenset(kept), base)
+
+
+def _share_inertia(
+    linear: LinearModel,
+    displacements: Sequence[Displacement],
+    inverse: Array,
+    origin: list[str],
+    kept: set[tuple[int, int]],
+    tolerance: float,
+) -> None:
+    """Where a mass for each coordinate leaves couplings one-sided: a matrix of masses, if there is one."""
+    A, labels = significant(linear.A, tolerance), linear.state_labels
+    q, scale = [item.state for item in displacements], np.array([item.scale for item in displacements])
+    v = [item.moving for item in displacements if item.moving is not None]
+    K, C = A[np.ix_(v, q)] * scale, A[np.ix_(v, v)]
+    B = significant(linear.B, tolerance)[v]
+    linked = np.array([[(min(i, j), max(i, j)) in kept for j in v] for i in v], dtype=bool)
+    mass = 1.0 / np.diag(inverse)[v][:, None]
+    told, explained = 0, np.ones((len(v), len(v)), dtype=bool)
+    for X in (K, C):
+        force = mass * X
+        link = linked & (np.abs(force - force.T) <= _ASYMMETRY * np.abs(force))
+        explained &= link | (X == 0) | np.eye(len(v), dtype=bool)
+        told += int(np.count_nonzero(X)) - int(np.count_nonzero(np.triu(link & (X != 0), 1)))
+    if explained.all():
+        return
+    told += int(np.count_nonzero(B)) + len(v) - len(_groups(v, dict.fromkeys(kept, 0.0)))
+    found = coupled_inverse(K, C, linear.B[v], told)
+    if found is None:
+        return
+    W, i, j = found
+    inverse[np.ix_(v, v)] = W
+    kept |= set(combinations(sorted(v), 2))
+    words = "the symmetry of stiffness and damping, which share inertia"
+    for k in v:
+        anchor = f"the input {linear.input_labels[j]} and {words}" if i >= 0 else words
+        origin[k] = f"masses from {anchor}" + ("" if i >= 0 else f"; forces are relative to {labels[v[0]]}")
 
 
 def exchanging(A: Array, states: Sequence[int], tolerance: float) -> list[tuple[int, int]]:

@@ -79,6 +79,8 @@ def read_parameters(
         if item.absolute and item.moving is not None:
             rest.take(by_state[item.state], Stiffness.name, item.moving, item.state)
             rest.take(by_state[item.state], Damping.name, item.moving, item.moving)
+    if masses.shared:
+        rest.left[np.abs(rest.left) <= _ROUNDED * rest.scale] = 0.0
     for state, port in by_state.items():
         if port.kind == "mechanical" and not port.has_position:
             rest.take(port, Damping.name, state, state)
