@@ -74,6 +74,16 @@ class Result:
 
     __slots__ = ()
 
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if "__repr__" not in cls.__dict__:  # a dataclass would write one of all its arrays
+            cls.__repr__ = Result.__repr__  # type: ignore[method-assign]
+
+    def __repr__(self) -> str:
+        first = next((line for line in str(self).splitlines() if line.strip()), "")
+        kind = type(self).__name__
+        return f"<{first.strip()}>" if first.startswith(kind) else f"<{kind}: {first.strip()}>"
+
     def __str__(self) -> str:
         return str(show(self, "text"))
 

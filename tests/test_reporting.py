@@ -7,7 +7,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from rcorefine import Measurement, compare
+from rcorefine import Measurement, compare, physical, refine
 from rcorefine.data.frequency_response import FrequencyResponse
 from rcorefine.systems.linear import LinearModel
 from rcorefine.systems.response import as_sampled
@@ -77,6 +77,15 @@ def test_comparison_tables_explain_each_figure():
         assert word in " ".join(text.split())
     assert "<img" not in result._repr_html_()
     assert text.count("\n") < 20
+
+
+def test_a_result_shown_in_the_console_is_one_line():
+    model = physical(resonant())
+    data = record(resonant(), n=400)
+    for result in (model, data, compare(model, data), refine(model, data, free="linear")):
+        assert "\n" not in repr(result)
+        assert len(repr(result)) < 120
+        assert type(result).__name__ in repr(result)
 
 
 # ---------------------------------------------------------------------- Bode
