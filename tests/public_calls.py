@@ -290,6 +290,7 @@ FIT = {
     "validation": is_nothing,
     "candidates": is_listing,
     "effects": is_listing,
+    "controller": is_transfer_function,
 }
 
 
@@ -766,7 +767,12 @@ CALLS: dict[str, Call] = {
     "simulate": Call(
         lambda: rco.simulate,
         lambda: {"model": model(), "data": record()},
-        {"model": is_transfer_function, "data": is_nothing, "x0": is_state},
+        {
+            "model": is_transfer_function,
+            "data": is_nothing,
+            "x0": is_state,
+            "controller": is_transfer_function,
+        },
     ),
     "frequency_response_at": Call(
         lambda: rco.frequency_response_at,
@@ -784,7 +790,12 @@ CALLS: dict[str, Call] = {
     "check": Call(
         lambda: rco.check,
         lambda: {"model": model(), "data": record(), "information": False},
-        {"model": is_transfer_function, "data": is_nothing, "information": is_flag},
+        {
+            "model": is_transfer_function,
+            "data": is_nothing,
+            "information": is_flag,
+            "controller": is_transfer_function,
+        },
     ),
     "compare": Call(lambda: rco.compare, lambda: {"model": model(), "data": record()}, FIT),
     "Comparison.plot": _plot(comparison, kind=is_text, measured=is_nothing, omega=is_numbers),

@@ -13,10 +13,12 @@ from ..data.channels import Channels, aligned, match_channels, record_for, with_
 from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement
 from ..effects.tabulated import Table, share_beyond
+from ..engine.controlled import as_it_runs
 from ..engine.free_runs import checked_horizon, free_runs
 from ..engine.simulation import simulated, structure_of, unjudged_samples
 from ..exceptions import DataError, DivergenceError
-from ..models.conversion import as_model
+from ..models.controller import completed
+from ..models.conversion import as_model, under_control
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array, LinearModel
 from .failure_map.places import given_places
@@ -33,6 +35,7 @@ def compare(
     *,
     x0: str | Array | Sequence[float] = "estimate",
     horizon: float | None = None,
+    controller: ct.StateSpace | None = None,
 ) -> Comparison: ...
 
 
@@ -43,6 +46,7 @@ def compare(
     *,
     x0: str | Array | Sequence[float] = "estimate",
     horizon: float | None = None,
+    controller: None = None,
 ) -> FrequencyComparison: ...
 
 
@@ -52,43 +56,41 @@ def compare(
     *,
     x0: str | Array | Sequence[float] = "estimate",
     horizon: float | None = None,
+    controller: ct.StateSpace | None = None,
 ) -> Comparison | FrequencyComparison:
     """Simulate one or several models on a record and compare the outputs.
 
     Parameters
     ----------
     model : StateSpace, PhysicalModel, Refinement, or list of them
-        Continuous, or discrete with the record's sampling time. Channels are
-        matched by name where model and record have names, in any order;
-        by position otherwise. Outputs that were not measured are left out.
-        A model with a `hold` of its own (`improve` found it) keeps to it.
+        Continuous, or discrete with the record's sampling time. Channels are matched by name where
+        model and record have names, in any order; by position otherwise. Outputs that were not
+        measured are left out. A model with a `hold` of its own (`improve` found it) keeps to it.
     data : Measurement, FrequencyResponseData or FrequencyResponse
-        Record; its hold decides how continuous models see the inputs. A
-        measured frequency response (`control.frd`) is compared directly.
+        Record; its hold decides how continuous models see the inputs. A measured frequency response
+        (`control.frd`) is compared directly.
     x0 : {"estimate", "zero"} or array_like of shape (n,)
         Initial state: the one that fits this record best, rest, or given.
     horizon : float, optional
-        Length in s of windows that start anew, each from its own estimated
-        initial state (so it excludes a given `x0`). For models with slow or
-        unstable modes, whose free run drifts away however good they are. The
-        record is cut in the whole number of equal windows that comes nearest.
-        Default: the whole record; one tenth of it where a model integrates. A
-        continuous model that is unstable has no free run: it is judged by what it
-        predicts one sample ahead, led by an observer.
-        The same in `refine`, `diagnose` and `improve`.
+        Length in s of windows that start anew, each from its own estimated initial state (so it
+        excludes a given `x0`). For models with slow or unstable modes, whose free run drifts away
+        however good they are. The record is cut in the whole number of equal windows that comes
+        nearest. Default: the whole record; one tenth of it where a model integrates. A continuous
+        model that is unstable has no free run: it is judged by what it predicts one sample ahead,
+        led by an observer. The same in `refine`, `diagnose` and `improve`.
+    controller : StateSpace or TransferFunction, optional
+        As in `refine`: the loop of this controller is simulated.
 
     Returns
     -------
     Comparison
-        `fit`, `rmse`, `residual`, `simulated`, and in `failures` where the
-        model fails; ``print`` it, ``.plot()`` it. A `FrequencyComparison`
-        for a measured frequency response.
+        `fit`, `rmse`, `residual`, `simulated`, and in `failures` where the model fails; ``print`` it,
+        ``.plot()`` it. A `FrequencyComparison` for a measured frequency response.
 
     Raises
     ------
     control.ControlArgument
-        If a model or the record is something else; the message says what to
-        convert.
+        If a model or the record is something else; the message says what to convert.
     control.ControlDimension
         If channels do not fit or a name is missing.
     DataError
@@ -113,9 +115,9 @@ def compare(
     (True, True)
     """
     responses = isinstance(data, (FrequencyResponse, ct.FrequencyResponseData))
-    horizon = _checked(data, responses, x0, horizon)
+    horizon = _checked(data, responses, x0, horizon, controller)
     several = isinstance(model, (list, tuple))
-    models = [as_model(each) for each in (model if several else [model])]
+    models = [under_control(as_model(each), controller, data) for each in (model if several else [model])]
     if not models:
         raise ct.ControlArgument("no model to compare; give one StateSpace or a list of them")
     linear = [LinearModel.from_statespace(getattr(each, "system", each)) for each in models]
@@ -126,12 +128,12 @@ def compare(
     return _on_record(models, linear, names, data, x0, horizon, several)
 
 
-def _checked(data: Any, responses: bool, x0: Any, horizon: float | None) -> float | None:
+def _checked(data: Any, responses: bool, x0: Any, horizon: float | None, controller: Any) -> float | None:
     """The horizon; whether it and the initial state belong to such data."""
     if responses:
-        if horizon is not None or not _estimated(x0):
+        if horizon is not None or controller is not None or not _estimated(x0):
             raise ct.ControlArgument(
-                "x0 and horizon belong to records in time; a frequency response has neither"
+                "x0, horizon and controller belong to records in time; a frequency response has none of them"
             )
         return None
     if not isinstance(data, Measurement):
@@ -156,15 +158,15 @@ def _on_record(
     several: bool,
 ) -> Comparison:
     """The models run freely on one record."""
+    looped = [one for one in map(_physical, models) if one is not None and one.controller is not None]
+    data = completed(looped[0], data) if looped else data
     channels = [match_channels(each, data) for each in linear]
     holds = [_hold(each) or data.hold for each in models]
     outputs = [i for i in range(data.n_outputs) if all(i in each.outputs for each in channels)]
     if not outputs:
-        raise ct.ControlDimension(
-            "the models have no output of the record in common; compare them one by one"
-        )
+        raise ct.ControlDimension("the models have no output of the record in common; compare them alone")
     notes = [note for each in channels for note in each.notes]
-    windows, note = _windows(data, horizon, x0, [*linear, *_origins(models)], len(outputs))
+    windows, note = _windows(data, horizon, x0, _runs_of(models, linear, data), len(outputs))
     notes += [note] if note else []
     notes += [
         f"{name!r} takes the inputs with hold={hold!r} as it was fitted; the record declares {data.hold!r}"
@@ -206,6 +208,7 @@ def _on_record(
         holds=tuple(holds),
         notes=tuple(dict.fromkeys(notes)),
         several=several,
+        looped=bool(looped),
     )
 
 
@@ -213,8 +216,6 @@ def _windows(
     data: Measurement, horizon: float | None, x0: Any, models: Sequence[LinearModel], n_outputs: int
 ) -> tuple[list[slice], str]:
     """Windows that cover the record, each long enough to estimate a state in, and why there are any."""
-    if isinstance(horizon, (int, float)) and not (np.isfinite(horizon) and horizon > 0):
-        raise DataError(f"horizon must be a positive time in seconds, not {horizon}")
     estimated = _estimated(x0)
     (windows,), note = free_runs(models, [data], horizon, known_start=not estimated)
     n_states = max(each.n_states for each in models)
@@ -226,16 +227,24 @@ def _windows(
     return windows, note
 
 
-def _origins(models: Sequence[Any]) -> list[LinearModel]:
-    """The initial model of each refinement: what `refine` judged by whether it integrates."""
-    known = [getattr(each, "physical_model", None) for each in models]
-    return [each.linear for each in known if isinstance(each, PhysicalModel)]
+def _runs_of(models: Sequence[Any], linear: Sequence[LinearModel], data: Measurement) -> list[LinearModel]:
+    """What runs; of a refinement its initial model too, by which `refine` judged whether it integrates."""
+    known = [one for one in map(_physical, models) if one is not None]
+    if any(one.controller is not None for one in known):
+        return [as_it_runs(one, data) for one in known]
+    return [*linear, *(one.linear for one in known)]
+
+
+def _physical(model: Any) -> PhysicalModel | None:
+    """What is known of a model beside its matrices, if anything."""
+    physical = getattr(model, "physical_model", model)
+    return physical if isinstance(physical, PhysicalModel) else None
 
 
 def _hold(model: Any) -> str | None:
     """The hold that goes with a model."""
-    physical = getattr(model, "physical_model", model)
-    return physical.hold if isinstance(physical, PhysicalModel) else None
+    physical = _physical(model)
+    return None if physical is None else physical.hold
 
 
 def _hidden(

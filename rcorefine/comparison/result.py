@@ -62,6 +62,8 @@ class Comparison(Reported):
         Channels that were reordered or left out, holds that differ.
     several : bool
         Whether a list of models was compared.
+    looped : bool
+        Whether `runs` are those of the loop with a controller.
     """
 
     names: tuple[str, ...]
@@ -77,6 +79,7 @@ class Comparison(Reported):
     holds: tuple[str, ...]
     notes: tuple[str, ...]
     several: bool
+    looped: bool = False
     # searched once, when first asked for
     _found: dict[int, FailureMap] = field(default_factory=dict, init=False, repr=False)
 
@@ -87,7 +90,7 @@ class Comparison(Reported):
     def led(self) -> bool:
         """Whether a model is unstable over the record, so that `runs` are predictions one sample ahead."""
         away = (m.is_continuous and runs_away(m, self.data) for m in self.models)
-        return len(self.starts) == 1 and any(away)
+        return len(self.starts) == 1 and not self.looped and any(away)
 
     @property
     def fit(self) -> Array:

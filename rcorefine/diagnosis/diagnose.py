@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import control as ct
 import numpy as np
 
 from ..arguments import as_share
@@ -19,7 +20,7 @@ from ..inference.refinement import Refinement
 from ..inference.sensitivities import Candidate, candidate_columns
 from ..inference.whitening import FTest
 from ..inference.windows import as_records, check_validation
-from ..models.conversion import as_physical
+from ..models.conversion import as_physical, under_control
 from ..progress import Progress
 from ..refinement.base_fit import base_fit
 from ..refinement.refine import refit
@@ -55,6 +56,7 @@ def diagnose(
     noise: float | Sequence[float] | None = None,
     horizon: float | None = None,
     significance: float = 0.01,
+    controller: ct.StateSpace | None = None,
     executor: Any = None,
     progress: bool = False,
 ) -> Diagnosis:
@@ -84,6 +86,8 @@ def diagnose(
         tied with others at 0, and 3 of 5 at 0.05.
     significance : float
         Level of the gate: the rate of false alarms where nothing is missing.
+    controller : StateSpace or TransferFunction, optional
+        As in `refine`: simulate the model in the loop of this controller.
     executor : concurrent.futures.Executor or dask.distributed.Client, optional
         Refits candidates in parallel.
     progress : bool
@@ -125,7 +129,7 @@ def diagnose(
     'adequate'
     """
     significance = as_share(significance, "significance")
-    records = as_records(data)
+    records, model = as_records(data), under_control(model, controller, data)
     candidates = None if candidates is None else as_effects(candidates, "candidates")
     check_settings(
         as_physical(model), free=free, tolerance=tolerance, offset=offset, noise=noise, horizon=horizon

@@ -16,6 +16,7 @@ from ..exceptions import ModelError
 from ..models.operating_point import refuse_point
 from ..results import Result
 from ..systems.linear import Array
+from .controlled import open_loop
 from .engine import Engine
 from .harmonic_balance import Balance, SteadyState
 from .simulation import structure_of
@@ -143,6 +144,7 @@ def frequency_response_at(
     harmonics = as_whole(harmonics, "harmonics", least=1, most=_MOST_HARMONICS)
     as_choice(sweep, "sweep", ("up", "down"))
     structure, theta, _ = structure_of(model)
+    structure = open_loop(structure)
     linear = refuse_point(structure.model, "frequency_response_at").linear
     channel = _channel(source, linear.input_labels)
     balance = Balance(structure, theta, channel, int(harmonics))

@@ -19,6 +19,7 @@ from ..effects.formula import InputLaw
 from ..exceptions import DivergenceError
 from ..systems.linear import Array
 from . import kernels
+from .controlled import sample_jumps, start_columns
 from .inputs import BAND_LIMITED_FACTOR, InputSignal
 from .observer import leading_gain
 from .point import field_numbers
@@ -75,6 +76,7 @@ class Engine:
         acted before the record.
     led : bool
         Whether a model that runs away over such a record is led by an observer (`leading_gain`).
+        One under a controller is always led by that.
 
     Attributes
     ----------
@@ -94,7 +96,9 @@ class Engine:
         data = structure.model.held(data)
         self.structure, self.data = structure, data
         self._known_start = initial is not None
-        self.lead = leading_gain(structure, data) if led else None
+        looped = structure.model.controller is not None
+        self.lead = leading_gain(structure, data) if led or looped else None
+        self._resets = sample_jumps(structure, data.dt)
         if structure.output_delays:
             substeps = max(substeps, _NODES_FOR_DELAY)
         if data.hold == "bandlimited":
@@ -166,7 +170,7 @@ class Engine:
             columns, outcolumns, fcolumns = (np.full_like(one, -1) for one in (columns, outcolumns, fcolumns))
             driven, dW, dWout = driven[:0], dW[:0], dWout[:0]
         x = np.zeros(n) if x0 is None else np.array(x0, dtype=float)
-        S = np.eye(p, n, n - p if initial_state else n)  # zero, but for the initial states, which come last
+        S = start_columns(s, p) if initial_state else np.zeros((p, n))
         flags, K = self._corrections(self.lead if gain is None else gain, use)
         keep = histories or bool(s.output_delays)
         Yout = np.full((N, ny), np.nan)
@@ -185,8 +189,8 @@ class Engine:
             blew_up = kernels.march(
                 Ms, dMs, pieces, disc.linear, disc.O, disc.dO, disc.P, disc.dP, codes, values, columns,
                 widths, drive.W, drive.nodes, drive.Wout, dW, dWout, driven, self._measured, flags, K,
-                outcodes, outvalues, outcolumns, x, np.zeros(s.n_ports + ny), S, self.substeps, Yout, SY, X,
-                F, limit, field, fvalues, fcolumns,
+                self._resets, outcodes, outvalues, outcolumns, x, np.zeros(s.n_ports + ny), S,
+                self.substeps, Yout, SY, X, F, limit, field, fvalues, fcolumns,
             )  # fmt: skip
         raise_pending()
         if blew_up >= 0 and check:

@@ -155,6 +155,7 @@ def march(
     Y,  # (N, ny)                 measurement, used where `use` is set
     use,  # (N, ny) uint8         correct the state with this output at this sample
     K,  # (n, ny)                 observer gain
+    J,  # (n, n) or (0, 0)        x = J x at every sample, before anything else
     outcodes,  # (ny,)            law of each output, 0 for none
     outvalues,  # (ny, 4)
     outcolumns,  # (ny, 4)
@@ -208,6 +209,7 @@ def march(
     step = np.zeros(nz)
     out = np.zeros(n + nw + m + nf)
     xw = np.zeros(n + nw)
+    x_before = np.zeros(n)
     w_now, w_end = xw[n : n + nw - 1], step[n + nw : n + 2 * nw - 1]  # the inputs without the constant one
     y = np.zeros(ny)
     sy = np.zeros((p, ny))
@@ -246,6 +248,12 @@ def march(
     stale = True
     first = True
     for k in range(samples):
+        if J.shape[0] > 0:
+            x_before[:] = x
+            _apply(x, J, x_before)
+            Snew[:, :] = 0.0
+            _add_rows(Snew, S, J)
+            S[:, :] = Snew
         # forces at the sample: new where the state was corrected or the port senses the input
         for attempt in range(2):
             if m + nf > 0 and (stale or senses_input):

@@ -50,7 +50,11 @@ def site_of(structure: Structure, index: int) -> Site:
         port = structure.model.port(effect.place)
         rows = [np.pad(row, (0, n - row.size)) for row in (port.act, port.position, port.velocity)]
         inputs = [port.position_input, port.velocity_input, port.acceleration_input]
-    states = [base.n_states + i for i, (owner, _) in enumerate(structure.added_states) if owner == index]
+    states = [
+        base.n_states + structure.n_loop + i
+        for i, (owner, _) in enumerate(structure.added_states)
+        if owner == index
+    ]
     (act, position, velocity), (d_w, v_w, a_w) = rows, inputs
     state = states[0] if states else -1
     return Site(act, position, velocity, d_w, v_w, a_w, channel, entry, state)
@@ -108,6 +112,13 @@ def continuous_matrices(structure: Structure, theta: NDArray[Any]) -> Matrices:
         D[:, nw] += (1.0 if field is None else into.output_gain) * point.outputs - G[:, laws] @ rest
     if field is not None:  # it takes the states and what the inputs become
         sense = np.vstack([sense, np.eye(n0, n + nw + 1), np.hstack([Ux, into.Uw])])
+    controller = model.controller
+    if controller is not None:  # what it adds to the inputs is held in its last states
+        held = slice(n0 + structure.n_loop - len(controller.driven), n0 + structure.n_loop)
+        driven = np.array(controller.driven)
+        A[:, held] += B[:, driven]
+        C[:, held] += D[:, driven]
+        sense[:, held] += sense[:, n + driven]
     return Matrices(A, B, E, C, D, G, sense)
 
 

@@ -12,6 +12,7 @@ from ..effects.compiled import COUNT, evaluate
 from ..effects.formula import FormulaLaw, InputLaw, OutputLaw, PortLaw
 from ..exceptions import ModelError
 from ..systems.linear import Array
+from .controlled import open_loop
 from .point import field_numbers
 from .structure import Structure
 
@@ -45,6 +46,7 @@ def nonlinear_system(structure: Structure, theta: Array, name: str | None = None
     `control.input_output_response` interpolates inputs linearly: it agrees with
     rcorefine for records with ``hold="foh"``.
     """
+    structure = open_loop(structure)
     _refuse_without_equation(structure)
     matrices = structure.matrices(theta.astype(float))
     codes, values, _, widths = structure.laws(theta)

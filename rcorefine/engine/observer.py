@@ -10,6 +10,7 @@ from scipy.linalg import LinAlgError, solve_discrete_are
 from ..data.measurement import Measurement
 from ..systems.exponential import exponential
 from ..systems.linear import Array
+from .controlled import loop_gain, open_loop, own_states
 from .free_runs import runs_away
 from .structure import Structure
 
@@ -51,6 +52,12 @@ def observer_gain(
     ndarray, shape (n, n_y)
         Gain K of ``x = x + K (y - y_model)`` at each sample.
     """
+    if structure.n_loop:  # what it predicts has the inputs as they were: a controller takes no part
+        gain = np.zeros((structure.n_states, structure.n_outputs))
+        gain[own_states(structure)] = observer_gain(
+            open_loop(structure), theta, data, ratio, at=at, noise=noise
+        )
+        return gain
     m = structure.matrices(theta.astype(float))
     nw, n = structure.n_inputs, structure.n_states
     level = np.sqrt(np.mean(data.inputs**2, axis=1))
@@ -92,7 +99,7 @@ def observer_gain(
 
 
 def leading_gain(structure: Structure, data: Measurement) -> Array | None:
-    """Gain that keeps an unstable model on its record; None where a free run does.
+    """Gain that keeps an unstable model on its record, or that of its controller; None for a free run.
 
     With sensor noise alone, the steady filter of an unstable system mirrors its unstable poles: what it
     predicts is the best prediction there is, and under a controller an unbiased one.
@@ -108,6 +115,8 @@ def leading_gain(structure: Structure, data: Measurement) -> Array | None:
     -------
     ndarray of shape (n, n_y), or None
     """
+    if structure.n_loop:
+        return loop_gain(structure, data.dt)
     if not runs_away(structure.model.linear, data):
         return None
     bare = Structure(structure.model)

@@ -11,11 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arguments import as_state, shown
+from ..data.channels import match_channels, record_for
 from ..data.measurement import Measurement
 from ..exceptions import DivergenceError, ModelError
 from ..gauss_newton import Rows, gauss_newton
-from ..models.conversion import as_model
+from ..models.controller import completed
+from ..models.conversion import as_model, under_control
 from ..systems.linear import Array, LinearModel
+from .controlled import own_states
 from .engine import Engine
 from .structure import Structure
 
@@ -127,7 +130,13 @@ def estimate_initial_state(
     return gauss_newton(partial(rows, theta), x0, evaluations=20, tolerance=1e-8, damping=0.0).point
 
 
-def simulate(model: Any, data: Measurement, x0: str | Array = "estimate") -> Simulation:
+def simulate(
+    model: Any,
+    data: Measurement,
+    x0: str | Array = "estimate",
+    *,
+    controller: ct.StateSpace | None = None,
+) -> Simulation:
     """Free run of a model over a record.
 
     Parameters
@@ -138,6 +147,9 @@ def simulate(model: Any, data: Measurement, x0: str | Array = "estimate") -> Sim
         Inputs, and the outputs from which the initial state is estimated.
     x0 : {"estimate", "zero"} or ndarray of shape (n,)
         Initial state.
+    controller : StateSpace or TransferFunction, optional
+        As in `refine`: simulate the model in the loop of this controller. Driven by a reference from
+        x0 = "zero" the result hangs on no output of the record.
 
     Returns
     -------
@@ -163,7 +175,7 @@ def simulate(model: Any, data: Measurement, x0: str | Array = "estimate") -> Sim
     """
     if not isinstance(data, Measurement):
         raise ct.ControlArgument(f"data must be a Measurement, not {shown(data)}")
-    return simulated(model, data, x0)
+    return simulated(under_control(model, controller, data), data, x0)
 
 
 def simulated(model: Any, data: Measurement, x0: str | Array, *, led: bool = False) -> Simulation:
@@ -173,8 +185,14 @@ def simulated(model: Any, data: Measurement, x0: str | Array, *, led: bool = Fal
     if isinstance(inner, ct.StateSpace) and inner.dt != 0:
         return _simulate_discrete(LinearModel.from_statespace(inner), data, x0)
     structure, theta, substeps = structure_of(model)
+    if structure.n_loop:
+        data = completed(structure.model, data)
+        data = record_for(data, match_channels(structure.linear_model, data))
     check_channels(structure.linear_model, data)
-    start, point = as_state(x0, structure.n_states), structure.model.operating_point
+    own = own_states(structure)
+    start, point = as_state(x0, own.size), structure.model.operating_point
+    if start is not None:
+        start = np.insert(start, np.full(structure.n_loop, structure.linear_model.n_states), 0.0)
     levels = _levels(structure, data)
     if point is not None:
         data = data.deviation(point.inputs, point.outputs)
@@ -186,7 +204,7 @@ def simulated(model: Any, data: Measurement, x0: str | Array, *, led: bool = Fal
         start = estimate_initial_state(engine, theta)
     run = engine.run(theta, start, sensitivity=False, histories=True)
     outputs, states = run.outputs + levels[0][:, None], run.states + levels[1][:, None]
-    return Simulation(outputs, states, run.forces, start + levels[1])
+    return Simulation(outputs, states[own], run.forces, (start + levels[1])[own])
 
 
 def _settled_steps(structure: Structure, data: Measurement, start: Array | None, led: bool) -> int:

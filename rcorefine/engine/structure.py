@@ -19,6 +19,7 @@ from ..exceptions import ModelError
 from ..models.conversion import as_physical
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array, LinearModel
+from .controlled import open_loop
 from .matrices import Matrices, continuous_matrices, site_of
 from .point import about_point
 from .substep import Discrete, discretized
@@ -81,7 +82,9 @@ class Structure:
         self._numbers: list[int] = []  # of a nonlinear model
         for index, effect in enumerate(self.effects):
             self._register(index, effect)
-        self.n_states = base.n_states + len(self.added_states)
+        # states of a controller stand between those of the model and those of effects
+        self.n_loop = 0 if self.model.controller is None else self.model.controller.n_states
+        self.n_states = base.n_states + self.n_loop + len(self.added_states)
         self.n_ports = len(self._port_effects)
         self._substeps: dict[tuple[bytes, float, bool], Discrete] = {}
         self.sites = {
@@ -325,15 +328,15 @@ class Structure:
         return not others and self.field is None
 
     def state_labels(self) -> list[str]:
-        """State names, those that effects add included."""
+        """State names, those that effects add included and those of a controller left out."""
         names = list(self.linear_model.state_labels)
         for index, what in self.added_states:
             names.append(f"{self.effects[index].label} {what}".replace(" ", "_").replace(".", "_"))
         return names
 
     def system(self, theta: Array, name: str | None = None) -> ct.StateSpace:
-        """The model with its linear effects, as a continuous `StateSpace`."""
-        A, B, C, D = about_point(self, theta.astype(float))
+        """The model with its linear effects, as a continuous `StateSpace`; without a controller."""
+        A, B, C, D = about_point(open_loop(self), theta.astype(float))
         nw = self.n_inputs
         return self.linear_model.with_arrays(
             A=A,

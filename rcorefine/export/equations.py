@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..effects.formula import FormulaLaw
+from ..engine.controlled import open_loop
 from ..engine.nonlinear import nonlinear_system
 from ..engine.structure import Structure
 from ..exceptions import ModelError
@@ -92,6 +93,7 @@ def equations_of(structure: Structure, theta: Array, remarks: Sequence[str]) -> 
     ModelError
         If an effect has no state equation (a delay, a memory without `rate`).
     """
+    structure = open_loop(structure)
     refuse_point(structure.model, "an export")
     nonlinear_system(structure, theta)  # refuses what has no state equation
     linear, matrices = structure.linear_model, structure.matrices(theta.astype(float))

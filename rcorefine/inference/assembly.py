@@ -134,7 +134,9 @@ def offset_variants(physical: PhysicalModel, record: Measurement, offset: bool) 
     """
     if not as_flag(offset, "offset"):
         return [[]]
-    linear = physical.linear
+    linear, controller = physical.linear, physical.controller
+    if controller is not None and not controller.recorded and integrates(controller.linear, record):
+        return [[]]  # what its integrator holds at the start is an offset
     at_inputs = [Effect(InputOffset.name, label) for label in linear.input_labels]
     at_outputs = [Effect(OutputOffset.name, label) for label in linear.output_labels]
     if integrates(linear, record):

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..effects.along_motion import unit_forces
 from ..effects.effect import Effect
+from ..engine.controlled import sample_jumps
 from ..engine.engine import Engine
 from ..engine.linear_response import linear_responses
 from ..engine.point import resting
@@ -299,6 +300,8 @@ def force_responses(
     rate[:, :] = structure.model.output_rate
     through = rate @ unique[:n0]
     Phi, G0, G1 = discretize(A, unique, data.dt, "foh")
+    jumps = sample_jumps(structure, data.dt)
+    Phi = jumps @ Phi if jumps.size else Phi
     where = np.array([ports.index(name) for name, _ in forces])
     F = np.array([force for _, force in forces]).T  # (N, k)
     out = linear_responses(Phi, (G0[:, where], G1[:, where]), C0, through[:, where], F, gain=gain)

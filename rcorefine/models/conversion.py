@@ -15,6 +15,7 @@ from ..effects.effect import Effect
 from ..effects.law import KINDS
 from ..exceptions import ModelError
 from ..systems.discretization import check_sampling_time
+from .controller import as_controller, unrecorded
 from .detection import recognized
 from .link_ports import Declared, weighted
 from .nonlinear import as_known, from_nonlinear, is_nonlinear
@@ -24,7 +25,7 @@ from .physical_model import PhysicalModel
 from .ports import Port
 from .units import combine_units
 
-__all__ = ["as_model", "as_physical", "physical", "ports"]
+__all__ = ["as_model", "as_physical", "physical", "ports", "under_control"]
 
 
 def as_model(model: Any) -> Any:
@@ -67,6 +68,22 @@ def as_physical(model: Any, *, dt: float | None = None) -> PhysicalModel:
     if is_nonlinear(model):
         return as_known(model)
     return PhysicalModel.from_statespace(model, dt=dt)
+
+
+def under_control(model: Any, controller: Any, data: Any) -> Any:
+    """The model with a controller around it, the one that it has if none is given, for such records."""
+    if controller is None:
+        physical = getattr(model, "physical_model", model)
+        known = physical.controller if isinstance(physical, PhysicalModel) else None
+    else:
+        physical = as_physical(model)
+        known = as_controller(controller, physical.linear)
+    if known is None:
+        return model
+    records = data if isinstance(data, (list, tuple)) else [data]
+    known = replace(known, recorded=not any(unrecorded(known, physical.linear, r) for r in records))
+    closed = replace(physical, controller=known)
+    return replace(model, physical_model=closed) if hasattr(model, "physical_model") else closed
 
 
 def ports(model: ct.StateSpace | Any, *, dt: float | None = None) -> tuple[Port, ...]:

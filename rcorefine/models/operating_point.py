@@ -14,6 +14,7 @@ from ..data.measurement import Measurement
 from ..effects.right_hand_side import Field
 from ..exceptions import ModelError
 from ..systems.linear import Array, LinearModel
+from .controller import completed
 
 if TYPE_CHECKING:
     from .physical_model import PhysicalModel
@@ -84,13 +85,17 @@ def _values(what: str, given: Any, labels: Sequence[str]) -> Array:
 
 
 def refuse_point(model: PhysicalModel, what: str) -> PhysicalModel:
-    """The model, unless it stands about an operating point and `what` cannot know of it.
+    """The model, unless it has an operating point or a controller of which `what` cannot know.
 
     Raises
     ------
     ModelError
         If it does.
     """
+    if model.controller is not None:
+        raise ModelError(
+            f"{what} takes no controller yet: give it the model alone, the .system of what was found"
+        )
     if model.operating_point is not None and model.operating_point.field is not None:
         raise ModelError(
             f"{what} takes no nonlinear model yet: give it a linearization, the .system of "
@@ -106,6 +111,7 @@ def refuse_point(model: PhysicalModel, what: str) -> PhysicalModel:
 
 def ordered_record(model: PhysicalModel, data: Measurement) -> Measurement:
     """The record in the order of the model's channels, and as what it has above the operating point."""
+    data = completed(model, data)
     record = record_for(data, match_channels(model.linear, data))
     point = model.operating_point
     if point is None:

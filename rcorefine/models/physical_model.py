@@ -16,6 +16,7 @@ from ..exceptions import ModelError
 from ..results import Result
 from ..systems.linear import Array, LinearModel
 from .consistency import check_outputs, check_places, check_sizes
+from .controller import Controller
 from .operating_point import OperatingPoint
 from .parameters import NominalParameter
 from .ports import Port
@@ -28,9 +29,8 @@ __all__ = ["PhysicalModel"]
 class PhysicalModel(Result):
     """A linear model that knows its places, parameters and units.
 
-    Made by the builders (`mass_spring_damper`, `series_rlc`, ...), or from a plain
-    `StateSpace` by `from_statespace`. The output is split so that a force that an effect
-    adds reaches an accelerometer::
+    Made by the builders (`mass_spring_damper`, `series_rlc`, ...), or from a plain `StateSpace` by
+    `from_statespace`. The output is split so that a force of an effect reaches an accelerometer::
 
         y = output_state @ x + output_rate @ dx/dt + output_input @ w
 
@@ -54,6 +54,8 @@ class PhysicalModel(Result):
         How the inputs run between samples, where that is not as the records declare.
     operating_point : OperatingPoint, optional
         Point about which the model is linear (see `physical`).
+    controller : Controller, optional
+        What closes the loop in which the model is simulated (``controller=`` of `refine`).
 
     Attributes
     ----------
@@ -88,6 +90,7 @@ class PhysicalModel(Result):
     state_units: tuple[str, ...] = ()
     hold: str | None = None
     operating_point: OperatingPoint | None = None
+    controller: Controller | None = None
 
     def __post_init__(self) -> None:
         linear = self.linear
@@ -211,7 +214,6 @@ class PhysicalModel(Result):
         Returns
         -------
         Port
-            The port.
 
         Raises
         ------
@@ -235,8 +237,7 @@ class PhysicalModel(Result):
 
         Returns
         -------
-        tuple of int
-            Row and column.
+        row, column : int
 
         Raises
         ------
@@ -275,7 +276,7 @@ class PhysicalModel(Result):
         Returns
         -------
         Effect
-            The same effect, worded for its kind of place.
+            The same, worded for its place.
 
         Raises
         ------

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import control as ct
 import numpy as np
 
 from ..arguments import as_whole
@@ -20,6 +21,7 @@ from ..inference.outcome import package
 from ..inference.refinement import Refinement
 from ..inference.starts import estimated_motion, law_widths
 from ..inference.windows import as_records, windows
+from ..models.conversion import under_control
 from ..models.operating_point import ordered_record, start_above
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
@@ -41,6 +43,7 @@ def refine(
     noise: float | Sequence[float] | None = None,
     horizon: float | None = None,
     substeps: int | None = None,
+    controller: ct.StateSpace | None = None,
 ) -> Refinement:
     """Add effects to a model and estimate them from a record.
 
@@ -78,6 +81,14 @@ def refine(
     substeps : int, optional
         Substeps per sample for nonlinear effects; by default as many as shift no
         coefficient by a third of its standard deviation when they are doubled.
+    controller : StateSpace or TransferFunction, optional
+        Controller under which the record was taken: the model is then simulated in its loop. Its signals
+        are joined by name, as by `control.interconnect`: inputs named as outputs of the model read them,
+        other inputs are references that the record holds, outputs drive the inputs of that name. Without
+        names it is the negative feedback of ``control.feedback(model, controller)``. Sampled at the time of
+        the record, or continuous. Where the record holds the input that it drives, that is what the plant
+        received, and no reference is needed; else it is worked out from what the controller read. Its
+        numbers are never estimated.
 
     Returns
     -------
@@ -120,7 +131,7 @@ def refine(
     >>> round(better.parameters[0].value, 3)
     90.0
     """
-    physical, kept = unfold(model)
+    physical, kept = unfold(under_control(model, controller, data))
     records = [ordered_record(physical, r) for r in as_records(data)]
     for record in records:
         check_channels(physical.linear, record)

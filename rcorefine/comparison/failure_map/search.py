@@ -150,8 +150,11 @@ def failure_map(comparison: Comparison, index: int) -> FailureMap:
     if scene.n_samples < 60:
         notes.append(f"{scene.n_samples} samples are too few to search for regions; give at least 60")
         return FailureMap(comparison.names[index], (), rms, (), tuple(notes))
-    if comparison.led:
-        notes.append("The model is unstable and follows the record, which shows no region; diagnose tests it")
+    if comparison.led or comparison.looped:
+        notes.append(
+            f"The model {'runs in a loop' if comparison.looped else 'is unstable'} and follows the record, "
+            "which shows no region; diagnose tests it"
+        )
         return FailureMap(comparison.names[index], (), rms, (), tuple(notes))
     rows = _rows(scene)
     return FailureMap(comparison.names[index], rows, rms, looked, tuple(notes))

@@ -18,7 +18,7 @@ from ...data.measurement import Measurement
 from ...exceptions import DataError, DivergenceError, RCOWarning
 from ...inference.levels import levels
 from ...inference.sensitivities import candidate_columns
-from ...models.conversion import as_model, as_physical
+from ...models.conversion import as_model, as_physical, under_control
 from ...models.operating_point import ordered_record
 from ...models.physical_model import PhysicalModel
 from ...progress import Progress
@@ -33,7 +33,7 @@ from .level import level_rows
 from .result import Check
 from .row import LOOK, OK, STOP, CheckRow
 from .signals import signal_rows
-from .timing import feedback_rows, sampling_rows
+from .timing import controller_rows, feedback_rows, sampling_rows
 
 __all__ = ["check", "looks"]
 
@@ -42,7 +42,9 @@ _TESTS = 6  # among which one would have to show an effect
 _SETTINGS = {"free": (), "tolerance": 0.0, "offset": True, "noise": None, "horizon": None}
 
 
-def check(model: Any, data: Measurement, *, information: bool = True) -> Check:
+def check(
+    model: Any, data: Measurement, *, information: bool = True, controller: ct.StateSpace | None = None
+) -> Check:
     """Look over a record, and a model beside it, before anything is concluded from them.
 
     Parameters
@@ -53,6 +55,8 @@ def check(model: Any, data: Measurement, *, information: bool = True) -> Check:
         Record; its channels are matched as in `compare`.
     information : bool
         Whether to work out the smallest effects that the record could show.
+    controller : StateSpace or TransferFunction, optional
+        As in `refine`: simulate the model in the loop of this controller.
 
     Returns
     -------
@@ -89,6 +93,7 @@ def check(model: Any, data: Measurement, *, information: bool = True) -> Check:
         raise DataError(f"a record of {data.n_samples} samples is too short to look over; give {_SHORTEST}")
     if not isinstance(data, Measurement):
         raise ct.ControlArgument(f"data must be a rcorefine.Measurement, not {type(data).__name__}")
+    model = under_control(model, controller, data)
     with own_arithmetic(), warnings.catch_warnings():
         warnings.simplefilter("ignore", RCOWarning)
         record, rows = _looked_over(model, data, None)
@@ -138,13 +143,16 @@ def _looked_over(model: Any, data: Measurement, horizon: float | None) -> tuple[
     point = physical.operating_point if isinstance(physical, PhysicalModel) else None
     straight = point is None or point.field is None
     # what is linear about a point is laid beside what the record has above it
-    about = point is not None and straight
+    controller = physical.controller if isinstance(physical, PhysicalModel) else None
+    about = point is not None and straight and controller is None
     beside = (physical.system, ordered_record(physical, data)) if about else (model, data)
     compared = _compared(*beside, horizon)
     record = data if compared is None or about else compared.data
     rows = [*signal_rows(record), *(level_rows(data, point) if straight else ())]
     linear = LinearModel.from_statespace(getattr(model, "system", model))
-    rows += sampling_rows(linear, record)
+    rows += sampling_rows(linear, record, controller is not None)
+    if compared is not None and controller is not None:
+        return record, [*rows, *controller_rows(controller, linear, data)]
     if compared is not None:
         # of a nonlinear model a gain says little
         rows += gain_rows(compared) if straight and not compared.led else ()

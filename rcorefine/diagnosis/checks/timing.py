@@ -10,18 +10,20 @@ from scipy import stats
 from ...comparison.result import Comparison
 from ...data.measurement import Measurement
 from ...inference.whitening import Whitener
+from ...models.controller import Controller, answer, unrecorded
 from ...systems.linear import Array, LinearModel
 from .row import LOOK, OK, CheckRow
 
-__all__ = ["feedback_rows", "sampling_rows"]
+__all__ = ["controller_rows", "feedback_rows", "sampling_rows"]
 
 _LAGS = 20
 _FEEDBACK = 1e-6  # p-value of past residuals in the input
 _STRONG = 0.15  # correlation: the innovations of steps are not independent, and make small ones by chance
+_OTHER = 0.05  # share of an input that its controller does not give, from which it is worth a word
 _RETURNS = 0.98  # correlation of an input with itself later, from which it is periodic
 
 
-def sampling_rows(linear: LinearModel, data: Measurement) -> Iterator[CheckRow]:
+def sampling_rows(linear: LinearModel, data: Measurement, looped: bool = False) -> Iterator[CheckRow]:
     """Rows on the sampling time and the length of the record beside the model's modes.
 
     Parameters
@@ -30,6 +32,8 @@ def sampling_rows(linear: LinearModel, data: Measurement) -> Iterator[CheckRow]:
         Model.
     data : Measurement
         Record.
+    looped : bool
+        Whether it runs in the loop of a controller.
 
     Yields
     ------
@@ -60,12 +64,55 @@ def sampling_rows(linear: LinearModel, data: Measurement) -> Iterator[CheckRow]:
             "the record says little about it.",
         )  # fmt: skip
     unstable = [p for p in poles if p.real * length > 1.0]
-    if unstable:
+    if unstable and not looped:
         yield CheckRow(
             LOOK, "stability", "", f"pole at {max(p.real for p in unstable):.3g}",
             "The model is unstable, so it is judged by what it predicts one sample ahead (or in short free "
             "runs, horizon=); no gain or unit can be read.",
         )  # fmt: skip
+
+
+def controller_rows(controller: Controller, model: LinearModel, data: Measurement) -> Iterator[CheckRow]:
+    """Whether the controller, fed with the record, gives the inputs that were recorded.
+
+    Parameters
+    ----------
+    controller : Controller
+        Around the model.
+    model : LinearModel
+        The model alone.
+    data : Measurement
+        Record, with what the controller read and what it gave.
+
+    Yields
+    ------
+    CheckRow
+        None where the record does not hold both.
+    """
+    given, _ = answer(controller, model, data)
+    A, _, C, _ = controller.at(data.dt)
+    if given is None or unrecorded(controller, model, data):
+        return
+    begun, x = np.zeros((data.n_samples, len(C), len(A))), np.eye(len(A))
+    for k in range(data.n_samples):
+        begun[k], x = C @ x, A @ x
+    for i, where in enumerate(controller.driven):
+        label = model.input_labels[where]
+        row = data.input_labels.index(label) if label in data.input_labels else where
+        u = data.inputs[row] + data.origin[row]
+        left = u - given[i]
+        left = left - begun[:, i] @ np.linalg.lstsq(begun[:, i], left, rcond=1e-10)[0]
+        share = float(np.linalg.norm(left)) / max(float(np.linalg.norm(u - u.mean())), 1e-300)
+        if share < _OTHER:
+            yield CheckRow(
+                OK, "controller", label, f"{100 * share:.2g} % off", "It gives the recorded input."
+            )
+        else:
+            yield CheckRow(
+                LOOK, "controller", label, f"{100 * share:.2g} % off",
+                f"Fed with the record, the controller gives another {label}: another sign, sampling time or "
+                "delay, a limit of the actuator, or something that was added to it.",
+            )  # fmt: skip
 
 
 def feedback_rows(compared: Comparison) -> Iterator[CheckRow]:

@@ -6,6 +6,8 @@ import warnings
 from collections.abc import Sequence
 from typing import Any
 
+import control as ct
+
 from ...arguments import as_share, as_whole
 from ...arithmetic import own_arithmetic
 from ...data.measurement import Measurement
@@ -14,7 +16,7 @@ from ...effects.tabulated import Table
 from ...exceptions import IdentifiabilityWarning
 from ...inference.assembly import check_settings
 from ...inference.windows import as_records, check_validation
-from ...models.conversion import as_physical
+from ...models.conversion import as_physical, under_control
 from ...progress import Progress
 from ..case import candidates_of
 from ..checks.check import looks
@@ -43,6 +45,7 @@ def improve(
     noise: float | Sequence[float] | None = None,
     horizon: float | None = None,
     significance: float = 0.01,
+    controller: ct.StateSpace | None = None,
     executor: Any = None,
     progress: bool = False,
 ) -> Improvement:
@@ -69,6 +72,8 @@ def improve(
         As in `refine`.
     significance : float
         Level of the gate of `diagnose`.
+    controller : StateSpace or TransferFunction, optional
+        As in `refine`: simulate the model in the loop of this controller.
     executor : concurrent.futures.Executor or dask.distributed.Client, optional
         Refits candidates in parallel.
     progress : bool
@@ -113,6 +118,7 @@ def improve(
     max_effects = as_whole(max_effects, "max_effects")
     significance = as_share(significance, "significance")
     candidates = None if candidates is None else as_effects(candidates, "candidates")
+    model = under_control(model, controller, data)
     check_settings(
         as_physical(model), free=free, tolerance=tolerance, offset=offset, noise=noise, horizon=horizon
     )

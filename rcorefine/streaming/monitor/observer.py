@@ -181,7 +181,7 @@ class Observer:
             self._Ms, self._dMs, self._pieces, disc.linear, disc.O, disc.dO, disc.P, disc.dP, *self._laws,
             np.ascontiguousarray(drive.W[skip * self.substeps :]), drive.nodes,
             np.ascontiguousarray(drive.Wout[skip:]), none, none, np.zeros(0, dtype=np.int64),
-            measured, flags, self.gain, *self._out, x, z, np.zeros((0, n)), self.substeps,
+            measured, flags, self.gain, np.zeros((0, 0)), *self._out, x, z, np.zeros((0, n)), self.substeps,
             Yout, SY, X, F, limit, *field_numbers(s, self.theta),
         )  # fmt: skip
         raise_pending()

@@ -1,0 +1,110 @@
+"""A loop that is simulated: the controller as states of the structure, which jump at the samples.
+
+The input was recorded, noise of the sensors inside: u = K (r, y). What the loop of the model gives is
+u + K (0, y_model - y), so the controller acts as an observer does, through the input and on the error of the
+outputs. Its states are those of K, of that difference, and what its outputs hold over the sample.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..data.measurement import Measurement
+from ..exceptions import ModelError
+from ..models.physical_model import PhysicalModel
+from ..systems.discretization import discretize
+from ..systems.linear import Array, LinearModel
+from .free_runs import runs_away
+
+if TYPE_CHECKING:
+    from .structure import Structure
+
+__all__ = ["as_it_runs", "loop_gain", "open_loop", "own_states", "sample_jumps", "start_columns"]
+
+
+def own_states(structure: Structure) -> NDArray[np.int64]:
+    """Indices of the states that are not a controller's."""
+    first = structure.linear_model.n_states
+    return np.delete(np.arange(structure.n_states), slice(first, first + structure.n_loop))
+
+
+def open_loop(structure: Structure) -> Structure:
+    """The same model and effects without a controller."""
+    if not structure.n_loop:
+        return structure
+    model = replace(structure.model, controller=None)
+    return type(structure)(model, structure.effects, constants=structure.constants)
+
+
+def sample_jumps(structure: Structure, dt: float) -> Array:
+    """What becomes of the states at a sample, before it corrects them: (n, n), or (0, 0) for nothing."""
+    controller = structure.model.controller
+    if controller is None:
+        return np.zeros((0, 0))
+    A, _, C, _ = controller.at(dt)
+    jumps, k = np.eye(structure.n_states), structure.linear_model.n_states
+    inner = slice(k, k + A.shape[0])
+    held = slice(inner.stop, k + structure.n_loop)
+    jumps[inner, inner], jumps[held, inner], jumps[held, held] = A, C, 0.0
+    return jumps
+
+
+def loop_gain(structure: Structure, dt: float) -> Array:
+    """What an error of the outputs (measured minus model) does to the states at a sample, (n, n_y)."""
+    controller = structure.model.controller
+    gain = np.zeros((structure.n_states, structure.n_outputs))
+    if controller is not None:
+        _, B, _, D = controller.fed_back(dt, structure.n_outputs)
+        gain[
+            structure.linear_model.n_states : structure.linear_model.n_states + structure.n_loop
+        ] = -np.vstack([B, D])
+    return gain
+
+
+def start_columns(structure: Structure, count: int) -> Array:
+    """Derivatives (count, n) of the states at the start, by parameters and, last, by the initial states.
+
+    Where the record holds what the controller gave, its difference from that is nothing at the start.
+    """
+    n, controller = structure.n_states, structure.model.controller
+    found = np.eye(count, n, n - count)
+    if controller is not None and controller.recorded:
+        found[:, structure.linear_model.n_states : structure.linear_model.n_states + structure.n_loop] = 0.0
+    return found
+
+
+def as_it_runs(model: PhysicalModel, record: Measurement) -> LinearModel:
+    """The linear model, or its loop from sample to sample, which decides whether there is a free run.
+
+    Raises
+    ------
+    ModelError
+        If the loop is unstable over the record.
+    """
+    controller, linear = model.controller, model.linear
+    if controller is None:
+        return linear
+    Phi, Gamma, _ = discretize(linear.A, linear.B[:, list(controller.driven)], record.dt)
+    A, B, C, D = controller.fed_back(record.dt, linear.n_outputs)
+    through = linear.D[:, list(controller.driven)]
+    back = np.linalg.solve(np.eye(len(controller.driven)) - D @ through, np.hstack([D @ linear.C, C]))
+    seen = np.hstack([linear.C, np.zeros((linear.n_outputs, A.shape[0]))]) + through @ back
+    n, k = linear.n_states, A.shape[0]
+    moves = np.block([[Phi, np.zeros((n, k))], [np.zeros((k, n)), A]]) + np.vstack([Gamma @ back, B @ seen])
+    loop = linear.with_arrays(
+        A=moves, B=np.zeros((n + k, linear.n_inputs)), C=seen, dt=record.dt,
+        state_labels=(*linear.state_labels, *(f"controller {i}" for i in range(k))),
+    )  # fmt: skip
+    if runs_away(loop, record):
+        radius = float(np.abs(np.linalg.eigvals(moves)).max())
+        raise ModelError(
+            f"the loop of model {linear.name!r} and controller {controller.linear.name!r} is unstable "
+            f"(spectral radius {radius:.4g} from sample to sample): look at the sign of the feedback (joined "
+            "by names it stands in the controller, as in control.interconnect; without names it is "
+            "negative), or leave the controller out, and the model is judged one sample ahead"
+        )
+    return loop
