@@ -18,7 +18,7 @@ from ..engine.free_runs import checked_horizon, free_runs
 from ..engine.simulation import simulated, structure_of, unjudged_samples
 from ..exceptions import DataError, DivergenceError
 from ..models.controller import completed
-from ..models.conversion import as_model, under_control
+from ..models.conversion import as_model, known_physical, under_control
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array, LinearModel
 from .failure_map.places import given_places
@@ -125,6 +125,8 @@ def compare(
     if responses:
         named = [each.with_arrays(name=name) for each, name in zip(linear, names, strict=True)]
         return compare_responses(named, data, several=several)
+    for looped in _controlled(models)[:1]:
+        data = completed(looped, data)
     return _on_record(models, linear, names, data, x0, horizon, several)
 
 
@@ -158,8 +160,6 @@ def _on_record(
     several: bool,
 ) -> Comparison:
     """The models run freely on one record."""
-    looped = [one for one in map(_physical, models) if one is not None and one.controller is not None]
-    data = completed(looped[0], data) if looped else data
     channels = [match_channels(each, data) for each in linear]
     holds = [_hold(each) or data.hold for each in models]
     outputs = [i for i in range(data.n_outputs) if all(i in each.outputs for each in channels)]
@@ -208,7 +208,7 @@ def _on_record(
         holds=tuple(holds),
         notes=tuple(dict.fromkeys(notes)),
         several=several,
-        looped=bool(looped),
+        looped=bool(_controlled(models)),
     )
 
 
@@ -229,21 +229,20 @@ def _windows(
 
 def _runs_of(models: Sequence[Any], linear: Sequence[LinearModel], data: Measurement) -> list[LinearModel]:
     """What runs; of a refinement its initial model too, by which `refine` judged whether it integrates."""
-    known = [one for one in map(_physical, models) if one is not None]
-    if any(one.controller is not None for one in known):
+    known = [one for one in map(known_physical, models) if one is not None]
+    if _controlled(models):
         return [as_it_runs(one, data) for one in known]
     return [*linear, *(one.linear for one in known)]
 
 
-def _physical(model: Any) -> PhysicalModel | None:
-    """What is known of a model beside its matrices, if anything."""
-    physical = getattr(model, "physical_model", model)
-    return physical if isinstance(physical, PhysicalModel) else None
+def _controlled(models: Sequence[Any]) -> list[PhysicalModel]:
+    """Those in a loop."""
+    return [one for one in map(known_physical, models) if one is not None and one.controller is not None]
 
 
 def _hold(model: Any) -> str | None:
     """The hold that goes with a model."""
-    physical = _physical(model)
+    physical = known_physical(model)
     return None if physical is None else physical.hold
 
 

@@ -144,10 +144,9 @@ def frequency_response_at(
     harmonics = as_whole(harmonics, "harmonics", least=1, most=_MOST_HARMONICS)
     as_choice(sweep, "sweep", ("up", "down"))
     structure, theta, _ = structure_of(model)
-    structure = open_loop(structure)
-    linear = refuse_point(structure.model, "frequency_response_at").linear
+    linear = refuse_point(open_loop(structure).model, "frequency_response_at").linear
     channel = _channel(source, linear.input_labels)
-    balance = Balance(structure, theta, channel, int(harmonics))
+    balance = Balance(open_loop(structure), theta, channel, int(harmonics))
     order = np.argsort(points, kind="stable")[:: 1 if sweep == "up" else -1]
     shape = (levels.size, linear.n_outputs, points.size)
     response = np.full(shape, np.nan, dtype=complex)

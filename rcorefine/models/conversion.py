@@ -25,12 +25,18 @@ from .physical_model import PhysicalModel
 from .ports import Port
 from .units import combine_units
 
-__all__ = ["as_model", "as_physical", "physical", "ports", "under_control"]
+__all__ = ["as_model", "as_physical", "known_physical", "physical", "ports", "under_control"]
 
 
 def as_model(model: Any) -> Any:
     """The model itself, a nonlinear system of python-control as the physical model that it is."""
     return as_known(model) if is_nonlinear(model) else model
+
+
+def known_physical(model: Any) -> PhysicalModel | None:
+    """What is known of a model beside its matrices, if anything."""
+    physical = getattr(model, "physical_model", model)
+    return physical if isinstance(physical, PhysicalModel) else None
 
 
 def as_physical(model: Any, *, dt: float | None = None) -> PhysicalModel:
@@ -60,11 +66,9 @@ def as_physical(model: Any, *, dt: float | None = None) -> PhysicalModel:
     """
     if dt is not None:
         check_sampling_time(dt)
-    if isinstance(model, PhysicalModel):
-        return model
-    inner = getattr(model, "physical_model", None)
-    if isinstance(inner, PhysicalModel):
-        return inner
+    known = known_physical(model)
+    if known is not None:
+        return known
     if is_nonlinear(model):
         return as_known(model)
     return PhysicalModel.from_statespace(model, dt=dt)
@@ -72,13 +76,11 @@ def as_physical(model: Any, *, dt: float | None = None) -> PhysicalModel:
 
 def under_control(model: Any, controller: Any, data: Any) -> Any:
     """The model with a controller around it, the one that it has if none is given, for such records."""
-    if controller is None:
-        physical = getattr(model, "physical_model", model)
-        known = physical.controller if isinstance(physical, PhysicalModel) else None
-    else:
-        physical = as_physical(model)
+    physical = known_physical(model) if controller is None else as_physical(model)
+    known = None if physical is None else physical.controller
+    if controller is not None and physical is not None:
         known = as_controller(controller, physical.linear)
-    if known is None:
+    if known is None or physical is None:
         return model
     records = data if isinstance(data, (list, tuple)) else [data]
     known = replace(known, recorded=not any(unrecorded(known, physical.linear, r) for r in records))

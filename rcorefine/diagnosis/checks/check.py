@@ -18,7 +18,7 @@ from ...data.measurement import Measurement
 from ...exceptions import DataError, DivergenceError, RCOWarning
 from ...inference.levels import levels
 from ...inference.sensitivities import candidate_columns
-from ...models.conversion import as_model, as_physical, under_control
+from ...models.conversion import as_model, as_physical, known_physical, under_control
 from ...models.operating_point import ordered_record
 from ...models.physical_model import PhysicalModel
 from ...progress import Progress
@@ -139,14 +139,15 @@ def _of_record(row: CheckRow, about: str) -> CheckRow:
 def _looked_over(model: Any, data: Measurement, horizon: float | None) -> tuple[Measurement, list[CheckRow]]:
     """The record in the order of the model's channels, and its rows without those on information."""
     model = as_model(model)
-    physical = getattr(model, "physical_model", model)
-    point = physical.operating_point if isinstance(physical, PhysicalModel) else None
+    physical = known_physical(model)
+    point = None if physical is None else physical.operating_point
     straight = point is None or point.field is None
-    # what is linear about a point is laid beside what the record has above it
-    controller = physical.controller if isinstance(physical, PhysicalModel) else None
-    about = point is not None and straight and controller is None
-    beside = (physical.system, ordered_record(physical, data)) if about else (model, data)
-    compared = _compared(*beside, horizon)
+    controller = None if physical is None else physical.controller
+    about = physical is not None and point is not None and straight and controller is None
+    if physical is not None and about:  # linear about a point: beside what the record has above it
+        compared = _compared(physical.system, ordered_record(physical, data), horizon)
+    else:
+        compared = _compared(model, data, horizon)
     record = data if compared is None or about else compared.data
     rows = [*signal_rows(record), *(level_rows(data, point) if straight else ())]
     linear = LinearModel.from_statespace(getattr(model, "system", model))
