@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
-PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("coursework/*.md"))]
 LINK = re.compile(r"\]\((?!https?:)([^)#]*)(?:#([^)]*))?\)")
 
 
@@ -22,7 +22,7 @@ def anchors(text):
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_lead_somewhere(page):
     found = LINK.findall(page.read_text(encoding="utf-8"))
-    assert found, "no link was recognized"
+    assert found or page.parent.name == "coursework", "no link was recognized"
     for path, anchor in found:
         target = page.parent / path if path else page
         assert target.exists(), f"{page.name} links to {path}"

@@ -254,7 +254,7 @@ def hidden_effect(seed: int, plant: str = "motor", level: int = 1) -> Exercise:
     >>> print(exercise.check("input_gain", "voltage"))
     Neither this effect nor this place.
     """
-    seed = as_whole(seed, "seed", least=0)
+    seed = as_whole(seed, "seed", least=0, most=2**63)
     chosen = PLANTS[as_choice(plant, "plant", tuple(PLANTS))]
     if isinstance(level, bool) or level not in LEVELS:
         raise ct.ControlArgument(f"level must be one of {', '.join(map(str, LEVELS))}, not {level!r}")
