@@ -40,6 +40,7 @@ for _ in times:
 late = np.argmax(np.array(reached) > 24 + 9) * 0.1
 promised = np.argmax(ct.step_response(ct.feedback(plain * controller), times).outputs > 0.9) * 0.1
 print(
-    f"c = {c:.4f} +- {std:.4f}, from the balance {c_balance:.4f}; 90 % after {late:.1f} s, promised {promised:.1f} s"
+    f"c = {c:.4f} +- {std:.4f}, from the balance {c_balance:.4f}; "
+    f"90 % after {late:.1f} s, promised {promised:.1f} s"
 )
 assert late > promised
