@@ -31,6 +31,7 @@ from .exceptions import (
     RCOError,
     RCOWarning,
 )
+from .fleet import Survey, survey
 from .localization import DamageMap, localize_damage
 from .models.builders import (
     dc_motor,
@@ -83,6 +84,7 @@ __all__ = [
     "RCOWarning",
     "Refinement",
     "Simulation",
+    "Survey",
     "Table",
     "check",
     "compare",
@@ -105,6 +107,7 @@ __all__ = [
     "refine",
     "series_rlc",
     "simulate",
+    "survey",
     "thermal_network",
     "two_tanks",
 ]

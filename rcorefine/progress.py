@@ -83,6 +83,27 @@ class Progress:
         return self._counted(items, len(items), what)
 
     @contextmanager
+    def counted(self, count: int, what: str) -> Iterator[Callable[[int], object]]:
+        """Steps that are done elsewhere, some at a time.
+
+        Parameters
+        ----------
+        count : int
+            How many there are.
+        what : str
+            What the bar says meanwhile.
+
+        Yields
+        ------
+        callable
+            To be told how many more are done.
+        """
+        self._announced += count
+        self._bar.set_description(what, refresh=False)
+        self._refresh()
+        yield self._bar.update
+
+    @contextmanager
     def step(self, what: str) -> Iterator[None]:
         """One step.
 

@@ -81,6 +81,11 @@ improvement = _quiet(
     lambda: rco.improve(small_model(), small_record(1, 20.0, 600), candidates=[EFFECT], max_effects=1)
 )
 confirmation = _quiet(lambda: rco.confirm(refinement(), [record(), small_record(2)], candidates=[EFFECT]))
+surveyed = _quiet(
+    lambda: rco.survey(
+        small_model(), {"a": record(), "b": small_record(2)}, "refine", options={"effects": [EFFECT]}
+    )
+)
 damage_map = _quiet(lambda: rco.localize_damage(small_model(), small_record(3, 20.0)))
 curve = _quiet(lambda: rco.frequency_response_at(small_model(), [3.0, 5.0], 1.0, harmonics=3))
 example = _quiet(rco.examples.rlc)
@@ -823,6 +828,37 @@ CALLS: dict[str, Call] = {
         _method(refinement, "simulate"), lambda: {"data": record()}, {"data": is_nothing, "x0": is_state}
     ),
     "Refinement.simulation_structure": Call(_method(refinement, "simulation_structure"), dict),
+    "survey": Call(
+        lambda: rco.survey,
+        lambda: {"models": model(), "records": {"a": record()}},
+        {
+            **FIT,
+            "models": lambda v: is_transfer_function(v) or is_path(v),
+            "records": lambda v: isinstance(v, pathlib.Path) and v.is_dir(),
+            "task": is_text,
+            "effects": is_text,
+            "options": lambda v: is_mapping(v) and not v,
+            "reading": lambda v: is_mapping(v) and not v,
+        },
+        work="rcorefine.fleet.survey.work_off",
+    ),
+    "Survey.breaches": Call(
+        _method(surveyed, "breaches"),
+        lambda: {"conditions": {"condition": [{"errors": 0}]}},
+        {"conditions": is_nothing},
+    ),
+    "Survey.of": Call(_method(surveyed, "of"), lambda: {"machine": "a"}, {"machine": is_text}),
+    "Survey.plot": _plot(surveyed),
+    "Survey.report": Call(
+        _method(surveyed, "report"),
+        lambda: {"folder": folder() / "survey"},
+        {**REPORT, "folder": is_path},
+        work="rcorefine.views.pages.survey.write_page",
+    ),
+    "Survey.sentences": Call(_method(surveyed, "sentences"), dict),
+    "Survey.summary": Call(_method(surveyed, "summary"), dict),
+    "Survey.to_dataframe": Call(_method(surveyed, "to_dataframe"), dict),
+    "Survey.to_dict": Call(_method(surveyed, "to_dict"), dict),
     "diagnose": Call(
         lambda: rco.diagnose,
         lambda: {"model": model(), "data": record(), "candidates": [EFFECT]},

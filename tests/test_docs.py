@@ -31,11 +31,12 @@ def test_links_lead_somewhere(page):
 
 
 #: Pages whose code runs, block after block in one session.
-RUN = ("closed_loop.md", "nonlinear_models.md", "operating_point.md")
+RUN = ("closed_loop.md", "fleets.md", "nonlinear_models.md", "operating_point.md")
 
 
 @pytest.mark.parametrize("page", RUN)
-def test_code_of_a_page_runs(page):
+def test_code_of_a_page_runs(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     scope: dict = {}
     blocks = re.findall(
         r"^```python\n(.*?)^```", (DOCS / page).read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE

@@ -24,7 +24,7 @@ ORDER = (
     "version", "exceptions", "arithmetic", "jit", "arguments", "progress", "writing", "archives", "results",
     "systems", "gauss_newton", "data", "effects", "models", "engine", "export", "inference", "comparison",
     "refinement",
-    "diagnosis", "localization", "streaming", "examples", "exercises", "views", "commands", "__main__",
+    "diagnosis", "localization", "fleet", "streaming", "examples", "exercises", "views", "commands", "__main__",
 )  # fmt: skip
 
 
@@ -134,9 +134,10 @@ def test_no_module_imports_itself_by_a_detour():
 #: Words that are the name of an effect too, where they mean something else: a heading, an argument.
 _HOMONYMS = {
     "coefficient": {
-        "diagnosis/stepwise/backward.py", "diagnosis/stepwise/selection.py", "models/physical_model.py",
-        "streaming/coefficients/entries.py", "views/diagnosis.py", "views/exercises.py",
-        "views/experiment.py", "views/improvement.py", "views/monitor.py", "views/pages/diagnosis.py",
+        "diagnosis/stepwise/backward.py", "diagnosis/stepwise/selection.py", "fleet/result.py",
+        "fleet/tasks.py", "models/physical_model.py", "streaming/coefficients/entries.py",
+        "views/diagnosis.py", "views/exercises.py", "views/experiment.py", "views/improvement.py",
+        "views/monitor.py", "views/pages/diagnosis.py", "views/pages/survey.py", "views/survey.py",
     },
     "damping": {"localization/localize.py"},
     "mass": {"models/detection.py"},

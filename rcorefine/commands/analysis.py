@@ -27,7 +27,7 @@ from ..views.pages.page import check_target
 from .machine import comparison_object, diagnosis_object, improvement_object, json_text, record_object
 from .records import fitted_and_held_out
 
-__all__ = ["run_check", "run_compare", "run_diagnose", "run_improve", "wanted_candidates"]
+__all__ = ["finish", "run_check", "run_compare", "run_diagnose", "run_improve", "wanted_candidates"]
 
 
 def run_compare(arguments: Namespace) -> int:
@@ -52,7 +52,7 @@ def run_compare(arguments: Namespace) -> int:
     found = failures_of(result, best_of(result))
     sentences, _ = comparison_answer(result)
     text = f"{result}\n{found}"
-    return _finish(
+    return finish(
         arguments,
         int(bool(found)),
         sentences,
@@ -70,7 +70,7 @@ def run_check(arguments: Namespace) -> int:
     found = check(model, data)
     sentences = [row.sentence for row in found.looks]
     about = {"record": record_object(data)}
-    return _finish(arguments, int(found.stops), sentences, str(found), found, about, found.to_dict())
+    return finish(arguments, int(found.stops), sentences, str(found), found, about, found.to_dict())
 
 
 def run_diagnose(arguments: Namespace) -> int:
@@ -81,7 +81,7 @@ def run_diagnose(arguments: Namespace) -> int:
     found = diagnose(model, data, validation=validation, **_options(arguments, model))
     sentences, fine = diagnosis_answer(found)
     records = {"record": record_object(data)}
-    return _finish(arguments, int(not fine), sentences, str(found), found, records, diagnosis_object(found))
+    return finish(arguments, int(not fine), sentences, str(found), found, records, diagnosis_object(found))
 
 
 def run_improve(arguments: Namespace) -> int:
@@ -94,7 +94,7 @@ def run_improve(arguments: Namespace) -> int:
     sentences, fine = improvement_answer(ladder)
     records = {"record": record_object(data)}
     text = f"{ladder}\n{ladder.refinement}"
-    return _finish(
+    return finish(
         arguments,
         int(not fine),
         sentences,
@@ -174,7 +174,7 @@ def _check_report(arguments: Namespace) -> None:
         check_target(arguments.report, overwrite=arguments.overwrite)
 
 
-def _finish(
+def finish(
     arguments: Namespace,
     code: int,
     sentences: Sequence[str],
@@ -184,7 +184,7 @@ def _finish(
     content: dict[str, Any],
     **more: Any,
 ) -> int:
-    """Write the report, then say what was found."""
+    """Write the report, then say what was found; returns the exit code."""
     report: Path | None = None
     if arguments.report is not None:
         line = f"# in a terminal:\n{comment(f'rcorefine {shlex.join(arguments.words)}')}"

@@ -82,13 +82,14 @@ def _run(arguments: Namespace) -> int:
         from .example import run_example
 
         return run_example(arguments)
-    from . import analysis
+    from . import analysis, survey
 
     run = {
         "check": analysis.run_check,
         "compare": analysis.run_compare,
         "diagnose": analysis.run_diagnose,
         "improve": analysis.run_improve,
+        "survey": survey.run_survey,
     }
     return run[arguments.command](arguments)
 

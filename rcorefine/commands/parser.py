@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import math
 import textwrap
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from ..data.measurement import HOLDS
 from ..version import __version__
+from .options import (
+    columns_options,
+    count,
+    horizon_option,
+    output_options,
+    record_options,
+    search_options,
+    seed,
+)
 
 __all__ = ["build_parser"]
 
@@ -40,6 +46,11 @@ _JSON = {
     "message, checks (as in diagnose), steps (action, effect, coefficients, std, train_rmse, choice_rmse, "
     "validation_rmse, rivals), parameters (name, kind, place, role, initial, value, "
     "coefficient, std, unit), hold, system (A, B, C, D, inputs, outputs, states), report.",
+    "survey": "Keys of --json: command, rcorefine, exit_code, answer (sentences), task, mode, significance, "
+    "summary, rows (machine, record, number, start, verdict, effect, place, coefficient, std, unit, "
+    "probability, seconds, error, estimates, sentences), effects (kind, place, name, unit, sort, "
+    "n_machines, mean, std, spread, p_value, p_alike, machines), trends, breaches (condition, machine, "
+    "sentence), report. With --conditions the exit code is 1 where one is not kept, and 0 otherwise.",
 }
 
 
@@ -49,7 +60,7 @@ def build_parser() -> argparse.ArgumentParser:
     Returns
     -------
     ArgumentParser
-        Subcommands demo, check, compare, diagnose, improve, example.
+        Subcommands demo, check, compare, diagnose, improve, survey, example.
     """
     parser = argparse.ArgumentParser(
         prog="rcorefine",
@@ -63,6 +74,7 @@ def build_parser() -> argparse.ArgumentParser:
     _compare(commands)
     _diagnose(commands)
     _improve(commands)
+    _survey(commands)
     _example(commands)
     return parser
 
@@ -87,7 +99,7 @@ def _demo(commands: Any) -> None:
     )
     demo.add_argument(
         "--seed",
-        type=_seed,
+        type=seed,
         default=1,
         metavar="N",
         help="seed of the excitation and the noise, 0 or larger (default: %(default)s)",
@@ -107,8 +119,8 @@ def _compare(commands: Any) -> None:
     parser.add_argument(
         "--x0", choices=("estimate", "zero"), default="estimate", help="initial state (%(default)s)"
     )
-    _horizon_option(parser)
-    _output_options(parser)
+    horizon_option(parser)
+    output_options(parser)
 
 
 def _check(commands: Any) -> None:
@@ -125,7 +137,7 @@ def _check(commands: Any) -> None:
     )
     parser.add_argument("model", type=Path, metavar="MODEL", help=_MODEL)
     parser.add_argument("data", type=Path, metavar="DATA", help=_DATA)
-    _record_options(parser)
+    record_options(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
     parser.set_defaults(validation=None, split=None, report=None)
 
@@ -137,8 +149,8 @@ def _diagnose(commands: Any) -> None:
         "which physical effect is missing",
         "Rank the physical effects that the model may lack, and say how sure that is.",
     )
-    _search_options(parser)
-    _output_options(parser)
+    search_options(parser)
+    output_options(parser)
 
 
 def _improve(commands: Any) -> None:
@@ -149,11 +161,66 @@ def _improve(commands: Any) -> None:
         "Diagnose, add the effect, fit all together, test again, until nothing earns its place; the "
         "error is judged on a part of the record that took part in nothing.",
     )
-    _search_options(parser)
+    search_options(parser)
     parser.add_argument(
-        "--max-effects", type=_count, default=4, metavar="N", help="effects at most (default: %(default)s)"
+        "--max-effects", type=count, default=4, metavar="N", help="effects at most (default: %(default)s)"
     )
-    _output_options(parser)
+    output_options(parser)
+
+
+def _survey(commands: Any) -> None:
+    parser = commands.add_parser(
+        "survey",
+        help="many records of many machines: one row each, and what they have in common",
+        description=textwrap.fill(
+            "Examine every record of a folder, here, on several processes or on a cluster, and compare the "
+            "machines: which effects are common, which belong to one machine, which grow with time. A record "
+            "that fails stops nothing.",
+            79,
+        ),
+        epilog=_epilog("survey"),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "folder",
+        type=Path,
+        metavar="FOLDER",
+        help="each file in it is the record of a machine of that name, each folder a machine with its "
+        "records in order of their names",
+    )
+    parser.add_argument(
+        "--model",
+        type=Path,
+        required=True,
+        metavar="MODEL",
+        help=f"{_MODEL}; or a folder with one per machine",
+    )
+    parser.add_argument(
+        "--task",
+        choices=("diagnose", "improve", "localize", "refine"),
+        default="diagnose",
+        help="what is asked of each record; refine asks for --candidates (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--compare",
+        choices=("common", "own"),
+        default="common",
+        help="common: each effect that any record names is estimated in all (default: %(default)s)",
+    )
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--scheduler", metavar="ADDRESS", help="dask scheduler, such as tcp://10.0.0.1:8786")
+    where.add_argument(
+        "--jobs", type=count, default=1, metavar="N", help="processes on this machine (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--conditions", type=Path, metavar="FILE", help="TOML: what must be kept; the exit code tells"
+    )
+    columns_options(parser)
+    search_options(parser)
+    group = parser.add_argument_group("what comes out")
+    group.add_argument("--report", type=Path, metavar="DIR", help="write an index page and one per machine")
+    group.add_argument("--overwrite", action="store_true", help="replace files in DIR that are no reports")
+    group.add_argument("--json", action="store_true", help="print one JSON object in place of the tables")
 
 
 def _reading(
@@ -172,7 +239,7 @@ def _reading(
     else:
         parser.add_argument("model", type=Path, metavar="MODEL", help=_MODEL)
     parser.add_argument("data", type=Path, metavar="DATA", help=_DATA)
-    _record_options(parser)
+    record_options(parser)
     return parser
 
 
@@ -196,140 +263,13 @@ def _example(commands: Any) -> None:
         "--write", type=Path, metavar="DIR", help="write NAME.toml and NAME.csv into this folder"
     )
     parser.add_argument(
-        "--seed", type=_seed, default=1, metavar="N", help="seed of the record (default: %(default)s)"
+        "--seed", type=seed, default=1, metavar="N", help="seed of the record (default: %(default)s)"
     )
     parser.add_argument(
         "--exact", action="store_true", help="a record that hides nothing, so that the model is adequate"
     )
 
 
-def _record_options(parser: argparse.ArgumentParser) -> None:
-    """What the columns of the record are."""
-    group = parser.add_argument_group("the record")
-    group.add_argument(
-        "--input",
-        action=_Names,
-        metavar="NAME",
-        help="columns of the inputs: by the model's names, or by others in the model's order; repeat it, or "
-        "separate names by commas (default: the model's names)",
-    )
-    group.add_argument("--output", action=_Names, metavar="NAME", help="columns of the outputs, likewise")
-    group.add_argument(
-        "--time", metavar="NAME", help="column of times in s (default: time, unless --dt is given)"
-    )
-    group.add_argument("--dt", type=_positive, metavar="SECONDS", help="sampling time, in place of --time")
-    group.add_argument(
-        "--hold",
-        choices=HOLDS,
-        default="zoh",
-        help="how the input runs between samples (default: %(default)s)",
-    )
-    apart = group.add_mutually_exclusive_group()
-    apart.add_argument("--validation", type=Path, metavar="DATA2", help="another record to judge by")
-    apart.add_argument(
-        "--split",
-        type=_share,
-        metavar="SHARE",
-        help="fit this share of the record, judge by the rest (compare: only the rest is compared)",
-    )
-
-
-def _horizon_option(parser: Any) -> None:
-    parser.add_argument(
-        "--horizon",
-        type=_positive,
-        metavar="SECONDS",
-        help="start anew every so many seconds (default: a tenth of the record where the model integrates)",
-    )
-
-
-def _search_options(parser: argparse.ArgumentParser) -> None:
-    """What may be missing, and what of the model may move."""
-    group = parser.add_argument_group("what may be missing")
-    group.add_argument(
-        "--candidates",
-        "--effects",
-        action=_Names,
-        metavar="WORD",
-        help="kinds (coulomb_friction), places (link2), or kind@place; default: all that are plausible",
-    )
-    group.add_argument(
-        "--free", action=_Names, metavar="NAME", help="parameters that float: linear for all, or names"
-    )
-    group.add_argument(
-        "--tolerance",
-        type=_not_negative,
-        default=0.0,
-        metavar="SHARE",
-        help="relative uncertainty of the linear parameters, e.g. 0.02 (default: exact)",
-    )
-    group.add_argument("--no-offset", dest="offset", action="store_false", help="no nuisance offset")
-    group.add_argument(
-        "--noise",
-        type=_positive,
-        action="append",
-        metavar="SIZE",
-        help="known standard deviation of the sensor noise, once or once per output",
-    )
-    _horizon_option(group)
-    group.add_argument(
-        "--significance",
-        type=_share,
-        default=0.01,
-        metavar="LEVEL",
-        help="rate of false alarms where nothing is missing (default: %(default)s)",
-    )
-
-
-def _output_options(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("what comes out")
-    group.add_argument("--report", type=Path, metavar="FILE", help="write an HTML report")
-    group.add_argument("--overwrite", action="store_true", help="replace FILE even where it is no report")
-    group.add_argument("--json", action="store_true", help="print one JSON object in place of the tables")
-
-
 def _epilog(command: str) -> str:
     """Keys of the JSON object and exit codes, a paragraph each."""
     return "\n\n".join(textwrap.fill(text, 79) for text in (_JSON[command], _EXIT_CODES))
-
-
-class _Names(argparse.Action):
-    """Names, repeated or separated by commas."""
-
-    def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
-        names = [name.strip() for name in str(values).split(",")]
-        if not all(names):
-            parser.error(f"argument {option_string}: an empty name in {values!r}")
-        setattr(namespace, self.dest, [*(getattr(namespace, self.dest) or []), *names])
-
-
-def _number(check: Callable[[float], bool], what: str) -> Callable[[str], float]:
-    def parse(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not (math.isfinite(value) and check(value)):
-            raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
-        return value
-
-    return parse
-
-
-_positive = _number(lambda value: value > 0, "a positive number")
-_not_negative = _number(lambda value: value >= 0, "a number that is 0 or larger")
-_share = _number(lambda value: 0 < value < 1, "a number between 0 and 1")
-
-
-def _count(text: str) -> int:
-    if not text.isdigit():
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, 0 or larger")
-    return int(text)
-
-
-def _seed(text: str) -> int:
-    """Parse a seed; argparse turns the error into exit code 2."""
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{value} is negative; give 0 or larger")
-    return value

@@ -19,6 +19,7 @@ from . import (
     refiner,
     residuals,
     responses,
+    survey,
 )
 from .bode import bode_comparison
 from .tables import html_table, text_table
@@ -44,5 +45,6 @@ __all__ = [
     "refiner",
     "residuals",
     "responses",
+    "survey",
     "text_table",
 ]

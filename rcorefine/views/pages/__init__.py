@@ -1,5 +1,5 @@
 """Reports: one HTML file each."""
 
-from . import comparison, diagnosis, models
+from . import comparison, diagnosis, models, survey
 
-__all__ = ["comparison", "diagnosis", "models"]
+__all__ = ["comparison", "diagnosis", "models", "survey"]

@@ -9,6 +9,7 @@ from html import escape
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar
+from urllib.parse import quote
 
 from ...arguments import as_flag, as_path, as_text
 from ...results import shows
@@ -18,7 +19,17 @@ from ..tables import Table, html_table
 from .pictures import Picture
 from .style import STYLE
 
-__all__ = ["Facts", "Listing", "Page", "Paragraphs", "Section", "check_target", "reports", "write_page"]
+__all__ = [
+    "Facts",
+    "Links",
+    "Listing",
+    "Page",
+    "Paragraphs",
+    "Section",
+    "check_target",
+    "reports",
+    "write_page",
+]
 
 _GENERATOR = '<meta name="generator" content="rcorefine'
 # the browser itself refuses whatever would leave the page
@@ -62,11 +73,26 @@ class Facts:
 
 
 @dataclass(frozen=True, slots=True)
+class Links:
+    """Texts, each with a page in the same folder."""
+
+    rows: Sequence[tuple[str, str]]
+
+    def html(self) -> str:
+        """Escaped list."""
+        items = (
+            f'<li><a href="{escape(quote(page), quote=True)}">{escape(text)}</a></li>'
+            for text, page in self.rows
+        )
+        return f"<ul>{''.join(items)}</ul>"
+
+
+@dataclass(frozen=True, slots=True)
 class Section:
     """A heading and what stands under it."""
 
     title: str
-    parts: Sequence[Table | Paragraphs | Listing | Facts | Picture]
+    parts: Sequence[Table | Paragraphs | Links | Listing | Facts | Picture]
 
     def html(self) -> str:
         """The section, empty parts left out."""

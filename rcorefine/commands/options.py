@@ -1,0 +1,156 @@
+"""Options that several commands share, and the words and numbers that they take."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ..data.measurement import HOLDS
+
+__all__ = [
+    "columns_options",
+    "count",
+    "horizon_option",
+    "output_options",
+    "record_options",
+    "search_options",
+    "seed",
+]
+
+
+def record_options(parser: argparse.ArgumentParser) -> None:
+    """What the columns of the record are, and what is held out."""
+    apart = columns_options(parser).add_mutually_exclusive_group()
+    apart.add_argument("--validation", type=Path, metavar="DATA2", help="another record to judge by")
+    apart.add_argument(
+        "--split",
+        type=_share,
+        metavar="SHARE",
+        help="fit this share of the record, judge by the rest (compare: only the rest is compared)",
+    )
+
+
+def columns_options(parser: argparse.ArgumentParser) -> Any:
+    """What the columns of a record are."""
+    group = parser.add_argument_group("the record")
+    group.add_argument(
+        "--input",
+        action=_Names,
+        metavar="NAME",
+        help="columns of the inputs: by the model's names, or by others in the model's order; repeat it, or "
+        "separate names by commas (default: the model's names)",
+    )
+    group.add_argument("--output", action=_Names, metavar="NAME", help="columns of the outputs, likewise")
+    group.add_argument(
+        "--time", metavar="NAME", help="column of times in s (default: time, unless --dt is given)"
+    )
+    group.add_argument("--dt", type=_positive, metavar="SECONDS", help="sampling time, in place of --time")
+    group.add_argument(
+        "--hold",
+        choices=HOLDS,
+        default="zoh",
+        help="how the input runs between samples (default: %(default)s)",
+    )
+    return group
+
+
+def horizon_option(parser: Any) -> None:
+    """How long the free runs are."""
+    parser.add_argument(
+        "--horizon",
+        type=_positive,
+        metavar="SECONDS",
+        help="start anew every so many seconds (default: a tenth of the record where the model integrates)",
+    )
+
+
+def search_options(parser: argparse.ArgumentParser) -> None:
+    """What may be missing, and what of the model may move."""
+    group = parser.add_argument_group("what may be missing")
+    group.add_argument(
+        "--candidates",
+        "--effects",
+        action=_Names,
+        metavar="WORD",
+        help="kinds (coulomb_friction), places (link2), or kind@place; default: all that are plausible",
+    )
+    group.add_argument(
+        "--free", action=_Names, metavar="NAME", help="parameters that float: linear for all, or names"
+    )
+    group.add_argument(
+        "--tolerance",
+        type=_not_negative,
+        default=0.0,
+        metavar="SHARE",
+        help="relative uncertainty of the linear parameters, e.g. 0.02 (default: exact)",
+    )
+    group.add_argument("--no-offset", dest="offset", action="store_false", help="no nuisance offset")
+    group.add_argument(
+        "--noise",
+        type=_positive,
+        action="append",
+        metavar="SIZE",
+        help="known standard deviation of the sensor noise, once or once per output",
+    )
+    horizon_option(group)
+    group.add_argument(
+        "--significance",
+        type=_share,
+        default=0.01,
+        metavar="LEVEL",
+        help="rate of false alarms where nothing is missing (default: %(default)s)",
+    )
+
+
+def output_options(parser: argparse.ArgumentParser) -> None:
+    """Report and JSON."""
+    group = parser.add_argument_group("what comes out")
+    group.add_argument("--report", type=Path, metavar="FILE", help="write an HTML report")
+    group.add_argument("--overwrite", action="store_true", help="replace FILE even where it is no report")
+    group.add_argument("--json", action="store_true", help="print one JSON object in place of the tables")
+
+
+class _Names(argparse.Action):
+    """Names, repeated or separated by commas."""
+
+    def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
+        names = [name.strip() for name in str(values).split(",")]
+        if not all(names):
+            parser.error(f"argument {option_string}: an empty name in {values!r}")
+        setattr(namespace, self.dest, [*(getattr(namespace, self.dest) or []), *names])
+
+
+def _number(check: Callable[[float], bool], what: str) -> Callable[[str], float]:
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not (math.isfinite(value) and check(value)):
+            raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
+        return value
+
+    return parse
+
+
+_positive = _number(lambda value: value > 0, "a positive number")
+_not_negative = _number(lambda value: value >= 0, "a number that is 0 or larger")
+_share = _number(lambda value: 0 < value < 1, "a number between 0 and 1")
+
+
+def count(text: str) -> int:
+    """Parse a whole number."""
+    if not text.isdigit():
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, 0 or larger")
+    return int(text)
+
+
+def seed(text: str) -> int:
+    """Parse a seed; argparse turns the error into exit code 2."""
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{value} is negative; give 0 or larger")
+    return value

@@ -1,0 +1,176 @@
+"""Conditions that a fleet must keep, out of a TOML file: what a check that runs every night asks."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from os import PathLike
+from typing import TYPE_CHECKING, Any
+
+from ..arguments import as_path
+from ..effects.law import KINDS
+from ..exceptions import DataError
+from .comparison import FleetEffect
+
+if TYPE_CHECKING:
+    from .result import Survey
+
+__all__ = ["Breach", "breaches"]
+
+
+@dataclass(frozen=True, slots=True)
+class Breach:
+    """A condition that is not kept.
+
+    Attributes
+    ----------
+    condition : str
+        Its name, or its number in the file.
+    machine : str
+        Who breaks it; "" for the whole fleet.
+    sentence : str
+        What is the case.
+    """
+
+    condition: str
+    machine: str
+    sentence: str
+
+
+def breaches(survey: Survey, conditions: str | PathLike[str] | Mapping[str, Any]) -> tuple[Breach, ...]:
+    """See `Survey.breaches`."""
+    found: list[Breach] = []
+    for number, table in enumerate(_tables(conditions), 1):
+        name = str(table.get("name", f"condition {number}"))
+        [test] = [word for word in _TESTS if word in table]
+        found += [
+            Breach(name, machine, sentence) for machine, sentence in _TESTS[test](survey, table, table[test])
+        ]
+    return tuple(found)
+
+
+_Said = Iterator[tuple[str, str]]
+
+
+def _effects(survey: Survey, table: Mapping[str, Any]) -> list[FleetEffect]:
+    """Coefficients that a condition speaks of; "effect" and "place" may be left out."""
+    return [
+        effect
+        for effect in survey.effects
+        if table.get("effect", effect.kind) == effect.kind
+        and table.get("place", effect.place) == effect.place
+    ]
+
+
+def _against_fleet(sign: int) -> Callable[[Survey, Mapping[str, Any], float], _Said]:
+    def test(survey: Survey, table: Mapping[str, Any], most: float) -> _Said:
+        side = "above" if sign > 0 else "below"
+        for effect in _effects(survey, table):
+            for machine in _of(effect.machines, table):
+                if machine.deviation is None:
+                    said = "cannot be judged: fewer than 3 other machines have it"
+                    yield machine.machine, f"{effect.label} {said}"
+                elif sign * machine.deviation >= most:
+                    size = f"{machine.value:.4g} {effect.unit}".rstrip()
+                    far = f"{abs(machine.deviation):.3g} standard deviations {side} the fleet"
+                    yield machine.machine, f"{effect.label} is {size}, {far}"
+
+    return test
+
+
+def _limit(sign: int) -> Callable[[Survey, Mapping[str, Any], float], _Said]:
+    def test(survey: Survey, table: Mapping[str, Any], limit: float) -> _Said:
+        for effect in _effects(survey, table):
+            for machine in _of(effect.machines, table):
+                if sign * (machine.value - limit) > 0:
+                    size = f"{machine.value:.4g} +/- {machine.std:.2g} {effect.unit}".rstrip()
+                    side = "above" if sign > 0 else "below"
+                    yield machine.machine, f"{effect.label} is {size}, {side} {limit:g}"
+
+    return test
+
+
+def _growth(survey: Survey, table: Mapping[str, Any], level: float) -> _Said:
+    keys = {(effect.kind, effect.place) for effect in _effects(survey, table)}
+    for trend in _of(survey.trends, table):
+        if (trend.kind, trend.place) in keys and trend.p_value <= level:
+            size = f"{trend.slope:.3g} {trend.unit}".rstrip()
+            yield trend.machine, f"{trend.label} changes by {size} per {trend.per} (p = {trend.p_value:.1g})"
+
+
+def _verdict(survey: Survey, table: Mapping[str, Any], words: str | list[str]) -> _Said:
+    wanted = [words] if isinstance(words, str) else words
+    rows = _of(survey.rows, table)
+    hit = [row for row in rows if row.verdict in wanted]
+    share = float(table.get("share", 0.0))
+    if len(hit) > share * len(rows):
+        for row in hit:
+            yield row.machine, f"{row.record} is {row.verdict}" + (f" ({row.label})" if row.effect else "")
+
+
+def _errors(survey: Survey, table: Mapping[str, Any], most: float) -> _Said:
+    failed = [row for row in _of(survey.rows, table) if row.error is not None]
+    if len(failed) > most:
+        for row in failed:
+            yield row.machine, f"{row.record} failed: {row.error}"
+
+
+def _of(entries: Any, table: Mapping[str, Any]) -> list[Any]:
+    return [entry for entry in entries if table.get("machine", entry.machine) == entry.machine]
+
+
+_TESTS: dict[str, Callable[[Any, Mapping[str, Any], Any], _Said]] = {
+    "above_fleet": _against_fleet(1),
+    "below_fleet": _against_fleet(-1),
+    "above": _limit(1),
+    "below": _limit(-1),
+    "growth": _growth,
+    "verdict": _verdict,
+    "errors": _errors,
+}
+_WORDS = ("name", "effect", "place", "machine", "share")
+
+
+def _tables(conditions: Any) -> list[dict[str, Any]]:
+    """The tables, each with one test, and no word that means nothing."""
+    where = "conditions"
+    if not isinstance(conditions, Mapping):
+        path = as_path(conditions, "conditions")
+        where = str(path)
+        try:
+            conditions = tomllib.loads(path.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise DataError(f"{where} is not TOML: {error}") from error
+    tables = conditions.get("condition")
+    if set(conditions) != {"condition"} or not isinstance(tables, list) or not tables:
+        raise DataError(f"{where} must hold tables [[condition]] and nothing else")
+    for number, table in enumerate(tables, 1):
+        _check(table, f"{where}, condition {number}")
+    return tables
+
+
+def _check(table: Any, where: str) -> None:
+    if not isinstance(table, Mapping):
+        raise DataError(f"{where} must be a table")
+    unknown = [key for key in table if key not in (*_TESTS, *_WORDS)]
+    tests = [key for key in table if key in _TESTS]
+    if unknown or len(tests) != 1:
+        said = f"no key {unknown[0]!r}" if unknown else f"{len(tests)} tests"
+        raise DataError(f"{where}: {said}; one of {', '.join(_TESTS)}, and any of {', '.join(_WORDS)}")
+    [test] = tests
+    for key, value in table.items():
+        text = key in ("name", "effect", "place", "machine")
+        words = key == "verdict" and (isinstance(value, str) or _are_texts(value))
+        number = not isinstance(value, bool) and isinstance(value, int | float) and math.isfinite(value)
+        if not (isinstance(value, str) if text else words if key == "verdict" else number):
+            raise DataError(f"{where}: {key} must be {'text' if text or key == 'verdict' else 'a number'}")
+    if "share" in table and test != "verdict":
+        raise DataError(f"{where}: share goes with verdict alone")
+    if "effect" in table and table["effect"] not in KINDS:
+        raise DataError(f"{where}: no effect is called {table['effect']!r}; there are {', '.join(KINDS)}")
+
+
+def _are_texts(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(word, str) for word in value)

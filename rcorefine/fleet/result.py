@@ -1,0 +1,301 @@
+"""What a survey found: rows, the fleet, what grows; in figures, words, a picture and pages."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any, Unpack
+
+import control as ct
+
+from ..arguments import as_text
+from ..exceptions import MissingExtraError, ModelError
+from ..results import Options, Result, picture, show
+from .comparison import FleetEffect, MachineEffect, Trend
+from .conditions import Breach, breaches
+from .row import SurveyRow
+
+__all__ = ["Survey"]
+
+_COLUMNS = (
+    "machine", "record", "number", "start", "verdict", "effect", "place", "coefficient", "std", "unit",
+    "probability", "seconds", "error",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Survey(Result):
+    """Many records of many machines, examined one by one and compared.
+
+    Attributes
+    ----------
+    task : str
+        What was asked of each record.
+    mode : str
+        "common" or "own": whether every effect was estimated in every record.
+    significance : float
+        Level of the comparisons.
+    rows : tuple of SurveyRow
+        One per record: machine, verdict, effect, place, coefficient, std, probability, seconds, error.
+    effects : tuple of FleetEffect
+        Each coefficient over the fleet: "common", "own" or "unclear", mean, spread, the machines.
+    trends : tuple of Trend
+        Each coefficient over the records of one machine, the surest first.
+    notes : tuple of str
+        What was left out.
+    """
+
+    task: str
+    mode: str
+    significance: float
+    rows: tuple[SurveyRow, ...]
+    effects: tuple[FleetEffect, ...]
+    trends: tuple[Trend, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def machines(self) -> tuple[str, ...]:
+        """Names, in the order of the records."""
+        return tuple(dict.fromkeys(row.machine for row in self.rows))
+
+    @property
+    def failed(self) -> tuple[SurveyRow, ...]:
+        """Rows that have an error in place of an answer."""
+        return tuple(row for row in self.rows if row.error is not None)
+
+    @property
+    def standing_out(self) -> tuple[tuple[FleetEffect, MachineEffect], ...]:
+        """Machines whose coefficient is another than that of the rest, with the effect."""
+        return tuple((effect, machine) for effect in self.effects for machine in effect.standing_out)
+
+    @property
+    def growing(self) -> tuple[Trend, ...]:
+        """Coefficients that change with time."""
+        return tuple(trend for trend in self.trends if trend.grows)
+
+    @property
+    def finds(self) -> bool:
+        """Whether anything was found, or a record failed: what the command ends with."""
+        fine = ("adequate", "unchanged", "fitted")
+        return any(row.verdict not in fine or (row.effects and self.task != "refine") for row in self.rows)
+
+    def of(self, machine: str) -> tuple[SurveyRow, ...]:
+        """Rows of one machine.
+
+        Parameters
+        ----------
+        machine : str
+            Name.
+
+        Returns
+        -------
+        tuple of SurveyRow
+
+        Raises
+        ------
+        ModelError
+            If there is none of that name.
+        """
+        found = tuple(row for row in self.rows if row.machine == as_text(machine, "machine"))
+        if not found:
+            raise ModelError(f"no machine is called {machine!r}; there are {', '.join(self.machines[:20])}")
+        return found
+
+    def summary(self) -> str:
+        """What was found, in words.
+
+        Returns
+        -------
+        str
+            A sentence per line: how many records, the verdicts, what is common, who stands out, what grows.
+        """
+        return "\n".join(self.sentences())
+
+    def sentences(self) -> list[str]:
+        """The sentences of `summary`.
+
+        Returns
+        -------
+        list of str
+        """
+        counted = Counter(row.verdict for row in self.rows if row.error is None)
+        verdicts = ", ".join(f"{word} {n}" for word, n in counted.most_common())
+        said = [
+            f"{len(self.rows)} record(s) of {len(self.machines)} machine(s)"
+            + (f": {verdicts}." if verdicts else ".")
+        ]
+        if self.failed:
+            first = self.failed[0]
+            said.append(
+                f"{len(self.failed)} failed, the first {first.machine}, {first.record}: {first.error}"
+            )
+        said += [_words(effect) for effect in self.effects if effect.sort != "unclear"]
+        for effect, machine in self.standing_out:
+            assert machine.deviation is not None
+            side = "above" if machine.deviation > 0 else "below"
+            said.append(
+                f"{machine.machine} stands out: {effect.label} "
+                f"{_figure(machine.value, machine.std, effect.unit)}, "
+                f"{abs(machine.deviation):.3g} standard deviations {side} the others."
+            )
+        said += [
+            f"{trend.label} of {trend.machine} changes with time: "
+            f"{_figure(trend.slope, trend.std, trend.unit)} per {trend.per} ({_chance(trend.p_value)})."
+            for trend in self.growing
+        ]
+        if self.effects and not self.growing and self.trends:
+            said.append("Nothing changes with time as far as these records tell.")
+        return said + list(self.notes)
+
+    def breaches(self, conditions: str | PathLike[str] | Mapping[str, Any]) -> tuple[Breach, ...]:
+        """What of the conditions is not kept.
+
+        Parameters
+        ----------
+        conditions : str, path or mapping
+            TOML file, or what it holds: tables ``[[condition]]``, see docs/fleets.md.
+
+        Returns
+        -------
+        tuple of Breach
+            Condition, machine, and a sentence each; empty where all are kept. A condition that cannot be
+            judged is not kept.
+
+        Raises
+        ------
+        DataError
+            If the file holds something else; the table is named.
+        """
+        return breaches(self, conditions)
+
+    def to_dataframe(self) -> Any:
+        """The rows, one per record.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        MissingExtraError
+            If pandas is not installed.
+        """
+        try:
+            import pandas as pd
+        except ImportError as error:
+            raise MissingExtraError(
+                'to_dataframe needs pandas; install the extra: pip install "rcorefine[pandas]"'
+            ) from error
+        return pd.DataFrame({name: [getattr(row, name) for row in self.rows] for name in _COLUMNS})
+
+    def to_dict(self) -> dict[str, Any]:
+        """All of it as plain objects, for strict JSON.
+
+        Returns
+        -------
+        dict
+            "task", "mode", "significance", "summary", "rows" (with "estimates"), "effects" (with "machines"),
+            "trends".
+        """
+        rows = [
+            {name: getattr(row, name) for name in _COLUMNS}
+            | {"estimates": [asdict(e) for e in row.estimates], "sentences": list(row.sentences)}
+            for row in self.rows
+        ]
+        found: dict[str, Any] = _strict(
+            {
+                "task": self.task,
+                "mode": self.mode,
+                "significance": self.significance,
+                "summary": self.sentences(),
+                "rows": rows,
+                "effects": [asdict(effect) for effect in self.effects],
+                "trends": [asdict(trend) for trend in self.trends],
+            }
+        )
+        return found
+
+    @picture
+    def plot(self, **options: Unpack[Options]) -> ct.ControlPlot:
+        """Each coefficient of each machine with its 95 % interval, beside the fleet's mean and spread.
+
+        Parameters
+        ----------
+        ax : array of Axes, optional
+            Axes to draw in, one per coefficient that is common or belongs to some machines.
+        label : str or sequence of str, optional
+            Titles of the panels.
+
+        Returns
+        -------
+        ControlPlot
+        """
+        return show(self, "plot", **options)
+
+    def report(
+        self,
+        folder: str | PathLike[str],
+        *,
+        title: str | None = None,
+        code: str | None = None,
+        overwrite: bool = False,
+    ) -> Path:
+        """Write an index page and a page per machine.
+
+        Parameters
+        ----------
+        folder : str or path
+            Folder, made if it is absent; an older survey in it is replaced.
+        title : str, optional
+            Heading.
+        code : str, optional
+            Code or command that made the survey.
+        overwrite : bool
+            Write into a folder that holds something else, and replace files there that are no reports.
+
+        Returns
+        -------
+        Path
+            The index page.
+
+        Raises
+        ------
+        FileExistsError
+            If the folder holds something else, or a file there is no report.
+        """
+        return Path(show(self, "report", folder, title=title, code=code, overwrite=overwrite))
+
+
+def _words(effect: FleetEffect) -> str:
+    """What the fleet has of one coefficient."""
+    held = len(effect.machines)
+    if effect.sort == "common":
+        alike = f"differs by {effect.spread:.3g} between them" if effect.spread > 0 else "is the same in all"
+        return (
+            f"Common: {effect.label}, {_figure(effect.mean, effect.std, effect.unit)} over {held} of "
+            f"{effect.n_machines} machine(s); it {alike} beyond the errors ({_chance(effect.p_alike)})."
+        )
+    some = effect.standing_out or effect.machines
+    names = ", ".join(machine.machine for machine in some[:5]) + (", ..." if len(some) > 5 else "")
+    return f"Not common: {effect.label} belongs to {names}."
+
+
+def _chance(p_value: float) -> str:
+    return f"p = {p_value:.1g}" if p_value > 0 else "p < 1e-300"
+
+
+def _figure(value: float, std: float, unit: str) -> str:
+    return f"{value:.4g} +/- {std:.2g}{' ' + unit if unit else ''}"
+
+
+def _strict(value: Any) -> Any:
+    """What is not finite is None, for JSON has no word for it."""
+    if isinstance(value, dict):
+        return {key: _strict(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_strict(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
