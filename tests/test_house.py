@@ -23,8 +23,8 @@ PACKAGE = Path(rco.__file__).parent
 ORDER = (
     "version", "exceptions", "arithmetic", "jit", "arguments", "progress", "writing", "archives", "results",
     "systems", "gauss_newton", "data", "effects", "models", "engine", "export", "inference", "comparison",
-    "refinement",
-    "diagnosis", "localization", "fleet", "streaming", "examples", "exercises", "views", "commands", "__main__",
+    "refinement", "diagnosis", "localization", "fleet", "streaming", "examples", "exercises", "views",
+    "commands", "__main__",
 )  # fmt: skip
 
 
