@@ -31,7 +31,7 @@ def test_links_lead_somewhere(page):
 
 
 #: Pages whose code runs, block after block in one session.
-RUN = ("closed_loop.md", "fleets.md", "nonlinear_models.md", "operating_point.md")
+RUN = ("closed_loop.md", "fleets.md", "frequency_responses.md", "nonlinear_models.md", "operating_point.md")
 
 
 @pytest.mark.parametrize("page", RUN)

@@ -12,17 +12,19 @@ from ..arguments import as_state
 from ..data.channels import Channels, aligned, match_channels, record_for, with_outputs
 from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement
+from ..data.response_record import in_frequency
 from ..effects.tabulated import Table, share_beyond
 from ..engine.controlled import as_it_runs
 from ..engine.free_runs import checked_horizon, free_runs
 from ..engine.simulation import simulated, structure_of, unjudged_samples
 from ..exceptions import DataError, DivergenceError
+from ..inference.windows import as_data
 from ..models.controller import completed
 from ..models.conversion import as_model, known_physical, under_control
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array, LinearModel
 from .failure_map.places import given_places
-from .responses import FrequencyComparison, compare_responses
+from .responses import FrequencyComparison, LevelComparison, compare_responses
 from .result import Comparison
 
 __all__ = ["compare"]
@@ -40,14 +42,11 @@ def compare(
 
 
 @overload
-def compare(
-    model: Any,
-    data: FrequencyResponse | ct.FrequencyResponseData,
-    *,
-    x0: str | Array | Sequence[float] = "estimate",
-    horizon: float | None = None,
-    controller: None = None,
-) -> FrequencyComparison: ...
+def compare(model: Any, data: FrequencyResponse) -> FrequencyComparison: ...
+
+
+@overload
+def compare(model: Any, data: Sequence[FrequencyResponse]) -> LevelComparison: ...
 
 
 def compare(
@@ -57,7 +56,7 @@ def compare(
     x0: str | Array | Sequence[float] = "estimate",
     horizon: float | None = None,
     controller: ct.StateSpace | None = None,
-) -> Comparison | FrequencyComparison:
+) -> Comparison | FrequencyComparison | LevelComparison:
     """Simulate one or several models on a record and compare the outputs.
 
     Parameters
@@ -68,7 +67,7 @@ def compare(
         measured are left out. A model with a `hold` of its own (`improve` found it) keeps to it.
     data : Measurement, FrequencyResponseData or FrequencyResponse
         Record; its hold decides how continuous models see the inputs. A measured frequency response
-        (`control.frd`) is compared directly.
+        (`control.frd`) is compared directly, a list of them (several amplitudes) one by one.
     x0 : {"estimate", "zero"} or array_like of shape (n,)
         Initial state: the one that fits this record best, rest, or given.
     horizon : float, optional
@@ -85,7 +84,8 @@ def compare(
     -------
     Comparison
         `fit`, `rmse`, `residual`, `simulated`, and in `failures` where the model fails; ``print`` it,
-        ``.plot()`` it. A `FrequencyComparison` for a measured frequency response.
+        ``.plot()`` it. A `FrequencyComparison` for a measured frequency response, a `LevelComparison`
+        of them for a list.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def compare(
     >>> bool(result.fit[1, 0] > 99.999), bool(result.fit[0, 0] < 60)
     (True, True)
     """
-    responses = isinstance(data, (FrequencyResponse, ct.FrequencyResponseData))
+    responses = in_frequency(data)
     horizon = _checked(data, responses, x0, horizon, controller)
     several = isinstance(model, (list, tuple))
     models = [under_control(as_model(each), controller, data) for each in (model if several else [model])]
@@ -124,7 +124,7 @@ def compare(
     names = _unique([each.name for each in linear])
     if responses:
         named = [each.with_arrays(name=name) for each, name in zip(linear, names, strict=True)]
-        return compare_responses(named, data, several=several)
+        return compare_responses(models, named, data, several=several)
     for looped in _controlled(models)[:1]:
         data = completed(looped, data)
     return _on_record(models, linear, names, data, x0, horizon, several)
@@ -132,11 +132,7 @@ def compare(
 
 def _checked(data: Any, responses: bool, x0: Any, horizon: float | None, controller: Any) -> float | None:
     """The horizon; whether it and the initial state belong to such data."""
-    if responses:
-        if horizon is not None or controller is not None or not _estimated(x0):
-            raise ct.ControlArgument(
-                "x0, horizon and controller belong to records in time; a frequency response has none of them"
-            )
+    if responses and as_data(data, x0=x0, horizon=horizon, controller=controller):
         return None
     if not isinstance(data, Measurement):
         raise ct.ControlArgument(

@@ -11,11 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..data.frequency_response import FrequencyResponse
-from ..results import Options, Reported, picture, show
+from ..data.response_record import ResponseRecord, as_responses
+from ..engine.response_engine import ResponseEngine
+from ..engine.simulation import structure_of
+from ..results import Options, Reported, Result, picture, show
 from ..systems.linear import Array, LinearModel
 from ..systems.response import as_sampled, frequency_response
 
-__all__ = ["FrequencyComparison", "compare_responses"]
+__all__ = ["FrequencyComparison", "LevelComparison", "compare_responses"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +40,8 @@ class FrequencyComparison(Reported):
         Responses of the models at the measured frequencies.
     several : bool
         Whether a list of models was compared.
+    linear : bool
+        Whether `responses` are those of the linear parts: no delay and no nonlinear effect is in a model.
     """
 
     names: tuple[str, ...]
@@ -44,6 +49,7 @@ class FrequencyComparison(Reported):
     measured: FrequencyResponse
     responses: NDArray[np.complex128]
     several: bool
+    linear: bool = True
 
     def _shaped(self, array: NDArray[Any]) -> NDArray[Any]:
         return array if self.several else array[0]
@@ -65,6 +71,18 @@ class FrequencyComparison(Reported):
         spread = np.broadcast_to(spread, error.shape)
         ratio = np.divide(error, spread, out=np.full(error.shape, np.nan), where=spread > 0)
         return np.asarray(self._shaped(100.0 * (1.0 - ratio)))
+
+    @property
+    def over_noise(self) -> Array:
+        """Rms of the residual's real and imaginary parts over their standard deviation, shape as `fit`.
+
+        1 where noise is all that is left; NaN where `std` of the response is not known.
+        """
+        std = self.measured.std
+        error = np.abs(self.measured.response[None] - self.responses)
+        if std is None or not std.all():
+            return np.asarray(self._shaped(np.full(error.shape[:-1], np.nan)))
+        return np.asarray(self._shaped(np.sqrt(0.5 * np.mean((error / std) ** 2, axis=-1))))
 
     @property
     def relative_error(self) -> Array:
@@ -104,39 +122,104 @@ class FrequencyComparison(Reported):
         return show(self, "plot", omega=omega, **options)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class LevelComparison(Result):
+    """Models beside measured frequency responses at several amplitudes.
+
+    Attributes
+    ----------
+    levels : tuple of FrequencyComparison
+        One for each response, in the order in which they were given.
+    """
+
+    levels: tuple[FrequencyComparison, ...]
+
+    @property
+    def fit(self) -> Array:
+        """Fit of each response in percent, shape (n_levels, ...) and then as `FrequencyComparison.fit`."""
+        return np.array([level.fit for level in self.levels])
+
+    @picture
+    def plot(self, **options: Unpack[Options]) -> ct.ControlPlot:
+        """Bode plot of the measured points at each amplitude, and the models there.
+
+        Parameters
+        ----------
+        ax : array of Axes, optional
+            Axes to draw in, shape (2 n_y, n_w).
+        label : str or sequence of str, optional
+            Labels of the amplitudes.
+
+        Returns
+        -------
+        ControlPlot
+            Lines, axes, figure.
+        """
+        return show(self, "plot", **options)
+
+
 def compare_responses(
-    models: Sequence[LinearModel], data: ct.FrequencyResponseData | FrequencyResponse, *, several: bool
-) -> FrequencyComparison:
+    given: Sequence[Any], models: Sequence[LinearModel], data: Any, *, several: bool
+) -> FrequencyComparison | LevelComparison:
     """Compare models with a measured response; channels by name, else by position.
 
     Parameters
     ----------
+    given : sequence
+        Models.
     models : sequence of LinearModel
         Linear parts, names unique.
-    data : FrequencyResponseData or FrequencyResponse
-        Measured response.
+    data : FrequencyResponseData, FrequencyResponse, or list of them
+        Measured response, or one for each of several amplitudes.
     several : bool
-        Whether a list was given.
+        Whether a list of models was given.
 
     Returns
     -------
-    FrequencyComparison
+    FrequencyComparison or LevelComparison
 
     Raises
     ------
     control.ControlDimension
         If channels do not fit.
     """
-    measured = data if isinstance(data, FrequencyResponse) else FrequencyResponse.from_frd(data)
+    found = [_compared(given, models, measured, several) for measured in as_responses(data)]
+    return LevelComparison(tuple(found)) if isinstance(data, (list, tuple)) else found[0]
+
+
+def _compared(
+    given: Sequence[Any], models: Sequence[LinearModel], measured: FrequencyResponse, several: bool
+) -> FrequencyComparison:
     straight = [_ordered(model, measured) for model in models]
-    seen = [as_sampled(m, measured.dt, measured.hold) if measured.dt > 0 else m for m in straight]
+    whole = [_with_effects(one, model, measured) for one, model in zip(given, models, strict=True)]
+    responses = []
+    for model, own in zip(straight, whole, strict=True):
+        seen = as_sampled(model, measured.dt, measured.hold) if measured.dt > 0 else model
+        responses.append(frequency_response(seen, measured.omega) if own is None else own)
     return FrequencyComparison(
         names=tuple(m.name for m in models),
         models=tuple(straight),
         measured=measured,
-        responses=np.array([frequency_response(m, measured.omega) for m in seen]),
+        responses=np.array(responses),
         several=several,
+        linear=all(own is None for own in whole),
     )
+
+
+def _with_effects(
+    given: Any, linear: LinearModel, measured: FrequencyResponse
+) -> NDArray[np.complex128] | None:
+    """Response of a model with the effects that its linear part does not hold; None where there are none."""
+    if getattr(given, "simulation_structure", None) is None:
+        return None
+    structure, theta, _ = structure_of(given)
+    if structure.is_linear or structure.field is not None:
+        return None
+    record = ResponseRecord.plain(measured, linear)
+    response = ResponseEngine(structure, record).response(theta, derivatives=False)[0]
+    rows = _order("output", linear.output_labels, measured.output_labels, linear.name)
+    columns = _order("input", linear.input_labels, measured.input_labels, linear.name)
+    return response[np.ix_(rows, columns)]
 
 
 def _ordered(model: LinearModel, measured: FrequencyResponse) -> LinearModel:

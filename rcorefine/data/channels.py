@@ -10,6 +10,7 @@ import control as ct
 import numpy as np
 
 from ..systems.linear import LinearModel
+from .frequency_response import FrequencyResponse
 from .measurement import Measurement
 
 __all__ = ["Channels", "aligned", "match_channels", "record_for", "with_outputs"]
@@ -37,14 +38,14 @@ class Channels:
     notes: tuple[str, ...]
 
 
-def match_channels(model: LinearModel, data: Measurement) -> Channels:
+def match_channels(model: LinearModel, data: Measurement | FrequencyResponse) -> Channels:
     """Find the channels of a model in a record.
 
     Parameters
     ----------
     model : LinearModel
         Model with its labels.
-    data : Measurement
+    data : Measurement or FrequencyResponse
         Record with its labels.
 
     Returns

@@ -327,6 +327,12 @@ def as_records(data: Any, name: str = "data") -> list[Measurement]:
     DataError
         If the list is empty.
     """
+    first = data[0] if isinstance(data, list | tuple) and data else data
+    if isinstance(first, ct.FrequencyResponseData):
+        raise ct.ControlArgument(
+            f"{name} is a frequency response, and this needs a record in time; compare, refine, "
+            "diagnose and improve take responses"
+        )
     records = [data] if isinstance(data, Measurement) else as_list(data, name, "Measurement objects")
     for i, record in enumerate(records):
         if not isinstance(record, Measurement):

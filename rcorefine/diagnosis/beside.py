@@ -14,7 +14,7 @@ from ..inference.whitening import FTest, project
 from ..systems.linear import Array
 from .residual_tests import TestedResidual
 
-__all__ = ["Beside", "curve_at", "motion_at", "stops"]
+__all__ = ["Beside", "curve_at", "motion_at", "nested", "stops"]
 
 _NESTED = (1, 2, 4, 8, 16)  # leading directions that are tested together
 _SEEN = 1e-10  # of the largest: what a direction must move the output to be one
@@ -84,18 +84,10 @@ class Beside:
             Each the smallest p-value of nested sets of directions, times their number; empty where
             the place is no port or nothing moves.
         """
-        return [self._nested(name, columns) for name, columns in self._columns.items()]
-
-    def _nested(self, name: str, columns: Array) -> FTest:
-        columns = columns / np.linalg.norm(columns)
-        values, vectors = np.linalg.eigh(columns.T @ columns)
-        kept = values > _SEEN * values[-1]
-        directions = columns @ vectors[:, kept][:, ::-1]
-        counts = [k for k in _NESTED if k < directions.shape[1]] + [directions.shape[1]]
-        tests = [self._battery.of_white(f"{name} at {self.place}", directions[:, :k]) for k in counts]
-        best = min(tests, key=lambda t: t.p_value)
-        p, p_equal = (min(1.0, len(tests) * value) for value in (best.p_value, min(t.p_equal for t in tests)))
-        return FTest(best.name, best.statistic, best.dof, p, best.gain, p_equal)
+        return [
+            nested(self._battery, f"{name} at {self.place}", columns)
+            for name, columns in self._columns.items()
+        ]
 
     def odds(self, force: Array) -> float:
         """Log of the odds of a force that departs from the law, over the law.
@@ -116,6 +108,19 @@ class Beside:
         size, columns = float(np.std(force)), self._columns.values()
         each = [averaged_evidence(self._battery.left, size * c) for c in columns]
         return float(np.logaddexp.reduce(each) - np.log(len(each)))
+
+
+def nested(battery: TestedResidual, name: str, columns: Array) -> FTest:
+    """Smallest p-value of nested sets of directions of white columns, times the number of sets."""
+    columns = columns / np.linalg.norm(columns)
+    values, vectors = np.linalg.eigh(columns.T @ columns)
+    kept = values > _SEEN * values[-1]
+    directions = columns @ vectors[:, kept][:, ::-1]
+    counts = [k for k in _NESTED if k < directions.shape[1]] + [directions.shape[1]]
+    tests = [battery.of_white(name, directions[:, :k]) for k in counts]
+    best = min(tests, key=lambda t: t.p_value)
+    p, p_equal = (min(1.0, len(tests) * value) for value in (best.p_value, min(t.p_equal for t in tests)))
+    return FTest(best.name, best.statistic, best.dof, p, best.gain, p_equal)
 
 
 def curve_at(fitted: FittedModel, place: str, ratio: float) -> Curve | None:

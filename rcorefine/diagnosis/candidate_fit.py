@@ -10,7 +10,7 @@ from ..effects.effect import Effect
 from ..inference.covariance import covariance, standard_deviations
 from ..inference.descent import Descent, descend
 from ..inference.fitted import FittedModel, evaluated
-from ..inference.outcome import _fit, _rows
+from ..inference.outcome import _rows, fit_of
 from ..inference.problem import Problem
 from ..inference.refinement import Refinement
 from ..inference.sensitivities import Candidate
@@ -84,7 +84,7 @@ def _blocks(rival: CandidateFit) -> list[tuple[Array, Array]]:
 
 def whitener_of(rival: CandidateFit) -> Whitener:
     """Filter of its own residual."""
-    return Whitener.fit([r for r, _ in _blocks(rival)])
+    return rival.candidate.problem.whitener([r for r, _ in _blocks(rival)])
 
 
 def prior_cost(problem: Problem, point: Array) -> float:
@@ -129,8 +129,7 @@ def fitted_model(fitted: FittedModel, rival: CandidateFit, whitener: Whitener, r
     old = fitted.refinement
     theta, starts = problem.unpack(point)
     free = [r for r, _ in (blocks if ratio == 0 else evaluated(problem, point))]
-    error = np.concatenate([r / problem.weights[:, None] for r in free], axis=1)
-    measured = np.concatenate([r.outputs for r in problem.records], axis=1)
+    fit, rmse = fit_of(problem.records, [r / problem.weights[:, None] for r in free])
     roles = [*old.roles, "effect"]
     refinement: Refinement = replace(
         old,
@@ -140,8 +139,8 @@ def fitted_model(fitted: FittedModel, rival: CandidateFit, whitener: Whitener, r
         theta=theta.copy(),
         parameters=_rows(problem.structure, roles, theta, spread),
         covariance=C[:p, :p],
-        fit=_fit(measured, error),
-        rmse=np.sqrt(np.mean(error**2, axis=1)),
+        fit=fit,
+        rmse=rmse,
         initial_states=starts.copy(),
         substeps=problem.engines[0].substeps,
         residual_orders=whitener.orders,

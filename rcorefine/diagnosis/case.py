@@ -11,13 +11,16 @@ import control as ct
 import numpy as np
 
 from ..data.measurement import Measurement
+from ..data.response_record import ResponseRecord, in_frequency, noise_is_known
 from ..effects.effect import Effect
 from ..effects.law import KINDS
-from ..exceptions import DataError
+from ..engine.response_engine import is_linear
+from ..engine.structure import Structure
+from ..exceptions import DataError, ModelError
 from ..inference.fitted import FittedModel, fitted_from
 from ..inference.levels import Levels, levels
 from ..inference.refinement import Refinement
-from ..inference.starts import Motion
+from ..inference.starts import estimated_motion
 from ..inference.whitening import FTest
 from ..inference.windows import windows
 from ..models.library import effect_library
@@ -27,10 +30,10 @@ from ..progress import Progress
 from .holds import best_hold
 from .verdict import passes
 
-__all__ = ["OBSERVERS", "Case", "candidates_of", "not_held"]
+__all__ = ["Case", "candidates_of", "not_held", "seen_in_responses"]
 
 OBSERVERS = (1.0, 0.1)  # a high gain follows the record, a low one tells candidates apart
-_SHORTEST = 200  # samples of a record that can be tested
+_SHORTEST, _FEWEST = 200, 60  # samples of a record, and values of a frequency response, that can be tested
 
 
 @dataclass(eq=False)
@@ -53,7 +56,7 @@ class Case:
         Whether to try harder where no candidate passes, and pairs of them.
     fitted : FittedModel
         The model on the free runs that are tested.
-    motions : list of Motion
+    motions : list of Motion or ResponseMotion
         Estimated motion on each of them.
     library : list of Effect
         Candidates that the model does not hold.
@@ -69,7 +72,7 @@ class Case:
     thorough: bool
     ordered: list[Measurement]
     fitted: FittedModel
-    motions: list[Motion]
+    motions: list[Any]
     library: list[Effect]
     levels: Levels = field(default_factory=levels)
 
@@ -95,18 +98,22 @@ class Case:
         """
         physical = base.physical_model
         ordered = [ordered_record(physical, r) for r in records]
+        least = _FEWEST if in_frequency(ordered) else _SHORTEST
         for record in ordered:
-            if record.n_samples < _SHORTEST:
+            if record.n_samples < least:
                 raise DataError(
                     f"record {record.name!r} of {record.n_samples} samples is too short to test; "
-                    f"give at least {_SHORTEST}"
+                    f"give at least {least}{' (real and imaginary parts count)' if least == _FEWEST else ''}"
                 )
         segments, _ = windows(physical, ordered, settings["horizon"])
         fitted = fitted_from(base, segments, tolerance=settings["tolerance"], noise=settings["noise"])
-        motions = [Motion(fitted.structure, fitted.theta, record) for record in segments]
+        motions = [estimated_motion(fitted.structure, fitted.theta, record) for record in segments]
         if len(records) > 1:
             motions[0].companions = motions[1:]
-        library = not_held(candidates_of(physical) if asked is None else asked, base.effects)
+        library = candidates_of(physical) if asked is None else asked
+        if in_frequency(ordered):
+            library = seen_in_responses(physical, library, ordered, asked is not None)
+        library = not_held(library, base.effects)
         if not library:
             raise ct.ControlArgument("no candidate is left that the model does not hold already")
         given = (tuple(records), settings, significance, progress, thorough)
@@ -125,8 +132,20 @@ class Case:
     @cached_property
     def hold(self) -> tuple[str, str]:
         """The hold that suits the records, and a sentence where it is not the declared one."""
+        if not self.in_time:
+            return "", ""
         with self.progress.step("holds"):
             return best_hold(self.base, self.ordered, self.options)
+
+    @property
+    def in_time(self) -> bool:
+        """Whether the records are signals in time, and no frequency responses."""
+        return self.fitted.problem.in_time
+
+    @property
+    def observers(self) -> tuple[float, ...]:
+        """Observers that lead the model along the records; a frequency response has none."""
+        return OBSERVERS if self.in_time else ()
 
     @property
     def options(self) -> dict[str, Any]:
@@ -135,7 +154,7 @@ class Case:
 
     def excess(self, fitted: FittedModel) -> float:
         """Residual over the declared noise, 0 where none was declared."""
-        if self.settings["noise"] is None:
+        if self.settings["noise"] is None and not noise_is_known(self.ordered):
             return 0.0
         residual = np.concatenate(fitted.residuals(), axis=1)
         return float(np.sqrt(np.mean(residual**2, axis=1)).max())
@@ -156,3 +175,27 @@ def not_held(candidates: Sequence[Effect], held: Sequence[Effect]) -> list[Effec
     """Candidates of another kind, or at another place, than what a model holds."""
     names = {(effect.kind, effect.place) for effect in held}
     return [effect for effect in candidates if (effect.kind, effect.place) not in names]
+
+
+def seen_in_responses(
+    physical: PhysicalModel, candidates: Sequence[Effect], records: Sequence[ResponseRecord], asked: bool
+) -> list[Effect]:
+    """Candidates that a frequency response shows: no constants, nonlinear ones only at a known amplitude.
+
+    Raises
+    ------
+    ModelError
+        If one was asked for that it cannot.
+    """
+    amplitudes = all(record.measured.amplitude is not None for record in records)
+    seen = []
+    for effect in candidates:
+        law = effect.spec
+        linear = is_linear(Structure(physical, [effect]))
+        fits = linear or amplitudes
+        if fits and not law.of_record and not (law.holds_constant and linear):
+            seen.append(effect)
+        elif asked:
+            why = "needs the amplitude of the sines (amplitude=)" if not fits else "is not seen in a response"
+            raise ModelError(f"{effect.label} {why}; leave it out of candidates")
+    return seen

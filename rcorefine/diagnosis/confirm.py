@@ -10,7 +10,7 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_number, as_share
-from ..data.measurement import Measurement
+from ..data.measurement import Measurement, as_records
 from ..effects.effect import Effect, as_effects
 from ..engine.observer import observer_gain
 from ..engine.simulation import check_channels
@@ -25,7 +25,7 @@ from ..inference.search import starting_states, sufficient_steps
 from ..inference.sensitivities import candidate_columns
 from ..inference.starts import Motion
 from ..inference.whitening import FTest, Whitener
-from ..inference.windows import as_records, windows
+from ..inference.windows import windows
 from ..models.library import effect_library
 from ..models.operating_point import ordered_record
 from ..systems.linear import Array

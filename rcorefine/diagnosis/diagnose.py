@@ -13,19 +13,20 @@ import numpy as np
 from ..arguments import as_share
 from ..arithmetic import own_arithmetic
 from ..data.measurement import Measurement
+from ..data.response_record import in_frequency
 from ..effects.effect import Effect, as_effects
 from ..exceptions import IdentifiabilityWarning
 from ..inference.assembly import check_settings
 from ..inference.refinement import Refinement
 from ..inference.sensitivities import Candidate, candidate_columns
 from ..inference.whitening import FTest
-from ..inference.windows import as_records, check_validation
+from ..inference.windows import about_noise, as_data, check_validation
 from ..models.conversion import as_physical, under_control
 from ..progress import Progress
 from ..refinement.base_fit import base_fit
 from ..refinement.refine import refit
 from .candidate_fits import CandidateFits, fit_candidates, shortlist
-from .case import OBSERVERS, Case
+from .case import Case
 from .checks.check import looks
 from .colored_noise import gain_over_color
 from .excitation import no_motion, not_excited
@@ -73,10 +74,12 @@ def diagnose(
     model : StateSpace, PhysicalModel or Refinement
         Initial model, continuous time.
     data : Measurement or list of Measurement
-        Record, or several of the same system.
+        Record, or several of the same system. Or a `FrequencyResponse`, or a list of them at several
+        amplitudes: one shows linear effects, delays, gains and hidden modes, nonlinear ones need the
+        amplitudes.
     candidates : sequence of Effect, optional
         What could be missing, default `effect_library(model)`.
-    validation : Measurement, optional
+    validation : Measurement or FrequencyResponse, optional
         Record on which `fit_before` and `fit_after` are judged.
     free, tolerance, offset, noise, horizon
         As in `refine`: what of the linear model floats, the declared sensor noise, and the
@@ -129,38 +132,30 @@ def diagnose(
     'adequate'
     """
     significance = as_share(significance, "significance")
-    records, model = as_records(data), under_control(model, controller, data)
+    records = as_data(data, horizon=horizon, noise=noise, controller=controller)
+    model = under_control(model, controller, data)
     candidates = None if candidates is None else as_effects(candidates, "candidates")
-    check_settings(
-        as_physical(model), free=free, tolerance=tolerance, offset=offset, noise=noise, horizon=horizon
-    )
+    options: dict[str, Any] = {"free": free, "tolerance": tolerance, "offset": offset}
+    options |= {"noise": noise, "horizon": horizon}
+    check_settings(as_physical(model), **options)
     if validation is not None:
         check_validation(model, validation)
     with own_arithmetic(), Progress(progress, executor) as steps:
         with warnings.catch_warnings(), steps.step("model as it is"):
             warnings.simplefilter("ignore", IdentifiabilityWarning)
-            base = base_fit(
-                model, records, free=free, tolerance=tolerance, offset=offset, noise=noise, horizon=horizon
-            )
+            base = base_fit(model, records, **options)
         with steps.step("what is odd"):
-            odd = looks(model, records, horizon)
+            odd = () if in_frequency(records) else looks(model, records, horizon)
         found, _ = investigate(
             base,
             records,
             asked=candidates,
             validation=validation,
-            settings={
-                "free": free,
-                "tolerance": tolerance,
-                "offset": offset,
-                "noise": noise,
-                "horizon": horizon,
-                "candidates": None if candidates is None else tuple(candidates),
-            },
+            settings=options | {"candidates": None if candidates is None else tuple(candidates)},
             significance=significance,
             progress=steps,
         )
-        return replace(found, checks=odd)
+        return replace(found, checks=odd, notes=(*found.notes, *about_noise(base.physical_model, records)))
 
 
 def investigate(
@@ -199,15 +194,15 @@ def investigate(
         a fault that few samples alone would show.
     """
     case = Case.prepare(base, records, asked, settings, significance, progress, thorough)
-    still = no_motion(case.ordered) or not_excited(base, case.ordered)
+    still = case.in_time and (no_motion(case.ordered) or not_excited(base, case.ordered))
     if still:
         unknown = Diagnosis(
             "ambiguous", (), tuple(case.library), (), (), (), force_ratio=0.0, notes=(still,), **case.about
         )
         return unknown, None
     with progress.step("tests"):
-        near = in_race(case.fitted, case.library, (0.0, *OBSERVERS))
-        scored = candidate_columns(case.fitted, near, case.motions[0], (0.0, *OBSERVERS))
+        near = in_race(case.fitted, case.library, (0.0, *case.observers))
+        scored = candidate_columns(case.fitted, near, case.motions[0], (0.0, *case.observers))
         free_run = TestedResidual(case.fitted)
         tests = run_tests(free_run, scored, case.motions, len(case.library) - len(near))
     passed = case.passes(tests, case.fitted)
@@ -226,7 +221,7 @@ def investigate(
         mended = _under_another_hold(case)
         if mended is not None:
             return mended, None
-    batteries = [free_run, *(TestedResidual(case.fitted, r) for r in OBSERVERS)]
+    batteries = [free_run, *(TestedResidual(case.fitted, r) for r in case.observers)]
     chosen, scores = shortlist(scored, batteries)
     race = fit_candidates(case.fitted, [scored[i] for i in chosen], progress=progress)
     if race is None:
@@ -280,12 +275,14 @@ def _named(
     agreement, sentence = amplitude_test(race, case.levels.disagree) if several else (1.0, "")
     word = verdict(judged.passed, agreement, len(alike), case.levels, judged.beside)
     with case.progress.step("free forces"):
-        law = open_law(race) if word == "unexplained" and case.thorough else None
+        law = open_law(race) if word == "unexplained" and case.thorough and case.in_time else None
     shares, none, places = probabilities(race, judged.beside if judged.passed else -np.inf, law)
     if word == "unexplained":  # none is printed for what fails its own tests
         shares, none = np.full(len(shares), np.nan), 1.0
     shown = in_free_run(race) if word == "unexplained" and case.thorough else race
     p_values = [p_of[rival.effect] for rival in shown.rivals]
+    if word == "unexplained" and not case.in_time:  # laws that fail do not tell where
+        places = {}
     rows = ranking(shown, p_values, shares, case.base, validation, case.settings["horizon"])
     notes = [*_about_hold(case), *fit_remarks(race), *remarks(race, scored, batteries)]
     notes += said_of_families(race.rivals, held)

@@ -15,7 +15,7 @@ from ..inference.assembly import nominal_size
 from ..inference.fitted import FittedModel, fitted_from
 from ..inference.refinement import Refinement
 from ..inference.sensitivities import Candidate, candidate_columns, parameter_columns
-from ..inference.starts import Motion
+from ..inference.starts import estimated_motion
 from ..inference.whitening import FTest, project, rank_basis
 from ..models.library import effect_library
 from ..refinement.base_fit import base_fit
@@ -111,7 +111,7 @@ def _tested(case: Case, refined: Refinement) -> tuple[FittedModel, TestedResidua
     noise = 1.0 / problem.weights  # in the units of the noise that the candidates are compared in
     fitted = fitted_from(refined, problem.records, tolerance=case.options["tolerance"], noise=noise)
     battery = TestedResidual(fitted)
-    motions = [Motion(fitted.structure, fitted.theta, m.data) for m in case.motions]
+    motions = [estimated_motion(fitted.structure, fitted.theta, m.data) for m in case.motions]
     if case.excess(fitted) > case.levels.noise_excess:
         return None
     if overall(run_tests(battery, [], motions)) < case.significance:
@@ -169,7 +169,7 @@ def _numbers(case: Case) -> list[Effect]:
         return []
     columns = parameter_columns(case.fitted, [e for e, _ in sized], case.motions[0], 0.0)
     flat = np.concatenate([block.reshape(-1, len(sized)) for block in columns])
-    held = np.concatenate([j.reshape(-1, j.shape[2]) for _, j in case.fitted.blocks()])
+    held = np.concatenate([j.reshape(r.size, j.shape[2]) for r, j in case.fitted.blocks()])
     own = _independent(flat, rank_basis(held))
     spread = case.levels.off
     return [

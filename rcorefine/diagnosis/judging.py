@@ -9,12 +9,13 @@ import numpy as np
 
 from ..exceptions import ModelError
 from ..inference.sensitivities import Candidate, candidate_columns
-from ..inference.starts import Motion
+from ..inference.starts import Motion, estimated_motion
 from ..inference.whitening import FTest
 from .beside import Beside
 from .candidate_fits import CandidateFits, fit_candidates
-from .case import OBSERVERS, Case, not_held
+from .case import Case, not_held
 from .families import contains
+from .free_stiffness import FreeStiffness
 from .places import in_race
 from .residual_tests import TestedResidual, run_tests
 from .starts import force_along
@@ -65,18 +66,21 @@ def _tested(case: Case, race: CandidateFits) -> Judged:
     """The winner's residual, tested."""
     fitted = race.model()
     rest = not_held(case.library, fitted.structure.effects)
-    moved = [Motion(fitted.structure, fitted.theta, motion.data) for motion in case.motions]
+    moved = [estimated_motion(fitted.structure, fitted.theta, motion.data) for motion in case.motions]
     try:
         near = in_race(fitted, rest, (race.ratio,))
         scored = candidate_columns(fitted, near, moved[0], (race.ratio,))
         battery = TestedResidual(fitted, race.ratio)
         tests = run_tests(battery, scored, moved, len(rest) - len(near))
-        free = Beside(battery, race.rivals[0].effect.place)
+        free = (Beside if case.in_time else FreeStiffness)(battery, race.rivals[0].effect.place)
         tests += free.tests()
     except ModelError:  # its linear model runs away within one sample: what cannot be tested has not passed
         return Judged(race, [], False)
-    along = force_along(race.rivals[0].candidate, race.rivals[0].descent.point)
-    odds = -np.inf if along is None else free.odds(along[-1])
+    if isinstance(free, FreeStiffness):
+        odds = free.odds(race.fitted)
+    else:
+        along = force_along(race.rivals[0].candidate, race.rivals[0].descent.point)
+        odds = -np.inf if along is None else free.odds(along[-1])
     return Judged(race, tests, case.passes(tests, fitted), odds)
 
 
@@ -91,6 +95,8 @@ def outweighs(judged: Judged, forced: TestedResidual, price: float) -> bool:
 def beside_force(case: Case, first: Judged) -> Judged | None:
     """The candidates with an unmeasured force beside them, where the winner then passes."""
     race, levels = first.race, case.levels
+    if not case.in_time:  # to a response, a force that nobody measured is noise
+        return None
     winner = race.model()
     if case.excess(winner) > levels.noise_excess:
         return None
@@ -158,7 +164,7 @@ def pair_hint(case: Case, judged: Judged, scored: Sequence[Candidate]) -> list[s
     rest = not_held([c.effect for c in scored], [first])
     if not rest:
         return []
-    second = candidate_columns(fitted, rest, case.motions[0], (0.0, *OBSERVERS))
+    second = candidate_columns(fitted, rest, case.motions[0], (0.0, *case.observers))
     tests = TestedResidual(fitted).each(second)
     order = np.argsort([t.p_value for t in tests], kind="stable")[:_PAIRS]
     pair = fit_candidates(fitted, [second[i] for i in order], race.ratio)

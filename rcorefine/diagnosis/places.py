@@ -37,7 +37,7 @@ def in_race(fitted: FittedModel, library: Sequence[Effect], ratios: Sequence[flo
     """
     ports = {port.name for port in fitted.structure.model.ports}
     places = {effect.place for effect in library if effect.place in ports}
-    if len(places) <= _MOST:
+    if len(places) <= _MOST or not fitted.problem.in_time:
         return list(library)
     orders = [_order(TestedResidual(fitted, ratio), places) for ratio in ratios]
     near, far = ({place for order in orders for place in order[:count]} for count in (_BEST, 2 * _BEST))

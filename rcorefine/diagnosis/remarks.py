@@ -11,7 +11,6 @@ from ..inference.descent import descend
 from ..inference.fitted import FittedModel
 from ..inference.problem import Problem
 from ..inference.sensitivities import Candidate
-from ..inference.whitening import Whitener
 from ..systems.linear import Array
 from .candidate_fits import CandidateFits
 from .residual_tests import TestedResidual
@@ -74,7 +73,7 @@ def _alone(fitted: FittedModel, record: int) -> tuple[Array, Array]:
         substeps=whole.engines[0].substeps,
         initial=whole.initial,
     )
-    whitener = Whitener.fit([fitted.residuals()[record]])
+    whitener = whole.whitener([fitted.residuals()[record]])
     run = descend(
         problem,
         problem.pack(theta, starts[record : record + 1]),
@@ -119,7 +118,7 @@ def remarks(
     best = race.rivals[0].effect
     fitted = race.model()
     ports = {port.name for port in fitted.structure.model.ports}
-    if best.spec.turns and best.place in ports:
+    if best.spec.turns and best.place in ports and fitted.problem.in_time:
         v = np.concatenate([fitted.port(best.place, 0.0, i)[1] for i in range(len(fitted.problem.records))])
         if v.min() >= 0 or v.max() <= 0:
             said.append(

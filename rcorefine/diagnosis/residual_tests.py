@@ -31,6 +31,7 @@ from ..inference.whitening import (
     rank_basis,
 )
 from ..systems.linear import Array
+from .response_tests import response_tests
 
 __all__ = ["TestedResidual", "run_tests"]
 
@@ -55,7 +56,7 @@ class TestedResidual:
     def __init__(self, fitted: FittedModel, ratio: float = 0.0, whitener: Whitener | None = None) -> None:
         self.fitted, self.ratio = fitted, ratio
         blocks = fitted.blocks(ratio)
-        self.whitener = whitener or Whitener.fit([r for r, _ in blocks])
+        self.whitener = whitener or fitted.problem.whitener([r for r, _ in blocks])
         self.residual = self.whitener.apply([r for r, _ in blocks])
         self._judged = fitted.problem.judged(fitted.theta)
         self.basis = rank_basis(self.whitener.apply([j * fitted.problem.sizes for _, j in blocks]))
@@ -148,6 +149,9 @@ def run_tests(
     """
     fitted, ratio = battery.fitted, battery.ratio
     records = fitted.problem.records
+    if not fitted.problem.in_time:
+        known = [_library(battery, candidates, left_out), _parameters(battery, motions[0])]
+        return [*known, *response_tests(battery)]
     tests = [_library(battery, candidates, left_out), battery.test("other laws", battery.generic[1])]
     gain = fitted.gain(ratio)
     slow = [force_responses(fitted, i, slow_forces(fitted, ratio, i), gain) for i in range(len(records))]

@@ -152,8 +152,10 @@ class Diagnosis(Reported):
 
     @property
     def hidden_force(self) -> HiddenForce | None:
-        """Force at `place` over the first record, without any law; None where that is no port."""
+        """Force at `place` over the first record, without any law; None where that is no port, or no time."""
         model = self.base.physical_model
+        if self.base.of_responses:
+            return None
         port = next((port for port in model.ports if port.name == self.place), None)
         if port is None or self.best is None:
             return None
@@ -256,6 +258,8 @@ class Diagnosis(Reported):
 
         Raises
         ------
+        ModelError
+            If the diagnosis rests on frequency responses.
         control.ControlArgument
             If an option is out of its range, or a place does not exist.
 
@@ -282,6 +286,11 @@ class Diagnosis(Reported):
         """
         from .experiment_design.suggest import suggest
 
+        if self.base.of_responses:
+            raise ModelError(
+                "experiments are planned for records in time; of frequency responses more outputs, a wider "
+                "band or other amplitudes tell candidates apart"
+            )
         return suggest(
             self,
             probability=probability,
@@ -317,6 +326,8 @@ class Diagnosis(Reported):
     @picture
     def plot(self, **options: Unpack[Look]) -> ct.ControlPlot:
         """Ranking, hidden force against motion, residual before and after.
+
+        Of frequency responses: ranking, residual over the noise, magnitude and phase, before and after.
 
         Returns
         -------

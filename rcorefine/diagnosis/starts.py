@@ -11,6 +11,7 @@ from ..engine.observer import observer_gain
 from ..engine.point import forces_at_rest, resting
 from ..inference.descent import Descent, descend
 from ..inference.fitted import FittedModel
+from ..inference.logarithms import by_logarithms
 from ..inference.problem import Problem
 from ..inference.search import starting_states
 from ..inference.sensitivities import Candidate
@@ -66,6 +67,8 @@ def regressed(fitted: FittedModel, candidate: Candidate) -> list[Array]:
     problem, start = candidate.problem, candidate.starts[0]
     p, q = fitted.problem.n_theta, problem.n_theta
     points = []
+    if not problem.in_time:
+        points.append(by_logarithms(problem, problem.inside(start)))
     for observer in _OBSERVERS:
         columns = candidate.columns.get(observer)
         if columns is None or columns[0].shape[2] != q - p:
@@ -122,6 +125,8 @@ def _from_rest(problem: Problem, theta: Array, p: int) -> Array:
 def observed(fitted: FittedModel, candidate: Candidate, start: Array, ratio: float) -> Array:
     """Where observer-led fits of falling gain take the coefficients."""
     problem, point = candidate.problem, start
+    if not problem.in_time:
+        return by_logarithms(problem, problem.inside(point))
     for observer in _OBSERVERS:
         if observer > ratio:
             gain = gain_for(fitted, candidate, observer)
@@ -140,7 +145,9 @@ def led(fitted: FittedModel, candidate: Candidate, start: Array, ratio: float) -
     point = problem.inside(problem.pack(_home(fitted, theta), starts))
     gain = gain_for(fitted, candidate, ratio)
     tries = []
-    for observer in _FALLING:
+    if not problem.in_time:
+        tries = [by_logarithms(problem, point), by_logarithms(problem, problem.inside(start))]
+    for observer in _FALLING if problem.in_time else ():
         if observer <= ratio:
             break
         theta = problem.unpack(point)[0]
@@ -232,6 +239,8 @@ def force_along(candidate: Candidate, point: Array) -> tuple[Array, Array, Array
     """
     problem, effect = candidate.problem, candidate.effect
     structure = problem.structure
+    if not problem.in_time:
+        return None
     port = next((port for port in structure.model.ports if port.name == effect.place), None)
     own = len(structure.effects) - 1
     at_port = bool(structure.port_effects) and structure.port_effects[-1] == own

@@ -86,7 +86,7 @@ def explaining_force(case: Case, free_run: TestedResidual) -> Explained | None:
 
     How strong it is, and where, is not known: it explains the residual if one likely force does.
     """
-    if case.excess(case.fitted) > case.levels.noise_excess:
+    if not case.in_time or case.excess(case.fitted) > case.levels.noise_excess:
         return None
     likely = likely_forces(case.fitted, free_run, case.levels.force, case.levels)
     for led in case.progress.over(likely, "unmeasured force"):

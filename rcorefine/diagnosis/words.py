@@ -76,7 +76,11 @@ def sentences(found: Diagnosis) -> list[str]:
             "measured one, which is allowed for."
         )
     if found.verdict == "ambiguous" and len(found.ambiguous) > 1:
-        lines.append("suggest_experiment() names the record that would tell them apart.")
+        lines.append(
+            "More outputs, a wider band or another amplitude would tell them apart."
+            if found.base.of_responses
+            else "suggest_experiment() names the record that would tell them apart."
+        )
     return [*lines, *found.notes]
 
 

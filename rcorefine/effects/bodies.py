@@ -7,7 +7,6 @@ from math import inf
 from typing import Any
 
 import numpy as np
-from scipy.signal import find_peaks, welch
 
 from ..systems.linear import Array
 from .absorbed import AbsorbedLaw, Assembly, Site
@@ -101,15 +100,8 @@ class HiddenMode(AbsorbedLaw):
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """A mode at each of the highest peaks of the residual."""
-        residual = seen.residual - seen.residual.mean(axis=1, keepdims=True)
-        segment = min(1024, residual.shape[1])
-        frequency, power = welch(residual, fs=1.0 / seen.dt, nperseg=segment)
-        level = np.log(power.mean(axis=0) + 1e-300)[1:]
-        peaks, info = find_peaks(level, prominence=0.5)
-        order = np.argsort(info["prominences"])[::-1][:3]
-        places = list(frequency[1:][peaks[order]]) or [0.05 / seen.dt]
+        turns = list(seen.peaks) or [0.1 * np.pi / seen.dt]
         mass = 0.03 / (seen.mobility or 1.0)
-        turns = [2 * np.pi * f for f in places]
         return [{"mass": mass, "damping": 0.06 * mass * o, "stiffness": mass * o**2} for o in turns]
 
 

@@ -73,8 +73,8 @@ class Seen(Protocol):
         """Velocity at the port."""
 
     @property
-    def residual(self) -> Array:
-        """What the model leaves of the outputs, shape (n_y, N)."""
+    def peaks(self) -> Array:
+        """Frequencies in rad/s of the highest peaks of what the model leaves of the outputs."""
 
     @property
     def pull(self) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..arguments import as_flag, as_list, as_noise, as_number, shown
 from ..data.measurement import Measurement
+from ..data.response_record import in_frequency
 from ..effects.effect import Effect, as_effects
 from ..effects.input_path import InputOffset
 from ..effects.law import KINDS
@@ -132,7 +133,7 @@ def offset_variants(physical: PhysicalModel, record: Measurement, offset: bool) 
     inputs reach the outputs at rest; behind a nonlinear one they can, and both are tried.
     Where the model integrates, a sensor offset is an initial state.
     """
-    if not as_flag(offset, "offset"):
+    if not as_flag(offset, "offset") or in_frequency(record):
         return [[]]
     linear, controller = physical.linear, physical.controller
     if controller is not None and not controller.recorded and integrates(controller.linear, record):

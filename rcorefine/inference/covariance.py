@@ -129,7 +129,9 @@ def wald(difference: Array, covariance: Array) -> float:
     return float(stats.chi2.sf(d @ inverse @ d, d.size)) if d.size else 1.0
 
 
-def colored(residuals: Sequence[Array], jacobians: Sequence[Array], precision: Array) -> tuple[Array, Array]:
+def colored(
+    residuals: Sequence[Array], jacobians: Sequence[Array], precision: Array, order: int | None = None
+) -> tuple[Array, Array]:
     """Information and covariance of the gradient of a plain sum of squares, for colored residuals.
 
     Parameters
@@ -140,6 +142,8 @@ def colored(residuals: Sequence[Array], jacobians: Sequence[Array], precision: A
         Jacobians of the same.
     precision : ndarray, shape (p,)
         One over the prior variance (0 for none).
+    order : int, optional
+        Of the model of the residuals, as of `autoregression`.
 
     Returns
     -------
@@ -151,7 +155,7 @@ def colored(residuals: Sequence[Array], jacobians: Sequence[Array], precision: A
     correction = joined.size / max(joined.size - precision.size, 1)
     normal, middle = np.diag(precision.astype(float)), np.diag(precision.astype(float))
     for i, row in enumerate(joined):
-        a, variance = stable_model(*autoregression(row))
+        a, variance = stable_model(*autoregression(row, order=order))
         for jacobian in jacobians:
             J = jacobian[i]
             backwards = J if a.size == 1 else lfilter([1.0], a, J[::-1], axis=0)
@@ -161,14 +165,14 @@ def colored(residuals: Sequence[Array], jacobians: Sequence[Array], precision: A
 
 
 def parameter_uncertainty(
-    residuals: Sequence[Array], jacobians: Sequence[Array], precision: Array
+    residuals: Sequence[Array], jacobians: Sequence[Array], precision: Array, order: int | None = None
 ) -> Uncertainty:
     """Covariance of a plain least-squares estimate whose residual may be colored.
 
     For white residuals it is the Cramer-Rao bound ``sigma^2 (J'J)^-1``. Parameters are those of
     `colored`.
     """
-    normal, middle = colored(residuals, jacobians, precision)
+    normal, middle = colored(residuals, jacobians, precision, order)
     _, lost, condition = pseudo_inverse(normal)
     joined = np.concatenate(residuals, axis=1)
     noise = np.sqrt(np.mean(joined**2, axis=1) * joined.size / max(joined.size - precision.size, 1))

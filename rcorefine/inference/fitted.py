@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..data.measurement import Measurement
+from ..data.response_record import in_frequency
 from ..effects.effect import Effect
 from ..engine.observer import observer_gain
 from ..engine.structure import Structure
@@ -16,6 +17,7 @@ from ..models.operating_point import ordered_record, sensed
 from ..systems.linear import Array
 from .assembly import priors
 from .linearized import linearized
+from .outcome import output_weights
 from .problem import Problem, residual_blocks
 from .refinement import Refinement
 from .starts import Motion, law_widths
@@ -63,7 +65,8 @@ class FittedModel:
     def gain(self, ratio: float) -> Array | None:
         """Observer gain for an unknown force of that ratio; for 0 what leads an unstable model."""
         if ratio == 0:
-            return self.problem.engines[0].lead
+            lead: Array | None = self.problem.engines[0].lead
+            return lead
         if ratio not in self._gains:
             self._gains[ratio] = observer_gain(
                 self.structure, self.theta, self.problem.records[0], ratio, at=self.force_at
@@ -177,10 +180,16 @@ def fitted_from(
     structure, theta, steps = refinement.simulation_structure()
     records = [ordered_record(refinement.physical_model, r) for r in data]
     mean, sd = priors(structure, refinement.roles, tolerance)
-    level = (
-        refinement.rmse if noise is None else np.broadcast_to(np.asarray(noise, float), refinement.rmse.shape)
-    )
+    shape = refinement.rmse.shape
+    given: dict[str, Any] = {"prior_mean": mean, "prior_sd": sd, "substeps": steps}
+    if noise is not None:
+        level = np.broadcast_to(np.asarray(noise, float), shape)
+    elif in_frequency(records):  # in units of the noise of the points
+        plain = Problem(structure, records, np.ones(shape), **given)
+        level = 1.0 / output_weights(records, None, plain, plain.pack(theta, refinement.initial_states))
+    else:
+        level = refinement.rmse
     spread = np.concatenate([r.outputs for r in records], axis=1).std(axis=1)
     weights = 1.0 / np.maximum(level, 1e-12 * np.where(spread > 0, spread, 1.0))
-    problem = Problem(structure, records, weights, prior_mean=mean, prior_sd=sd, substeps=steps)
+    problem = Problem(structure, records, weights, **given)
     return FittedModel(refinement, problem, problem.pack(theta, refinement.initial_states), tolerance)

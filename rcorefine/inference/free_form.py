@@ -287,7 +287,7 @@ def fit_free_form(
         )
         point, values = done.point[:n], done.point[n:]
         model = _with(fitted, curve, point, values)
-        before, whitener = whitener, Whitener.fit(model.residuals(ratio))
+        before, whitener = whitener, fitted.problem.whitener(model.residuals(ratio))
         if done.converged and np.allclose(before.scales, whitener.scales, rtol=_SETTLED):
             break
     penalty = float(np.sum((prior @ values) ** 2)) + 2.0 * found.price

@@ -10,7 +10,9 @@ import numpy as np
 
 from ..arguments import as_noise
 from ..data.measurement import Measurement
+from ..data.response_record import in_frequency, noise_is_known
 from ..engine.engine import Engine
+from ..engine.response_engine import engine_on
 from ..engine.simulation import estimate_initial_state
 from ..engine.structure import Structure
 from ..exceptions import IdentifiabilityWarning
@@ -20,9 +22,8 @@ from .covariance import parameter_uncertainty, standard_deviations, unseen_combi
 from .doubts import stands_still
 from .problem import Problem, residual_blocks
 from .refinement import EstimatedParameter, Refinement
-from .whitening import Whitener
 
-__all__ = ["output_weights", "package"]
+__all__ = ["fit_of", "output_weights", "package"]
 
 
 def output_weights(
@@ -31,6 +32,8 @@ def output_weights(
     """One over the noise of each output: declared, or from the residual."""
     ny = records[0].outputs.shape[0]
     declared = as_noise(noise, ny)
+    if noise_is_known(records):  # they stand in its units
+        declared = np.ones(ny)
     if declared is not None:
         return 1.0 / declared
     spread = np.concatenate([record.outputs for record in records], axis=1).std(axis=1)
@@ -50,7 +53,8 @@ def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
     blocks = residual_blocks(problem, point)
     precision = problem.precision
     precision[: problem.n_theta][fit.loose] = 0.0
-    unsure = parameter_uncertainty([r for r, _ in blocks], [j for _, j in blocks], precision)
+    order = None if problem.in_time else 0
+    unsure = parameter_uncertainty([r for r, _ in blocks], [j for _, j in blocks], precision, order)
     p = structure.n_parameters
     covariance = unsure.covariance[:p, :p]
     spread = standard_deviations(covariance)
@@ -58,8 +62,7 @@ def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
     found = tuple(unseen_combinations(unsure, theta, names, spread))
     for sentence in found:
         warnings.warn(sentence, IdentifiabilityWarning, stacklevel=4)
-    measured = np.concatenate([r.outputs for r in problem.records], axis=1)
-    error = np.concatenate([r / problem.weights[:, None] for r, _ in blocks], axis=1)
+    fit_percent, rmse = fit_of(problem.records, [r / problem.weights[:, None] for r, _ in blocks])
     message = str(result.message) if result.status <= 0 else "Converged."
     if result.status == 0:
         message = "Stopped at the largest number of evaluations; the minimum may not be reached."
@@ -74,16 +77,17 @@ def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
         theta=np.array(theta),
         parameters=_rows(structure, roles, theta, spread),
         covariance=covariance,
-        fit=_fit(measured, error),
-        rmse=np.sqrt(np.mean(error**2, axis=1)),
+        fit=fit_percent,
+        rmse=rmse,
         initial_fit=_initial_fit(Structure(physical), problem.records),
         initial_states=starts,
         substeps=fit.steps,
-        residual_orders=Whitener.fit([r for r, _ in blocks]).orders,
+        residual_orders=problem.whitener([r for r, _ in blocks]).orders,
         led=any(engine.lead is not None for engine in problem.engines) and physical.controller is None,
         success=bool(result.status > 0 and np.isfinite(result.cost)),
         message=" ".join(part for part in (message, note) if part),
         warnings=found,
+        of_responses=not problem.in_time,
     )
 
 
@@ -125,13 +129,30 @@ def _fit(measured: Array, error: Array) -> Array:
     return np.asarray(100.0 * (1.0 - np.linalg.norm(error, axis=1) / about_mean))
 
 
-def _initial_fit(structure: Structure, records: Sequence[Measurement]) -> Array:
+def fit_of(records: Sequence[Any], errors: Sequence[Array]) -> tuple[Array, Array]:
+    """Fit in percent and root mean square error of each output, in its own unit, from errors of the rows.
+
+    Those of complex points, about their mean, where data are frequency responses.
+    """
+    if not in_frequency(records):
+        error = np.concatenate(errors, axis=1)
+        measured = np.concatenate([r.outputs for r in records], axis=1)
+        return _fit(measured, error), np.sqrt(np.mean(error**2, axis=1))
+    left = [record.points(e) for record, e in zip(records, errors, strict=True)]
+    points = [record.points(record.outputs) for record in records]
+    about = [p - p.mean(axis=2, keepdims=True) for p in points]
+    off, spread = (
+        np.sqrt(sum(np.sum(np.abs(p) ** 2, axis=(1, 2)) for p in parts)) for parts in (left, about)
+    )
+    count = sum(p.shape[1] * p.shape[2] for p in points)
+    return 100.0 * (1.0 - off / np.where(spread > 0, spread, np.nan)), off / np.sqrt(count)
+
+
+def _initial_fit(structure: Structure, records: Sequence[Any]) -> Array:
     """Fit of the initial model, initial state estimated (and nothing else)."""
-    errors, measured = [], []
+    errors = []
     for record in records:
-        engine = Engine(structure, record, led=True)
-        start = estimate_initial_state(engine, np.zeros(0))
-        run = engine.run(np.zeros(0), start, sensitivity=False, check=False)
-        errors.append(run.outputs - record.outputs)
-        measured.append(record.outputs)
-    return _fit(np.concatenate(measured, axis=1), np.concatenate(errors, axis=1))
+        engine = engine_on(structure, record)
+        start = estimate_initial_state(engine, np.zeros(0)) if isinstance(engine, Engine) else None
+        errors.append(engine.run(np.zeros(0), start, sensitivity=False, check=False).outputs - record.outputs)
+    return fit_of(records, errors)[0]

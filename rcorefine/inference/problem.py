@@ -7,13 +7,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 
 from ..data.measurement import Measurement
-from ..engine.engine import Engine
+from ..data.response_record import ResponseRecord, in_frequency
+from ..engine.response_engine import engine_on
 from ..engine.structure import Structure
 from ..systems.linear import Array
 from .sizes import natural_sizes
+from .whitening import Whitener
 
 __all__ = ["Evaluation", "Problem", "residual_blocks"]
 
@@ -48,13 +50,18 @@ class Problem:
     substeps : int
         Substeps per sampling interval.
     initial : ndarray of shape (n,), or None
-        Known initial state; estimated per record where None.
+        Known initial state; estimated per record where None, and of no meaning for frequency responses.
+
+    Attributes
+    ----------
+    in_time : bool
+        Whether the records are signals in time, and no frequency responses.
     """
 
     def __init__(
         self,
         structure: Structure,
-        records: Sequence[Measurement],
+        records: Sequence[Measurement] | Sequence[ResponseRecord],
         weights: Array,
         *,
         prior_mean: Array,
@@ -62,10 +69,16 @@ class Problem:
         substeps: int = 1,
         initial: Array | None = None,
     ) -> None:
-        self.structure, self.records, self.weights = structure, list(records), weights
+        self.structure, self.weights = structure, weights
+        self.records: list[Any] = list(records)
+        self.in_time = not in_frequency(self.records)
+        if not self.in_time:  # a response has no start
+            initial = np.zeros(structure.n_states)
         self.prior_mean, self.prior_sd = prior_mean, prior_sd
         self.initial, self.substeps = initial, substeps
-        self.engines = [Engine(structure, r, substeps=substeps, initial=initial, led=True) for r in records]
+        self.engines: list[Any] = [
+            engine_on(structure, r, substeps=substeps, initial=initial) for r in records
+        ]
         self.n_theta, self.n_states = structure.n_parameters, structure.n_states
         self.free_start = initial is None
         self.gain: Array | None = None
@@ -73,6 +86,10 @@ class Problem:
         states = np.ones(self.size - self.n_theta)
         self.sizes = np.concatenate([natural_sizes(structure, self.records), states])
         self.n_points = sum(record.outputs.size for record in self.records)
+
+    def whitener(self, residuals: Sequence[Array]) -> Whitener:
+        """Filter of residuals: in time noise may have a memory, from frequency to frequency it has none."""
+        return Whitener.fit(residuals, order=None if self.in_time else 0)
 
     @property
     def precision(self) -> Array:
@@ -115,7 +132,7 @@ class Problem:
             if ok:
                 weights = self.weights[:, None] * judged[i]
                 error = (weights * (run.outputs - engine.data.outputs)).ravel()
-                slope = (weights[:, :, None] * run.sensitivity).reshape(-1, width)
+                slope = (weights[:, :, None] * run.sensitivity).reshape(error.size, width)
                 block[:, : self.n_theta] = slope[:, : self.n_theta]
                 if self.free_start:
                     first = self.n_theta + i * self.n_states
@@ -124,15 +141,18 @@ class Problem:
                 error = np.full(engine.data.outputs.size, _FAILED)
             rows.append(error)
             blocks.append(block)
-        held = np.isfinite(self.prior_sd)
-        if held.any():
-            rows.append((theta[held] - self.prior_mean[held]) / self.prior_sd[held])
-            block = np.zeros((int(held.sum()), self.size))
-            block[np.arange(block.shape[0]), np.flatnonzero(held)] = 1.0 / self.prior_sd[held]
-            blocks.append(block)
+        for whole, part in zip((rows, blocks), self.prior_rows(theta), strict=True):
+            whole.append(part)
         result = Evaluation(np.concatenate(rows), np.vstack(blocks), finite)
         self._cache = (point.copy(), result)
         return result
+
+    def prior_rows(self, theta: Array) -> tuple[Array, Array]:
+        """Distance of the coefficients from their priors in standard deviations, and its derivatives."""
+        held = np.isfinite(self.prior_sd)
+        block = np.zeros((int(held.sum()), self.size))
+        block[np.arange(block.shape[0]), np.flatnonzero(held)] = 1.0 / self.prior_sd[held]
+        return (theta[held] - self.prior_mean[held]) / self.prior_sd[held], block
 
     def judged(self, theta: Array) -> list[Array]:
         """Weight (n_y, N) of the samples of each record: nothing for those that a delay hides.
@@ -234,6 +254,9 @@ class Problem:
             As of `scipy.optimize.least_squares`.
         """
         self.gain, self._cache = gain, None
+        if not self.size:  # a response of a model in which nothing is free
+            there = {"x": point, "cost": self.cost(point), "jac": self.evaluate(point).jacobian}
+            return OptimizeResult(status=1, message="Nothing is free.", **there)
         scale = self._scales(point)
         at: Callable[[Array], Evaluation] = lambda q: self.evaluate(self.from_box(q * scale))  # noqa: E731
         fun: Callable[[Array], Array] = lambda q: at(q).residual  # noqa: E731

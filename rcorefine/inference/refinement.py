@@ -105,6 +105,8 @@ class Refinement(ReportedModel, CodeExports):
     led : bool
         Whether the initial model is unstable over such records, so that fit and rmse are those of what
         is predicted one sample ahead.
+    of_responses : bool
+        Whether it was fitted to frequency responses: fit and rmse are those of complex points.
     """
 
     physical_model: PhysicalModel
@@ -124,6 +126,7 @@ class Refinement(ReportedModel, CodeExports):
     message: str
     warnings: tuple[str, ...] = ()
     led: bool = False
+    of_responses: bool = False
 
     # ------------------------------------------------------------------ the model
     def simulation_structure(self) -> tuple[Structure, Array, int]:
@@ -304,6 +307,10 @@ class Refinement(ReportedModel, CodeExports):
         return show(self, "bode_plot", measured, omega, levels=levels, **options)
 
     # ------------------------------------------------------------------ in words
+    @property
+    def _what(self) -> str:
+        return "frequency response" if self.of_responses else "prediction" if self.led else "free run"
+
     def sentences(self) -> list[str]:
         """What the figures mean, one sentence each.
 
@@ -312,7 +319,8 @@ class Refinement(ReportedModel, CodeExports):
         list of str
         """
         lines = [
-            f"The {'prediction' if self.led else 'free run'} explains {_percent(self.fit)} of the record "
+            f"The {self._what} explains {_percent(self.fit)} of the "
+            f"{'measured one' if self.of_responses else 'record'} "
             f"(initial model {_percent(self.initial_fit)}).",
             "std is the standard deviation that another record like this one would show"
             + (

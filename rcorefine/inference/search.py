@@ -8,12 +8,14 @@ from itertools import pairwise
 import numpy as np
 
 from ..data.measurement import Measurement
+from ..data.response_record import in_frequency
 from ..engine.engine import Engine
 from ..engine.observer import observer_gain
 from ..engine.simulation import estimate_initial_state
 from ..engine.structure import Structure
 from ..systems.linear import Array
 from .covariance import parameter_uncertainty
+from .logarithms import by_logarithms
 from .problem import Problem, residual_blocks
 from .starts import Motion, far_starts, shape_starts
 
@@ -77,7 +79,7 @@ def search(
             if found is not None:
                 polished.append(found)
 
-    if not structure.is_linear:
+    if not structure.is_linear and trial.in_time:
         grow(_FAIR)
     if min(entry[0] for entry in polished) > _POOR * level:
         far: list[tuple[float, Array]] = []
@@ -87,7 +89,8 @@ def search(
         if far:
             polished += _polish_each(trial, far, level, steps)
         outcomes = sorted(outcomes + far, key=lambda pair: pair[0])
-        grow(_POOR)
+        if trial.in_time:
+            grow(_POOR)
     _, best, steps = min(polished, key=lambda entry: entry[0])
     whole = problem(windows, steps)
     theta = best[: structure.n_parameters]
@@ -196,7 +199,7 @@ def sufficient_steps(
         order of the integration asks for (to be judged again), 8 times as many at most.
     """
     steps = coarse.substeps
-    if coarse.structure.is_linear or steps >= _MOST_SUBSTEPS:
+    if coarse.structure.is_linear or not coarse.in_time or steps >= _MOST_SUBSTEPS:
         return steps
     shift = step_matters(coarse, problem(segments, 2 * steps, coarse.free_start), point)
     if shift < _STEP_SHARE:
@@ -206,6 +209,8 @@ def sufficient_steps(
 
 
 def _shortened(windows: Sequence[Measurement]) -> list[Measurement]:
+    if in_frequency(windows):
+        return list(windows)
     kept: list[Measurement] = []
     total = 0
     for window in windows:
@@ -223,6 +228,9 @@ def _first_pass(
     outcomes = []
     point = problem.inside(problem.pack(theta, starting_states(problem, theta)))
     outcomes.append((problem.cost(point), point))
+    if not problem.in_time:
+        led = problem.inside(by_logarithms(problem, point))
+        return [(cost, p) for cost, p in [*outcomes, (problem.cost(led), led)] if np.isfinite(cost)]
     current = point
     for ratio in _RATIOS:
         gain = observer_gain(structure, current[: structure.n_parameters], windows[0], ratio)

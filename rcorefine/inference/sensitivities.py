@@ -13,6 +13,7 @@ from ..engine.controlled import sample_jumps
 from ..engine.engine import Engine
 from ..engine.linear_response import linear_responses
 from ..engine.point import resting
+from ..engine.response_engine import ResponseEngine, engine_on
 from ..engine.structure import Structure
 from ..systems.discretization import discretize
 from ..systems.linear import Array
@@ -127,7 +128,12 @@ def candidate_columns(
     for i, candidate in enumerate(found):
         law = candidate.effect.spec
         # along the motion of a nonlinear model nothing short of its own derivatives is right
-        if law.secant or law.at_channel or (fitted.structure.field is not None and not law.is_parameter):
+        if (
+            not fitted.problem.in_time
+            or law.secant
+            or law.at_channel
+            or (fitted.structure.field is not None and not law.is_parameter)
+        ):
             for ratio in ratios:
                 candidate.columns[ratio] = _own_columns(candidate, ratio)
         elif law.is_parameter:  # they ride along in one simulation
@@ -208,7 +214,7 @@ def parameter_columns(
 
 def _carrier(
     fitted: FittedModel, effects: Sequence[Effect], motion: Motion
-) -> tuple[Structure, Array, list[Engine]]:
+) -> tuple[Structure, Array, list[Engine | ResponseEngine]]:
     old = fitted.refinement
     base = Structure(old.physical_model, [*old.effects, *effects])
     widths = law_widths(base, motion)
@@ -216,11 +222,15 @@ def _carrier(
     structure = Structure(old.physical_model, base.effects, constants=widths)
     theta = np.concatenate([fitted.theta, structure.start()[fitted.theta.size :]])
     steps = max(old.substeps, 1 if structure.is_linear else 2)
-    return structure, theta, [Engine(structure, r, substeps=steps, led=True) for r in fitted.problem.records]
+    return structure, theta, [engine_on(structure, r, substeps=steps) for r in fitted.problem.records]
 
 
 def _sensitivities(
-    fitted: FittedModel, structure: Structure, theta: Array, engines: Sequence[Engine], gain: Array | None
+    fitted: FittedModel,
+    structure: Structure,
+    theta: Array,
+    engines: Sequence[Engine | ResponseEngine],
+    gain: Array | None,
 ) -> list[Array]:
     starts = fitted.problem.unpack(fitted.point)[1]
     blocks = []

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import itertools
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import find_peaks, welch
 
 from ..data.measurement import Measurement
+from ..data.response_record import ResponseRecord
 from ..engine.engine import Engine
 from ..engine.observer import observer_gain
+from ..engine.response_engine import channel_signal, engine_on, port_phasors, sampled
 from ..engine.structure import Structure
 from ..models.operating_point import sensed
 from ..systems.linear import Array
@@ -28,9 +33,9 @@ class Motion:
         engine = Engine(structure, data)
         gain = observer_gain(structure, theta, data, ratio)
         run = engine.run(theta, sensitivity=False, gain=gain, histories=True, check=False)
-        self.data = data
+        self.data: Any = data
         self.states = np.nan_to_num(run.states)
-        self.residual = data.outputs - np.nan_to_num(run.outputs)
+        self.residual: Array | NDArray[np.complex128] = data.outputs - np.nan_to_num(run.outputs)
         self.companions: list[Motion] = []  # the same system in other records
         self._structure = structure
 
@@ -39,7 +44,31 @@ class Motion:
         return sensed(self._structure.model, name, self.states, self.data.inputs)
 
 
-def estimated_motion(structure: Structure, theta: Array, data: Measurement) -> Motion:
+class ResponseMotion(Motion):
+    """Motion at the ports as a frequency response and the model together see it: one sine after the other.
+
+    Attributes
+    ----------
+    data : ResponseRecord
+        The response.
+    residual : complex ndarray, shape (n_y, n_w, n_omega)
+        What the model leaves of it, in units of its noise.
+    """
+
+    def __init__(self, structure: Structure, theta: Array, data: ResponseRecord) -> None:
+        self.data = data
+        self.companions: list[Motion] = []
+        run = engine_on(structure, data).run(theta, sensitivity=False)
+        self.residual = data.points((data.outputs - run.outputs) / data.noise)
+        self._structure, self._theta = structure, theta
+
+    def port(self, name: str) -> tuple[Array, Array]:
+        """Displacement and velocity at one port, sampled over a period of each sine."""
+        d, v = port_phasors(self._structure, self._theta, self.data, name)
+        return sampled(d), sampled(v)
+
+
+def estimated_motion(structure: Structure, theta: Array, data: Measurement | ResponseRecord) -> Motion:
     """Motion at the ports as the record and the model together see it.
 
     Parameters
@@ -55,6 +84,8 @@ def estimated_motion(structure: Structure, theta: Array, data: Measurement) -> M
     -------
     Motion
     """
+    if isinstance(data, ResponseRecord):
+        return ResponseMotion(structure, theta, data)
     return Motion(structure, theta, data)
 
 
@@ -136,11 +167,12 @@ class _Seen:
         self._structure, self._motion = structure, motion
         self._place, self._law = structure.effects[index].place, structure.effects[index].spec
         self.dt = motion.data.dt
-        self.residual = motion.residual
 
     @property
     def signal(self) -> Array:
         data, linear = self._motion.data, self._structure.linear_model
+        if isinstance(data, ResponseRecord):
+            return channel_signal(linear, data, self._place, "input" in self._law.where)
         labels, rows, first = linear.output_labels, data.outputs, data.n_inputs
         if "input" in self._law.where:
             labels, rows, first = linear.input_labels, data.inputs, 0
@@ -159,6 +191,18 @@ class _Seen:
     @property
     def v(self) -> Array:
         return self._port[1]
+
+    @property
+    def peaks(self) -> Array:
+        data, residual = self._motion.data, self._motion.residual
+        if isinstance(data, ResponseRecord):
+            frequency, level = data.omega, np.log(np.mean(np.abs(residual) ** 2, axis=(0, 1)) + 1e-300)
+        else:
+            left = residual - residual.mean(axis=1, keepdims=True)
+            hertz, power = welch(left, fs=1.0 / self.dt, nperseg=min(1024, left.shape[1]))
+            frequency, level = 2 * np.pi * hertz[1:], np.log(power.mean(axis=0) + 1e-300)[1:]
+        found, info = find_peaks(level, prominence=0.5)
+        return np.asarray(frequency[found[np.argsort(info["prominences"])[::-1][:3]]])
 
     @property
     def pull(self) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..arguments import as_choice, as_number, as_share, as_state
 from ..arithmetic import own_arithmetic
-from ..data.measurement import Measurement
+from ..data.measurement import Measurement, as_records
 from ..effects.dampers import Damping
 from ..effects.effect import Effect
 from ..effects.output_path import OutputGain
@@ -20,7 +20,7 @@ from ..exceptions import IdentifiabilityWarning
 from ..inference.assembly import assemble, check_settings, offset_variants
 from ..inference.refinement import Refinement
 from ..inference.starts import estimated_motion
-from ..inference.windows import as_records, windows
+from ..inference.windows import windows
 from ..models.conversion import as_physical
 from ..models.operating_point import ordered_record, refuse_point
 from ..models.physical_model import PhysicalModel

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..arguments import as_mapping, as_number, as_state, as_vector
 from ..data.channels import match_channels, record_for
-from ..data.measurement import Measurement
+from ..data.response_record import ResponseRecord, in_frequency
 from ..effects.right_hand_side import Field
 from ..exceptions import ModelError
 from ..systems.linear import Array, LinearModel
@@ -109,8 +109,13 @@ def refuse_point(model: PhysicalModel, what: str) -> PhysicalModel:
     return model
 
 
-def ordered_record(model: PhysicalModel, data: Measurement) -> Measurement:
-    """The record in the order of the model's channels, and as what it has above the operating point."""
+def ordered_record(model: PhysicalModel, data: Any) -> Any:
+    """The record in the order of the model's channels, and as what it has above the operating point.
+
+    A frequency response becomes a record of its points.
+    """
+    if in_frequency(data):
+        return data if isinstance(data, ResponseRecord) else ResponseRecord.of(data, model.linear)
     data = completed(model, data)
     record = record_for(data, match_channels(model.linear, data))
     point = model.operating_point

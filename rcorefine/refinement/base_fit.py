@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..data.measurement import Measurement
+from ..data.response_record import in_frequency
 from ..effects.effect import Effect
 from ..engine.simulation import check_channels
 from ..engine.structure import Structure
@@ -44,9 +45,10 @@ def base_fit(
         )
     physical, kept = unfold(model)
     ordered = [ordered_record(physical, r) for r in records]
-    for record in ordered:
-        check_channels(physical.linear, record)
-        record.check_excitation("diagnose", stacklevel=3)
+    if not in_frequency(ordered):
+        for record in ordered:
+            check_channels(physical.linear, record)
+            record.check_excitation("diagnose", stacklevel=3)
     segments, note = windows(physical, ordered, horizon)
     chosen = assemble(physical, kept, (), free, tolerance, offset_variants(physical, ordered[0], offset)[0])
     constants = dict(getattr(model, "constants", {}))

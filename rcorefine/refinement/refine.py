@@ -11,6 +11,7 @@ import numpy as np
 from ..arguments import as_whole
 from ..arithmetic import own_arithmetic
 from ..data.measurement import Measurement
+from ..data.response_record import in_frequency
 from ..effects.effect import Effect, as_effects
 from ..engine.simulation import check_channels
 from ..engine.structure import Structure
@@ -20,7 +21,7 @@ from ..inference.fit import Fit
 from ..inference.outcome import package
 from ..inference.refinement import Refinement
 from ..inference.starts import estimated_motion, law_widths
-from ..inference.windows import as_records, windows
+from ..inference.windows import as_data, windows
 from ..models.conversion import under_control
 from ..models.operating_point import ordered_record, start_above
 from ..models.physical_model import PhysicalModel
@@ -56,7 +57,9 @@ def refine(
         Initial model, continuous time. Effects that a Refinement holds already are
         estimated again, together with the new ones.
     data : Measurement or list of Measurement
-        Record, or segments that share the coefficients but not the initial state.
+        Record, or segments that share the coefficients but not the initial state. Or a
+        `FrequencyResponse` or a list of them at several amplitudes, which have neither `x0`, `horizon`,
+        `noise` (they hold their `std`), `substeps` nor offsets.
     effects : sequence of Effect
         What to add.
     free : "linear" or sequence
@@ -131,11 +134,14 @@ def refine(
     >>> round(better.parameters[0].value, 3)
     90.0
     """
+    records = as_data(data, x0=x0, horizon=horizon, noise=noise, controller=controller)
     physical, kept = unfold(under_control(model, controller, data))
-    records = [ordered_record(physical, r) for r in as_records(data)]
-    for record in records:
-        check_channels(physical.linear, record)
-        record.check_excitation("refine", stacklevel=2)
+    records = [ordered_record(physical, record) for record in records]
+    in_time = not in_frequency(records)
+    if in_time:
+        for record in records:
+            check_channels(physical.linear, record)
+            record.check_excitation("refine", stacklevel=2)
     initial = start_above(physical, x0)
     if substeps is not None:
         substeps = as_whole(substeps, "substeps", least=1, most=_MOST_SUBSTEPS)
@@ -174,7 +180,8 @@ def refine(
             other.run(estimated_motion(bare, np.zeros(0), pieces[0]), substeps)
             return other
 
-        return doubted(package(best, physical, note), best, again)
+        found = package(best, physical, note)
+        return doubted(found, best, again) if in_time else found
 
 
 def refit(
@@ -208,7 +215,7 @@ def refit(
     Refinement
     """
     physical, kept = unfold(model)
-    records = [ordered_record(physical, r) for r in as_records(data)]
+    records = [ordered_record(physical, r) for r in as_data(data)]
     segments, note = windows(physical, records, horizon)
     widths = {(e.kind, e.place): model.constants.get(i) for i, (e, _) in enumerate(kept)}
     if without is not None:

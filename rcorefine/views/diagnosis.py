@@ -15,7 +15,9 @@ from ..diagnosis.result import Diagnosis
 from ..effects.along_motion import unit_forces
 from ..engine.simulation import simulated
 from ..systems.linear import Array
-from .figures import MEASURED, Frame, draws, plain, style, unit_text
+from .diagnosis_of_responses import plot_of_responses
+from .figures import MEASURED, Frame, draws, style, unit_text
+from .rankings import ranking_bars, test_bars, title_of
 from .refinement import estimates_table
 from .tables import Table, Told, tells
 
@@ -61,64 +63,15 @@ def plot_diagnosis(found: Diagnosis, frame: Frame) -> ct.ControlPlot:
     Axes: ranking (or tests, where nothing is missing), hidden force estimated without
     any law with the law's curve through it, residual in time, residual in frequency.
     """
+    if found.base.of_responses:
+        return plot_of_responses(found, frame)
     record = found.ordered_records()[0]
     with frame.axes([1.0, 1.0], 2, figsize=(10.5, 7.2), sharex=False) as (axes, lines):
-        lines[0, 0] = _ranking(axes[0, 0], found) if found.best is not None else _tests(axes[0, 0], found)
+        bars = ranking_bars if found.best is not None else test_bars
+        lines[0, 0] = bars(axes[0, 0], found)
         lines[0, 1] = _force(axes[0, 1], found, record)
         lines[1, 0], lines[1, 1] = _residuals(axes[1], found, record)
-        return frame.finish(axes, lines, [axes[0, 0], axes[0, 1], axes[1, 1]], _title(found))
-
-
-def _title(found: Diagnosis) -> str:
-    if found.best is None or found.place is None or found.verdict == "adequate":
-        return f"Diagnosis: {found.verdict}"
-    if found.verdict == "unexplained":
-        return f"Diagnosis: {found.verdict} (at {found.place}, probability {found.places[found.place]:.2f})"
-    return f"Diagnosis: {found.verdict} ({found.best.effect.label}, probability {found.best.probability:.2f})"
-
-
-def _ranking(ax: Any, found: Diagnosis) -> list[Any]:
-    rows = found.ranking[:_SHOWN][::-1]
-    where = np.arange(len(rows))
-    alike = {effect.label for effect in found.ambiguous}
-    colors = [style(1).color if row.effect.label in alike else "0.75" for row in rows]
-    loss = [100 - row.fit_after for row in rows]
-    bars = ax.barh(where, loss, color=colors, edgecolor="0.3", height=0.65)
-    before = 100 - rows[0].fit_before
-    line = ax.axvline(before, color=style(0).color, ls="--", lw=1.4, label="model as it is")
-    for y, row, value in zip(where, rows, loss, strict=True):
-        ax.annotate(
-            "" if found.verdict == "unexplained" else f"P = {row.probability:.2f}",
-            (value, y),
-            xytext=(4, 0),
-            textcoords="offset points",
-            va="center",
-            fontsize=8,
-        )
-    ax.set_yticks(where, [_wrapped(row.effect.label) for row in rows], fontsize=8)
-    ax.set_xlim(0, 1.25 * max(before, *loss))
-    ax.set_xlabel("what the refitted model misses: 100 - fit [%]")
-    ax.set_title("Rivals, refitted")
-    return [*bars, line]
-
-
-def _wrapped(label: str) -> str:
-    return plain(label.replace(" at ", "\nat ").replace("_", " "))
-
-
-def _tests(ax: Any, found: Diagnosis) -> list[Any]:
-    tests = [t for t in found.tests if t.dof][::-1]
-    where = np.arange(len(tests))
-    bars = ax.barh(
-        where, [-np.log10(max(t.p_value, 1e-300)) for t in tests], color="0.75", edgecolor="0.3", height=0.65
-    )
-    level = -np.log10(found.significance / max(len(tests), 1))
-    line = ax.axvline(level, color=style(1).color, ls="--", lw=1.4, label="level at which a test fires")
-    ax.set_yticks(where, [t.name.split(" (")[0] for t in tests], fontsize=8)
-    ax.set_xlim(0, max(1.2 * level, ax.get_xlim()[1]))
-    ax.set_xlabel("-log10 of the p-value")
-    ax.set_title("Tests of the model")
-    return [*bars, line]
+        return frame.finish(axes, lines, [axes[0, 0], axes[0, 1], axes[1, 1]], title_of(found))
 
 
 def _force(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:

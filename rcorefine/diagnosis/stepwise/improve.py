@@ -15,10 +15,11 @@ from ...effects.effect import Effect, as_effects
 from ...effects.tabulated import Table
 from ...exceptions import IdentifiabilityWarning
 from ...inference.assembly import check_settings
-from ...inference.windows import as_records, check_validation
+from ...inference.windows import as_data, check_validation
 from ...models.conversion import as_physical, under_control
+from ...models.operating_point import ordered_record
 from ...progress import Progress
-from ..case import candidates_of
+from ..case import candidates_of, seen_in_responses
 from ..checks.check import looks
 from .backward import drop_needless, drop_undetermined, return_trust, shorten, swap_better
 from .forward import climb, tabulate
@@ -61,8 +62,9 @@ def improve(
     model : StateSpace, PhysicalModel or Refinement
         Initial model, continuous time.
     data : Measurement or list of Measurement
-        Record, or several of the same system.
-    validation : Measurement, optional
+        Record, or several of the same system. Or a `FrequencyResponse`, or a list of them: of five
+        frequencies in turn three are fitted, one chooses, one judges, and errors are over the noise.
+    validation : Measurement or FrequencyResponse, optional
         Record that judges; by default the last fifth of `data`.
     max_effects : int
         Effects at most.
@@ -118,13 +120,13 @@ def improve(
     max_effects = as_whole(max_effects, "max_effects")
     significance = as_share(significance, "significance")
     candidates = None if candidates is None else as_effects(candidates, "candidates")
+    records = as_data(data, horizon=horizon, noise=noise, controller=controller)
     model = under_control(model, controller, data)
     check_settings(
         as_physical(model), free=free, tolerance=tolerance, offset=offset, noise=noise, horizon=horizon
     )
     if validation is not None:
         check_validation(model, validation)
-    records = as_records(data)
     parts = split_in_parts(records, validation)
     settings = {"tolerance": tolerance, "offset": offset, "noise": noise, "horizon": horizon}
     with own_arithmetic(), warnings.catch_warnings(), Progress(progress, executor) as bar:
@@ -132,17 +134,24 @@ def improve(
         ladder = StepwiseSelection(
             model, parts, free=free, settings=settings, significance=significance, progress=bar
         )
-        odd = looks(model, records, horizon)  # by now the channels of every record are known to be there
+        odd = (
+            looks(model, records, horizon) if ladder.in_time else ()
+        )  # by now the channels of every record are known to be there
         physical = ladder.current.physical_model
         library = candidates_of(physical) if candidates is None else candidates
+        if not ladder.in_time:
+            ordered = [ordered_record(physical, response) for response in records]
+            library = seen_in_responses(physical, library, ordered, candidates is not None)
         _climb(ladder, library, max_effects)
-        if len(ladder.effects) < max_effects and ladder.verdict(library) == "unexplained":
+        if ladder.in_time and len(ladder.effects) < max_effects and ladder.verdict(library) == "unexplained":
             tabulate(ladder, library)
         back = _end(ladder)
         verdict = ladder.verdict(library)
         message = _closing(ladder, verdict, library, max_effects, back)
     steps, names = with_other_names(ladder.steps)
-    units = tuple(parts.fit[0].output_units)
+    units = (
+        tuple(parts.fit[0].output_units) if ladder.in_time else ("std",) * len(physical.linear.output_labels)
+    )
     notes = (*ladder.notes(), *names)
     return Improvement(tuple(steps), verdict, message, physical.linear.output_labels, units, notes, odd)
 

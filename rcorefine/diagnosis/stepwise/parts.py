@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from ...data.measurement import Measurement
+from ...data.response_record import in_frequency, some_lines
 from ...exceptions import DataError
 
 __all__ = ["Parts", "split_in_parts"]
 
 _FIT, _CHOOSE = 0.6, 0.2  # shares of the record; the rest judges
-_LEAST = 100  # samples of a record that can be split
+_LEAST, _FEWEST = 100, 50  # samples of a record, and points of a response, that can be split
 _EXCERPT, _PIECES = 8000, 4  # samples of a long record on which the ladder climbs
 _SHORTEST, _MOST_RECORDS = 1000, 16  # samples of such a piece, records that it is made of
 
@@ -71,6 +73,8 @@ def split_in_parts(records: Sequence[Measurement], validation: Measurement | Non
     DataError
         If a record is too short.
     """
+    if in_frequency(records):
+        return _lines_in_parts(records, validation)
     fit, choose, judge, learn = [], [], [], []
     for record in records:
         if record.n_samples < _LEAST:
@@ -93,6 +97,24 @@ def split_in_parts(records: Sequence[Measurement], validation: Measurement | Non
             "once more on all that does not judge.",
         )
     return Parts(climbed, choose, [validation] if validation is not None else judge, learn, remarks)
+
+
+def _lines_in_parts(responses: Sequence[Any], validation: Any) -> Parts:
+    """Of five frequencies in turn three to fit, one to choose, one to judge: each sees the whole band."""
+    turns = {"fit": (0, 2, 3), "choose": (1,), "judge": (4,), "learn": (0, 1, 2, 3)}
+    if validation is not None:
+        turns |= {"fit": (0, 2, 3, 4), "learn": (0, 1, 2, 3, 4)}
+    parts: dict[str, list[Any]] = {name: [] for name in turns}
+    for response in responses:
+        numbers = np.arange(response.omega.size)
+        if numbers.size < _FEWEST:
+            raise DataError(
+                f"a response of {numbers.size} frequencies is too short to be split in three; give {_FEWEST}"
+            )
+        for name, which in turns.items():
+            parts[name].append(some_lines(response, numbers[np.isin(numbers % 5, which)]))
+    judge = parts["judge"] if validation is None else [validation]
+    return Parts(parts["fit"], parts["choose"], judge, parts["learn"])
 
 
 def excerpt(records: list[Measurement]) -> list[Measurement]:

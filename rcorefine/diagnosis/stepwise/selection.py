@@ -11,13 +11,15 @@ import numpy as np
 from ...comparison.compare import compare
 from ...data.channels import match_channels, record_for
 from ...data.measurement import Measurement
+from ...data.response_record import in_frequency
 from ...effects.effect import Effect
+from ...engine.response_engine import engine_on
 from ...exceptions import DataError, DivergenceError
 from ...inference.fitted import fitted_from
 from ...inference.levels import levels
 from ...inference.refinement import Refinement
-from ...inference.whitening import Whitener
 from ...inference.windows import windows
+from ...models.operating_point import ordered_record
 from ...progress import Progress
 from ...refinement.refine import refine, refit
 from ...systems.linear import Array
@@ -96,7 +98,8 @@ class StepwiseSelection:
         self.levels = levels()
         with progress.step("model as it is"):
             start = refine(model, parts.fit, free=free, **settings)
-        still = no_motion(parts.fit)
+        self.in_time = not in_frequency(parts.fit)
+        still = self.in_time and no_motion(parts.fit)
         if still:
             raise DataError(still)
         self.effects: list[Effect] = []
@@ -167,15 +170,18 @@ class StepwiseSelection:
         for refinement in (one, two):
             segments, _ = windows(refinement.physical_model, self.parts.fit, self.settings["horizon"])
             tolerance = self.settings["tolerance"]
-            both.append(fitted_from(refinement, segments, tolerance=tolerance, noise=1.0).residuals())
+            segments = [ordered_record(refinement.physical_model, record) for record in segments]
+            fitted = fitted_from(refinement, segments, tolerance=tolerance, noise=1.0)
+            both.append(fitted.residuals())
         closer = min(both, key=lambda blocks: sum(float(np.sum(r**2)) for r in blocks))
-        whitener = Whitener.fit(closer)
+        whitener = fitted.problem.whitener(closer)
         first, second = (whitener.apply(blocks) for blocks in both)
         return 0.5 * float(second @ second - first @ first)
 
     def price(self, choices: int) -> float:
         """Twice the log-likelihood that one coefficient must earn: BIC plus the choice among many."""
-        samples = sum(record.n_samples for record in self.parts.fit)
+        linear = self.current.physical_model
+        samples = sum(ordered_record(linear, record).n_samples for record in self.parts.fit)
         return float(np.log(samples) + 2 * np.log(max(choices, 1)))
 
     # ------------------------------------------------------------------ fitting
@@ -242,6 +248,8 @@ class StepwiseSelection:
 
     def _held(self, refinement: Refinement) -> Refinement:
         """The model under the hold that suits it, and keeps from then on."""
+        if not self.in_time:
+            return refinement
         with self.progress.step("holds"):
             hold, sentence = best_hold(refinement, self.parts.fit, self.settings)
         if not sentence:
@@ -280,7 +288,7 @@ class StepwiseSelection:
         horizon, effect = self.settings["horizon"], step.effect
         return replace(
             step,
-            train_rmse=refinement.rmse.copy(),
+            train_rmse=refinement.rmse.copy() if self.in_time else _rmse(refinement, self.parts.fit, None),
             choice_rmse=_rmse(refinement, self.parts.choose, horizon),
             validation_rmse=_rmse(refinement, self.parts.judge, horizon),
             coefficients={} if effect is None else coefficients_of(effect, refinement),
@@ -311,8 +319,13 @@ def _key(effects: Iterable[Effect]) -> Key:
 
 
 def _rmse(refinement: Refinement, records: Sequence[Measurement], horizon: float | None) -> Array:
-    """Root mean square of the free run's residual, (n_y,), in the windows that `compare` chooses."""
+    """Root mean square of the free run's residual, (n_y,), in the windows that `compare` chooses.
+
+    Of frequency responses that of the points, over their noise.
+    """
     linear = refinement.physical_model.linear
+    if in_frequency(records):
+        return _rms_of_points(refinement, records)
     found = []
     for record in records:
         ordered = record_for(record, match_channels(linear, record))
@@ -320,4 +333,16 @@ def _rmse(refinement: Refinement, records: Sequence[Measurement], horizon: float
             found.append(np.atleast_2d(compare(refinement, ordered, horizon=horizon).residual))
         except DivergenceError:
             return np.full(linear.n_outputs, np.inf)
+    return np.asarray(np.sqrt(np.mean(np.concatenate(found, axis=1) ** 2, axis=1)))
+
+
+def _rms_of_points(refinement: Refinement, responses: Sequence[Any]) -> Array:
+    structure, theta, _ = refinement.simulation_structure()
+    found = []
+    for response in responses:
+        record = ordered_record(refinement.physical_model, response)
+        run = engine_on(structure, record).run(theta, sensitivity=False)
+        if run.blew_up >= 0:
+            return np.full(structure.n_outputs, np.inf)
+        found.append(record.outputs - run.outputs)
     return np.asarray(np.sqrt(np.mean(np.concatenate(found, axis=1) ** 2, axis=1)))

@@ -122,7 +122,7 @@ def diagnosis_answer(found: Diagnosis) -> tuple[list[str], bool]:
     third = {
         "parameters": numbers_that_moved(found.parameters),
         "effect": "Add it with refine, and judge the result on data that took part in nothing.",
-        "ambiguous": "They explain it alike; suggest_experiment() names the record that tells them apart.",
+        "ambiguous": found.sentences()[-1 - len(found.notes)],
         "unexplained": "Do not trust the closest candidate: what is missing is not in the list; law() holds "
         "the force as a table."
         if found.open_law is not None

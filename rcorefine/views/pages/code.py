@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...data.frequency_response import FrequencyResponse
-from ...data.measurement import Measurement
+from ...data.response_record import in_frequency
 from ...effects.effect import Effect
 from ...effects.origin import import_path, module_of
 from ...effects.tabulated import Table
@@ -194,18 +194,22 @@ def effects_code(effects: Sequence[Effect]) -> str:
     return "[\n" + "".join(lines) + "]" if lines else "[]"
 
 
-def record_code(records: Sequence[Measurement]) -> list[str]:
+def record_code(records: Sequence[Any]) -> list[str]:
     """Lines that read the records from files and check that they are the same ones.
 
     Parameters
     ----------
-    records : sequence of Measurement
-        What the result rests on.
+    records : sequence of Measurement, or of FrequencyResponse
+        What the result rests on; responses are listed.
 
     Returns
     -------
     list of str
     """
+    if in_frequency(records):
+        names = ["data"] if len(records) == 1 else [f"data{i + 1}" for i in range(len(records))]
+        every = [line for one, name in zip(records, names, strict=True) for line in response_code(one, name)]
+        return every if len(records) == 1 else [*every, f"data = [{', '.join(names)}]"]
     lines = ["# the record: put the name of your file here"]
     for index, data in enumerate(records):
         name = "data" if len(records) == 1 else f"data{index + 1}"
@@ -233,22 +237,21 @@ def record_code(records: Sequence[Measurement]) -> list[str]:
     return lines
 
 
-def response_code(measured: FrequencyResponse) -> list[str]:
+def response_code(measured: FrequencyResponse, name: str = "measured") -> list[str]:
     """Lines that define a measured response, its points in full up to a few thousand."""
     if measured.response.size > _MOST_POINTS:
-        facts = [comment(f"{name}: {value}") for name, value in response_facts(measured)]
-        return ["# the measured response is too long to be listed here", *facts, "measured = ..."]
+        facts = [comment(f"{what}: {value}") for what, value in response_facts(measured)]
+        return ["# the measured response is too long to be listed here", *facts, f"{name} = ..."]
+    known = {
+        "std": measured.std, "coherence": measured.coherence, "amplitude": measured.amplitude,
+        "input_labels": list(measured.input_labels), "output_labels": list(measured.output_labels),
+        "dt": measured.dt, "hold": measured.hold, "name": measured.name,
+    }  # fmt: skip
     return [
-        "measured = FrequencyResponse.from_frd(",
-        "    ct.frd(",
-        f"        {literal(measured.response, 8)},",
-        f"        {literal(measured.omega, 8)},",
-        f"        dt={literal(measured.dt)},",
-        f"        name={literal(measured.name)},",
-        f"        inputs={literal(list(measured.input_labels), 8)},",
-        f"        outputs={literal(list(measured.output_labels), 8)},",
-        "    ),",
-        f"    hold={literal(measured.hold)},",
+        f"{name} = rco.FrequencyResponse(",
+        f"    {literal(measured.response, 4)},",
+        f"    {literal(measured.omega, 4)},",
+        *(f"    {key}={literal(value, 4)}," for key, value in known.items() if value is not None),
         ")",
     ]
 
@@ -261,8 +264,6 @@ def script(*blocks: Sequence[str]) -> str:
     if model in body:
         own.append(model)
         body = body.replace(f"{model}\n\n", "")
-    if "FrequencyResponse.from_frd" in body:
-        own.append("from rcorefine.data.frequency_response import FrequencyResponse")
     own += sorted({f"import {module_of(path)}" for path in re.findall(r"\blaw=(?!rco\.)([\w.]+)", body)})
     standard = "from hashlib import sha256\n\n" if "sha256(" in body else ""
     outside = [

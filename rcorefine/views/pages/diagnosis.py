@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import inspect
+from typing import Any
 
+from ...data.response_record import in_frequency
 from ...diagnosis.diagnose import diagnose
 from ...diagnosis.result import Diagnosis
 from ...inference.refinement import Refinement
@@ -45,8 +47,10 @@ def report_diagnosis(found: Diagnosis, *, title: str | None, code: str | None) -
         code_section(_own_code(found), code),
         origin_section(found.records),
     ]
-    samples = sum(r.n_samples for r in found.records)
-    about = f"model {linear.name}, {len(found.records)} record(s), {samples} samples"
+    every: list[Any] = list(found.records)
+    samples = sum(r.omega.size if in_frequency(r) else r.n_samples for r in every)
+    of = ("response(s)", "frequencies") if found.base.of_responses else ("record(s)", "samples")
+    about = f"model {linear.name}, {len(found.records)} {of[0]}, {samples} {of[1]}"
     return Page(title or f"Diagnosis of {linear.name}: {found.verdict}", about, answer, fine, sections)
 
 

@@ -10,9 +10,11 @@ import numpy as np
 from ...comparison.compare import compare
 from ...data.levels import stretches_by_level
 from ...data.measurement import Measurement
+from ...data.response_record import in_frequency
 from ...diagnosis.stepwise.improvement import Improvement
 from ...inference.refinement import Refinement
 from ..check import odd
+from ..responses import responses_table
 from ..tables import Table, number, root_mean_square
 from .answers import improvement_answer, refinement_answer
 from .code import model_code, record_code, refinement_code, script
@@ -36,7 +38,7 @@ __all__ = ["report_improvement", "report_refinement"]
 def report_improvement(
     ladder: Improvement,
     *,
-    data: Measurement | None,
+    data: Any,
     title: str | None,
     code: str | None,
 ) -> Page:
@@ -86,7 +88,7 @@ def report_improvement(
 def report_refinement(
     refinement: Refinement,
     *,
-    data: Measurement | None,
+    data: Any,
     title: str | None,
     code: str | None,
 ) -> Page:
@@ -112,7 +114,7 @@ def _report_model(
     wanted: list[Wanted],
     tables: Parts,
     models: tuple[Refinement | None, Refinement],
-    data: Measurement | None,
+    data: Any,
     code: str | None,
 ) -> Page:
     """A refined model beside the one it came from, and beside a record where there is one."""
@@ -122,18 +124,25 @@ def _report_model(
         f"model {linear.name}: {linear.n_states} states, {linear.n_inputs} input(s), "
         f"{linear.n_outputs} output(s)"
     )
-    records: list[Measurement] = [] if data is None else [data]
+    records = [] if data is None else [data]
     if data is None:
         tables.append(
             Paragraphs(["The result keeps no record; report(..., data=...) shows the models beside one."])
         )
     else:
         before: Any = last.physical_model if first is None else first
-        beside = replace(compare([before, last], data), names=("initial", "refined"))
-        wanted.append(("time", lambda: beside.plot(title=""), *picture_words(beside, "time")))
-        tables += comparison_tables(beside)
-        about += f"; beside record {data.name}, {data.n_samples} samples"
-    wanted.append(_bode_picture(last, data))
+        beside: Any = replace(compare([before, last], data), names=("initial", "refined"))
+        if in_frequency(data):
+            said = "Frequency responses of the initial and of the refined model, beside the measured points."
+            wanted.append(("response", lambda: beside.plot(title=""), said, said))
+            tables.append(responses_table(beside))
+            about += f"; beside response {data.name}, {data.omega.size} frequencies"
+        else:
+            wanted.append(("time", lambda: beside.plot(title=""), *picture_words(beside, "time")))
+            tables += comparison_tables(beside)
+            about += f"; beside record {data.name}, {data.n_samples} samples"
+    if not in_frequency(data):
+        wanted.append(_bode_picture(last, data))
     wanted.append(
         (
             "parameters",

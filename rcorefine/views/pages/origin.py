@@ -6,11 +6,12 @@ import hashlib
 import platform
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
+from typing import Any
 
 import numpy as np
 
 from ...data.frequency_response import FrequencyResponse
-from ...data.measurement import Measurement
+from ...data.response_record import in_frequency
 from ...jit import NUMBA
 from ...systems.linear import Array
 from ...version import __version__
@@ -43,18 +44,20 @@ def fingerprint(values: Array) -> str:
     return hashlib.sha256(np.ascontiguousarray(values, dtype="<f8").tobytes()).hexdigest()
 
 
-def record_facts(records: Sequence[Measurement]) -> list[tuple[str, str]]:
+def record_facts(records: Sequence[Any]) -> list[tuple[str, str]]:
     """Names and values that identify the records.
 
     Parameters
     ----------
-    records : sequence of Measurement
+    records : sequence of Measurement, or of FrequencyResponse
         What a result rests on.
 
     Returns
     -------
     list of (str, str)
     """
+    if in_frequency(records):
+        return [row for one in records for row in response_facts(one)]
     rows = []
     for data in records:
         rows += [

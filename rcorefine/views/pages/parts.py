@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import control as ct
 import numpy as np
 
-from ...data.measurement import Measurement
 from ...inference.refinement import EstimatedParameter, Refinement
 from ..figures import Frame, unit_text
 from ..tables import Table
@@ -113,7 +113,7 @@ def code_section(generated: str, given: str | None) -> Section:
     return Section("The code that does this again", parts)
 
 
-def origin_section(records: Sequence[Measurement]) -> Section:
+def origin_section(records: Sequence[Any]) -> Section:
     """Fingerprints of the records and versions of the programs."""
     parts: Parts = []
     if records:

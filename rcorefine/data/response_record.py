@@ -1,0 +1,279 @@
+"""A measured frequency response as a record: its real and imaginary parts, over their noise, row by row."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import control as ct
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arguments import as_list
+from ..systems.linear import Array, LinearModel
+from .channels import match_channels
+from .frequency_response import FrequencyResponse
+from .measurement import Measurement
+
+__all__ = ["ResponseRecord", "as_responses", "coded", "in_frequency", "noise_is_known", "some_lines"]
+
+Places = NDArray[np.integer[Any]]
+_ROUNDING = 1e-9  # of the response: no point is known better
+_CORRELATED = 3  # neighboring lines of a Hann window are; every third one is on its own
+_BIAS = 1.0 / 6.0  # of the second difference of neighboring lines: what a Hann window flattens
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResponseRecord:
+    """A measured frequency response, channels in the order of a model, in units of its noise.
+
+    Attributes
+    ----------
+    measured : FrequencyResponse
+        The response.
+    noise : ndarray, shape (n_y, N)
+        Standard deviation of each entry of `outputs`, before it was divided by.
+    known : bool
+        Whether that is its size; else only how it is spread over the points, and the residual says
+        how large it is.
+    note : str
+        Where it comes from, and what was left out.
+
+    Notes
+    -----
+    N = 2 n_w n_omega: for each input the real parts at all frequencies; then the imaginary ones.
+    """
+
+    measured: FrequencyResponse
+    noise: Array
+    known: bool
+    note: str
+
+    @classmethod
+    def of(cls, measured: FrequencyResponse, model: LinearModel) -> ResponseRecord:
+        """The response in the order of a model's channels, with what is known of its noise.
+
+        Raises
+        ------
+        control.ControlDimension
+            If a channel of the model was not measured.
+        """
+        rows, columns = _channels(measured, model)
+        lines = np.arange(measured.omega.size)
+        note = ""
+        if measured.segment_length:  # by a window, under which neighbors share their noise
+            lines = lines[_CORRELATED // 2 :: _CORRELATED]
+            note = "Of the lines of a record every third counts: a window makes neighbors alike."
+        straight = _picked(measured, rows, columns, lines)
+        std, known, said = _noise(straight)
+        if measured.segment_length:
+            std = np.sqrt(
+                std**2 + 0.5 * np.abs(_BIAS * _curvature(measured)[np.ix_(rows, columns, lines)]) ** 2
+            )
+        std = np.maximum(std, _ROUNDING * np.sqrt(np.mean(straight.magnitude**2, axis=(1, 2), keepdims=True)))
+        both = np.concatenate([std, std], axis=1).reshape(std.shape[0], -1)
+        return cls(straight, both, known, " ".join(part for part in (note, said) if part))
+
+    @classmethod
+    def plain(cls, measured: FrequencyResponse, model: LinearModel) -> ResponseRecord:
+        """All points in the order of a model's channels, each as good as another."""
+        straight = _picked(measured, *_channels(measured, model), np.arange(measured.omega.size))
+        n_y, n_w, n = straight.response.shape
+        return cls(straight, np.ones((n_y, 2 * n_w * n)), False, "")
+
+    @property
+    def outputs(self) -> Array:
+        """Real and imaginary parts over their noise, shape (n_y, N)."""
+        return coded(self.measured.response) / self.noise
+
+    @property
+    def inputs(self) -> Array:
+        """Peak of the sine behind each entry, 1 where it is not known, shape (n_w, N)."""
+        peaks = np.ones(self.omega.size) if self.measured.amplitude is None else self.measured.amplitude
+        n_w = self.measured.ninputs
+        return np.tile(peaks, (n_w, 2 * n_w))
+
+    @property
+    def omega(self) -> Array:
+        """Frequencies in rad/s, shape (n_omega,)."""
+        return self.measured.omega
+
+    @property
+    def n_samples(self) -> int:
+        """Entries of a row."""
+        return int(self.noise.shape[1])
+
+    @property
+    def dt(self) -> float:
+        """Sampling time in s that would just reach the highest frequency."""
+        return float(np.pi / self.omega[-1])
+
+    @property
+    def name(self) -> str:
+        """Name of the response."""
+        return self.measured.name
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs."""
+        return int(self.noise.shape[0])
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of inputs."""
+        return int(self.measured.ninputs)
+
+    @property
+    def output_labels(self) -> tuple[str, ...]:
+        """Names of the outputs."""
+        return self.measured.output_labels
+
+    @property
+    def input_labels(self) -> tuple[str, ...]:
+        """Names of the inputs."""
+        return self.measured.input_labels
+
+    @property
+    def output_units(self) -> tuple[str, ...]:
+        """Units of the outputs."""
+        return self.measured.output_units
+
+    def points(self, rows: Array) -> NDArray[np.complex128]:
+        """Rows (n_y, N) in units of the noise as complex points (n_y, n_w, n_omega)."""
+        parts = (rows * self.noise).reshape(self.n_outputs, 2, self.n_inputs, -1)
+        return np.asarray(parts[:, 0] + 1j * parts[:, 1])
+
+    def lines(self, kept: Places) -> ResponseRecord:
+        """Some of the frequencies, by their numbers."""
+        shape = (self.n_outputs, 2 * self.n_inputs, self.omega.size)
+        noise = self.noise.reshape(shape)[:, :, kept].reshape(self.n_outputs, -1)
+        return replace(self, measured=some_lines(self.measured, kept), noise=noise)
+
+
+def coded(points: NDArray[np.complex128]) -> Array:
+    """Complex points (n_y, n_w, n_omega) as real and imaginary parts in rows (n_y, 2 n_w n_omega)."""
+    return np.concatenate([points.real, points.imag], axis=1).reshape(points.shape[0], -1)
+
+
+def in_frequency(data: Any) -> bool:
+    """Whether data are frequency responses: one, or a list that begins with one."""
+    first = data[0] if isinstance(data, (list, tuple)) and data else data
+    return isinstance(first, (ct.FrequencyResponseData, ResponseRecord))
+
+
+def noise_is_known(records: Sequence[Any]) -> bool:
+    """Whether records are frequency responses that all know how noisy they are."""
+    return in_frequency(records) and all(record.known for record in records)
+
+
+def as_responses(data: Any, name: str = "data") -> list[FrequencyResponse]:
+    """One frequency response or several, as a list.
+
+    Raises
+    ------
+    control.ControlArgument
+        If one is something else.
+    """
+    given = (
+        [data]
+        if isinstance(data, ct.FrequencyResponseData)
+        else as_list(data, name, "FrequencyResponse objects")
+    )
+    for i, one in enumerate(given):
+        if isinstance(one, Measurement):
+            raise ct.ControlArgument(
+                f"{name}[{i}] is a Measurement among frequency responses; give records in time, or responses "
+                "alone (data.frequency_response())"
+            )
+    return [one if isinstance(one, FrequencyResponse) else FrequencyResponse.from_frd(one) for one in given]
+
+
+def some_lines(measured: FrequencyResponse, lines: Places) -> FrequencyResponse:
+    """Some of the frequencies of a response, by their numbers."""
+    return _picked(measured, np.arange(measured.noutputs), np.arange(measured.ninputs), lines)
+
+
+def _channels(measured: FrequencyResponse, model: LinearModel) -> tuple[Places, Places]:
+    """Output and input of the response for each of the model's."""
+    channels = match_channels(model, measured)
+    rows, columns = list(channels.outputs), list(channels.inputs)
+    if -1 in rows:
+        missing = [label for label, row in zip(model.output_labels, rows, strict=True) if row < 0]
+        raise ct.ControlDimension(
+            f"response {measured.name!r} lacks {', '.join(missing)} of model {model.name!r}; build the model "
+            "with the outputs that were measured"
+        )
+    return np.array(rows), np.array(columns)
+
+
+def _picked(measured: FrequencyResponse, rows: Places, columns: Places, lines: Places) -> FrequencyResponse:
+    """Some channels and frequencies of a response."""
+    at = np.ix_(rows, columns, lines)
+    return FrequencyResponse(
+        measured.response[at],
+        measured.omega[lines],
+        std=None if measured.std is None else measured.std[at],
+        coherence=None if measured.coherence is None else measured.coherence[np.ix_(rows, lines)],
+        amplitude=None if measured.amplitude is None else measured.amplitude[lines],
+        input_labels=[measured.input_labels[j] for j in columns],
+        output_labels=[measured.output_labels[i] for i in rows],
+        input_units=[measured.input_units[j] for j in columns],
+        output_units=[measured.output_units[i] for i in rows],
+        n_averages=measured.n_averages if np.isfinite(measured.n_averages) else None,
+        segment_length=measured.segment_length,
+        n_omitted=measured.n_omitted,
+        dt=measured.dt,
+        hold=measured.hold,
+        name=measured.name,
+    )
+
+
+def _noise(measured: FrequencyResponse) -> tuple[Array, bool, str]:
+    """Standard deviation of each point, whether that is its size, and where it comes from."""
+    if measured.std is not None and measured.std.any():
+        return measured.std, True, ""
+    if measured.coherence is not None and measured.coherence.min() < 1.0 and measured.ninputs == 1:
+        share = np.clip(measured.coherence, 1e-6, 1.0 - 1e-9)[:, None]
+        return (
+            measured.magnitude * np.sqrt((1.0 - share) / share),
+            False,
+            ("The noise is spread as the coherence says; its size is that of the residual."),
+        )
+    return (
+        _scatter(measured),
+        False,
+        (
+            "No noise is given (std=): a constant part and one in proportion are taken as neighboring points "
+            "scatter; their size is that of the residual."
+        ),
+    )
+
+
+def _curvature(measured: FrequencyResponse) -> NDArray[np.complex128]:
+    """Distance of each point from the line between its neighbors, times -2; at the ends that of the next."""
+    g, w = measured.response, measured.omega
+    found = np.zeros(g.shape, complex)
+    if w.size > 2:
+        share = (w[1:-1] - w[:-2]) / (w[2:] - w[:-2])
+        found[..., 1:-1] = 2.0 * (g[..., :-2] * (1.0 - share) + g[..., 2:] * share - g[..., 1:-1])
+        found[..., 0], found[..., -1] = found[..., 1], found[..., -2]
+    return found
+
+
+def _scatter(measured: FrequencyResponse) -> Array:
+    """Constant and proportional noise of each output and input, by how neighbors scatter: relative sizes."""
+    square, power = np.abs(_curvature(measured)) ** 2, measured.magnitude**2
+    floor = 1e-6 * power.mean(axis=2)
+    found = np.empty(power.shape)
+    for i, j in np.ndindex(power.shape[:2]):
+        small = power[i, j] <= np.median(power[i, j])
+        (s1, p1), (s2, p2) = (
+            (float(np.median(square[i, j, part])), float(np.median(power[i, j, part])))
+            if part.any()
+            else (0.0, 0.0)
+            for part in (small, ~small)
+        )
+        slope = max((s2 - s1) / (p2 - p1), 0.0) if p2 > p1 else 0.0
+        found[i, j] = np.sqrt(max(s1 - slope * p1, 0.0) + slope * power[i, j] + 1e-6 * floor[i, j])
+    return found

@@ -1,0 +1,90 @@
+"""A stiffness of no law beside the winner: a force there in any smooth, complex proportion to the motion."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from ..engine.response_engine import ResponseEngine
+from ..inference.fitted import FittedModel
+from ..inference.free_form import averaged_evidence
+from ..inference.whitening import FTest, project
+from ..systems.linear import Array
+from .beside import nested
+from .residual_tests import TestedResidual
+from .response_tests import in_rows, over_frequency
+
+__all__ = ["FreeStiffness"]
+
+
+class FreeStiffness:
+    """Free complex stiffnesses at the place of a law, beside it; a free factor in a signal path.
+
+    Parameters
+    ----------
+    battery : TestedResidual
+        Residual of the model with the law.
+    place : str
+        Where the law sits.
+
+    Notes
+    -----
+    To frequency responses what `Beside` is to records in time: material damping, a bearing or a filter
+    follow laws that are none of the library's, and look like the nearest one. A force
+    ``-Z(omega) d`` with Z smooth over the logarithm of the frequency, real and imaginary part apart, holds
+    every linear element at a port.
+    """
+
+    def __init__(self, battery: TestedResidual, place: str) -> None:
+        self._battery, self.place = battery, place
+
+    @cached_property
+    def _columns(self) -> Array | None:
+        """What they would do to the white residual, of mean square 1 together; None where nothing moves."""
+        fitted, battery = self._battery.fitted, self._battery
+        blocks = []
+        for engine in fitted.problem.engines:
+            assert isinstance(engine, ResponseEngine)
+            felt = engine.push(fitted.theta, self.place)
+            if felt is None:
+                return None
+            shapes = over_frequency(engine.data)
+            both = np.concatenate([felt[..., None] * shapes, 1j * felt[..., None] * shapes], axis=-1)
+            blocks.append(fitted.problem.weights[:, None, None] * in_rows(engine.data, both))
+        white = battery.whiten(blocks)
+        size = float(np.sqrt(np.mean(np.sum(white**2, axis=1))))
+        if not np.isfinite(size) or size == 0:
+            return None
+        return project(white / size, battery.basis)
+
+    def tests(self) -> list[FTest]:
+        """Whether a free stiffness explains what the model leaves there; empty where nothing moves."""
+        return (
+            []
+            if self._columns is None
+            else [nested(self._battery, f"free stiffness at {self.place}", self._columns)]
+        )
+
+    def odds(self, before: FittedModel) -> float:
+        """Log of the odds of a stiffness that departs from the law, over the law.
+
+        Parameters
+        ----------
+        before : FittedModel
+            Model without the law: what the law changes of the responses is the size of departures.
+
+        Returns
+        -------
+        float
+            As of `Beside.odds`.
+        """
+        if self._columns is None:
+            return -np.inf
+        theta, own = self._battery.fitted.theta, before.problem.n_theta
+        changed = []
+        for engine, plain in zip(self._battery.fitted.problem.engines, before.problem.engines, strict=True):
+            run, without = engine.run(theta, sensitivity=False), plain.run(theta[:own], sensitivity=False)
+            changed.append(self._battery.fitted.problem.weights[:, None] * (run.outputs - without.outputs))
+        white = self._battery.whitener.apply(changed)
+        return averaged_evidence(self._battery.left, float(np.sqrt(np.mean(white**2))) * self._columns)

@@ -1,0 +1,107 @@
+"""What a residual of frequency responses must pass beside its candidates: no pattern along frequency."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import stats
+
+from ..data.response_record import ResponseRecord, coded
+from ..engine.response_engine import ResponseEngine
+from ..inference.free_form import Curve
+from ..inference.whitening import FTest
+from ..systems.linear import Array
+
+if TYPE_CHECKING:
+    from .residual_tests import TestedResidual
+
+__all__ = ["in_rows", "over_frequency", "response_tests"]
+
+_LAGS = 21
+_NEIGHBORS = 3
+_VALUES_PER_COLUMN = 5  # fewer say nothing about that many columns
+
+
+def response_tests(battery: TestedResidual) -> list[FTest]:
+    """Tests of whatever else a response could lack, each with a p-value of its own.
+
+    Parameters
+    ----------
+    battery : TestedResidual
+        Residual under test.
+
+    Returns
+    -------
+    list of FTest
+        ``smooth error`` (a factor of any smooth form on each response), ``short response`` (anything
+        that dies out within a few samples), ``neighbors`` (points beside each other that err alike).
+    """
+    tests = [battery.test("smooth error", _smooth(battery)), battery.test("short response", _short(battery))]
+    return [*tests, _neighbors(battery)]
+
+
+def over_frequency(record: ResponseRecord) -> Array:
+    """Piecewise linear functions (n_omega, k) of the logarithm of the frequency, neighbors alike."""
+    along = np.log(record.omega)
+    curve = Curve.along("", along, np.zeros(along.size))
+    return np.asarray(curve.columns(along, np.zeros(along.size)) @ curve.root)
+
+
+def in_rows(record: ResponseRecord, points: Array) -> Array:
+    """Complex columns (n_y, n_w, n_omega, k) as real ones in the rows of a record (n_y, N, k)."""
+    return np.stack([coded(column) / record.noise for column in np.moveaxis(points, -1, 0)], axis=-1)
+
+
+def _records(battery: TestedResidual) -> list[tuple[ResponseEngine, ResponseRecord]]:
+    engines = battery.fitted.problem.engines
+    return [(engine, engine.data) for engine in engines if isinstance(engine, ResponseEngine)]
+
+
+def _smooth(battery: TestedResidual) -> list[Array]:
+    """Smooth complex factors on the response from each input to each output."""
+    weights, blocks = battery.fitted.problem.weights, []
+    for engine, record in _records(battery):
+        model, shapes = engine.response(battery.fitted.theta, derivatives=False)[0], over_frequency(record)
+        most = max(record.omega.size // _VALUES_PER_COLUMN, 1)
+        shapes = shapes @ np.linalg.svd(shapes, full_matrices=False)[2].T[:, :most]
+        columns = []
+        for i, j in np.ndindex(model.shape[:2]):
+            one = np.zeros(model.shape, complex)
+            one[i, j] = model[i, j]
+            columns += [one[..., None] * shapes, 1j * one[..., None] * shapes]
+        blocks.append(weights[:, None, None] * in_rows(record, np.concatenate(columns, axis=-1)))
+    return blocks
+
+
+def _short(battery: TestedResidual) -> list[Array]:
+    """Responses of a few samples from each input to each output."""
+    weights, blocks = battery.fitted.problem.weights, []
+    for _, record in _records(battery):
+        lags = np.arange(min(_LAGS, max(record.omega.size // _VALUES_PER_COLUMN, 1)))
+        turns = np.exp(-1j * record.omega[:, None] * record.dt * lags)
+        columns = []
+        for i, j in np.ndindex(record.n_outputs, record.n_inputs):
+            one = np.zeros((record.n_outputs, record.n_inputs, *turns.shape), complex)
+            one[i, j] = turns
+            columns.append(one)
+        blocks.append(weights[:, None, None] * in_rows(record, np.concatenate(columns, axis=-1)))
+    return blocks
+
+
+def _neighbors(battery: TestedResidual) -> FTest:
+    """Whether points beside each other err alike: products of neighbors, by their own size.
+
+    One-sided: what a model lacks makes neighbors alike.
+    """
+    products = []
+    first = 0
+    for _, record in _records(battery):
+        rows = battery.left[first : first + record.noise.size].reshape(-1, record.omega.size)
+        first += record.noise.size
+        products += [(rows[:, lag:] * rows[:, :-lag]).ravel() for lag in range(1, _NEIGHBORS + 1)]
+    all_ = np.concatenate(products)
+    size = float(np.sqrt(all_ @ all_))
+    statistic = float(all_.sum()) / size if size > 0 else 0.0
+    p_value = float(stats.norm.sf(statistic))
+    return FTest("neighbors", statistic, 1, p_value, max(statistic, 0.0) ** 2, p_value)

@@ -1,0 +1,69 @@
+"""The part of a diagnosis that is drawn alike for all data: candidates and tests as bars."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..diagnosis.result import Diagnosis
+from .figures import plain, style
+
+__all__ = ["ranking_bars", "test_bars", "title_of"]
+
+_SHOWN = 8
+
+
+def title_of(found: Diagnosis) -> str:
+    """The verdict in one line."""
+    if found.best is None or found.place is None or found.verdict == "adequate":
+        return f"Diagnosis: {found.verdict}"
+    if found.verdict == "unexplained":
+        return f"Diagnosis: {found.verdict} (at {found.place}, probability {found.places[found.place]:.2f})"
+    return f"Diagnosis: {found.verdict} ({found.best.effect.label}, probability {found.best.probability:.2f})"
+
+
+def ranking_bars(ax: Any, found: Diagnosis) -> list[Any]:
+    """What each refitted candidate misses."""
+    rows = found.ranking[:_SHOWN][::-1]
+    where = np.arange(len(rows))
+    alike = {effect.label for effect in found.ambiguous}
+    colors = [style(1).color if row.effect.label in alike else "0.75" for row in rows]
+    loss = [100 - row.fit_after for row in rows]
+    bars = ax.barh(where, loss, color=colors, edgecolor="0.3", height=0.65)
+    before = 100 - rows[0].fit_before
+    line = ax.axvline(before, color=style(0).color, ls="--", lw=1.4, label="model as it is")
+    for y, row, value in zip(where, rows, loss, strict=True):
+        ax.annotate(
+            "" if found.verdict == "unexplained" else f"P = {row.probability:.2f}",
+            (value, y),
+            xytext=(4, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=8,
+        )
+    ax.set_yticks(where, [_wrapped(row.effect.label) for row in rows], fontsize=8)
+    ax.set_xlim(0, 1.25 * max(before, *loss))
+    ax.set_xlabel("what the refitted model misses: 100 - fit [%]")
+    ax.set_title("Rivals, refitted")
+    return [*bars, line]
+
+
+def _wrapped(label: str) -> str:
+    return plain(label.replace(" at ", "\nat ").replace("_", " "))
+
+
+def test_bars(ax: Any, found: Diagnosis) -> list[Any]:
+    """The tests of the model as it is."""
+    tests = [t for t in found.tests if t.dof][::-1]
+    where = np.arange(len(tests))
+    bars = ax.barh(
+        where, [-np.log10(max(t.p_value, 1e-300)) for t in tests], color="0.75", edgecolor="0.3", height=0.65
+    )
+    level = -np.log10(found.significance / max(len(tests), 1))
+    line = ax.axvline(level, color=style(1).color, ls="--", lw=1.4, label="level at which a test fires")
+    ax.set_yticks(where, [t.name.split(" (")[0] for t in tests], fontsize=8)
+    ax.set_xlim(0, max(1.2 * level, ax.get_xlim()[1]))
+    ax.set_xlabel("-log10 of the p-value")
+    ax.set_title("Tests of the model")
+    return [*bars, line]
