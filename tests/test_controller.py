@@ -126,7 +126,8 @@ def test_refine_finds_the_numbers_and_keeps_the_controller():
     better = rco.refine(MAGNET, train, [rco.Effect("input_gain", "u")], controller=PID)
     row = better.parameters[0]
     assert abs(row.value - 0.8) < 4 * row.std < 0.05
-    assert not better.led
+    assert better.led
+    assert "one sample ahead (compare and simulate run the loop)" in better.message
     assert better.system.nstates == better.nonlinear.nstates == 2  # the plant alone
     assert rco.compare(better, test).rmse[0] < 0.015 < rco.compare(MAGNET, test, controller=PID).rmse[0]
     assert better.simulate(test).states.shape == (2, test.n_samples)

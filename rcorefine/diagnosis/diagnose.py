@@ -90,7 +90,7 @@ def diagnose(
     significance : float
         Level of the gate: the rate of false alarms where nothing is missing.
     controller : StateSpace or TransferFunction, optional
-        As in `refine`: simulate the model in the loop of this controller.
+        As in `refine`: the controller under which the record was taken.
     executor : concurrent.futures.Executor or dask.distributed.Client, optional
         Refits candidates in parallel.
     progress : bool

@@ -19,7 +19,7 @@ from ..effects.formula import InputLaw
 from ..exceptions import DivergenceError
 from ..systems.linear import Array
 from . import kernels
-from .controlled import sample_jumps, start_columns
+from .controlled import loop_gain, sample_jumps, start_columns
 from .inputs import BAND_LIMITED_FACTOR, InputSignal
 from .observer import leading_gain
 from .point import field_numbers
@@ -76,12 +76,13 @@ class Engine:
         acted before the record.
     led : bool
         Whether a model that runs away over such a record is led by an observer (`leading_gain`).
-        One under a controller is always led by that.
+    looped : bool
+        Whether the controller of the model closes the loop instead (`loop_gain`).
 
     Attributes
     ----------
     lead : ndarray of shape (n, n_y), or None
-        Gain of that observer, which acts where `run` is given none.
+        Gain of either, which acts where `run` is given none.
     """
 
     def __init__(
@@ -92,12 +93,15 @@ class Engine:
         substeps: int = 1,
         initial: Array | None = None,
         led: bool = False,
+        looped: bool = False,
     ) -> None:
         data = structure.model.held(data)
         self.structure, self.data = structure, data
         self._known_start = initial is not None
-        looped = structure.model.controller is not None
-        self.lead = leading_gain(structure, data) if led or looped else None
+        if looped:
+            self.lead: Array | None = loop_gain(structure, data.dt)
+        else:
+            self.lead = leading_gain(structure, data) if led else None
         self._resets = sample_jumps(structure, data.dt)
         if structure.output_delays:
             substeps = max(substeps, _NODES_FOR_DELAY)

@@ -10,8 +10,7 @@ from scipy.linalg import LinAlgError, solve_discrete_are
 from ..data.measurement import Measurement
 from ..systems.exponential import exponential
 from ..systems.linear import Array
-from .controlled import loop_gain, open_loop, own_states
-from .free_runs import runs_away
+from .controlled import is_led, open_loop, own_states
 from .structure import Structure
 
 __all__ = ["SteadyFilter", "leading_gain", "observer_gain", "steady_filter"]
@@ -99,7 +98,7 @@ def observer_gain(
 
 
 def leading_gain(structure: Structure, data: Measurement) -> Array | None:
-    """Gain that keeps an unstable model on its record, or that of its controller; None for a free run.
+    """Gain that keeps an unstable model on its record; None where a free run does.
 
     With sensor noise alone, the steady filter of an unstable system mirrors its unstable poles: what it
     predicts is the best prediction there is, and under a controller an unbiased one.
@@ -115,9 +114,7 @@ def leading_gain(structure: Structure, data: Measurement) -> Array | None:
     -------
     ndarray of shape (n, n_y), or None
     """
-    if structure.n_loop:
-        return loop_gain(structure, data.dt)
-    if not runs_away(structure.model.linear, data):
+    if not is_led(structure.model, data):
         return None
     bare = Structure(structure.model)
     gain = observer_gain(bare, np.zeros(bare.n_parameters), data, _QUIET)

@@ -199,7 +199,8 @@ def simulated(model: Any, data: Measurement, x0: str | Array, *, led: bool = Fal
         start = None if start is None else start - (0.0 if isinstance(x0, str) else levels[1])
     if structure.field is not None and model is structure.model:
         substeps = _settled_steps(structure, data, start, led)
-    engine = Engine(structure, data, substeps=substeps, initial=start, led=led)
+    looped = structure.n_loop > 0
+    engine = Engine(structure, data, substeps=substeps, initial=start, led=led, looped=looped)
     if start is None:
         start = estimate_initial_state(engine, theta)
     run = engine.run(theta, start, sensitivity=False, histories=True)
@@ -210,10 +211,11 @@ def simulated(model: Any, data: Measurement, x0: str | Array, *, led: bool = Fal
 def _settled_steps(structure: Structure, data: Measurement, start: Array | None, led: bool) -> int:
     """Substeps whose doubling no longer moves the free run of a nonlinear model."""
     steps, before, theta = 2, None, np.zeros(0)
+    made = partial(Engine, structure, data, led=led, looped=structure.n_loop > 0)
     if start is None:
-        start = estimate_initial_state(Engine(structure, data, substeps=steps, led=led), theta)
+        start = estimate_initial_state(made(substeps=steps), theta)
     while steps < _MOST_STEPS:
-        engine = Engine(structure, data, substeps=steps, initial=start, led=led)
+        engine = made(substeps=steps, initial=start)
         outputs = engine.run(theta, start, sensitivity=False, check=False).outputs
         if before is not None:
             moved, size = np.abs(outputs - before).max(axis=1), outputs.std(axis=1)

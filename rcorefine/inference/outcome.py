@@ -83,7 +83,7 @@ def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
         initial_states=starts,
         substeps=fit.steps,
         residual_orders=problem.whitener([r for r, _ in blocks]).orders,
-        led=any(engine.lead is not None for engine in problem.engines) and physical.controller is None,
+        led=any(engine.lead is not None for engine in problem.engines),
         success=bool(result.status > 0 and np.isfinite(result.cost)),
         message=" ".join(part for part in (message, note) if part),
         warnings=found,

@@ -9,7 +9,7 @@ import control as ct
 from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement, as_records
 from ..data.response_record import ResponseRecord, as_responses, in_frequency
-from ..engine.controlled import as_it_runs
+from ..engine.controlled import as_it_runs, is_led
 from ..engine.free_runs import free_runs
 from ..models.conversion import as_physical
 from ..models.operating_point import ordered_record
@@ -68,7 +68,9 @@ def windows(
     if in_frequency(records):
         return records, " ".join(dict.fromkeys(record.note for record in records if record.note))
     cuts, note = free_runs([as_it_runs(physical, r) for r in records], records, horizon, known_start)
+    if physical.controller is not None and any(is_led(physical, r) for r in records):
+        note = "Fitted by what it predicts one sample ahead (compare and simulate run the loop). " + note
     pieces = []
     for record, parts in zip(records, cuts, strict=True):
         pieces += [record] if len(parts) == 1 else [record._part(part) for part in parts]
-    return pieces, note
+    return pieces, note.strip()

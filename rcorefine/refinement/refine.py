@@ -85,13 +85,14 @@ def refine(
         Substeps per sample for nonlinear effects; by default as many as shift no
         coefficient by a third of its standard deviation when they are doubled.
     controller : StateSpace or TransferFunction, optional
-        Controller under which the record was taken: the model is then simulated in its loop. Its signals
-        are joined by name, as by `control.interconnect`: inputs named as outputs of the model read them,
-        other inputs are references that the record holds, outputs drive the inputs of that name. Without
-        names it is the negative feedback of ``control.feedback(model, controller)``. Sampled at the time of
-        the record, or continuous. Where the record holds the input that it drives, that is what the plant
-        received, and no reference is needed; else it is worked out from what the controller read. Its
-        numbers are never estimated.
+        Controller under which the record was taken: `simulate` and `compare` run the model in its loop,
+        and what is fitted needs no windows. Its signals are joined by name, as by
+        `control.interconnect`: inputs named as outputs of the model read them, other inputs are
+        references that the record holds, outputs drive the inputs of that name. Without names it is the
+        negative feedback of ``control.feedback(model, controller)``. Sampled at the time of the record,
+        or continuous. Where the record holds the input that it drives, that is what the plant received,
+        and no reference is needed; else it is worked out from what the controller read. Its numbers are
+        never estimated.
 
     Returns
     -------

@@ -56,7 +56,7 @@ def check(
     information : bool
         Whether to work out the smallest effects that the record could show.
     controller : StateSpace or TransferFunction, optional
-        As in `refine`: simulate the model in the loop of this controller.
+        As in `refine`: the controller under which the record was taken.
 
     Returns
     -------
