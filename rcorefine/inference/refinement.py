@@ -84,7 +84,7 @@ class Refinement(ReportedModel, CodeExports):
     covariance : ndarray, shape (p, p)
         Covariance of `theta`, robust to coloured residuals.
     fit, rmse : ndarray, shape (n_y,)
-        On the records that were fitted: 100 (1 - |y - yh| / |y - mean y|) in percent,
+        On the records that were fitted: ``100 (1 - |y - yh| / |y - mean y|)`` in percent,
         and the root mean square error in units of each output.
     initial_fit : ndarray, shape (n_y,)
         Fit of the initial model on the same records, initial state estimated too.
