@@ -200,8 +200,6 @@ def page(kind, sort, folder):
     )
     verdict, said = diagnosed(kind, sort)
     near = "".join(f"| [{k}]({k}.md) | {like:.2f} |\n" for k, like in confused(kind, sort))
-        f"| [{k}]({k}.md) | {value:.2f} |\n" for k, value in confused(kind, sort) if k in page_kinds()
-    )
     sentences = "\n".join(f"> {sentence}\n>" for sentence in said).rstrip(">").rstrip()
     formula = f"`{law.formula}`\n\n" if law.formula else ""
     return f"""# {kind}
@@ -215,8 +213,8 @@ def page(kind, sort, folder):
 
 ![{kind}: in time, in frequency, against the motion]({kind}.png)
 
-{model.name.capitalize()}, {SAMPLES} samples; the effect is so strong that the model misses about a quarter of the output. The frequency response is
-measured (Welch) at a quarter of the input and at all of it: where the two differ, no linear model fits both.
+{model.name.capitalize()}, {SAMPLES} samples; the effect is so strong that the model misses about a
+quarter of the output. The frequency response is measured (Welch) at a quarter of the input and at all of it: where the two differ, no linear model fits both.
 
 ## How it is found
 
