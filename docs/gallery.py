@@ -214,7 +214,8 @@ def page(kind, sort, folder):
 ![{kind}: in time, in frequency, against the motion]({kind}.png)
 
 {model.name.capitalize()}, {SAMPLES} samples; the effect is so strong that the model misses about a
-quarter of the output. The frequency response is measured (Welch) at a quarter of the input and at all of it: where the two differ, no linear model fits both.
+quarter of the output. The frequency response is measured (Welch) at a quarter of the input and at
+all of it: where the two differ, no linear model fits both.
 
 ## How it is found
 
@@ -229,12 +230,14 @@ Offered were this effect and the three that are most like it, at {100 * NOISE:.0
 
 ## With what it is confused
 
-How alike the changes of the output are (1: the same, up to size), on this record, before anything else of the model moves:
+How alike the changes of the output are (1: the same, up to size), on this record, before anything
+else of the model moves:
 
 | effect | likeness |
 | --- | --- |
 {near}
-Above 0.95 a record of this length tells them apart only where the noise is small; `found.suggest_experiment()` says which record would.
+Above 0.95 a record of this length tells them apart only where the noise is small;
+`found.suggest_experiment()` says which record would.
 """
 
 
@@ -258,7 +261,8 @@ def write(folder):
         for kind, sort in page_kinds().items():
             (folder / f"{kind}.md").write_text(page(kind, sort, folder), encoding="utf-8")
     parts = [
-        "# Gallery of effects\n\nOne page for each: what it looks like, how it is found, with what it is confused. "
+        "# Gallery of effects\n\nOne page for each: what it looks like, how it is found, "
+        "with what it is confused. "
         "`rco.describe_effects()` prints the catalogue; [a law of your own](../laws.md) is one class.\n"
     ]
     for sort, title in FAMILIES.items():

@@ -38,8 +38,8 @@ def test_links_lead_somewhere(page):
 
 #: Pages whose code runs, block after block in one session.
 RUN = (
-    "closed_loop.md", "fleets.md", "frequency_responses.md", "howto.md", "nonlinear_models.md", "operating_point.md",
-    "start.md",
+    "closed_loop.md", "fleets.md", "frequency_responses.md", "howto.md", "nonlinear_models.md",
+    "operating_point.md", "start.md",
 )  # fmt: skip
 
 
