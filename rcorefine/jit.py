@@ -12,7 +12,17 @@ import os
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-__all__ = ["FASTMATH", "NUMBA", "address_of", "call_at", "compiled", "compiled_law", "number_at"]
+__all__ = [
+    "FASTMATH",
+    "NUMBA",
+    "address_of",
+    "call_at",
+    "compiled",
+    "compiled_law",
+    "number_at",
+    "put",
+    "put_rows",
+]
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -69,6 +79,34 @@ def compiled(function: _Function) -> _Function:
         return _NUMBA.njit(cache=True, fastmath=FASTMATH, error_model="numpy")(function)  # type: ignore[no-any-return]
     except RuntimeError:  # no file or no folder to cache in, as in an interactive session
         return _NUMBA.njit(fastmath=FASTMATH, error_model="numpy")(function)  # type: ignore[no-any-return]
+
+
+# Assigning one array to a part of another is short in Python, and long to compile: numba brings its checks
+# of shapes along, with the text that they would raise. So kernels copy by these.
+if NUMBA:
+
+    @compiled
+    def put(out, at, values):  # type: ignore[no-untyped-def]
+        """Copy a row into another, from entry `at` on."""
+        for i in range(values.shape[0]):
+            out[at + i] = values[i]
+
+    @compiled
+    def put_rows(out, values):  # type: ignore[no-untyped-def]
+        """Copy a matrix over another, or over its first rows."""
+        for i in range(values.shape[0]):
+            for j in range(values.shape[1]):
+                out[i, j] = values[i, j]
+
+else:
+
+    def put(out, at, values):  # type: ignore[no-untyped-def]
+        """Copy a row into another, from entry `at` on."""
+        out[at : at + values.shape[0]] = values
+
+    def put_rows(out, values):  # type: ignore[no-untyped-def]
+        """Copy a matrix over another, or over its first rows."""
+        out[: values.shape[0]] = values
 
 
 def _call_at() -> Any:

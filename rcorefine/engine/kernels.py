@@ -1,8 +1,8 @@
 """The one loop over samples: a linear part in feedback with port laws.
 
 Pure array functions, no objects and no checks. numba compiles them where it is
-installed; without it the same source runs as plain Python. Only the four small
-products below have two bodies, because scalar loops are the fast form in
+installed; without it the same source runs as plain Python. Only the small
+products and copies below have two bodies, because scalar loops are the fast form in
 compiled code and the slow one in Python.
 """
 
@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..effects.compiled import COUNT, evaluate
-from ..jit import NUMBA, compiled
+from ..jit import NUMBA, compiled, put, put_rows
 
-__all__ = ["march"]
+__all__ = ["march", "solve_in_place"]
 
 if NUMBA:
 
@@ -52,6 +52,27 @@ if NUMBA:
                     total += dM[q, i, j] * z[j]
                 out[p, i] += total
 
+    @compiled
+    def _clear(out):
+        for i in range(out.shape[0]):
+            for j in range(out.shape[1]):
+                out[i, j] = 0.0
+
+    @compiled
+    def _take(out, M, at):
+        for i in range(out.shape[0]):
+            for j in range(out.shape[1]):
+                out[i, j] = M[i, at + j]
+
+    @compiled
+    def _multiply(out, L, R):
+        for i in range(out.shape[0]):
+            for j in range(out.shape[1]):
+                total = 0.0
+                for k in range(R.shape[0]):
+                    total += L[i, k] * R[k, j]
+                out[i, j] = total
+
 else:
 
     def _apply(out, M, z):
@@ -67,9 +88,18 @@ else:
         if dM.shape[0]:  # none where no parameter reaches this matrix
             out[index] += dM @ z
 
+    def _clear(out):
+        out[:] = 0.0
+
+    def _take(out, M, at):
+        out[:] = M[:, at : at + out.shape[1]]
+
+    def _multiply(out, L, R):
+        out[:] = L @ R
+
 
 @compiled
-def _solve_in_place(J, R):
+def solve_in_place(J, R):
     """Gaussian elimination with pivoting; rows of R (k, m) are the right-hand sides."""
     m = J.shape[0]
     for c in range(m):
@@ -192,19 +222,26 @@ def march(
             senses_input = True
     remembers = z.shape[0] > m
 
-    Phis = np.ascontiguousarray(Ms[:, :, :n])
-    Gamma0s = np.ascontiguousarray(Ms[:, :, n : n + nw])
-    Gamma1s = np.ascontiguousarray(Ms[:, :, n + nw : n + 2 * nw])
-    Psi0s = np.ascontiguousarray(Ms[:, :, n + 2 * nw : n + 2 * nw + m + nf])
-    Psi1s = np.ascontiguousarray(Ms[:, :, n + 2 * nw + m + nf :])
-    Px = np.ascontiguousarray(P[:, :n])
-    Pw = np.ascontiguousarray(P[:, n:])
+    ends = n + 2 * nw + m + nf
+    Phis = np.zeros((2, n, n))
+    Gamma0s, Gamma1s = np.zeros((2, n, nw)), np.zeros((2, n, nw))
+    Psi0s, Psi1s = np.zeros((2, n, m + nf)), np.zeros((2, n, m + nf))
+    for grade in range(2):
+        _take(Phis[grade], Ms[grade], 0)
+        _take(Gamma0s[grade], Ms[grade], n)
+        _take(Gamma1s[grade], Ms[grade], n + nw)
+        _take(Psi0s[grade], Ms[grade], n + 2 * nw)
+        _take(Psi1s[grade], Ms[grade], ends)
+    Px, Pw = np.zeros((P.shape[0], n)), np.zeros((P.shape[0], nw))
+    _take(Px, P, 0)
+    _take(Pw, P, n)
     Qs = np.zeros((2, P.shape[0], m + nf))
     for grade in range(2):
-        Qs[grade] = Px @ Psi1s[grade]
-    Cx = np.ascontiguousarray(O[:, :n])
-    Dw = np.ascontiguousarray(O[:, n : n + nw])
-    Gf = np.ascontiguousarray(O[:, n + nw :])
+        _multiply(Qs[grade], Px, Psi1s[grade])
+    Cx, Dw, Gf = np.zeros((ny, n)), np.zeros((ny, nw)), np.zeros((ny, m + nf))
+    _take(Cx, O, 0)
+    _take(Dw, O, n)
+    _take(Gf, O, n + nw)
 
     step = np.zeros(nz)
     out = np.zeros(n + nw + m + nf)
@@ -236,7 +273,8 @@ def march(
     zy, y_raw, y_last = past[0], past[1], past[2]
     sy_raw, sy_last, szy = past[3 : 3 + p], past[3 + p : 3 + 2 * p], past[3 + 2 * p :]
     if remembers:
-        zy[:] = z[m:]
+        for i in range(ny):
+            zy[i] = z[m + i]
     sf = np.zeros((p, m + nf))
     sz = np.zeros((p, m))
     sd_last = np.zeros((p, m))
@@ -249,21 +287,21 @@ def march(
     first = True
     for k in range(samples):
         if J.shape[0] > 0:
-            x_before[:] = x
+            put(x_before, 0, x)
             _apply(x, J, x_before)
-            Snew[:, :] = 0.0
+            _clear(Snew)
             _add_rows(Snew, S, J)
-            S[:, :] = Snew
+            put_rows(S, Snew)
         # forces at the sample: new where the state was corrected or the port senses the input
         for attempt in range(2):
             if m + nf > 0 and (stale or senses_input):
-                xw[:n] = x
-                xw[n:] = Wout[k]
+                put(xw, 0, x)
+                put(xw, n, Wout[k])
                 _apply(sense, P, xw)
                 if p > 0:
-                    ssense[:, :] = 0.0
+                    _clear(ssense)
                     _add_rows(ssense, S, Px)
-                    dw_a[:, :] = 0.0
+                    _clear(dw_a)
                     if senses_input and driven.shape[0] > 0:
                         for r in range(driven.shape[0]):
                             for j in range(nw):
@@ -310,12 +348,12 @@ def march(
                 break
 
             # output, its sensitivity, and the sensor's own static law
-            out[:n] = x
-            out[n : n + nw] = Wout[k]
-            out[n + nw :] = f
+            put(out, 0, x)
+            put(out, n, Wout[k])
+            put(out, n + nw, f)
             _apply(y, O, out)
             if p > 0:
-                sy[:, :] = 0.0
+                _clear(sy)
                 _add_rows(sy, S, Cx)
                 if m + nf > 0:
                     _add_rows(sy, sf, Gf)
@@ -356,9 +394,9 @@ def march(
                         for q in range(p):
                             S[q, j] -= K[j, i] * slope * sy[q, i]
             if X.shape[0] > 0:
-                X[k] = x
+                put(X[k], 0, x)
             if F.shape[0] > 0:
-                F[k] = f
+                put(F[k], 0, f)
             if not corrected:
                 break
             stale = True
@@ -385,21 +423,22 @@ def march(
             while piece < count:
                 M, Psi1, Q = Ms[grade], Psi1s[grade], Qs[grade]
                 early, late = piece / count, (piece + 1) / count
-                step[:n] = x
+                put(step, 0, x)
                 for j in range(nw):
                     rise = W[after, j] - W[row, j]
                     step[n + j] = W[row, j] + early * rise
                     step[n + nw + j] = W[row, j] + late * rise
-                step[n + 2 * nw : n + 2 * nw + m + nf] = f
-                step[n + 2 * nw + m + nf :] = 0.0
+                put(step, n + 2 * nw, f)
+                for j in range(ends, nz):
+                    step[j] = 0.0
                 _apply(x, M, step)
                 if m + nf > 0:
-                    xw[:n] = x
-                    xw[n:] = step[n + nw : n + 2 * nw]
+                    put(xw, 0, x)
+                    put(xw, n, step[n + nw : n + 2 * nw])
                     _apply(free, P, xw)
                     # forces at the end of the step: damped Newton, start from the last ones
-                    f_start[:] = f
-                    trial[:] = f
+                    put(f_start, 0, f)
+                    put(trial, 0, f)
                     best = np.inf
                     scale = 1.0
                     for iteration in range(60):
@@ -440,14 +479,14 @@ def march(
                         if size <= 1e-20 * (level * level + 1e-300) or not np.isfinite(size):
                             break
                         _force_jacobian(Jn, parts, Q, slopes, m)
-                        newton[0] = residual
-                        _solve_in_place(Jn, newton)
+                        put(newton[0], 0, residual)
+                        solve_in_place(Jn, newton)
                         scale = 1.0
                         for i in range(m + nf):
                             f[i] = trial[i]
                             trial[i] = f[i] - newton[0, i]
-                    f[:] = trial
-                    step[n + 2 * nw + m + nf :] = f
+                    put(f, 0, trial)
+                    put(step, ends, f)
                     if grade == 0 and pieces > 1:
                         # a friction force jumps inside this substep: once more, in small pieces
                         jumps = False
@@ -461,20 +500,20 @@ def march(
                                 if (moves or moved) and (moves != moved or v * v_last[i] < 0.0):
                                     jumps = True
                         if jumps:
-                            x[:] = step[:n]
-                            f[:] = f_start
+                            put(x, 0, step[:n])
+                            put(f, 0, f_start)
                             grade, count = 1, pieces
                             continue
                     _add(x, Psi1, f)
                 if p > 0:
-                    Snew[:, :] = 0.0
+                    _clear(Snew)
                     _add_rows(Snew, S, Phis[grade])
                     if m + nf > 0:
                         _add_rows(Snew, sf, Psi0s[grade])
                     _add_forcing(Snew, linear, dMs[grade], step)
                     if driven.shape[0] > 0:
-                        dw_a[:, :] = 0.0
-                        dw_b[:, :] = 0.0
+                        _clear(dw_a)
+                        _clear(dw_b)
                         for r in range(driven.shape[0]):
                             for j in range(nw):
                                 rise = dW[r, after, j] - dW[r, row, j]
@@ -483,12 +522,12 @@ def march(
                         _add_rows(Snew, dw_a, Gamma0s[grade])
                         _add_rows(Snew, dw_b, Gamma1s[grade])
                     if m + nf > 0:
-                        ssense[:, :] = 0.0
+                        _clear(ssense)
                         _add_rows(ssense, Snew, Px)
                         if senses_input and driven.shape[0] > 0:
                             _add_rows(ssense, dw_b, Pw)
                         if dP.shape[0] > 0:
-                            xw[:n] = x
+                            put(xw, 0, x)
                             _add_forcing(ssense, linear, dP, xw)
                         for i in range(m):
                             for q in range(p):
@@ -508,7 +547,7 @@ def march(
                             evaluate(field, 0.0, 0.0, 0.0, 0.0, fvalues, 0, slopes_wanted, own, table)
                             _field_sensitivity(sf[:, m:], slopes, ssense[:, 2 * m :], fcolumns)
                         _force_jacobian(Jn, parts, Q, slopes, m)
-                        _solve_in_place(Jn, sf)
+                        solve_in_place(Jn, sf)
                         _add_rows(Snew, sf, Psi1)
                         for i in range(m):
                             for q in range(p):
@@ -527,7 +566,7 @@ def march(
                             for c in range(4):
                                 if columns[i, c] >= 0:
                                     sz[columns[i, c], i] += parts[i, 13 + c]
-                    S[:, :] = Snew
+                    put_rows(S, Snew)
                 for i in range(m):
                     z[i] = parts[i, 5]
                     d_last[i] = free[i]

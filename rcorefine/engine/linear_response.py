@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import compiled
+from ..jit import compiled, put_rows
 from ..systems.linear import Array
 
 __all__ = ["linear_responses"]
@@ -61,7 +61,7 @@ def _march(Phi, falling, rising, C, D, K, F, restarts, out):  # type: ignore[no-
         if restarts[step]:
             x = np.zeros_like(x)
         y = C @ x + D * F[step]
-        out[step] = y
+        put_rows(out[step], y)
         x = x - K @ y
         if step + 1 < N:
             x = Phi @ x + falling * F[step] + rising * F[step + 1]

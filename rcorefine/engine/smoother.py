@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_lyapunov
 
-from ..jit import compiled
+from ..jit import compiled, put
 from ..systems.linear import Array
 from .observer import SteadyFilter, steady_filter
 
@@ -121,10 +121,10 @@ def _forwards(F, H, K, y, drive, reset, predicted, filtered, innovations):  # ty
     for k in range(y.shape[0]):
         if reset[k]:
             x = np.zeros(F.shape[0])
-        predicted[k] = x
-        innovations[k] = y[k] - H @ x
+        put(predicted[k], 0, x)
+        put(innovations[k], 0, y[k] - H @ x)
         x = x + K @ innovations[k]
-        filtered[k] = x
+        put(filtered[k], 0, x)
         x = F @ x + drive[k]
 
 
@@ -133,4 +133,4 @@ def _backwards(back, predicted, reset, states):  # type: ignore[no-untyped-def]
     """In place over the filtered states."""
     for k in range(states.shape[0] - 2, -1, -1):
         if not reset[k + 1]:
-            states[k] = states[k] + back @ (states[k + 1] - predicted[k + 1])
+            put(states[k], 0, states[k] + back @ (states[k + 1] - predicted[k + 1]))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..jit import compiled
+from ..engine.kernels import solve_in_place
+from ..jit import compiled, put, put_rows
 
 __all__ = ["free_run_cost", "state_power"]
 
@@ -32,6 +33,7 @@ def free_run_cost(A, B, C, D, W, Y, use, weights, window):
     H = np.zeros((n, n))
     g = np.zeros(n)
     h = np.zeros(n)
+    found = np.zeros((1, n))
     total = 0.0
     square = 0.0
     count = 0.0
@@ -66,8 +68,8 @@ def free_run_cost(A, B, C, D, W, Y, use, weights, window):
                 Xn[a, b] = 0.0
                 for j in range(n):
                     Xn[a, b] += A[a, j] * X[j, b]
-        x[:] = xn
-        X[:, :] = Xn
+        put(x, 0, xn)
+        put_rows(X, Xn)
         held += 1
         if held == window or k == N - 1:
             # least squares for the state at the start of the window, each column of unit size
@@ -82,13 +84,16 @@ def free_run_cost(A, B, C, D, W, Y, use, weights, window):
             if n > 0:
                 if not np.isfinite(H).all():
                     return np.inf
-                found = np.linalg.solve(H, g)
+                put(found[0], 0, g)
+                solve_in_place(H, found)
                 for a in range(n):
-                    gained += g[a] * found[a]
+                    gained += g[a] * found[0, a]
             total += max(square - gained, 0.0)
             square, held = 0.0, 0
             x[:] = 0.0
-            X[:, :] = np.eye(n)
+            for a in range(n):
+                for b in range(n):
+                    X[a, b] = 1.0 if a == b else 0.0
             H[:, :] = 0.0
             g[:] = 0.0
     return total / max(count, 1.0)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...effects.compiled import raise_pending
 from ...engine.kernels import march
-from ...jit import compiled
+from ...jit import compiled, put
 from ...systems.linear import Array
 from ..gaps import Block
 from .correction import (
@@ -143,12 +143,13 @@ def advance(sizes, fixed, packed, counters, block, frozen, record, laws):
         Ms, O, Y, S_all, SY_all, S_few, SY_few, measured, unused, none, X0, F0 = march_of(sizes, laws)
     w = np.ones(nu)
     for k in range(block.inputs.shape[0]):
-        w[:-1] = block.inputs[k]
+        put(w, 0, block.inputs[k])
         if counters[0] == 0:
             # the first sample has none before it that predicts it
             predicted[:] = np.nan
             if laws is not None:
-                ring[:, :] = w
+                for row in range(ring.shape[0]):
+                    put(ring[row], 0, w)
                 keep_first(w, laws.statics, laws.levels, inputs)
         else:
             # the state is uncertain: at first, where unknown forces act, after an input that is missing
@@ -160,9 +161,9 @@ def advance(sizes, fixed, packed, counters, block, frozen, record, laws):
 
             # predict the sample, with the sensitivities to coefficients and to the state before
             if laws is None:
-                step[:n] = x
-                step[n : n + nu] = before
-                step[n + nu :] = w
+                put(step, 0, x)
+                put(step, n, before)
+                put(step, n + nu, w)
                 step_state(x, F, M, dM, columns, rows, theta, centre, step, driven)
                 step_sensitivity(S, F, columns, rows, driven, Sn)
                 if varied:
@@ -181,20 +182,21 @@ def advance(sizes, fixed, packed, counters, block, frozen, record, laws):
                     drive(ring, laws.statics, laws.levels, laws.substeps, laws.foh, laws.dt, inputs)
                 through, shown = (S_all, SY_all) if uncertain else (S_few, SY_few)
                 enter(through, S)
+                no_field = n - n  # a plain 0 is a type of its own, and the march would be compiled for it
                 blew_up = march(
                     Ms, laws.dMs, laws.pieces, laws.linear, O, laws.dO, laws.P, laws.dP, laws.codes,
                     laws.values, laws.columns, laws.widths, Wn, laws.foh, Wout, dW, dWout, affected,
                     measured, unused, none, np.zeros((0, 0)), laws.outcodes, laws.outvalues,
                     laws.outcolumns, x, z, through,
                     laws.substeps, Y, shown, X0, F0, limit,
-                    0, np.zeros((1, 0)), np.zeros(0, dtype=np.int64),
+                    no_field, np.zeros((1, 0)), np.zeros(0, dtype=np.int64),
                 )  # fmt: skip
                 if blew_up >= 0:
                     return k, DIVERGED
                 read(through, shown, Y, S, yhat, h, F, H)
 
             # correct with one output after the other
-            predicted[:] = yhat
+            put(predicted, 0, yhat)
             settled, seen = True, False
             if forgetting < 1.0:
                 loose[:, :] = 0.0
@@ -237,12 +239,12 @@ def advance(sizes, fixed, packed, counters, block, frozen, record, laws):
                 return k, DIVERGED
 
         # count and record the sample
-        before[:] = w
+        put(before, 0, w)
         counters[0] += 1
         if record.theta.shape[0] > 0:
-            record.theta[k] = theta
-            record.predicted[k] = predicted
-            record.x[k] = x
+            put(record.theta[k], 0, theta)
+            put(record.predicted[k], 0, predicted)
+            put(record.x[k], 0, x)
         if not frozen and surprise[0] > watch:
             return k + 1, SURPRISED
         if not frozen and moved(theta, centre, Pt, share, least):

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...jit import compiled
+from ...jit import compiled, put_rows
 from ...systems.linear import Array
 from .packed import matrix, row
 
@@ -107,7 +107,7 @@ def step_sensitivity(S, F, columns, rows, drive, Sn):
 @compiled
 def shift_outputs(Oc, O, dO, columns, theta, centre):
     """Matrix of the outputs at the present coefficients."""
-    Oc[:, :] = O
+    put_rows(Oc, O)
     for r in range(columns.shape[0]):
         shift = theta[columns[r]] - centre[columns[r]]
         for i in range(O.shape[0]):

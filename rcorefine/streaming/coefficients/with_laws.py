@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...jit import compiled
+from ...jit import compiled, put, put_rows
 from ...systems.linear import Array
 
 __all__ = ["Laws", "enter", "fill", "march_of", "push", "read", "shift_matrices"]
@@ -82,8 +82,8 @@ def push(ring, w):
     """The latest inputs behind those before."""
     last = ring.shape[0] - 1
     for i in range(last):
-        ring[i] = ring[i + 1]
-    ring[last] = w
+        put(ring[i], 0, ring[i + 1])
+    put(ring[last], 0, w)
 
 
 @compiled
@@ -100,8 +100,9 @@ def shift_matrices(Ms, O, given_Ms, dMs, given_O, dO, linear, theta, centre):
     """Matrices to first order about the coefficients that they were discretized for."""
     if linear.shape[0] == 0:
         return
-    Ms[:, :, :] = given_Ms
-    O[:, :] = given_O
+    put_rows(Ms[0], given_Ms[0])
+    put_rows(Ms[1], given_Ms[1])
+    put_rows(O, given_O)
     for r in range(linear.shape[0]):
         shift = theta[linear[r]] - centre[linear[r]]
         if shift == 0.0:
@@ -119,7 +120,7 @@ def shift_matrices(Ms, O, given_Ms, dMs, given_O, dO, linear, theta, centre):
 def enter(through, S):
     """Sensitivities at the start of the interval; of the state to itself behind those to coefficients."""
     p, n = S.shape
-    through[:p] = S
+    put_rows(through, S)
     for i in range(through.shape[0] - p):
         for j in range(n):
             through[p + i, j] = 1.0 if i == j else 0.0
@@ -129,7 +130,7 @@ def enter(through, S):
 def read(through, shown, Y, S, yhat, h, F, H):
     """Sensitivities and outputs at the end of the interval."""
     p, n = S.shape
-    S[:, :] = through[:p]
+    put_rows(S, through[:p])
     for i in range(yhat.shape[0]):
         yhat[i] = Y[1, i]
         for a in range(p):

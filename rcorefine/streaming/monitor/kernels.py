@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from ...jit import NUMBA, compiled
+from ...jit import NUMBA, compiled, put, put_rows
 
 __all__ = ["ALONE", "CLIP", "EVEN", "FEW", "scores"]
 
@@ -283,8 +283,8 @@ def scores(  # type: ignore[no-untyped-def]
             past_e[a] = past_e[a - 1]
             past_s[a] = past_s[a - 1]
         if q > 0:
-            past_e[0] = e
-            past_s[0] = level_s
+            put(past_e[0], 0, e)
+            put_rows(past_s[0], level_s)
         # correct and step on
         for i in range(ny):
             if use[step, i] == 1:
@@ -296,7 +296,7 @@ def scores(  # type: ignore[no-untyped-def]
             for b in range(n):
                 if Phi[a, b] != 0.0:
                     _add(fresh[a], Phi[a, b], Xc[b])
-        Xc[:, :] = fresh
+        put_rows(Xc, fresh)
         counters[0] += 1
         if alone or (stop and top > 1.0):
             return step + 1

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.blas import dger
 
-from ...jit import NUMBA, compiled
+from ...jit import NUMBA, compiled, put, put_rows
 from ...systems.linear import Array
 
 __all__ = ["Design", "Plant", "Record", "Stage", "advance"]
@@ -241,6 +241,19 @@ def _slide_loops(gain: Array, pending: Array, new: Array, old: Array, gradient: 
     return pivot
 
 
+def _add_scaled_arrays(out: Array, at: int, factor: float, values: Array) -> None:
+    """Add a multiple of a row to a part of another."""
+    out[at : at + values.size] += factor * values
+
+
+@compiled
+def _add_scaled_loops(out: Array, at: int, factor: float, values: Array) -> None:
+    """Like `_add_scaled_arrays`."""
+    for i in range(values.size):
+        out[at + i] += factor * values[i]
+
+
+_add_scaled = _add_scaled_loops if NUMBA else _add_scaled_arrays
 affine = _affine_loops if NUMBA else _affine_arrays
 product = _product_loops if NUMBA else _product_arrays
 half_gradient = _gradient_loops if NUMBA else _gradient_arrays
@@ -282,7 +295,7 @@ def direct_step(rows: Array, residual: Array, alpha: float) -> Array:
     columns = np.zeros((m, count + m))  # of [rows; sqrt(alpha) I]
     for i in range(count):
         right[i] = -residual[i]
-        columns[:, i] = rows[i]
+        put(columns[:, i], 0, rows[i])
     step = np.zeros(m)
     for j in range(m):
         columns[j, count + j] = np.sqrt(alpha)
@@ -313,8 +326,8 @@ def learn(stage: Stage, design: Design, new: Array, offsets: Array) -> None:
     counters = stage.counters
     slot = counters[_SLOT] * n_y
     old = stage.rows[slot : slot + n_y].copy()
-    stage.rows[slot : slot + n_y] = new
-    stage.offsets[slot : slot + n_y] = offsets
+    put_rows(stage.rows[slot : slot + n_y], new)
+    put(stage.offsets, slot, offsets)
     counters[_SLOT] = (counters[_SLOT] + 1) % window
     counters[_AGE] += 1
     counters[_LEARNED] += 1
@@ -349,17 +362,17 @@ def remember(stage: Stage, order: int, x: Array, w: Array) -> Array:
     first_w = (order + 1) * n
     first_u = first_w + (order + 1) * n_w
     if order > 0:
-        psi[n:first_w] = psi[: first_w - n].copy()
-        psi[first_w + n_w : first_u] = psi[first_w : first_u - n_w].copy()
-        psi[first_u + l_u :] = psi[first_u : psi.size - l_u].copy()
-        psi[first_u : first_u + l_u] = stage.past_u[recent]
-    psi[:n] = x
-    psi[first_w : first_w + n_w] = w
+        put(psi, n, psi[: first_w - n].copy())
+        put(psi, first_w + n_w, psi[first_w : first_u - n_w].copy())
+        put(psi, first_u + l_u, psi[first_u : psi.size - l_u].copy())
+        put(psi, first_u, stage.past_u[recent])
+    put(psi, 0, x)
+    put(psi, first_w, w)
     u = product(stage.theta[: l_u * psi.size].reshape(l_u, psi.size), psi)
     recent = (recent + 1) % stage.past_u.shape[0]
     stage.counters[_RECENT] = recent
-    stage.past_psi[recent] = psi
-    stage.past_u[recent] = u
+    put(stage.past_psi[recent], 0, psi)
+    put(stage.past_u[recent], 0, u)
     return u
 
 
@@ -382,7 +395,7 @@ def filtered(design: Design, past_psi: Array, recent: int, width: int) -> Array:
         psi = past_psi[(recent - design.delay - i) % past_psi.shape[0]]
         for r in range(n_y):
             for c in range(l_u):
-                rows[r, c * q : (c + 1) * q] += design.H[i, r, c] * psi
+                _add_scaled(rows[r], c * q, design.H[i, r, c], psi)
     return rows
 
 
@@ -391,6 +404,13 @@ def bounded(simulated: Array, u: Array, x: Array, limit: float) -> bool:
     """Whether output, correction and states are numbers of a sane size (NaN is not)."""
     largest = max(np.abs(simulated).max(), np.abs(u).max())
     return bool(largest <= limit and np.abs(x).sum() <= DIVERGED * limit)
+
+
+@compiled
+def _follow(level: Array, rate: float, signal: Array) -> None:
+    """Mean square of each entry, of limited memory."""
+    for i in range(level.shape[0]):
+        level[i] += rate * (signal[i] * signal[i] - level[i])
 
 
 @compiled
@@ -447,7 +467,7 @@ def advance(
             learn(stage1, design1, filtered(design1, stage1.past_psi, recent, stage1.theta.size), offsets)
             if not np.isfinite(stage1.theta.sum()):
                 return k, 1
-        stage1.x[:] = affine(plant.A, x, plant.B, w[k], plant.Bu, u)
+        put(stage1.x, 0, affine(plant.A, x, plant.B, w[k], plant.Bu, u))
 
         x2 = x if estimated else stage2.x.copy()
         u = remember(stage2, design2.order, x2, w[k])
@@ -458,20 +478,20 @@ def advance(
         else:
             z2 = affine(plant.C, x2, plant.D, w[k], plant.Du, u) - y[k]
             offsets = z2 - reach(design2, stage2.past_u, recent)
-            stage2.x[:] = affine(plant.A, x2, plant.B, w[k], plant.Bu, u)
+            put(stage2.x, 0, affine(plant.A, x2, plant.B, w[k], plant.Bu, u))
         if not bounded(z2 + y[k], u, x2, limit):
             return k, 2
         learn(stage2, design2, filtered(design2, stage2.past_psi, recent, stage2.theta.size), offsets)
         if not np.isfinite(stage2.theta.sum()):
             return k, 2
-        recent_theta[(stage2.counters[_LEARNED] - 1) % recent_theta.shape[0]] = stage2.theta
-        levels[0] += rate * (y[k] * y[k] - levels[0])
-        levels[1] += rate * (z1 * z1 - levels[1])
-        levels[2] += rate * (z2 * z2 - levels[2])
+        put(recent_theta[(stage2.counters[_LEARNED] - 1) % recent_theta.shape[0]], 0, stage2.theta)
+        _follow(levels[0], rate, y[k])
+        _follow(levels[1], rate, z1)
+        _follow(levels[2], rate, z2)
         if keep:
-            record.z1[k] = z1
-            record.z2[k] = z2
-            record.theta1[k] = stage1.theta
-            record.theta2[k] = stage2.theta
-            record.x[k] = x
+            put(record.z1[k], 0, z1)
+            put(record.z2[k], 0, z2)
+            put(record.theta1[k], 0, stage1.theta)
+            put(record.theta2[k], 0, stage2.theta)
+            put(record.x[k], 0, x)
     return w.shape[0], 0
