@@ -14,7 +14,18 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypedDict, TypeVar
 if TYPE_CHECKING:
     from .data.measurement import Measurement
 
-__all__ = ["OPTIONS", "Look", "Options", "Reported", "ReportedModel", "Result", "picture", "show", "shows"]
+__all__ = [
+    "OPTIONS",
+    "Data",
+    "Look",
+    "Options",
+    "Reported",
+    "ReportedModel",
+    "Result",
+    "picture",
+    "show",
+    "shows",
+]
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -69,7 +80,37 @@ def _view(kind: type, what: str) -> Callable[..., Any]:
     raise TypeError(f"nothing shows a {kind.__name__} as {what!r}")
 
 
-class Result:
+class Data:
+    """What a computation found, as data."""
+
+    __slots__ = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """What was found as plain objects, for strict JSON.
+
+        Returns
+        -------
+        dict
+            Lists, dicts, numbers and text; what is not finite is None, a complex number has "re" and "im".
+        """
+        return dict(show(self, "to_dict"))
+
+    def to_dataframe(self) -> Any:
+        """The rows of what was found, or its signals.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        MissingExtraError
+            If pandas is not installed.
+        """
+        return show(self, "to_dataframe")
+
+
+class Result(Data):
     """What a computation found; it shows itself as text and, in a notebook, as HTML."""
 
     __slots__ = ()

@@ -857,8 +857,6 @@ CALLS: dict[str, Call] = {
     ),
     "Survey.sentences": Call(_method(surveyed, "sentences"), dict),
     "Survey.summary": Call(_method(surveyed, "summary"), dict),
-    "Survey.to_dataframe": Call(_method(surveyed, "to_dataframe"), dict),
-    "Survey.to_dict": Call(_method(surveyed, "to_dict"), dict),
     "diagnose": Call(
         lambda: rco.diagnose,
         lambda: {"model": model(), "data": record(), "candidates": [EFFECT]},
@@ -903,7 +901,6 @@ CALLS: dict[str, Call] = {
         {**FIT, "force_ratio": is_level},
         work="rcorefine.diagnosis.confirm._alone",
     ),
-    "Check.to_dict": Call(_method(checked, "to_dict"), dict),
     "Confirmation.plot": _plot(confirmation),
     "Confirmation.sentences": Call(_method(confirmation, "sentences"), dict),
     "localize_damage": Call(
@@ -1037,6 +1034,30 @@ CALLS: dict[str, Call] = {
         lambda: {"system": rco.examples.rlc().true},
         {"system": is_nothing, "resistance": is_positive},
     ),
+}
+
+simulation = _quiet(lambda: rco.simulate(small_model(), record(), "zero"))
+RESULTS: dict[str, Callable[[], Any]] = {
+    "AmplitudeResponse": curve,
+    "Check": checked,
+    "Comparison": comparison,
+    "Confirmation": confirmation,
+    "DamageMap": damage_map,
+    "Diagnosis": diagnosis,
+    "FrequencyResponse": response,
+    "Improvement": improvement,
+    "Measurement": record,
+    "Monitor": watched,
+    "PhysicalModel": model,
+    "RCORefiner": taught,
+    "Refinement": refinement,
+    "Simulation": simulation,
+    "Survey": surveyed,
+}
+CALLS |= {
+    f"{name}.{what}": Call(_method(owner, what), dict)
+    for name, owner in RESULTS.items()
+    for what in ("to_dict", "to_dataframe")
 }
 
 

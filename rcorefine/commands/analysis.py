@@ -24,7 +24,7 @@ from ..version import __version__
 from ..views.pages.answers import comparison_answer, diagnosis_answer, improvement_answer
 from ..views.pages.code import comment
 from ..views.pages.page import check_target
-from .machine import comparison_object, diagnosis_object, improvement_object, json_text, record_object
+from .machine import json_text, record_object
 from .records import fitted_and_held_out
 
 __all__ = ["finish", "run_check", "run_compare", "run_diagnose", "run_improve", "wanted_candidates"]
@@ -59,7 +59,7 @@ def run_compare(arguments: Namespace) -> int:
         text,
         result,
         {"record": record_object(record)},
-        comparison_object(result),
+        result.to_dict(),
     )
 
 
@@ -81,7 +81,7 @@ def run_diagnose(arguments: Namespace) -> int:
     found = diagnose(model, data, validation=validation, **_options(arguments, model))
     sentences, fine = diagnosis_answer(found)
     records = {"record": record_object(data)}
-    return finish(arguments, int(not fine), sentences, str(found), found, records, diagnosis_object(found))
+    return finish(arguments, int(not fine), sentences, str(found), found, records, found.to_dict())
 
 
 def run_improve(arguments: Namespace) -> int:
@@ -101,7 +101,7 @@ def run_improve(arguments: Namespace) -> int:
         text,
         ladder,
         records,
-        improvement_object(ladder),
+        ladder.to_dict(),
         data=data if validation is None else validation,
     )
 

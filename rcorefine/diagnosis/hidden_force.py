@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Unpack
+from typing import Unpack
 
 import control as ct
 
 from ..data.measurement import Measurement
-from ..exceptions import MissingExtraError
 from ..inference.hidden_force import estimated_force
 from ..inference.refinement import Refinement
 from ..models.ports import Port
@@ -46,27 +45,6 @@ class HiddenForce(Result):
     position_unit: str = ""
     velocity_unit: str = ""
     force_unit: str = ""
-
-    def to_dataframe(self) -> Any:
-        """The columns d, v, force and std over time.
-
-        Returns
-        -------
-        pandas.DataFrame
-
-        Raises
-        ------
-        MissingExtraError
-            If pandas is not installed.
-        """
-        try:
-            import pandas as pd
-        except ImportError as error:
-            raise MissingExtraError(
-                'to_dataframe needs pandas; install the extra: pip install "rcorefine[pandas]"'
-            ) from error
-        columns = {name: getattr(self, name) for name in ("d", "v", "force", "std")}
-        return pd.DataFrame(columns, index=pd.Index(self.timepts, name="time"))
 
     @picture
     def plot(self, **options: Unpack[Look]) -> ct.ControlPlot:

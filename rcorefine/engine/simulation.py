@@ -17,6 +17,7 @@ from ..exceptions import DivergenceError, ModelError
 from ..gauss_newton import Rows, gauss_newton
 from ..models.controller import completed
 from ..models.conversion import as_model, under_control
+from ..results import Data
 from ..systems.linear import Array, LinearModel
 from .controlled import own_states
 from .engine import Engine
@@ -35,7 +36,7 @@ _STILL, _MOST_STEPS = 1e-3, 64  # a run that doubled substeps move by less of it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Simulation:
+class Simulation(Data):
     """A model on a record.
 
     Attributes

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import Any, Unpack
@@ -13,18 +12,13 @@ from typing import Any, Unpack
 import control as ct
 
 from ..arguments import as_text
-from ..exceptions import MissingExtraError, ModelError
+from ..exceptions import ModelError
 from ..results import Options, Result, picture, show
 from .comparison import FleetEffect, MachineEffect, Trend
 from .conditions import Breach, breaches
 from .row import SurveyRow
 
 __all__ = ["Survey"]
-
-_COLUMNS = (
-    "machine", "record", "number", "start", "verdict", "effect", "place", "coefficient", "std", "unit",
-    "probability", "seconds", "error",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,53 +166,6 @@ class Survey(Result):
         """
         return breaches(self, conditions)
 
-    def to_dataframe(self) -> Any:
-        """The rows, one per record.
-
-        Returns
-        -------
-        pandas.DataFrame
-
-        Raises
-        ------
-        MissingExtraError
-            If pandas is not installed.
-        """
-        try:
-            import pandas as pd
-        except ImportError as error:
-            raise MissingExtraError(
-                'to_dataframe needs pandas; install the extra: pip install "rcorefine[pandas]"'
-            ) from error
-        return pd.DataFrame({name: [getattr(row, name) for row in self.rows] for name in _COLUMNS})
-
-    def to_dict(self) -> dict[str, Any]:
-        """All of it as plain objects, for strict JSON.
-
-        Returns
-        -------
-        dict
-            "task", "mode", "significance", "summary", "rows" (with "estimates"), "effects" (with "machines"),
-            "trends".
-        """
-        rows = [
-            {name: getattr(row, name) for name in _COLUMNS}
-            | {"estimates": [asdict(e) for e in row.estimates], "sentences": list(row.sentences)}
-            for row in self.rows
-        ]
-        found: dict[str, Any] = _strict(
-            {
-                "task": self.task,
-                "mode": self.mode,
-                "significance": self.significance,
-                "summary": self.sentences(),
-                "rows": rows,
-                "effects": [asdict(effect) for effect in self.effects],
-                "trends": [asdict(trend) for trend in self.trends],
-            }
-        )
-        return found
-
     @picture
     def plot(self, **options: Unpack[Options]) -> ct.ControlPlot:
         """Each coefficient of each machine with its 95 % interval, beside the fleet's mean and spread.
@@ -290,12 +237,3 @@ def _chance(p_value: float) -> str:
 
 def _figure(value: float, std: float, unit: str) -> str:
     return f"{value:.4g} +/- {std:.2g}{' ' + unit if unit else ''}"
-
-
-def _strict(value: Any) -> Any:
-    """What is not finite is None, for JSON has no word for it."""
-    if isinstance(value, dict):
-        return {key: _strict(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_strict(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from ...results import Result
 from ..result import Detectable
@@ -37,15 +36,3 @@ class Check(Result):
     def stops(self) -> bool:
         """Whether something must be mended first."""
         return any(row.status == STOP for row in self.rows)
-
-    def to_dict(self) -> dict[str, Any]:
-        """The table as plain objects, for JSON.
-
-        Returns
-        -------
-        dict
-            "rows", a list of dicts of strings, and "detectable".
-        """
-        rows = [{name: getattr(row, name) for name in CheckRow.__slots__} for row in self.rows]
-        shown = [{name: getattr(d, name) for name in Detectable.__slots__} for d in self.detectable]
-        return {"rows": rows, "detectable": [{**d, "effect": d["effect"].label} for d in shown]}

@@ -1,0 +1,304 @@
+"""Results as data: a dict of plain objects for strict JSON, a table for pandas.
+
+By the fields of a result, but for those whose fields hold more than what was found.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..comparison.adequacy import failures_of
+from ..comparison.failure_map.search import FailureMap
+from ..comparison.result import Comparison
+from ..data.frequency_response import FrequencyResponse
+from ..data.measurement import Measurement
+from ..diagnosis.hidden_force import HiddenForce
+from ..diagnosis.result import Diagnosis
+from ..diagnosis.stepwise.improvement import Improvement
+from ..effects.effect import Effect
+from ..engine.amplitude_response import AmplitudeResponse
+from ..exceptions import MissingExtraError
+from ..fleet.result import Survey
+from ..inference.refinement import Refinement
+from ..models.physical_model import PhysicalModel
+from ..results import Data, Result, shows
+from ..streaming import RCORefiner
+from ..streaming.monitor import Monitor
+from ..systems.linear import LinearModel
+
+__all__ = ["plain"]
+
+#: The rows of a result, where it has several tables.
+_MAIN = ("rows", "ranking", "steps", "parameters", "estimates", "options")
+
+
+def plain(value: Any) -> Any:
+    """Lists, dicts, numbers and text; what is not finite becomes None, complex numbers "re" and "im".
+
+    Examples
+    --------
+    >>> plain({"fit": np.array([1.0, np.nan]), "effect": rco.Effect("damping", "link1")})
+    {'fit': [1.0, None], 'effect': {'kind': 'damping', 'place': 'link1'}}
+    """
+    if value is None or isinstance(value, str):
+        return value
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    if isinstance(value, complex | np.complexfloating):
+        return {"re": plain(value.real), "im": plain(value.imag)}
+    if isinstance(value, np.ndarray):
+        if np.iscomplexobj(value):
+            return {"re": plain(value.real), "im": plain(value.imag)}
+        return plain(value.tolist())
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(item) for item in value]
+    return _object(value)
+
+
+def _object(value: Any) -> Any:
+    """What has a name of its own, or fields."""
+    if isinstance(value, Effect):
+        return {"kind": value.kind, "place": value.place}
+    if isinstance(value, Measurement):
+        return {"name": value.name, "samples": value.n_samples, "dt": value.dt}
+    if isinstance(value, LinearModel | PhysicalModel):
+        return value.name
+    if isinstance(value, Refinement | FailureMap):
+        return value.to_dict()
+    if dataclasses.is_dataclass(value) and not isinstance(value, type | Result):
+        return plain(_fields(value))
+    return str(value)
+
+
+def _fields(value: Any, *names: str) -> dict[str, Any]:
+    """Fields by name; all public ones without names."""
+    asked = names or tuple(f.name for f in dataclasses.fields(value) if not f.name.startswith("_"))
+    return {name: getattr(value, name) for name in asked}
+
+
+def _dict(kind: type) -> Callable[[Callable[[Any], dict[str, Any]]], Callable[[Any], dict[str, Any]]]:
+    """Enter what a class of results is as a dict."""
+
+    def enter(content: Callable[[Any], dict[str, Any]]) -> Callable[[Any], dict[str, Any]]:
+        shows(kind, "to_dict")(lambda result: plain(content(result)))
+        return content
+
+    return enter
+
+
+@_dict(Data)
+def _any(result: Data) -> dict[str, Any]:
+    return _fields(result)
+
+
+@_dict(FrequencyResponse)
+def _response(measured: FrequencyResponse) -> dict[str, Any]:
+    names = ("omega", "coherence", "std", "n_averages", "dt", "hold")
+    return {
+        "name": measured.name,
+        "inputs": measured.input_labels,
+        "outputs": measured.output_labels,
+        "response": measured.frdata,
+        **{name: getattr(measured, name, None) for name in names},
+    }
+
+
+@_dict(Comparison)
+def _comparison(result: Comparison) -> dict[str, Any]:
+    models = []
+    for index, name in enumerate(result.names):
+        bias = (result.data.outputs - result.runs[index]).mean(axis=1)
+        one = result.select(index)
+        keys = ("name", "unit", "fit", "rmse", "bias")
+        rows = zip(result.data.output_labels, result.data.output_units, one.fit, one.rmse, bias, strict=True)
+        outputs = [dict(zip(keys, row, strict=True)) for row in rows]
+        models.append({"name": name, "outputs": outputs, "failures": _failures(failures_of(result, index))})
+    return {"models": models}
+
+
+def _failures(found: FailureMap) -> list[dict[str, Any]]:
+    names = ("role", "dimension", "where", "measure", "statistic", "p_value", "share", "sentence")
+    return [_fields(row, *names) for row in found]
+
+
+@_dict(FailureMap)
+def _map(found: FailureMap) -> dict[str, Any]:
+    return {"name": found.name, "rows": _failures(found), "notes": found.notes}
+
+
+@_dict(Diagnosis)
+def _diagnosis(found: Diagnosis) -> dict[str, Any]:
+    ranked = ("effect", "coefficients", "std", "fit_before", "fit_after", "p_value", "probability")
+    tested = ("name", "statistic", "dof", "p_value")
+    return {
+        "verdict": found.verdict,
+        "ranking": [_fields(row, *ranked) for row in found.ranking],
+        **_fields(found, "none_of_these", "places", "ambiguous"),
+        "parameters": _parameters(found.parameters),
+        "tests": [_fields(test, *tested) for test in found.tests],
+        "winner_tests": [_fields(test, *tested) for test in found.winner_tests],
+        **_fields(found, "detectable", "significance", "notes", "checks"),
+    }
+
+
+@_dict(Improvement)
+def _improvement(ladder: Improvement) -> dict[str, Any]:
+    errors = ("train_rmse", "choice_rmse", "validation_rmse")
+    names = ("action", "effect", "coefficients", "std", *errors, "rivals")
+    return {
+        **_fields(ladder, "verdict", "message"),
+        "steps": [_fields(step, *names) for step in ladder.steps],
+        "checks": ladder.checks,
+        **_model(ladder.refinement),
+    }
+
+
+@_dict(Refinement)
+def _refinement(found: Refinement) -> dict[str, Any]:
+    names = ("fit", "rmse", "initial_fit", "success", "message", "warnings")
+    return {**_model(found), **_fields(found, *names)}
+
+
+def _parameters(rows: Sequence[Any]) -> list[dict[str, Any]]:
+    names = ("name", "kind", "place", "role", "initial", "value", "coefficient", "std", "unit")
+    return [_fields(row, *names) for row in rows]
+
+
+def _model(found: Refinement) -> dict[str, Any]:
+    return {
+        "parameters": _parameters(found.parameters),
+        "hold": found.hold,
+        "system": _system(LinearModel.from_statespace(found.system)),
+    }
+
+
+def _system(model: LinearModel) -> dict[str, Any]:
+    labels = {"inputs": model.input_labels, "outputs": model.output_labels, "states": model.state_labels}
+    return {**{key: getattr(model, key) for key in "ABCD"}, **labels}
+
+
+@_dict(PhysicalModel)
+def _physical(model: PhysicalModel) -> dict[str, Any]:
+    names = ("input_units", "output_units", "state_units", "parameters", "ports")
+    return {"name": model.name, "system": _system(model.linear), **_fields(model, *names)}
+
+
+@_dict(RCORefiner)
+def _refiner(refiner: RCORefiner) -> dict[str, Any]:
+    system = _system(LinearModel.from_statespace(refiner.system))
+    return {"n_samples": refiner.n_samples, "n_learned": refiner.n_learned, "system": system}
+
+
+@_dict(Monitor)
+def _monitor(monitor: Monitor) -> dict[str, Any]:
+    return {"n_samples": monitor.n_samples, "alarm": monitor.alarm, "rows": monitor.ranking}
+
+
+@_dict(Survey)
+def _survey(found: Survey) -> dict[str, Any]:
+    names = ("task", "mode", "significance")
+    return {
+        **_fields(found, *names),
+        "summary": found.sentences(),
+        **_fields(found, "rows", "effects", "trends"),
+    }
+
+
+def _frame(columns: Any, index: Any = None, name: str | None = None) -> Any:
+    try:
+        import pandas as pd
+    except ImportError as error:
+        raise MissingExtraError(
+            'to_dataframe needs pandas; install the extra: pip install "rcorefine[pandas]"'
+        ) from error
+    return pd.DataFrame(columns, index=None if index is None else pd.Index(index, name=name))
+
+
+def _flat(row: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+    """A row without rows in it: an effect gives kind and place, coefficients a column each."""
+    found: dict[str, Any] = {}
+    for key, value in row.items():
+        if isinstance(value, Mapping):
+            found |= _flat(value, "" if key == "effect" else f"{above}{key}.")
+        elif not isinstance(value, list):
+            found[f"{above}{key}"] = value
+    return found
+
+
+@shows(Data, "to_dataframe")
+def _table(result: Data) -> Any:
+    """The rows that the result is about; else its columns; else one row of its figures."""
+    content = result.to_dict()
+    order = (*(name for name in _MAIN if name in content), *content)
+    rows = next((content[name] for name in order if _are_rows(content[name])), None)
+    if rows is None:
+        columns = {name: v for name, v in content.items() if isinstance(v, list) and v and _are_numbers(v)}
+        size = max((len(v) for v in columns.values()), default=0)
+        if size > 1:
+            return _frame({name: v for name, v in columns.items() if len(v) == size})
+        rows = [content]
+    return _frame([_flat(row) for row in rows])
+
+
+def _are_rows(value: Any) -> bool:
+    return isinstance(value, list) and bool(value) and isinstance(value[0], dict)
+
+
+def _are_numbers(values: list[Any]) -> bool:
+    return all(value is None or isinstance(value, int | float) for value in values)
+
+
+@shows(Comparison, "to_dataframe")
+def _fits(result: Comparison) -> Any:
+    models = result.to_dict()["models"]
+    return _frame(
+        [
+            {"model": model["name"], "output": row["name"], **{k: v for k, v in row.items() if k != "name"}}
+            for model in models
+            for row in model["outputs"]
+        ]
+    )
+
+
+@shows(Measurement, "to_dataframe")
+def _signals(data: Measurement) -> Any:
+    labels = [*data.input_labels, *data.output_labels]
+    columns = dict(zip(labels, np.vstack([data.inputs, data.outputs]), strict=True))
+    return _frame(columns, data.timepts, "time")
+
+
+@shows(HiddenForce, "to_dataframe")
+def _force(found: HiddenForce) -> Any:
+    return _frame(_fields(found, "d", "v", "force", "std"), found.timepts, "time")
+
+
+@shows(FrequencyResponse, "to_dataframe")
+def _points(measured: FrequencyResponse) -> Any:
+    columns = {
+        f"{output}/{given}": measured.frdata[i, j]
+        for i, output in enumerate(measured.output_labels)
+        for j, given in enumerate(measured.input_labels)
+    }
+    return _frame(columns, measured.omega, "omega")
+
+
+@shows(AmplitudeResponse, "to_dataframe")
+def _levels(curve: AmplitudeResponse) -> Any:
+    response = np.asarray(curve.response)
+    grid = [
+        {"omega": omega, "amplitude": level, "output": label, "response": response[k, i, j]}
+        for k, level in enumerate(np.ravel(curve.amplitude))
+        for i, label in enumerate(curve.output_labels)
+        for j, omega in enumerate(curve.omega)
+    ]
+    return _frame(grid)
