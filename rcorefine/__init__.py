@@ -4,113 +4,40 @@ The toolbox stands on python-control: `control.StateSpace` goes in and comes
 out. The estimator is retrospective cost model refinement (D'Amato et al.).
 """
 
-from . import examples, exercises
-from .comparison import Comparison, compare
-from .data.frequency_response import FrequencyResponse
-from .data.measurement import Measurement
-from .diagnosis import Diagnosis, diagnose
-from .diagnosis.checks.check import check
-from .diagnosis.checks.result import Check
-from .diagnosis.checks.row import CheckRow
-from .diagnosis.confirm import confirm
-from .diagnosis.confirmation import Confirmation
-from .diagnosis.stepwise.improve import improve
-from .diagnosis.stepwise.improvement import Improvement
-from .effects.effect import Effect, describe_effects
-from .effects.tabulated import Table
-from .engine.amplitude_response import AmplitudeResponse, frequency_response_at
-from .engine.simulation import Simulation, simulate
-from .exceptions import (
-    ConversionWarning,
-    DataError,
-    DivergenceError,
-    ExcitationWarning,
-    IdentifiabilityWarning,
-    MissingExtraError,
-    ModelError,
-    RCOError,
-    RCOWarning,
-)
-from .fleet import Survey, survey
-from .localization import DamageMap, localize_damage
-from .models.builders import (
-    dc_motor,
-    mass_spring_damper,
-    mechanical,
-    quarter_car,
-    series_rlc,
-    thermal_network,
-    two_tanks,
-)
-from .models.conversion import physical, ports
-from .models.library import effect_library
-from .models.parameters import NominalParameter
-from .models.physical_model import PhysicalModel
-from .models.ports import Port
-from .refinement import EstimatedParameter, Refinement, refine
+import ast as _ast
+import importlib as _importlib
+from pathlib import Path as _Path
+from typing import Any as _Any
+
 from .results import loaders as _loaders
-from .streaming import RCORefiner
-from .streaming.monitor import Alarm, Monitor
-from .systems import d2c
 from .version import __version__ as __version__
 
-__all__ = [
-    "Alarm",
-    "AmplitudeResponse",
-    "Check",
-    "CheckRow",
-    "Comparison",
-    "Confirmation",
-    "ConversionWarning",
-    "DamageMap",
-    "DataError",
-    "Diagnosis",
-    "DivergenceError",
-    "Effect",
-    "EstimatedParameter",
-    "ExcitationWarning",
-    "FrequencyResponse",
-    "IdentifiabilityWarning",
-    "Improvement",
-    "Measurement",
-    "MissingExtraError",
-    "ModelError",
-    "Monitor",
-    "NominalParameter",
-    "PhysicalModel",
-    "Port",
-    "RCOError",
-    "RCORefiner",
-    "RCOWarning",
-    "Refinement",
-    "Simulation",
-    "Survey",
-    "Table",
-    "check",
-    "compare",
-    "confirm",
-    "d2c",
-    "dc_motor",
-    "describe_effects",
-    "diagnose",
-    "effect_library",
-    "examples",
-    "exercises",
-    "frequency_response_at",
-    "improve",
-    "localize_damage",
-    "mass_spring_damper",
-    "mechanical",
-    "physical",
-    "ports",
-    "quarter_car",
-    "refine",
-    "series_rlc",
-    "simulate",
-    "survey",
-    "thermal_network",
-    "two_tanks",
-]
+# A name is imported when it is first asked for (as SPEC 1 of Scientific Python has it): what a session or a
+# worker does not use costs it nothing. The stub beside says where each stands.
+_FACE = {
+    alias.asname or alias.name: (node.module, alias.name)
+    for node in _ast.parse(_Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")).body
+    if isinstance(node, _ast.ImportFrom)
+    for alias in node.names
+}
+__all__ = sorted(name for name in _FACE if not name.startswith("_"))
+
+
+def __getattr__(name: str) -> _Any:
+    module, attribute = _FACE.get(name, (None, name))
+    try:
+        found = _importlib.import_module(f"{__name__}.{module or name}")
+    except ModuleNotFoundError as error:
+        if error.name != f"{__name__}.{name}":
+            raise
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}") from None
+    if module is not None:
+        found = globals()[name] = getattr(found, attribute)
+    return found
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]
 
 
 def _views() -> None:

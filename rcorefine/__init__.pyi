@@ -1,0 +1,108 @@
+"""The face: what `import rcorefine` offers, and where it stands. Read by __init__.py, too."""
+
+from . import examples, exercises
+from .comparison import Comparison, compare
+from .data.frequency_response import FrequencyResponse
+from .data.measurement import Measurement
+from .diagnosis import Diagnosis, diagnose
+from .diagnosis.checks.check import check
+from .diagnosis.checks.result import Check
+from .diagnosis.checks.row import CheckRow
+from .diagnosis.confirm import confirm
+from .diagnosis.confirmation import Confirmation
+from .diagnosis.stepwise.improve import improve
+from .diagnosis.stepwise.improvement import Improvement
+from .effects.effect import Effect, describe_effects
+from .effects.tabulated import Table
+from .engine.amplitude_response import AmplitudeResponse, frequency_response_at
+from .engine.simulation import Simulation, simulate
+from .exceptions import (
+    ConversionWarning,
+    DataError,
+    DivergenceError,
+    ExcitationWarning,
+    IdentifiabilityWarning,
+    MissingExtraError,
+    ModelError,
+    RCOError,
+    RCOWarning,
+)
+from .fleet import Survey, survey
+from .localization import DamageMap, localize_damage
+from .models.builders import (
+    dc_motor,
+    mass_spring_damper,
+    mechanical,
+    quarter_car,
+    series_rlc,
+    thermal_network,
+    two_tanks,
+)
+from .models.conversion import physical, ports
+from .models.library import effect_library
+from .models.parameters import NominalParameter
+from .models.physical_model import PhysicalModel
+from .models.ports import Port
+from .refinement import EstimatedParameter, Refinement, refine
+from .streaming import RCORefiner
+from .streaming.monitor import Alarm, Monitor
+from .systems import d2c
+from .version import __version__ as __version__
+
+__all__ = [
+    "Alarm",
+    "AmplitudeResponse",
+    "Check",
+    "CheckRow",
+    "Comparison",
+    "Confirmation",
+    "ConversionWarning",
+    "DamageMap",
+    "DataError",
+    "Diagnosis",
+    "DivergenceError",
+    "Effect",
+    "EstimatedParameter",
+    "ExcitationWarning",
+    "FrequencyResponse",
+    "IdentifiabilityWarning",
+    "Improvement",
+    "Measurement",
+    "MissingExtraError",
+    "ModelError",
+    "Monitor",
+    "NominalParameter",
+    "PhysicalModel",
+    "Port",
+    "RCOError",
+    "RCORefiner",
+    "RCOWarning",
+    "Refinement",
+    "Simulation",
+    "Survey",
+    "Table",
+    "check",
+    "compare",
+    "confirm",
+    "d2c",
+    "dc_motor",
+    "describe_effects",
+    "diagnose",
+    "effect_library",
+    "examples",
+    "exercises",
+    "frequency_response_at",
+    "improve",
+    "localize_damage",
+    "mass_spring_damper",
+    "mechanical",
+    "physical",
+    "ports",
+    "quarter_car",
+    "refine",
+    "series_rlc",
+    "simulate",
+    "survey",
+    "thermal_network",
+    "two_tanks",
+]
