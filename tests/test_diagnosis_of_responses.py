@@ -203,3 +203,93 @@ def first_of(data):
 def few():
     omega = np.linspace(5.0, 10.0, 12)
     return measured(receptance(omega), omega)
+
+
+LAWS = {
+    "cubic_stiffness": ("link1", [400.0], 1e-5),
+    "quadratic_damping": ("link1", [2.0], 1e-3),
+    "clearance": ("link1", [60.0, 0.05], 2e-2),
+    "input_deadzone": ("force", [0.3], 2e-3),
+    "output_saturation": ("q1", [0.08], 1e-2),
+    "coulomb_friction": ("link1", [0.3], 2e-2),
+}
+
+
+@pytest.mark.parametrize("kind", LAWS)
+def test_answers_of_all_lines_are_those_of_one_sine_at_a_time(kind):
+    from rcorefine.data.response_record import ResponseRecord
+    from rcorefine.engine.harmonic_balance import Balance
+    from rcorefine.engine.response_engine import ResponseEngine
+    from rcorefine.engine.structure import Structure
+
+    one = rco.mass_spring_damper(1.0, 0.4, 100.0, sensors="displacement", outputs="q1")
+    place, theta, close = LAWS[kind]
+    structure = Structure(one, [effect(kind, place)], constants={0: 1e-4})
+    omega, theta = np.linspace(5.0, 16.0, 12), np.array(theta)
+    balance = Balance(structure, theta, 0, 15)
+    slow = np.array([balance.solve(w, 2.0, []).outputs[0, 1] / 2.0 for w in omega])
+    data = rco.FrequencyResponse(slow, omega, amplitude=2.0, input_labels="force", output_labels="q1")
+    engine = ResponseEngine(structure, ResponseRecord.plain(data, one.linear))
+    points, slopes = engine.response(theta)
+    np.testing.assert_allclose(points[0, 0], slow, rtol=close)
+    step = 1e-4 * theta[0] * np.eye(theta.size)[0]
+    ahead, behind = (engine.response(theta + s * step, derivatives=False)[0] for s in (1, -1))
+    np.testing.assert_allclose(
+        slopes[0], (ahead - behind) / (2 * step[0]), atol=0.02 * np.abs(slopes[0]).max()
+    )
+
+
+def dwell(peaks, omega, force, steps=120, periods=50):
+    """Fundamental over the sine of a mass (1 kg, 0.6 N s/m, 100 N/m) by Runge and Kutta, (levels, lines)."""
+    w, peak = np.tile(omega, len(peaks)), np.repeat(peaks, omega.size)
+    h, d, v, found = 2 * np.pi / w / steps, np.zeros(w.size), np.zeros(w.size), np.zeros(w.size, complex)
+
+    def rate(t, d, v):
+        return peak * np.cos(w * t) - 0.6 * v - 100.0 * d - force(d, v)
+
+    for k in range(steps * periods):
+        t = k * h
+        if k >= steps * (periods - 2):
+            found += d * np.exp(-1j * w * t) / steps / peak
+        a1 = rate(t, d, v)
+        a2 = rate(t + h / 2, d + h / 2 * v, v + h / 2 * a1)
+        a3 = rate(t + h / 2, d + h / 2 * v + h * h / 4 * a1, v + h / 2 * a2)
+        a4 = rate(t + h, d + h * v + h * h / 2 * a2, v + h * a3)
+        d, v = d + h * v + h * h / 6 * (a1 + a2 + a3), v + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+    return found.reshape(len(peaks), -1)
+
+
+def driven(force, peaks=(0.5, 2.0, 4.0), seed=0):
+    rng, omega, data = np.random.default_rng(seed), np.linspace(5.0, 17.0, 40), []
+    for peak, points in zip(peaks, dwell(peaks, omega, force), strict=True):
+        std = 0.01 * np.abs(points)
+        noisy = points + std * (rng.standard_normal(40) + 1j * rng.standard_normal(40))
+        names = {"input_labels": "force", "output_labels": "q1"}
+        data.append(rco.FrequencyResponse(noisy, omega, std=std, amplitude=peak, **names))
+    return rco.mass_spring_damper(1.0, 0.6, 100.0, sensors="displacement", outputs="q1"), data
+
+
+def test_hardening_is_found_from_several_levels():
+    one, data = driven(lambda d, v: 300.0 * d**3)
+    kinds = ["stiffness", "damping", "cubic_stiffness", "quadratic_damping", "clearance", "coulomb_friction"]
+    found = rco.diagnose(one, data, candidates=rco.effect_library(one, kinds=kinds))
+    assert found.verdict == "effect"
+    assert found.best.effect.label == "cubic_stiffness at link1"
+    assert abs(found.best.coefficients["cubic_stiffness"] - 300.0) < 4 * found.best.std["cubic_stiffness"]
+    assert rco.compare(found.refine(), data).levels[2].over_noise.max() < 1.25
+    assert len(found.records) == 3
+
+
+def test_quadratic_damping_is_not_excluded_by_the_law_that_contains_it():
+    one, data = driven(lambda d, v: 0.5 * v * np.abs(v), seed=1)
+    kinds = ["stiffness", "damping", "quadratic_damping", "power_damping", "cubic_stiffness"]
+    found = rco.diagnose(one, data, candidates=rco.effect_library(one, kinds=kinds))
+    assert "quadratic_damping at link1" in [each.label for each in found.ambiguous]
+
+
+def test_laws_with_memory_are_refused():
+    one, data = driven(lambda d, v: 0.0 * d, peaks=(1.0,))
+    with pytest.raises(rco.ModelError, match="memory"):
+        rco.diagnose(one, data, candidates=[effect("hysteresis", "link1")])
+    with pytest.raises(rco.ModelError, match="memory"):
+        rco.refine(one, data, [effect("hysteresis", "link1")])

@@ -101,7 +101,7 @@ def shortlist(
         place = candidates[order[0]].effect.place
         chosen += [i for i, c in enumerate(candidates) if c.effect.place == place]
     if not batteries[0].fitted.problem.in_time:  # no score is right for a peak that moved by its width
-        chosen += range(len(candidates))
+        chosen += [i for i, c in enumerate(candidates) if c.effect.spec.linear or c.effect.spec.delays]
     return list(dict.fromkeys(chosen)), scores[0]
 
 
@@ -330,7 +330,7 @@ def _laps(task: _Task) -> CandidateFit | None:
             costs = [plain_cost(problem, point, gain) for point in group]
             order = np.argsort(costs)[: 1 if len(starts) == 1 else 2]
             runs += [descend(problem, group[i], gain=gain, evaluations=4) for i in order]
-    if strong or thorough:
+    if (strong or thorough) and not problem.dwells:
         runs += [led(fitted, candidate, start, ratio) for start in starts[: 3 if thorough else 1]]
     best = min(runs, key=lambda run: run.cost)
     return CandidateFit(candidate, best) if np.isfinite(best.cost) else None

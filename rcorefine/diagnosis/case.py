@@ -14,6 +14,7 @@ from ..data.measurement import Measurement
 from ..data.response_record import ResponseRecord, in_frequency, noise_is_known
 from ..effects.effect import Effect
 from ..effects.law import KINDS
+from ..engine.line_balance import remembering
 from ..engine.response_engine import is_linear
 from ..engine.structure import Structure
 from ..exceptions import DataError, ModelError
@@ -191,11 +192,18 @@ def seen_in_responses(
     seen = []
     for effect in candidates:
         law = effect.spec
-        linear = is_linear(Structure(physical, [effect]))
-        fits = linear or amplitudes
+        structure = Structure(physical, [effect])
+        linear = is_linear(structure)
+        fits = linear or (amplitudes and not remembering(structure))
         if fits and not law.of_record and not (law.holds_constant and linear):
             seen.append(effect)
         elif asked:
-            why = "needs the amplitude of the sines (amplitude=)" if not fits else "is not seen in a response"
+            why = "is not seen in a response"
+            if not fits:
+                why = (
+                    "has memory, and takes records in time"
+                    if amplitudes
+                    else "needs the amplitude of the sines (amplitude=)"
+                )
             raise ModelError(f"{effect.label} {why}; leave it out of candidates")
     return seen

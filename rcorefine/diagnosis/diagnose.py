@@ -20,7 +20,7 @@ from ..inference.assembly import check_settings
 from ..inference.refinement import Refinement
 from ..inference.sensitivities import Candidate, candidate_columns
 from ..inference.whitening import FTest
-from ..inference.windows import about_noise, as_data, check_validation
+from ..inference.windows import about_noise, as_data, check_validation, spread_lines
 from ..models.conversion import as_physical, under_control
 from ..progress import Progress
 from ..refinement.base_fit import base_fit
@@ -32,7 +32,7 @@ from .colored_noise import gain_over_color
 from .excitation import no_motion, not_excited
 from .families import hosts, said_of_families
 from .floating import Floated, as_good, explaining_numbers, far_numbers, outdone, rivals_of_numbers
-from .judging import Judged, beside_force, judge, outweighs, pair_hint, second_chance
+from .judging import Judged, beside_force, judge, outweighs, pair_hint, second_chance, with_special_cases
 from .open_law import open_law, probabilities
 from .places import in_race
 from .ranking import detectable, in_free_run, ranking
@@ -140,6 +140,7 @@ def diagnose(
     check_settings(as_physical(model), **options)
     if validation is not None:
         check_validation(model, validation)
+    given, records = records, spread_lines(records)
     with own_arithmetic(), Progress(progress, executor) as steps:
         with warnings.catch_warnings(), steps.step("model as it is"):
             warnings.simplefilter("ignore", IdentifiabilityWarning)
@@ -155,7 +156,8 @@ def diagnose(
             significance=significance,
             progress=steps,
         )
-        return replace(found, checks=odd, notes=(*found.notes, *about_noise(base.physical_model, records)))
+        said = about_noise(base.physical_model, records, given)
+        return replace(found, checks=odd, records=tuple(given), notes=(*found.notes, *said))
 
 
 def investigate(
@@ -224,6 +226,7 @@ def investigate(
     batteries = [free_run, *(TestedResidual(case.fitted, r) for r in case.observers)]
     chosen, scores = shortlist(scored, batteries)
     race = fit_candidates(case.fitted, [scored[i] for i in chosen], progress=progress)
+    race = race and with_special_cases(race, scored, progress)
     if race is None:
         return Diagnosis("unexplained", (), (), tuple(tests), (), (), force_ratio=0.0, **case.about), None
     with progress.step("tests"):

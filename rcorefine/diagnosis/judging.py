@@ -11,6 +11,7 @@ from ..exceptions import ModelError
 from ..inference.sensitivities import Candidate, candidate_columns
 from ..inference.starts import Motion, estimated_motion
 from ..inference.whitening import FTest
+from ..progress import Progress
 from .beside import Beside
 from .candidate_fits import CandidateFits, fit_candidates
 from .case import Case, not_held
@@ -22,7 +23,7 @@ from .starts import force_along
 from .unmeasured_force import likely_forces
 from .verdict import overall
 
-__all__ = ["Judged", "beside_force", "judge", "outweighs", "pair_hint", "second_chance"]
+__all__ = ["Judged", "beside_force", "judge", "outweighs", "pair_hint", "second_chance", "with_special_cases"]
 
 _PAIRS = 3  # seconds that are tried for a hint
 
@@ -66,6 +67,10 @@ def _tested(case: Case, race: CandidateFits) -> Judged:
     """The winner's residual, tested."""
     fitted = race.model()
     rest = not_held(case.library, fitted.structure.effects)
+    if (
+        fitted.problem.dwells
+    ):  # the free stiffness stands for the other laws: a balance of two of them is slow
+        rest = [e for e in rest if e.spec.linear or e.spec.delays]
     moved = [estimated_motion(fitted.structure, fitted.theta, motion.data) for motion in case.motions]
     try:
         near = in_race(fitted, rest, (race.ratio,))
@@ -143,7 +148,7 @@ def second_chance(case: Case, first: Judged, scored: Sequence[Candidate], chosen
         if judged.passed:
             return judged
         first, race = judged, again
-    if not case.thorough:
+    if not case.thorough or any(r.candidate.problem.dwells for r in race.rivals[:3]):
         return Judged(again, first.tests, False) if again is not None else first
     # what the winner's own residual points at counts among those that may be stuck
     pointed = [c for c in scored if any(t.name == f"library (most: {c.effect.label})" for t in first.tests)]
@@ -160,6 +165,8 @@ def pair_hint(case: Case, judged: Judged, scored: Sequence[Candidate]) -> list[s
     """Whether the winner and one effect more would pass: flexible, so a hint and no verdict."""
     race = judged.race
     fitted = race.model()
+    if fitted.problem.dwells:  # a pair of laws under harmonic balance takes too long for a hint
+        return []
     first = race.rivals[0].effect
     rest = not_held([c.effect for c in scored], [first])
     if not rest:
@@ -183,3 +190,27 @@ def _ahead(again: CandidateFits, before: CandidateFits) -> bool:
     # each has a filter of its own, so their levels are what compares
     scales = np.log(before.whitener.scales) - np.log(again.whitener.scales)
     return float(again.fitted.problem.n_points * np.mean(scales)) > 1.0
+
+
+def with_special_cases(
+    race: CandidateFits, candidates: Sequence[Candidate], progress: Progress
+) -> CandidateFits:
+    """Fits to responses with whatever the first one contains: it may do the same with fewer coefficients.
+
+    Parameters
+    ----------
+    race : CandidateFits
+        Fits.
+    candidates : sequence of Candidate
+        All that were scored.
+    progress : Progress
+        What does the steps and counts them.
+    """
+    if race.fitted.problem.in_time:  # there the places that lead bring all their laws along
+        return race
+    fitted, first = {rival.effect for rival in race.rivals}, race.rivals[0].effect
+    special = [c for c in candidates if c.effect not in fitted and contains(first, c.effect)]
+    if not special:
+        return race
+    again = fit_candidates(race.fitted, special, race.ratio, entered=race.rivals, progress=progress)
+    return again or race

@@ -145,7 +145,7 @@ def led(fitted: FittedModel, candidate: Candidate, start: Array, ratio: float) -
     point = problem.inside(problem.pack(_home(fitted, theta), starts))
     gain = gain_for(fitted, candidate, ratio)
     tries = []
-    if not problem.in_time:
+    if not problem.in_time and problem.structure.is_linear:
         tries = [by_logarithms(problem, point), by_logarithms(problem, problem.inside(start))]
     for observer in _FALLING if problem.in_time else ():
         if observer <= ratio:
@@ -191,6 +191,8 @@ def imitated(giver: Candidate, point: Array, taker: Candidate, most: int = 1) ->
         return []
     if set(taker.effect.fixed) & set(taker.effect.coefficients):
         return []
+    if not giver.problem.in_time:
+        return _by_names(giver, point, taker, most)
     found = force_along(giver, point)
     if found is None or not found[-1].any():
         return []
@@ -217,6 +219,20 @@ def imitated(giver: Candidate, point: Array, taker: Candidate, most: int = 1) ->
         rest = float(np.sum((force - F @ levels) ** 2))
         tries.append((rest, other.inside(other.pack(own, full))))
     return [start for _, start in sorted(tries, key=lambda pair: pair[0])[:most]]
+
+
+def _by_names(giver: Candidate, point: Array, taker: Candidate, most: int) -> list[Array]:
+    """Starts of a law with the coefficients that it shares with another one, by their names."""
+    theta, p = giver.problem.unpack(point)[0], giver.fitted.problem.n_theta
+    given = dict(zip([q.name for q in giver.problem.structure.parameters[p:]], theta[p:], strict=True))
+    names = [q.name for q in taker.problem.structure.parameters[p:]]
+    if not set(names) & given.keys():
+        return []
+    found = []
+    for start in taker.starts[:most]:
+        own = [given.get(name, value) for name, value in zip(names, start[p:], strict=True)]
+        found.append(taker.problem.inside(np.concatenate([theta[:p], own])))
+    return found
 
 
 def force_along(candidate: Candidate, point: Array) -> tuple[Array, Array, Array, Array] | None:

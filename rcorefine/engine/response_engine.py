@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from ..data.measurement import Measurement
 from ..data.response_record import ResponseRecord, coded
 from ..exceptions import DivergenceError, ModelError
+from ..models.operating_point import refuse_point
 from ..systems.linear import Array, LinearModel
 from .engine import Engine, Trajectory
+from .line_balance import LineBalance, remembering
 from .structure import Structure
 
 __all__ = ["ResponseEngine", "channel_signal", "engine_on", "is_linear", "port_phasors", "sampled"]
@@ -77,11 +79,7 @@ class ResponseEngine:
                 "a frequency response is that of the model alone; leave the controller out, or close the "
                 "loop with control.feedback"
             )
-        if not is_linear(structure):
-            named = ", ".join(e.label for e in structure.effects if not e.spec.linear)
-            raise ModelError(
-                f"{named}: the response depends on the amplitude of the sine; give the response amplitude="
-            )
+        self._balance = None if is_linear(structure) else _balanced(structure, data)
 
     def run(self, theta: Array, x0: Array | None = None, *, sensitivity: bool = True, **_: Any) -> Trajectory:
         """Response in rows as those of the data, with derivatives; it has no states and no observer.
@@ -108,6 +106,11 @@ class ResponseEngine:
             columns[:, :, k] = coded(slope) / noise
         empty = np.zeros((0, rows.shape[1]))
         return Trajectory(rows, columns, empty, empty, -1 if np.isfinite(rows).all() else 0)
+
+    def begin(self, other: ResponseEngine) -> None:
+        """Start from the answers of a model without the last laws."""
+        if self._balance is not None:
+            self._balance.begin(other._balance)
 
     def unjudged(self, theta: Array) -> NDArray[np.int64]:
         """No point is hidden."""
@@ -153,6 +156,8 @@ class ResponseEngine:
         DivergenceError
             If the matrices are no numbers.
         """
+        if self._balance is not None:
+            return self._balance.response(theta, derivatives=derivatives)
         s, omega, data = self.structure, self.data.omega, self.data.measured
         columns = s.absorbed if derivatives else np.zeros(0, dtype=np.int64)
         sets = self._matrices(theta, columns)
@@ -210,6 +215,28 @@ class ResponseEngine:
             if column >= 0 and slopes:
                 slopes[column][where] = turn * G[where]
         return G, slopes
+
+
+def _balanced(structure: Structure, data: ResponseRecord) -> LineBalance:
+    """The harmonic balance of nonlinear effects at the lines of a response.
+
+    Raises
+    ------
+    ModelError
+        If the amplitude is not known, a law remembers, or the points are those of held signals.
+    """
+    named = ", ".join(e.label for e in structure.effects if not e.spec.linear)
+    if data.measured.amplitude is None:
+        raise ModelError(
+            f"{named}: the response depends on the amplitude of the sine; give the response amplitude="
+        )
+    if memory := remembering(structure):
+        listed = ", ".join(memory)
+        raise ModelError(f"{listed}: laws with memory take records in time, no frequency responses yet")
+    if data.measured.dt and data.measured.hold != "bandlimited":
+        raise ModelError(f"{named}: held inputs are no sines; give the response of continuous signals (dt=0)")
+    refuse_point(structure.model, "a frequency response with nonlinear effects")
+    return LineBalance(structure, data)
 
 
 def _transfer(sets: list[tuple[Array, ...]], points: NDArray[Any]) -> tuple[Complex, list[Complex]]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..engine.response_engine import ResponseEngine
+from ..engine.response_engine import ResponseEngine, is_linear
 from ..gauss_newton import Rows, gauss_newton
 from ..systems.linear import Array
 from .problem import Problem
@@ -17,11 +17,11 @@ from .problem import Problem
 __all__ = ["by_logarithms"]
 
 _FLOOR = 0.1  # relative error that no point falls below here: all count, whatever their noise
-_POINTS = 400  # of each response
-_EVALUATIONS = 25
+_POINTS, _FEW_POINTS = 400, 60  # of each response, linear or not
+_EVALUATIONS, _FEW_EVALUATIONS = 25, 6
 
 
-def by_logarithms(problem: Problem, point: Array, evaluations: int = _EVALUATIONS) -> Array:
+def by_logarithms(problem: Problem, point: Array) -> Array:
     """Least squares of the logarithms of the points, from a point.
 
     Parameters
@@ -30,8 +30,6 @@ def by_logarithms(problem: Problem, point: Array, evaluations: int = _EVALUATION
         On frequency responses.
     point : ndarray
         Start.
-    evaluations : int
-        Responses at most.
 
     Returns
     -------
@@ -40,18 +38,24 @@ def by_logarithms(problem: Problem, point: Array, evaluations: int = _EVALUATION
     """
     if not problem.size:
         return point
-    engines = [_thinned(engine) for engine in problem.engines if isinstance(engine, ResponseEngine)]
+    nonlinear = not is_linear(problem.structure)
+    most = _FEW_POINTS if nonlinear else _POINTS
+    engines = [_thinned(engine, most) for engine in problem.engines]
     measured = [engine.data.measured.response for engine in engines]
     weights = []
     for engine, g in zip(engines, measured, strict=True):
         noise = np.abs(engine.data.points(np.ones(engine.data.noise.shape))) / np.sqrt(2.0)
         weights.append(1.0 / np.hypot(noise / np.maximum(np.abs(g), 1e-300), _FLOOR))
     low, high = problem.box()
+    loudest = np.argsort([float(engine.data.inputs.max()) for engine in engines], kind="stable")
+    chosen = engines
 
     def rows(box: Array) -> Rows:
         theta = problem.unpack(problem.from_box(box))[0]
         residuals, slopes = [problem.prior_rows(theta)[0]], [problem.prior_rows(theta)[1]]
         for engine, g, weight in zip(engines, measured, weights, strict=True):
+            if engine not in chosen:
+                continue
             with np.errstate(all="ignore"):
                 model, by = engine.response(theta)
                 residuals.append(_parts(weight * np.log(model / g)))
@@ -61,18 +65,21 @@ def by_logarithms(problem: Problem, point: Array, evaluations: int = _EVALUATION
         r, J = np.concatenate(residuals), problem.columns_in_box(np.concatenate(slopes))
         return Rows(r if np.isfinite(r).all() and np.isfinite(J).all() else np.full(1, np.inf), J)
 
-    start = problem.to_box(problem.inside(point))
-    run = gauss_newton(
-        rows, start, lower=low, upper=high, sizes=problem.sizes, evaluations=evaluations, tolerance=1e-4
-    )
-    return problem.from_box(run.point)
+    start, count = problem.to_box(problem.inside(point)), _FEW_EVALUATIONS if nonlinear else _EVALUATIONS
+    # nonlinear: the quietest response first, for its peak has moved least
+    for k in range(1, len(engines) + 1) if nonlinear else (len(engines),):
+        chosen = [engines[i] for i in loudest[:k]]
+        start = gauss_newton(
+            rows, start, lower=low, upper=high, sizes=problem.sizes, evaluations=count, tolerance=1e-4
+        ).point
+    return problem.from_box(start)
 
 
-def _thinned(engine: ResponseEngine) -> ResponseEngine:
+def _thinned(engine: ResponseEngine, most: int) -> ResponseEngine:
     count = engine.data.omega.size
-    if count <= _POINTS:
+    if count <= most:
         return engine
-    kept = np.unique(np.linspace(0, count - 1, _POINTS).astype(int))
+    kept = np.unique(np.linspace(0, count - 1, most).astype(int))
     return ResponseEngine(engine.structure, engine.data.lines(kept))
 
 

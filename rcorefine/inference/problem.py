@@ -11,7 +11,7 @@ from scipy.optimize import OptimizeResult, least_squares
 
 from ..data.measurement import Measurement
 from ..data.response_record import ResponseRecord, in_frequency
-from ..engine.response_engine import engine_on
+from ..engine.response_engine import engine_on, is_linear
 from ..engine.structure import Structure
 from ..systems.linear import Array
 from .sizes import natural_sizes
@@ -90,6 +90,11 @@ class Problem:
     def whitener(self, residuals: Sequence[Array]) -> Whitener:
         """Filter of residuals: in time noise may have a memory, from frequency to frequency it has none."""
         return Whitener.fit(residuals, order=None if self.in_time else 0)
+
+    @property
+    def dwells(self) -> bool:
+        """Whether nonlinear effects answer to sines: each evaluation is a harmonic balance."""
+        return not self.in_time and not is_linear(self.structure)
 
     @property
     def precision(self) -> Array:

@@ -250,6 +250,9 @@ def _own_columns(candidate: Candidate, ratio: float) -> list[Array]:
     wide: list[list[Array]] = [[] for _ in problem.records]
     for start in candidate.starts:
         theta, states = problem.unpack(start)
+        if not problem.in_time and not secant:
+            for engine, base in zip(problem.engines, fitted.problem.engines, strict=True):
+                engine.begin(base)  # the law is absent: so it answers as the model does
         judged = fitted.problem.judged(fitted.theta) if secant else problem.judged(theta)
         for i, engine in enumerate(problem.engines):
             # a secant is a difference: no derivatives, which take most of the time

@@ -5,17 +5,20 @@ from __future__ import annotations
 from typing import Any
 
 import control as ct
+import numpy as np
 
 from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement, as_records
-from ..data.response_record import ResponseRecord, as_responses, in_frequency
+from ..data.response_record import ResponseRecord, as_responses, in_frequency, some_lines
 from ..engine.controlled import as_it_runs, is_led
 from ..engine.free_runs import free_runs
 from ..models.conversion import as_physical
 from ..models.operating_point import ordered_record
 from ..models.physical_model import PhysicalModel
 
-__all__ = ["about_noise", "as_data", "check_validation", "windows"]
+__all__ = ["about_noise", "as_data", "check_validation", "spread_lines", "windows"]
+
+_MOST_LINES, _FEWEST_LINES = 200, 40  # frequencies that nonlinear effects are sought at, in all and of each
 
 
 def check_validation(model: Any, record: Any) -> None:
@@ -50,12 +53,30 @@ def as_data(
     return as_responses(data)
 
 
-def about_noise(physical: PhysicalModel, data: list[Any]) -> list[str]:
-    """What is said of the noise of frequency responses; nothing of records in time, or where it is known."""
+def spread_lines(data: list[Any]) -> list[Any]:
+    """Frequency responses at known amplitudes, at as many frequencies as harmonic balance has time for."""
+    if not in_frequency(data) or any(one.amplitude is None for one in data):
+        return data
+    total = sum(one.omega.size for one in data)
+    if total <= _MOST_LINES:
+        return data
+    kept = [max(_FEWEST_LINES, one.omega.size * _MOST_LINES // total) for one in data]
+    numbers = [
+        np.linspace(0, one.omega.size - 1, min(n, one.omega.size)) for one, n in zip(data, kept, strict=True)
+    ]
+    return [some_lines(one, np.unique(k.astype(int))) for one, k in zip(data, numbers, strict=True)]
+
+
+def about_noise(physical: PhysicalModel, data: list[Any], given: list[Any]) -> list[str]:
+    """What is said of the noise of frequency responses, and of how many of their points were taken."""
     if not in_frequency(data):
         return []
     said = windows(physical, [ResponseRecord.of(one, physical.linear) for one in data], None)[1]
-    return [said] if said else []
+    taken, of = (sum(one.omega.size for one in some) for some in (data, given))
+    fewer = (
+        f"Nonlinear effects were sought at {taken} of {of} frequencies, spread evenly; refine() takes all."
+    )
+    return [sentence for sentence in (said, fewer if taken < of else "") if sentence]
 
 
 def windows(

@@ -11,6 +11,7 @@ import numpy as np
 from ...data.measurement import Measurement
 from ...data.response_record import in_frequency, some_lines
 from ...exceptions import DataError
+from ...inference.windows import spread_lines
 
 __all__ = ["Parts", "split_in_parts"]
 
@@ -114,7 +115,9 @@ def _lines_in_parts(responses: Sequence[Any], validation: Any) -> Parts:
         for name, which in turns.items():
             parts[name].append(some_lines(response, numbers[np.isin(numbers % 5, which)]))
     judge = parts["judge"] if validation is None else [validation]
-    return Parts(parts["fit"], parts["choose"], judge, parts["learn"])
+    fit = spread_lines(parts["fit"])
+    spread = ("Effects were sought on some of the frequencies, spread evenly.",)
+    return Parts(fit, parts["choose"], judge, parts["learn"], () if fit is parts["fit"] else spread)
 
 
 def excerpt(records: list[Measurement]) -> list[Measurement]:
