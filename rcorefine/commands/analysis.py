@@ -1,4 +1,4 @@
-"""`rcorefine check`, `compare`, `diagnose` and `improve`: read, compute, print, report."""
+"""`rcorefine check`, `compare`, `diagnose` and `improve`: read, compute, print, draw, report."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 import shlex
 import sys
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +24,20 @@ from ..version import __version__
 from ..views.pages.answers import comparison_answer, diagnosis_answer, improvement_answer
 from ..views.pages.code import comment
 from ..views.pages.page import check_target
+from ..writing import replacing
 from .machine import json_text, record_object
 from .records import fitted_and_held_out
 
-__all__ = ["finish", "run_check", "run_compare", "run_diagnose", "run_improve", "wanted_candidates"]
+__all__ = [
+    "check_targets",
+    "finish",
+    "fit_options",
+    "run_check",
+    "run_compare",
+    "run_diagnose",
+    "run_improve",
+    "wanted_candidates",
+]
 
 
 def run_compare(arguments: Namespace) -> int:
@@ -43,7 +53,7 @@ def run_compare(arguments: Namespace) -> int:
     int
         1 where the best of the models fails somewhere, otherwise 0.
     """
-    _check_report(arguments)
+    check_targets(arguments)
     models = [read_model(path) for path in arguments.models]
     data, held_out = fitted_and_held_out(models[0], arguments)
     record = data if held_out is None else held_out
@@ -60,6 +70,7 @@ def run_compare(arguments: Namespace) -> int:
         result,
         {"record": record_object(record)},
         result.to_dict(),
+        result.plot,
     )
 
 
@@ -75,18 +86,20 @@ def run_check(arguments: Namespace) -> int:
 
 def run_diagnose(arguments: Namespace) -> int:
     """Find the effect that a model lacks; arguments and codes as `run_compare`."""
-    _check_report(arguments)
+    check_targets(arguments)
     model = read_model(arguments.model)
     data, validation = fitted_and_held_out(model, arguments)
     found = diagnose(model, data, validation=validation, **_options(arguments, model))
     sentences, fine = diagnosis_answer(found)
     records = {"record": record_object(data)}
-    return finish(arguments, int(not fine), sentences, str(found), found, records, found.to_dict())
+    return finish(
+        arguments, int(not fine), sentences, str(found), found, records, found.to_dict(), found.plot
+    )
 
 
 def run_improve(arguments: Namespace) -> int:
     """Add one effect after the other; arguments and codes as `run_compare`."""
-    _check_report(arguments)
+    check_targets(arguments)
     model = read_model(arguments.model)
     data, validation = fitted_and_held_out(model, arguments)
     options = _options(arguments, model)
@@ -102,6 +115,7 @@ def run_improve(arguments: Namespace) -> int:
         ladder,
         records,
         ladder.to_dict(),
+        ladder.plot,
         data=data if validation is None else validation,
     )
 
@@ -153,9 +167,18 @@ def wanted_candidates(model: Any, wanted: Sequence[str] | None) -> list[Effect] 
 
 
 def _options(arguments: Namespace, model: Any) -> dict[str, Any]:
-    free: Any = arguments.free or ()
     return {
         "candidates": wanted_candidates(model, arguments.candidates),
+        **fit_options(arguments),
+        "significance": arguments.significance,
+        "progress": sys.stderr.isatty() and not arguments.json,
+    }
+
+
+def fit_options(arguments: Namespace) -> dict[str, Any]:
+    """What of the model may move, and what is known of the record, as `refine` takes it."""
+    free: Any = getattr(arguments, "free", None) or ()
+    return {
         "free": "linear" if list(free) == ["linear"] else free,
         "tolerance": arguments.tolerance,
         "offset": arguments.offset,
@@ -163,15 +186,16 @@ def _options(arguments: Namespace, model: Any) -> dict[str, Any]:
         if arguments.noise is None or len(arguments.noise) > 1
         else arguments.noise[0],
         "horizon": arguments.horizon,
-        "significance": arguments.significance,
-        "progress": sys.stderr.isatty() and not arguments.json,
     }
 
 
-def _check_report(arguments: Namespace) -> None:
-    """Whether the report can be written is known before the work, not after it."""
+def check_targets(arguments: Namespace) -> None:
+    """Whether report, picture and table can be written is known before the work, not after it."""
     if arguments.report is not None:
         check_target(arguments.report, overwrite=arguments.overwrite)
+    for path in (arguments.picture, getattr(arguments, "csv", None)):
+        if path is not None and not path.absolute().parent.is_dir():
+            raise FileNotFoundError(f"the folder {path.absolute().parent} does not exist; make it first")
 
 
 def finish(
@@ -182,13 +206,17 @@ def finish(
     result: Any,
     about: dict[str, Any],
     content: dict[str, Any],
+    draw: Callable[[], Any] | None = None,
     **more: Any,
 ) -> int:
-    """Write the report, then say what was found; returns the exit code."""
+    """Write the report and the picture, then say what was found; returns the exit code."""
     report: Path | None = None
     if arguments.report is not None:
         line = f"# in a terminal:\n{comment(f'rcorefine {shlex.join(arguments.words)}')}"
         report = result.report(arguments.report, code=line, overwrite=arguments.overwrite, **more)
+    picture: Path | None = getattr(arguments, "picture", None)
+    if picture is not None and draw is not None:
+        _write_picture(draw, picture)
     if arguments.json:
         head = {
             "command": arguments.command,
@@ -199,6 +227,8 @@ def finish(
         text = json_text({**head, **about, **content, "report": None if report is None else str(report)})
     elif report is not None:
         text += f"\nReport: {report}"
+    if picture is not None and not arguments.json:
+        text += f"\nPicture: {picture}"
     try:
         sys.stdout.write(text + "\n")
         sys.stdout.flush()
@@ -206,3 +236,13 @@ def finish(
         # the reader left (rcorefine compare ... | head); what was found is still in the exit code
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return code
+
+
+def _write_picture(draw: Callable[[], Any], path: Path) -> None:
+    """By its suffix: PNG, SVG or PDF."""
+    import matplotlib.pyplot as plt
+
+    figure = draw().figure
+    with replacing(path) as stream:
+        figure.savefig(stream, format=path.suffix.lower()[1:], dpi=120)
+    plt.close(figure)

@@ -82,13 +82,16 @@ def _run(arguments: Namespace) -> int:
         from .example import run_example
 
         return run_example(arguments)
-    from . import analysis, survey
+    from . import analysis, questions, survey
 
     run = {
         "check": analysis.run_check,
         "compare": analysis.run_compare,
         "diagnose": analysis.run_diagnose,
         "improve": analysis.run_improve,
+        "refine": questions.run_refine,
+        "localize": questions.run_localize,
+        "bode": questions.run_bode,
         "survey": survey.run_survey,
     }
     return run[arguments.command](arguments)

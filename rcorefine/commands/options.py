@@ -11,8 +11,10 @@ from typing import Any
 from ..data.measurement import HOLDS
 
 __all__ = [
+    "Names",
     "columns_options",
     "count",
+    "fit_options",
     "horizon_option",
     "output_options",
     "record_options",
@@ -38,16 +40,21 @@ def columns_options(parser: argparse.ArgumentParser) -> Any:
     group = parser.add_argument_group("the record")
     group.add_argument(
         "--input",
-        action=_Names,
+        action=Names,
         metavar="NAME",
         help="columns of the inputs: by the model's names, or by others in the model's order; repeat it, or "
         "separate names by commas (default: the model's names)",
     )
-    group.add_argument("--output", action=_Names, metavar="NAME", help="columns of the outputs, likewise")
+    group.add_argument("--output", action=Names, metavar="NAME", help="columns of the outputs, likewise")
     group.add_argument(
         "--time", metavar="NAME", help="column of times in s (default: time, unless --dt is given)"
     )
     group.add_argument("--dt", type=_positive, metavar="SECONDS", help="sampling time, in place of --time")
+    group.add_argument(
+        "--decimal",
+        choices=(".", ","),
+        help="decimal mark of a text file (default: what its columns show)",
+    )
     group.add_argument(
         "--hold",
         choices=HOLDS,
@@ -67,19 +74,33 @@ def horizon_option(parser: Any) -> None:
     )
 
 
-def search_options(parser: argparse.ArgumentParser) -> None:
+def search_options(parser: argparse.ArgumentParser, *, places: bool = False) -> None:
     """What may be missing, and what of the model may move."""
     group = parser.add_argument_group("what may be missing")
+    words = "names of links" if places else "kinds (coulomb_friction), places (link2), or kind@place"
     group.add_argument(
         "--candidates",
         "--effects",
-        action=_Names,
+        action=Names,
         metavar="WORD",
-        help="kinds (coulomb_friction), places (link2), or kind@place; default: all that are plausible",
+        help=f"{words}; default: all that are plausible",
     )
+    if not places:
+        group.add_argument(
+            "--free", action=Names, metavar="NAME", help="parameters that float: linear for all, or names"
+        )
+    fit_options(group)
     group.add_argument(
-        "--free", action=_Names, metavar="NAME", help="parameters that float: linear for all, or names"
+        "--significance",
+        type=_share,
+        default=0.01,
+        metavar="LEVEL",
+        help="rate of false alarms where nothing is missing (default: %(default)s)",
     )
+
+
+def fit_options(group: Any) -> None:
+    """How a model is fitted to a record."""
     group.add_argument(
         "--tolerance",
         type=_not_negative,
@@ -96,27 +117,28 @@ def search_options(parser: argparse.ArgumentParser) -> None:
         help="known standard deviation of the sensor noise, once or once per output",
     )
     horizon_option(group)
-    group.add_argument(
-        "--significance",
-        type=_share,
-        default=0.01,
-        metavar="LEVEL",
-        help="rate of false alarms where nothing is missing (default: %(default)s)",
-    )
 
 
-def output_options(parser: argparse.ArgumentParser) -> None:
-    """Report and JSON."""
+def output_options(parser: argparse.ArgumentParser, *, report: bool = True) -> Any:
+    """Report, picture and JSON."""
     group = parser.add_argument_group("what comes out")
+    group.add_argument(
+        "--picture", type=_picture, metavar="FILE", help="draw what was found (.png, .svg or .pdf)"
+    )
+    group.add_argument("--json", action="store_true", help="print one JSON object in place of the tables")
+    if not report:
+        parser.set_defaults(report=None)
+        return group
     group.add_argument("--report", type=Path, metavar="FILE", help="write an HTML report")
     group.add_argument("--overwrite", action="store_true", help="replace FILE even where it is no report")
-    group.add_argument("--json", action="store_true", help="print one JSON object in place of the tables")
+    return group
 
 
-class _Names(argparse.Action):
+class Names(argparse.Action):
     """Names, repeated or separated by commas."""
 
     def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
+        """Add the names to those before."""
         names = [name.strip() for name in str(values).split(",")]
         if not all(names):
             parser.error(f"argument {option_string}: an empty name in {values!r}")
@@ -139,6 +161,12 @@ def _number(check: Callable[[float], bool], what: str) -> Callable[[str], float]
 _positive = _number(lambda value: value > 0, "a positive number")
 _not_negative = _number(lambda value: value >= 0, "a number that is 0 or larger")
 _share = _number(lambda value: 0 < value < 1, "a number between 0 and 1")
+
+
+def _picture(text: str) -> Path:
+    if Path(text).suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not named .png, .svg or .pdf")
+    return Path(text)
 
 
 def count(text: str) -> int:

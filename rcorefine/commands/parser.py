@@ -9,8 +9,10 @@ from typing import Any
 
 from ..version import __version__
 from .options import (
+    Names,
     columns_options,
     count,
+    fit_options,
     horizon_option,
     output_options,
     record_options,
@@ -46,6 +48,15 @@ _JSON = {
     "message, checks (as in diagnose), steps (action, effect, coefficients, std, train_rmse, choice_rmse, "
     "validation_rmse, rivals), parameters (name, kind, place, role, initial, value, "
     "coefficient, std, unit), hold, system (A, B, C, D, inputs, outputs, states), report.",
+    "refine": "Keys of --json: command, rcorefine, exit_code, answer (3 sentences), record, parameters "
+    "(as in improve), hold, system, fit, rmse, initial_fit, success, message, warnings, report. The exit "
+    "code is 0 where it converged.",
+    "localize": "Keys of --json: command, rcorefine, exit_code, answer (what has changed), record, name, "
+    "rows (name, kind, place, nominal, unit, change, std, percent, percent_std, p_value, limit, "
+    "limit_percent, named, ...), and the other fields of the result. The exit code is 1 where a place "
+    "has changed.",
+    "bode": "Keys of --json: command, rcorefine, exit_code, answer, record (where there is one), curves "
+    "(curve, output, input, omega, magnitude, phase_deg), report.",
     "survey": "Keys of --json: command, rcorefine, exit_code, answer (sentences), task, mode, significance, "
     "summary, rows (machine, record, number, start, verdict, effect, place, coefficient, std, unit, "
     "probability, seconds, error, estimates, sentences), effects (kind, place, name, unit, sort, "
@@ -60,7 +71,7 @@ def build_parser() -> argparse.ArgumentParser:
     Returns
     -------
     ArgumentParser
-        Subcommands demo, check, compare, diagnose, improve, survey, example.
+        Subcommands demo, check, compare, diagnose, improve, refine, localize, bode, survey, example.
     """
     parser = argparse.ArgumentParser(
         prog="rcorefine",
@@ -74,6 +85,9 @@ def build_parser() -> argparse.ArgumentParser:
     _compare(commands)
     _diagnose(commands)
     _improve(commands)
+    _refine(commands)
+    _localize(commands)
+    _bode(commands)
     _survey(commands)
     _example(commands)
     return parser
@@ -166,6 +180,63 @@ def _improve(commands: Any) -> None:
         "--max-effects", type=count, default=4, metavar="N", help="effects at most (default: %(default)s)"
     )
     output_options(parser)
+
+
+def _refine(commands: Any) -> None:
+    parser = _reading(
+        commands,
+        "refine",
+        "add effects that you name, and estimate them with what floats",
+        "Estimate the effects of --effects and the parameters of --free together from the record, with "
+        "their standard deviations. Judged by --validation or --split where given.",
+    )
+    group = parser.add_argument_group("what is estimated")
+    group.add_argument(
+        "--effects", "--candidates", dest="candidates", action=Names, metavar="KIND@PLACE",
+        help="effects to add, such as coulomb_friction@link2",
+    )  # fmt: skip
+    group.add_argument(
+        "--free", action=Names, metavar="NAME", help="parameters that float: linear for all, or names"
+    )
+    fit_options(group)
+    output_options(parser)
+
+
+def _localize(commands: Any) -> None:
+    parser = _reading(
+        commands,
+        "localize",
+        "which link of a structure has lost or gained stiffness or damping",
+        "Estimate the change of every link, and name those that have changed beyond doubt.",
+    )
+    search_options(parser, places=True)
+    output_options(parser, report=False)
+
+
+def _bode(commands: Any) -> None:
+    parser = commands.add_parser(
+        "bode",
+        help="frequency responses of models, beside that of a record",
+        description=textwrap.fill(
+            "Draw one model or several as a Bode diagram with --picture, and write the points with --csv "
+            "(curve, output, input, omega [rad/s], magnitude, phase [deg]). Beside a record, which comes "
+            "last, models are drawn as it sees them: sampled, and with its hold.",
+            79,
+        ),
+        epilog=_epilog("bode"),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "files", nargs="+", type=Path, metavar="MODEL", help=f"{_MODEL}; a record may be the last"
+    )
+    columns_options(parser)
+    group = output_options(parser, report=False)
+    group.add_argument(
+        "--csv",
+        type=Path,
+        metavar="FILE",
+        help="write the points (with --decimal , and semicolons for a comma)",
+    )
 
 
 def _survey(commands: Any) -> None:

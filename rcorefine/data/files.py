@@ -36,6 +36,7 @@ def read_record(
     time: str | None = None,
     dt: float | None = None,
     hold: str = "zoh",
+    decimal: str | None = None,
 ) -> Measurement:
     """Record for a model.
 
@@ -53,6 +54,8 @@ def read_record(
         Sampling time in s.
     hold : {"zoh", "foh", "bandlimited"}
         As `Measurement`.
+    decimal : {".", ","}, optional
+        Decimal mark of a text file; by default what its columns show.
 
     Returns
     -------
@@ -68,6 +71,9 @@ def read_record(
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise DataError(f"{path}: a record is a {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]} file")
+    text = {} if decimal is None else {"decimal": decimal}
+    if text and reader != Measurement.from_csv:
+        raise DataError(f"{path} is no text file, which alone has a decimal mark")
     linear = LinearModel.from_statespace(getattr(model, "system", model))
     columns, labels = _columns(inputs, linear.input_labels)
     measured, output_labels = _columns(outputs, linear.output_labels)
@@ -78,6 +84,7 @@ def read_record(
         time="time" if time is None and dt is None else time,
         dt=dt,
         hold=hold,
+        **text,
         input_labels=labels,
         output_labels=output_labels,
         input_units=_units(labels, linear.input_labels, getattr(model, "input_units", ())),

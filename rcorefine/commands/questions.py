@@ -1,0 +1,178 @@
+"""`rcorefine bode`, `refine` and `localize`: models drawn, refined, and looked over for damage."""
+
+from __future__ import annotations
+
+import csv
+import io
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..data.files import SUFFIXES
+from ..data.frequency_response import FrequencyResponse
+from ..exceptions import ModelError
+from ..localization.localize import localize_damage
+from ..models.reading import read_model
+from ..refinement.refine import refine
+from ..systems.linear import Array, LinearModel
+from ..systems.response import as_sampled, frequency_response
+from ..views.bode import bode_comparison, bode_grid
+from ..views.pages.answers import refinement_answer
+from ..writing import replacing
+from .analysis import check_targets, finish, fit_options, wanted_candidates
+from .machine import record_object
+from .records import fitted_and_held_out, read_record
+
+__all__ = ["run_bode", "run_localize", "run_refine"]
+
+_COLUMNS = ("curve", "output", "input", "omega", "magnitude", "phase_deg")
+
+
+def run_refine(arguments: Namespace) -> int:
+    """Add effects, estimate them and what floats; 0 where it converged."""
+    check_targets(arguments)
+    model = read_model(arguments.model)
+    data, held_out = fitted_and_held_out(model, arguments)
+    effects = wanted_candidates(model, arguments.candidates) or []
+    found = refine(model, data, effects, **fit_options(arguments))
+    sentences, fine = refinement_answer(found)
+    about = {"record": record_object(data)}
+    shown = data if held_out is None else held_out
+    draw = lambda: found.bode_plot(shown)  # noqa: E731
+    return finish(
+        arguments, int(not fine), sentences, str(found), found, about, found.to_dict(), draw, data=shown
+    )
+
+
+def run_localize(arguments: Namespace) -> int:
+    """Find which links of a structure have changed; 1 where one has."""
+    check_targets(arguments)
+    model = read_model(arguments.model)
+    data, _ = fitted_and_held_out(model, arguments)
+    options = fit_options(arguments)
+    del options["free"]
+    found = localize_damage(
+        model, data, candidates=arguments.candidates, significance=arguments.significance, **options
+    )
+    about = {"record": record_object(data)}
+    named = [f"{row.kind} at {row.place}: {row.percent:.3g} %" for row in found.named] + [found.message]
+    return finish(
+        arguments, int(bool(found.named)), named, str(found), found, about, found.to_dict(), found.plot
+    )
+
+
+def run_bode(arguments: Namespace) -> int:
+    """Draw models, and a record where the last file is one, as a Bode diagram, and write its data.
+
+    Parameters
+    ----------
+    arguments : Namespace
+        Parsed command line.
+
+    Returns
+    -------
+    int
+        0.
+
+    Raises
+    ------
+    ModelError
+        If there is no model among the files.
+    """
+    check_targets(arguments)
+    paths: list[Path] = arguments.files
+    record = paths[-1] if _is_record(paths[-1]) else None
+    paths = paths[:-1] if record else paths
+    if not paths:
+        raise ModelError(f"{record} is a record; give at least one model before it")
+    models = [read_model(path) for path in paths]
+    systems = [
+        (path.stem, LinearModel.from_statespace(getattr(model, "system", model)))
+        for path, model in zip(paths, models, strict=True)
+    ]
+    data = None if record is None else read_record(record, models[0], arguments)
+    measured = None if data is None else data.frequency_response()
+    curves = _curves(systems, measured)
+    if arguments.csv is not None:
+        _write_csv(arguments.csv, curves, arguments.decimal)
+    about = {} if data is None else {"record": record_object(data)}
+    text = "\n".join(_said(curve, curves) for curve in curves)
+    draw = lambda: bode_comparison(systems, measured)  # noqa: E731
+    return finish(arguments, 0, [], text, None, about, {"curves": curves}, draw)
+
+
+def _is_record(path: Path) -> bool:
+    """By its suffix; .mat and .npz hold a model where they hold an A."""
+    if path.suffix.lower() not in (".mat", ".npz"):
+        return path.suffix.lower() in SUFFIXES
+    try:
+        read_model(path)
+    except ModelError:
+        return True
+    return False
+
+
+def _curves(
+    systems: list[tuple[str, LinearModel]], measured: FrequencyResponse | None
+) -> list[dict[str, Any]]:
+    """Each model from each input to each output, as the record sees it, and the measured response."""
+    found = []
+    for name, model in systems:
+        seen = model if measured is None else as_sampled(model, measured.dt, measured.hold)
+        omega = bode_grid(seen, measured, None)
+        labels = model.output_labels, model.input_labels
+        found += _rows(name, *labels, omega, frequency_response(seen, omega))
+    if measured is not None:
+        labels = tuple(measured.output_labels), tuple(measured.input_labels)
+        found += _rows("measured", *labels, measured.omega, measured.frdata)
+    return found
+
+
+def _rows(
+    name: str, outputs: tuple[str, ...], inputs: tuple[str, ...], omega: Array, response: Any
+) -> list[dict[str, Any]]:
+    return [
+        {
+            "curve": name,
+            "output": output,
+            "input": given,
+            "omega": omega,
+            "magnitude": np.abs(response[i, j]),
+            "phase_deg": np.degrees(np.angle(response[i, j])),
+        }
+        for i, output in enumerate(outputs)
+        for j, given in enumerate(inputs)
+    ]
+
+
+def _said(curve: dict[str, Any], curves: list[dict[str, Any]]) -> str:
+    """A curve in a line: its peak, and how far it is from what was measured."""
+    peak = int(np.argmax(curve["magnitude"]))
+    text = (
+        f"{curve['curve']}, {curve['input']} to {curve['output']}: largest {curve['magnitude'][peak]:.4g} "
+        f"at {curve['omega'][peak]:.4g} rad/s"
+    )
+    channel = (curve["output"], curve["input"])
+    measured = curves[-1]["curve"] == "measured" and next(
+        c for c in curves if c["curve"] == "measured" and (c["output"], c["input"]) == channel
+    )
+    if not measured or curve is measured:
+        return text
+    size = np.interp(measured["omega"], curve["omega"], curve["magnitude"])
+    off = 100 * np.median(np.abs(size / measured["magnitude"] - 1))
+    return f"{text}; magnitude off by {off:.3g} % of the measured (median)"
+
+
+def _write_csv(path: Path, curves: list[dict[str, Any]], decimal: str | None) -> None:
+    """A line for each point; semicolons where the decimal mark is a comma."""
+    text = io.StringIO()
+    writer = csv.writer(text, delimiter=";" if decimal == "," else ",", lineterminator="\n")
+    writer.writerow(_COLUMNS)
+    for curve in curves:
+        for point in zip(*(curve[name] for name in _COLUMNS[3:]), strict=True):
+            figures = [f"{value:.9g}".replace(".", decimal or ".") for value in point]
+            writer.writerow([*(curve[name] for name in _COLUMNS[:3]), *figures])
+    with replacing(path) as stream:
+        stream.write(text.getvalue().encode())
