@@ -8,6 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import rcorefine as rco
+from rcorefine.engine import leading, tangent
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
 from rcorefine.exceptions import ModelError, RCOWarning
@@ -275,3 +276,44 @@ def test_what_takes_no_nonlinear_model_says_so():
             refused()
     with pytest.raises(ModelError, match="no port 'x'"):
         rco.refine(model, record(n=100), [rco.Effect("model_parameter", "x")])
+
+
+def wild(seed, n=1000):
+    """A record that goes over the top again and again, by Heun's method; friction 0.05 at the pivot."""
+    w, rng = torque(seed, n)
+    w, x, out = 4.0 / 0.7 * w, np.zeros(2), np.zeros(n)
+
+    def rate(x, u):
+        return np.array([x[1], (u - 0.1 * x[1] - 4.905 * np.sin(x[0]) - 0.05 * np.tanh(x[1] / 1e-3)) / 0.25])
+
+    for k in range(n):
+        out[k] = x[0]
+        for _ in range(40):
+            a = rate(x, w[k])
+            x = x + DT / 80 * (a + rate(x + DT / 40 * a, w[k]))
+    y = out + 0.01 * rng.standard_normal(n)
+    return rco.Measurement(w, y, dt=DT, input_labels="torque", output_labels="angle")
+
+
+def test_the_growth_of_an_error_is_that_of_two_runs_side_by_side():
+    data = wild(0, n=300)
+    model = rco.physical(pendulum())
+    run = rco.simulate(model, data, "zero")
+    by = []
+    for start in (np.array([1e-7, 0.0]), np.array([0.0, 1e-7])):
+        by.append((rco.simulate(model, data, start).states - run.states)[:, -1] / 1e-7)
+    growth = tangent.growth(model, run.states, data)
+    assert np.log(np.linalg.norm(by, 2)) < growth + 0.1  # the largest, which need not be at the end
+    assert leading.steadying_ratio(model, record(seed=1, n=300)) is None
+
+
+def test_a_chaotic_motion_is_judged_one_sample_ahead():
+    data = wild(0)
+    assert np.ptp(data.outputs) > 20.0
+    result = rco.compare(pendulum(), data)
+    assert result.led
+    assert result.fit[0] > 99.0
+    better = rco.refine(pendulum(), data, [rco.Effect("coulomb_friction", "theta")])
+    assert better.led
+    assert "chaotic" in better.message
+    assert abs(better.parameters[0].value - 0.05) < 4 * better.parameters[0].std < 0.02

@@ -14,16 +14,15 @@ from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement
 from ..data.response_record import in_frequency
 from ..effects.tabulated import Table, share_beyond
-from ..engine.controlled import as_it_runs
 from ..engine.free_runs import checked_horizon, free_runs
 from ..engine.simulation import simulated, structure_of, unjudged_samples
 from ..exceptions import DataError, DivergenceError
 from ..inference.windows import as_data
 from ..models.controller import completed
 from ..models.conversion import as_model, known_physical, under_control
-from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array, LinearModel
 from .failure_map.places import given_places
+from .free_running import controlled, led, runs_of
 from .responses import FrequencyComparison, LevelComparison, compare_responses
 from .result import Comparison
 
@@ -125,7 +124,7 @@ def compare(
     if responses:
         named = [each.with_arrays(name=name) for each, name in zip(linear, names, strict=True)]
         return compare_responses(models, named, data, several=several)
-    for looped in _controlled(models)[:1]:
+    for looped in controlled(models)[:1]:
         data = completed(looped, data)
     return _on_record(models, linear, names, data, x0, horizon, several)
 
@@ -162,7 +161,7 @@ def _on_record(
     if not outputs:
         raise ct.ControlDimension("the models have no output of the record in common; compare them alone")
     notes = [note for each in channels for note in each.notes]
-    windows, note = _windows(data, horizon, x0, _runs_of(models, linear, data), len(outputs))
+    windows, note = _windows(data, horizon, x0, runs_of(models, linear, data), len(outputs))
     notes += [note] if note else []
     notes += [
         f"{name!r} takes the inputs with hold={hold!r} as it was fitted; the record declares {data.hold!r}"
@@ -204,7 +203,8 @@ def _on_record(
         holds=tuple(holds),
         notes=tuple(dict.fromkeys(notes)),
         several=several,
-        looped=bool(_controlled(models)),
+        looped=bool(controlled(models)),
+        led=len(windows) == 1 and led(models, linear, data),
     )
 
 
@@ -221,19 +221,6 @@ def _windows(
             f"{n_states} initial states from and to judge by; give a longer one, or x0='zero'"
         )
     return windows, note
-
-
-def _runs_of(models: Sequence[Any], linear: Sequence[LinearModel], data: Measurement) -> list[LinearModel]:
-    """What runs; of a refinement its initial model too, by which `refine` judged whether it integrates."""
-    known = [one for one in map(known_physical, models) if one is not None]
-    if _controlled(models):
-        return [as_it_runs(one, data) for one in known]
-    return [*linear, *(one.linear for one in known)]
-
-
-def _controlled(models: Sequence[Any]) -> list[PhysicalModel]:
-    """Those in a loop."""
-    return [one for one in map(known_physical, models) if one is not None and one.controller is not None]
 
 
 def _hold(model: Any) -> str | None:

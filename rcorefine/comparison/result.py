@@ -10,7 +10,6 @@ import numpy as np
 
 from ..arguments import as_whole, shown
 from ..data.measurement import Measurement
-from ..engine.free_runs import runs_away
 from ..results import Options, Reported, picture, show
 from ..systems.linear import Array, LinearModel
 from .failure_map.places import Places
@@ -64,6 +63,8 @@ class Comparison(Reported):
         Whether a list of models was compared.
     looped : bool
         Whether `runs` are those of the loop with a controller.
+    led : bool
+        Whether a model has no free run over the record, so that `runs` are predictions one sample ahead.
     """
 
     names: tuple[str, ...]
@@ -80,17 +81,12 @@ class Comparison(Reported):
     notes: tuple[str, ...]
     several: bool
     looped: bool = False
+    led: bool = False
     # searched once, when first asked for
     _found: dict[int, FailureMap] = field(default_factory=dict, init=False, repr=False)
 
     def _shaped(self, array: Array) -> Array:
         return array if self.several else array[0]
-
-    @property
-    def led(self) -> bool:
-        """Whether a model is unstable over the record, so that `runs` are predictions one sample ahead."""
-        away = (m.is_continuous and runs_away(m, self.data) for m in self.models)
-        return len(self.starts) == 1 and not self.looped and any(away)
 
     @property
     def fit(self) -> Array:

@@ -18,12 +18,12 @@ from ..exceptions import ModelError
 from ..models.physical_model import PhysicalModel
 from ..systems.discretization import discretize
 from ..systems.linear import Array, LinearModel
-from .free_runs import integrates, runs_away
+from .free_runs import runs_away
 
 if TYPE_CHECKING:
     from .structure import Structure
 
-__all__ = ["as_it_runs", "is_led", "loop_gain", "open_loop", "own_states", "sample_jumps", "start_columns"]
+__all__ = ["as_it_runs", "loop_gain", "open_loop", "own_states", "sample_jumps", "start_columns"]
 
 
 def own_states(structure: Structure) -> NDArray[np.int64]:
@@ -75,16 +75,6 @@ def start_columns(structure: Structure, count: int) -> Array:
     if controller is not None and controller.recorded:
         found[:, structure.linear_model.n_states : structure.linear_model.n_states + structure.n_loop] = 0.0
     return found
-
-
-def is_led(model: PhysicalModel, record: Measurement) -> bool:
-    """Whether an observer leads a model that is fitted: it has no free run over the record.
-
-    Under a controller one that integrates is led too, for windows would be needed else. The free run of
-    the loop is unbiased as well, but its residual is noise that the loop has colored and made stronger.
-    """
-    looped = model.controller is not None
-    return runs_away(model.linear, record) or (looped and integrates(model.linear, record))
 
 
 def as_it_runs(model: PhysicalModel, record: Measurement) -> LinearModel:

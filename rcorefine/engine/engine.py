@@ -19,9 +19,8 @@ from ..effects.formula import InputLaw
 from ..exceptions import DivergenceError
 from ..systems.linear import Array
 from . import kernels
-from .controlled import loop_gain, sample_jumps, start_columns
+from .controlled import sample_jumps, start_columns
 from .inputs import BAND_LIMITED_FACTOR, InputSignal
-from .observer import leading_gain
 from .point import field_numbers
 from .structure import Structure
 from .substep import Discrete
@@ -74,15 +73,9 @@ class Engine:
     initial : ndarray, shape (n,), optional
         Initial state, where it is known and not to be estimated. Zero means rest: nothing
         acted before the record.
-    led : bool
-        Whether a model that runs away over such a record is led by an observer (`leading_gain`).
-    looped : bool
-        Whether the controller of the model closes the loop instead (`loop_gain`).
-
-    Attributes
-    ----------
-    lead : ndarray of shape (n, n_y), or None
-        Gain of either, which acts where `run` is given none.
+    lead : ndarray of shape (n, n_y), optional
+        Gain that acts where `run` is given none: that of an observer (`leading_gain`) or of a controller
+        (`loop_gain`).
     """
 
     def __init__(
@@ -92,16 +85,12 @@ class Engine:
         *,
         substeps: int = 1,
         initial: Array | None = None,
-        led: bool = False,
-        looped: bool = False,
+        lead: Array | None = None,
     ) -> None:
         data = structure.model.held(data)
         self.structure, self.data = structure, data
         self._known_start = initial is not None
-        if looped:
-            self.lead: Array | None = loop_gain(structure, data.dt)
-        else:
-            self.lead = leading_gain(structure, data) if led else None
+        self.lead = lead
         self._resets = sample_jumps(structure, data.dt)
         if structure.output_delays:
             substeps = max(substeps, _NODES_FOR_DELAY)

@@ -10,13 +10,10 @@ from scipy.linalg import LinAlgError, solve_discrete_are
 from ..data.measurement import Measurement
 from ..systems.exponential import exponential
 from ..systems.linear import Array
-from .controlled import is_led, open_loop, own_states
+from .controlled import open_loop, own_states
 from .structure import Structure
 
-__all__ = ["SteadyFilter", "leading_gain", "observer_gain", "steady_filter"]
-
-#: Unknown force over the measured one: at less, what sticks and slips would count to its last digit.
-_QUIET = 0.03
+__all__ = ["SteadyFilter", "observer_gain", "steady_filter"]
 
 
 def observer_gain(
@@ -95,30 +92,6 @@ def observer_gain(
     C = m.C * size / spread[:, None]
     Qs = Q / np.outer(size, size) + 1e-12 * np.eye(n)
     return np.asarray(steady_filter(A, C, Qs, R).gain * size[:, None] / spread)
-
-
-def leading_gain(structure: Structure, data: Measurement) -> Array | None:
-    """Gain that keeps an unstable model on its record; None where a free run does.
-
-    With sensor noise alone, the steady filter of an unstable system mirrors its unstable poles: what it
-    predicts is the best prediction there is, and under a controller an unbiased one.
-
-    Parameters
-    ----------
-    structure : Structure
-        Model with effects; the gain is that of the initial model, so all rivals have the same.
-    data : Measurement
-        Record.
-
-    Returns
-    -------
-    ndarray of shape (n, n_y), or None
-    """
-    if not is_led(structure.model, data):
-        return None
-    bare = Structure(structure.model)
-    gain = observer_gain(bare, np.zeros(bare.n_parameters), data, _QUIET)
-    return np.pad(gain, ((0, structure.n_states - gain.shape[0]), (0, 0)))
 
 
 class SteadyFilter(NamedTuple):

@@ -17,6 +17,7 @@ from ..exceptions import DivergenceError, ModelError
 from ..models.operating_point import refuse_point
 from ..systems.linear import Array, LinearModel
 from .engine import Engine, Trajectory
+from .leading import leading_gain
 from .line_balance import LineBalance, remembering
 from .structure import Structure
 
@@ -38,7 +39,7 @@ def engine_on(
     """What runs a structure over data: a record in time, or a frequency response."""
     if isinstance(data, ResponseRecord):
         return ResponseEngine(structure, data, substeps=substeps)
-    return Engine(structure, data, substeps=substeps, initial=initial, led=True)
+    return Engine(structure, data, substeps=substeps, initial=initial, lead=leading_gain(structure, data))
 
 
 def is_linear(structure: Structure) -> bool:

@@ -19,8 +19,9 @@ from ..models.controller import completed
 from ..models.conversion import as_model, under_control
 from ..results import Data
 from ..systems.linear import Array, LinearModel
-from .controlled import own_states
+from .controlled import loop_gain, own_states
 from .engine import Engine
+from .leading import leading_gain
 from .structure import Structure
 
 __all__ = [
@@ -200,8 +201,7 @@ def simulated(model: Any, data: Measurement, x0: str | Array, *, led: bool = Fal
         start = None if start is None else start - (0.0 if isinstance(x0, str) else levels[1])
     if structure.field is not None and model is structure.model:
         substeps = _settled_steps(structure, data, start, led)
-    looped = structure.n_loop > 0
-    engine = Engine(structure, data, substeps=substeps, initial=start, led=led, looped=looped)
+    engine = Engine(structure, data, substeps=substeps, initial=start, lead=_lead(structure, data, led))
     if start is None:
         start = estimate_initial_state(engine, theta)
     run = engine.run(theta, start, sensitivity=False, histories=True)
@@ -209,10 +209,17 @@ def simulated(model: Any, data: Measurement, x0: str | Array, *, led: bool = Fal
     return Simulation(outputs, states[own], run.forces, (start + levels[1])[own])
 
 
+def _lead(structure: Structure, data: Measurement, led: bool) -> Array | None:
+    """What acts on the error of the outputs: the controller, or an observer where that may be."""
+    if structure.n_loop:
+        return loop_gain(structure, data.dt)
+    return leading_gain(structure, data) if led else None
+
+
 def _settled_steps(structure: Structure, data: Measurement, start: Array | None, led: bool) -> int:
     """Substeps whose doubling no longer moves the free run of a nonlinear model."""
     steps, before, theta = 2, None, np.zeros(0)
-    made = partial(Engine, structure, data, led=led, looped=structure.n_loop > 0)
+    made = partial(Engine, structure, data, lead=_lead(structure, data, led))
     if start is None:
         start = estimate_initial_state(made(substeps=steps), theta)
     while steps < _MOST_STEPS:

@@ -10,13 +10,20 @@ import numpy as np
 from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement, as_records
 from ..data.response_record import ResponseRecord, as_responses, in_frequency, some_lines
-from ..engine.controlled import as_it_runs, is_led
+from ..engine.controlled import as_it_runs
 from ..engine.free_runs import free_runs
+from ..engine.leading import leading_ratio
 from ..models.conversion import as_physical
 from ..models.operating_point import ordered_record
 from ..models.physical_model import PhysicalModel
 
 __all__ = ["about_noise", "as_data", "check_validation", "spread_lines", "windows"]
+
+LOOPED = "Fitted by what it predicts one sample ahead (compare and simulate run the loop)."
+PREDICTED = (
+    "The motion is chaotic and has no free run: it is judged by what the model predicts one sample ahead, "
+    "led by an observer (horizon= gives short free runs)."
+)
 
 _MOST_LINES, _FEWEST_LINES = 200, 40  # frequencies that nonlinear effects are sought at, in all and of each
 
@@ -89,9 +96,9 @@ def windows(
     if in_frequency(records):
         return records, " ".join(dict.fromkeys(record.note for record in records if record.note))
     cuts, note = free_runs([as_it_runs(physical, r) for r in records], records, horizon, known_start)
-    if physical.controller is not None and any(is_led(physical, r) for r in records):
-        note = "Fitted by what it predicts one sample ahead (compare and simulate run the loop). " + note
+    if len(cuts[0]) == 1 and not note and any(leading_ratio(physical, r) is not None for r in records):
+        note = PREDICTED if physical.controller is None else LOOPED
     pieces = []
     for record, parts in zip(records, cuts, strict=True):
         pieces += [record] if len(parts) == 1 else [record._part(part) for part in parts]
-    return pieces, note.strip()
+    return pieces, note

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from ...arguments import as_flag, as_list, as_mapping, as_number, as_share, as_texts, as_vector, shown
 from ...data.measurement import Measurement
 from ...engine.engine import Engine
+from ...engine.leading import leading_gain
 from ...exceptions import DivergenceError
 from ...inference.fitted import FittedModel, fitted_from
 from ...inference.refinement import Refinement
@@ -249,7 +250,7 @@ class _Judge:
 
     def _states(self, record: Measurement) -> Array:
         structure, theta, steps = self.best.simulation_structure()
-        engine = Engine(structure, record, substeps=steps, led=True)
+        engine = Engine(structure, record, substeps=steps, lead=leading_gain(structure, record))
         return engine.run(theta, self.best.initial_states[0], sensitivity=False, histories=True).states
 
     def _largest(self, records: Sequence[Measurement]) -> dict[str, float]:
