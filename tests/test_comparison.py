@@ -305,3 +305,23 @@ def test_no_warning_in_the_ordinary_case(w):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         compare(chain(), record(w, simulated(chain(), w))).plot("time")
+
+
+def test_lines_of_a_periodic_record_against_the_closed_form():
+    """cos^2 has half of itself at the second line, cos^3 a quarter at the third; noise 2 s / sqrt(P M)."""
+    rng, period, periods, s = np.random.default_rng(0), 200, 41, 0.02
+    c = np.cos(2 * np.pi * np.arange(period * periods) / period)
+    data = rco.Measurement(c, c + 0.1 * c**2 + 0.2 * c**3 + s * rng.standard_normal(c.size), dt=0.01)
+    result = compare(ct.ss([], [], [], [[1.0]]), data, x0="zero")
+    found = result.line_levels
+    assert list(found.kind) == ["sent", "even", "odd", "even", "odd"]
+    expected = 2 * s / np.sqrt(period * (periods - 1))
+    np.testing.assert_allclose(found.amplitude[0], [1.15, 0.05, 0.05, 0, 0], atol=4 * expected)
+    assert np.sqrt(np.mean(found.noise**2)) == pytest.approx(expected, rel=0.2)
+    # two odd lines beside the one sent, the fifth empty: 0.05 / sqrt(2) over 1.15
+    assert found.level("odd") == pytest.approx(20 * np.log10(0.05 / np.sqrt(2) / 1.15), abs=0.3)
+    assert "odd distortion -30 dB" in " ".join(str(result).split())
+
+
+def test_no_lines_without_a_period(w):
+    assert compare(chain(), record(w, simulated(chain(), w))).line_levels is None

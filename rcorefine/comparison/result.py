@@ -14,6 +14,7 @@ from ..results import Options, Reported, picture, show
 from ..systems.linear import Array, LinearModel
 from .failure_map.places import Places
 from .metrics import fit_percent, root_mean_square
+from .multisine import LineLevels, line_levels
 
 if TYPE_CHECKING:
     from ..data.frequency_response import FrequencyResponse
@@ -132,6 +133,11 @@ class Comparison(Reported):
                 self._found[index] = failure_map(self, index)
         maps = tuple(self._found[index] for index in range(len(self.names)))
         return maps if self.several else maps[0]
+
+    @property
+    def line_levels(self) -> LineLevels | None:
+        """Noise, even and odd distortion of the record line by line; None where no input is periodic."""
+        return line_levels(self.data)
 
     @property
     def responses(self) -> tuple[ct.TimeResponseData, ...]:

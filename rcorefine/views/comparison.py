@@ -63,7 +63,9 @@ def comparison_table(result: Comparison) -> Table:
     ]
     if np.isnan(fit).any():
         notes.append("fit '-': the measured output is constant, so there is nothing to explain.")
-    notes += [f"{note[0].upper()}{note[1:].removesuffix('.')}." for note in result.notes]
+    lines = result.line_levels
+    said = [*result.notes, *([] if lines is None else [lines.sentence()])]
+    notes += [f"{note[0].upper()}{note[1:].removesuffix('.')}." for note in said]
     if not any(row[2] for row in rows):  # no units
         headers, rows = headers[:2] + headers[3:], [row[:2] + row[3:] for row in rows]
     return Table(headers, rows, title, notes, left=len(headers) - 5)

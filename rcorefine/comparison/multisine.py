@@ -1,0 +1,98 @@
+"""What a periodic input brings back, line by line: noise, and distortion at lines that were not sent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..data.measurement import Measurement
+from ..systems.linear import Array
+from .failure_map.distortion import period_of
+
+__all__ = ["LineLevels", "line_levels"]
+
+_LEAST = 3  # periods: the first one settles, and noise takes two to be seen
+_SENT = 1e-12  # of the strongest line's power: less was not sent
+_REACH = 5  # times the highest line sent, up to which distortion is looked for
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LineLevels:
+    """Lines of a record with a periodic input (Pintelon and Schoukens, System Identification, ch. 4).
+
+    Attributes
+    ----------
+    omega : ndarray, shape (n_omega,)
+        Frequencies in rad/s.
+    kind : ndarray of str, shape (n_omega,)
+        "sent" (the input holds the line), "odd" or "even" harmonics that it does not hold.
+    amplitude : ndarray, shape (n_y, n_omega)
+        Peak of each output's line without its noise: at lines not sent the distortion.
+    noise : ndarray, shape (n_y, n_omega)
+        Standard deviation of the line, from how it scatters from period to period.
+    n_periods : int
+        Periods that count; the first one of the record settles.
+    """
+
+    omega: Array
+    kind: NDArray[np.str_]
+    amplitude: Array
+    noise: Array
+    n_periods: int
+
+    def level(self, kind: str) -> float:
+        """Rms of these lines over that of the lines sent, in dB, over all outputs; noise as "noise".
+
+        Each output counts by its own size. -inf where there is nothing.
+        """
+        sent = np.sqrt(np.mean(self.amplitude[:, self.kind == "sent"] ** 2, axis=1))
+        rows = self.noise if kind == "noise" else self.amplitude[:, self.kind == kind]
+        if not rows.size or not sent.all():
+            return float("-inf")
+        ratio = np.sqrt(np.mean(np.mean(rows**2, axis=1) / sent**2))
+        return float(20.0 * np.log10(ratio)) if ratio > 0 else float("-inf")
+
+    def sentence(self) -> str:
+        """Levels in words."""
+        parts = [f"noise {self.level('noise'):.0f} dB"]
+        for kind in ("even", "odd"):
+            if (self.kind == kind).any():
+                parts.append(f"{kind} distortion {self.level(kind):.0f} dB")
+        hidden = "" if len(parts) == 3 else "; where no such line is left out of the input, distortion hides"
+        return (
+            f"Lines of {self.n_periods} periods, rms over that of the lines sent: {', '.join(parts)}{hidden} "
+            "(line_levels)"
+        )
+
+
+def line_levels(data: Measurement) -> LineLevels | None:
+    """Noise and distortion at each line of a record, None where its input is not periodic.
+
+    Examples
+    --------
+    >>> t = np.arange(400) * 2 * np.pi / 100
+    >>> found = line_levels(rco.Measurement(np.cos(t), np.cos(t) + 0.1 * np.cos(t) ** 2, dt=0.01))
+    >>> print(found.kind[:3], found.amplitude[0, :3].round(6))
+    ['sent' 'even' 'odd'] [1.   0.05 0.  ]
+    """
+    period = period_of(data.inputs)
+    if period is None or data.n_samples < _LEAST * period:
+        return None
+    count = data.n_samples // period - 1
+    last = np.s_[:, data.n_samples - count * period :]
+    sent = np.abs(np.fft.rfft(data.inputs[:, -period:], axis=1)) ** 2
+    excited = (sent > _SENT * sent.max()).any(axis=0)
+    excited[0] = False
+    lines = np.flatnonzero(excited)
+    if not lines.size:
+        return None
+    base = int(np.gcd.reduce(lines))
+    kept = np.arange(base, min(_REACH * lines.max(), (period - 1) // 2) + 1, base)
+    whole = data.outputs[last].reshape(data.n_outputs, count, period)
+    spectra = 2.0 / period * np.fft.rfft(whole, axis=2)[:, :, kept]
+    noise = spectra.std(axis=1, ddof=1) / np.sqrt(count)
+    amplitude = np.sqrt(np.maximum(np.abs(spectra.mean(axis=1)) ** 2 - noise**2, 0.0))
+    kind = np.where(excited[kept], "sent", np.where(kept // base % 2 == 1, "odd", "even"))
+    return LineLevels(2 * np.pi * kept / (period * data.dt), kind, amplitude, noise, count)
