@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from ...jit import compiled
+from ...jit import compiled, put
 from ...systems.discretization import discretize
 from ...systems.linear import Array
 from .force_laws import ForceLaw, laws_at
@@ -209,7 +209,7 @@ def loop(  # type: ignore[no-untyped-def]
             else:
                 f = abs(v)
             if j == 0:
-                out[k] = C @ x + through * (factor * f)
+                put(out[k], 0, C @ x + through * (factor * f))
             x = Phi @ x + G * (factor * f)
 
 
