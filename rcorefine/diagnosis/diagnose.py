@@ -31,7 +31,7 @@ from .checks.check import looks
 from .colored_noise import gain_over_color
 from .excitation import no_motion, not_excited
 from .families import hosts, said_of_families
-from .floating import Floated, as_good, explaining_numbers, far_numbers, outdone, rivals_of_numbers
+from .floating import Floated, as_good, explaining_numbers, outdone, rivals_of_numbers
 from .judging import Judged, beside_force, judge, outweighs, pair_hint, second_chance, with_special_cases
 from .open_law import open_law, probabilities
 from .places import in_race
@@ -243,6 +243,9 @@ def investigate(
         if not (judged.passed and as_good(case, judged.race, numbers)):
             return _parameters(case, numbers, tests), None
     if not judged.passed:
+        far = explaining_numbers(case, far=True) if numbers is None else None
+        if far is not None:
+            return _parameters(case, far, tests), None
         judged = second_chance(case, judged, scored, chosen)
     found = _named(case, judged, scored, scores, batteries, validation)
     return replace(found, tests=tuple(tests)), judged.race
@@ -291,7 +294,6 @@ def _named(
     notes += said_of_families(race.rivals, held)
     notes += [sentence] if sentence else []
     if case.thorough and word == "unexplained":
-        notes += [said] if (said := far_numbers(case)) else []
         with case.progress.step("pairs"):
             notes += pair_hint(case, judged, scored)
     own = {"force_ratio": race.ratio, "notes": tuple(notes), **case.about}

@@ -20,7 +20,6 @@ from ..inference.whitening import FTest, project, rank_basis
 from ..models.library import effect_library
 from ..refinement.base_fit import base_fit
 from ..systems.linear import Array
-from .absorbed import numbers_that_moved
 from .candidate_fit import log_likelihood, prior_cost
 from .candidate_fits import STRONG, CandidateFits, fit_candidates
 from .case import Case, not_held
@@ -29,7 +28,7 @@ from .places import in_race
 from .residual_tests import TestedResidual, run_tests
 from .verdict import keeps_name, overall
 
-__all__ = ["Floated", "as_good", "explaining_numbers", "far_numbers", "outdone", "rivals_of_numbers"]
+__all__ = ["Floated", "as_good", "explaining_numbers", "outdone", "rivals_of_numbers"]
 
 _OWN = 1e-4  # share of a column that no other number explains, below which it is none of its own
 _PROMISED = 0.5  # share of the gain of the numbers that the score of a law must promise to be worth a refit
@@ -64,11 +63,12 @@ class Floated:
     refinement: Refinement
 
 
-def explaining_numbers(case: Case) -> Floated | None:
+def explaining_numbers(case: Case, *, far: bool = False) -> Floated | None:
     """The model with all its numbers floating, if it then passes every test.
 
     What it declares floats, and every mass where they are known from the matrices alone, each with
-    a prior of `Levels.off` of its nominal value; what only rescales others stays.
+    a prior of `Levels.off` of its nominal value; what only rescales others stays. With `far` numbers may
+    lie beyond that: for where no law explains the records either, since more freedom mimics more.
     """
     numbers = _numbers(case)
     if not numbers:
@@ -76,33 +76,13 @@ def explaining_numbers(case: Case) -> Floated | None:
     with warnings.catch_warnings(), case.progress.step("parameters"):
         warnings.simplefilter("ignore", IdentifiabilityWarning)  # the priors settle what the record cannot
         refined = base_fit(case.base, case.records, free=numbers, **case.options)
-        found = _tested(case, refined)
+        loose = _let_go(case, numbers, refined) if far else refined
+        found = None if far and loose is refined else _tested(case, loose)
         if found is None:
             return None
-        fitted, battery, tests = found
-        reported = _let_go(case, numbers, refined)
+        reported = loose if far else _let_go(case, numbers, refined)
+    fitted, battery, tests = found
     return Floated(fitted, battery, tests, _evidence(battery, case.fitted.problem.n_theta), reported)
-
-
-def far_numbers(case: Case) -> str:
-    """What to say where no law explains the records, but numbers far from what the model says do; else empty.
-
-    They may be far off, or stand in for a law that the library lacks: the records do not tell.
-    """
-    numbers = _numbers(case)
-    if not numbers:
-        return ""
-    with warnings.catch_warnings(), case.progress.step("parameters"):
-        warnings.simplefilter("ignore", IdentifiabilityWarning)
-        refined = base_fit(case.base, case.records, free=numbers, **case.options)
-        loose = _let_go(case, numbers, refined)
-        if loose is refined or _tested(case, loose) is None:
-            return ""
-    rows = [row for row in loose.parameters if row.role == "linear"]
-    return (
-        'With its numbers free (refine(model, data, free="linear")) the model passes every test: they are '
-        f"far off, or stand in for a law that was not offered. {numbers_that_moved(rows)}"
-    )
 
 
 def _tested(case: Case, refined: Refinement) -> tuple[FittedModel, TestedResidual, list[FTest]] | None:
