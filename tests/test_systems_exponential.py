@@ -25,3 +25,12 @@ def test_stiff_pole_of_the_rlc_start():
 
 def test_overflow_is_not_finite():
     assert not np.isfinite(exponential(np.array([[[1e5]]]))).all()
+
+
+def test_companion_matrix_of_a_fast_filter_stays_stable():
+    poles = -np.array([4.9e3, 6e3 + 2e4j, 6e3 - 2e4j, 9e3 + 3e4j, 9e3 - 3e4j])
+    A = np.vstack([-np.poly(poles).real[1:], np.eye(5)[:-1]])  # entries up to 1e21
+    steps = np.array([2e-5, 1e-5])
+    found = np.linalg.eigvals(exponential(A * steps[:, None, None]))
+    for values, step in zip(found, steps, strict=True):
+        np.testing.assert_allclose(np.sort_complex(values), np.sort_complex(np.exp(poles * step)), rtol=1e-6)

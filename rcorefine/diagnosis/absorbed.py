@@ -8,7 +8,7 @@ import numpy as np
 
 from ..inference.refinement import EstimatedParameter, Refinement
 
-__all__ = ["numbers_that_moved", "what_was_absorbed"]
+__all__ = ["far_numbers", "numbers_that_moved", "what_was_absorbed"]
 
 _SURE = 3.0  # standard deviations from which on a number has moved
 _MOST = 6  # numbers that are listed
@@ -62,12 +62,17 @@ def numbers_that_moved(rows: Sequence[EstimatedParameter]) -> str:
     if not said:
         return "No single one moved for certain; together they explain the residual."
     more = f" and {len(sure) - _MOST} more" if len(sure) > _MOST else ""
-    far = [row.name for row in sure if abs(row.coefficient) - _SURE * row.std > _FAR * abs(row.initial)]
+    far = far_numbers(sure)
     doubt = (
         f" {', '.join(far[:_MOST])} moved so far that they may stand in for a law at a place that the model "
         "does not show: declare its links with physical(...)."
     )
     return f"Off for certain: {', '.join(said)}{more}.{doubt if far else ''}"
+
+
+def far_numbers(rows: Sequence[EstimatedParameter]) -> list[str]:
+    """Names of numbers that moved, for certain, further than people are off who know their plant."""
+    return [row.name for row in rows if abs(row.coefficient) - _SURE * row.std > _FAR * abs(row.initial)]
 
 
 def _moved(row: EstimatedParameter) -> bool:

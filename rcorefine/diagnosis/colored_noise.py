@@ -11,8 +11,10 @@ from ..inference.whitening import Whitener, in_own_units, project
 from ..systems.linear import Array
 from .residual_tests import TestedResidual
 
-__all__ = ["gain_over_color"]
+__all__ = ["gain_over_color", "left_to_noise"]
 
+_MUCH = 75.0  # % of fit below which noise of a color is doubted
+_MEMORY = 3.0  # size of a residual over what is new in each sample, above which it is
 _LEFT = 0.5  # share of what the color of the residual gains, above which a candidate has not explained it
 
 
@@ -54,6 +56,35 @@ def gain_over_color(battery: TestedResidual, candidates: Sequence[Candidate]) ->
         if left < _LEFT * color:
             best = max(best, reached - 0.5 * int(rank) * float(np.log(n)) - none)
     return best
+
+
+def left_to_noise(battery: TestedResidual) -> list[str]:
+    """Where much of a residual passes for noise with a memory: the error of a model may look like that.
+
+    Parameters
+    ----------
+    battery : TestedResidual
+        Residual that passed.
+
+    Returns
+    -------
+    list of str
+        One sentence, or none.
+    """
+    refined, orders = battery.fitted.refinement, battery.whitener.orders
+    if not any(orders):
+        return []
+    whole = np.hstack(battery.fitted.residuals(battery.ratio)).std(axis=1)
+    memory = float(np.max(whole / battery.whitener.scales, where=np.array(orders) > 0, initial=0.0))
+    fit = float(refined.fit[np.isfinite(refined.fit)].min(initial=100.0))
+    if fit >= _MUCH and memory < _MEMORY:
+        return []
+    run = "the prediction" if refined.led else "the free run"
+    return [
+        f"But {run} explains only {fit:.3g} % of the record; the rest passes for noise with a memory "
+        f"(order {max(orders)}), {memory:.2g} times as large as what is new in each sample. If the sensor "
+        "has no such noise, the model is wrong there: give a record with another input, steps or a sweep."
+    ]
 
 
 def _likelihood(stacked: Array, like: Sequence[Array]) -> tuple[float, float]:

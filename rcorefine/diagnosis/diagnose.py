@@ -28,10 +28,18 @@ from ..refinement.refine import refit
 from .candidate_fits import CandidateFits, fit_candidates, shortlist
 from .case import Case
 from .checks.check import looks
-from .colored_noise import gain_over_color
+from .colored_noise import gain_over_color, left_to_noise
 from .excitation import no_motion, not_excited
 from .families import hosts, said_of_families
-from .floating import Floated, as_good, explaining_numbers, outdone, rivals_of_numbers
+from .floating import (
+    Floated,
+    as_good,
+    explaining_numbers,
+    floating,
+    is_number,
+    outdone,
+    rivals_of_numbers,
+)
 from .judging import Judged, beside_force, judge, outweighs, pair_hint, second_chance, with_special_cases
 from .open_law import open_law, probabilities
 from .places import in_race
@@ -216,7 +224,8 @@ def investigate(
         # few samples carry it, fault or noise: whoever holds another record asks the candidates there
         short = [scored[i] for i in shortlist(scored, [free_run])[0]]
         return adequate, fit_candidates(case.fitted, short, progress=progress)
-    force, numbers = _without_a_law(case, free_run)
+    floated = floating(case)
+    force, numbers = _without_a_law(case, free_run, floated)
     if numbers is not None and not rivals_of_numbers(case, numbers, scored):
         return _parameters(case, numbers, tests), None
     if thorough and force is None and numbers is None:
@@ -242,18 +251,22 @@ def investigate(
     if numbers is not None and not outdone(judged.race, numbers.battery, case.levels.force):
         if not (judged.passed and as_good(case, judged.race, numbers)):
             return _parameters(case, numbers, tests), None
-    if not judged.passed:
-        far = explaining_numbers(case, far=True) if numbers is None else None
-        if far is not None:
+    if numbers is None and not (judged.passed and is_number(judged.race.rivals[0].effect)):
+        # a law with room for it mimics a spring and a damper: numbers far off are the plainer words
+        far = explaining_numbers(case, floated, far=True)
+        if far is not None and not outdone(judged.race, far.battery, case.levels.force):
             return _parameters(case, far, tests), None
+    if not judged.passed:
         judged = second_chance(case, judged, scored, chosen)
     found = _named(case, judged, scored, scores, batteries, validation)
     return replace(found, tests=tuple(tests)), judged.race
 
 
-def _without_a_law(case: Case, free_run: TestedResidual) -> tuple[Explained | None, Floated | None]:
+def _without_a_law(
+    case: Case, free_run: TestedResidual, floated: Refinement | None
+) -> tuple[Explained | None, Floated | None]:
     """An unmeasured force, or the numbers of the model: what of them explains the residual better, if any."""
-    force, numbers = explaining_force(case, free_run), explaining_numbers(case)
+    force, numbers = explaining_force(case, free_run), explaining_numbers(case, floated)
     if force is not None and numbers is not None:
         if numbers.battery.log_likelihood > force.battery.log_likelihood:
             return None, numbers
@@ -316,8 +329,9 @@ def _under_another_hold(case: Case) -> Diagnosis | None:
     free_run = TestedResidual(other.fitted)
     tests = run_tests(free_run, scored, other.motions)
     if other.passes(tests, other.fitted) and gain_over_color(free_run, scored) < case.levels.color:
-        return replace(_adequate(other, Explained(free_run, scored, tests)), notes=(sentence,))
-    numbers = explaining_numbers(other)
+        found = _adequate(other, Explained(free_run, scored, tests))
+        return replace(found, notes=(sentence, *found.notes))
+    numbers = explaining_numbers(other, floating(other))
     return None if numbers is None else replace(_parameters(other, numbers, tests), notes=(sentence,))
 
 
@@ -345,4 +359,5 @@ def _adequate(case: Case, explained: Explained) -> Diagnosis:
     scored = [*explained.scored, *candidate_columns(battery.fitted, far, case.motions[0], (battery.ratio,))]
     shown = detectable(battery, scored, count, case.significance, case.levels)
     tests, ratio = tuple(explained.tests), explained.battery.ratio
-    return Diagnosis("adequate", (), (), tests, (), shown, force_ratio=ratio, **case.about)
+    notes = tuple(left_to_noise(battery))
+    return Diagnosis("adequate", (), (), tests, (), shown, force_ratio=ratio, notes=notes, **case.about)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +19,7 @@ from ..inference.starts import estimated_motion
 from ..inference.whitening import FTest, project, rank_basis
 from ..models.library import effect_library
 from ..refinement.base_fit import base_fit
+from ..refinement.refine import refine
 from ..systems.linear import Array
 from .candidate_fit import log_likelihood, prior_cost
 from .candidate_fits import STRONG, CandidateFits, fit_candidates
@@ -28,7 +29,15 @@ from .places import in_race
 from .residual_tests import TestedResidual, run_tests
 from .verdict import keeps_name, overall
 
-__all__ = ["Floated", "as_good", "explaining_numbers", "outdone", "rivals_of_numbers"]
+__all__ = [
+    "Floated",
+    "as_good",
+    "explaining_numbers",
+    "floating",
+    "is_number",
+    "outdone",
+    "rivals_of_numbers",
+]
 
 _OWN = 1e-4  # share of a column that no other number explains, below which it is none of its own
 _PROMISED = 0.5  # share of the gain of the numbers that the score of a law must promise to be worth a refit
@@ -63,26 +72,43 @@ class Floated:
     refinement: Refinement
 
 
-def explaining_numbers(case: Case, *, far: bool = False) -> Floated | None:
+def floating(case: Case) -> Refinement | None:
+    """The model with all its numbers fitted, each with a prior of `Levels.off` of its nominal value.
+
+    What it declares floats, and every mass where they are known from the matrices alone; what only
+    rescales others stays. None if there is nothing to float.
+    """
+    return _fit(case, _numbers(case)) if _numbers(case) else None
+
+
+def explaining_numbers(case: Case, refined: Refinement | None, *, far: bool = False) -> Floated | None:
     """The model with all its numbers floating, if it then passes every test.
 
-    What it declares floats, and every mass where they are known from the matrices alone, each with
-    a prior of `Levels.off` of its nominal value; what only rescales others stays. With `far` numbers may
-    lie beyond that: for where no law explains the records either, since more freedom mimics more.
+    Parameters
+    ----------
+    case : Case
+        What is asked.
+    refined : Refinement or None
+        Of `floating`.
+    far : bool
+        Let numbers lie beyond their prior. More freedom mimics more laws, so that is for where none
+        explains the records better.
     """
-    numbers = _numbers(case)
-    if not numbers:
+    if refined is None:
         return None
+    loose = _let_go(case, refined) if far else refined
+    found = None if far and loose is refined else _tested(case, loose)
+    if found is None:
+        return None
+    fitted, battery, tests = found
+    reported = loose if far else _let_go(case, refined)
+    return Floated(fitted, battery, tests, _evidence(battery, case.fitted.problem.n_theta), reported)
+
+
+def _fit(case: Case, numbers: list[Effect], by: Callable[..., Refinement] = base_fit) -> Refinement:
     with warnings.catch_warnings(), case.progress.step("parameters"):
         warnings.simplefilter("ignore", IdentifiabilityWarning)  # the priors settle what the record cannot
-        refined = base_fit(case.base, case.records, free=numbers, **case.options)
-        loose = _let_go(case, numbers, refined) if far else refined
-        found = None if far and loose is refined else _tested(case, loose)
-        if found is None:
-            return None
-        reported = loose if far else _let_go(case, numbers, refined)
-    fitted, battery, tests = found
-    return Floated(fitted, battery, tests, _evidence(battery, case.fitted.problem.n_theta), reported)
+        return by(case.base, case.records, free=numbers, **case.options)
 
 
 def _tested(case: Case, refined: Refinement) -> tuple[FittedModel, TestedResidual, list[FTest]] | None:
@@ -105,8 +131,13 @@ def _tested(case: Case, refined: Refinement) -> tuple[FittedModel, TestedResidua
     return fitted, battery, tests
 
 
-def _let_go(case: Case, numbers: list[Effect], refined: Refinement) -> Refinement:
+def _let_go(case: Case, refined: Refinement) -> Refinement:
     """The numbers without the pull of a prior that they have left: it grows to as far as they went."""
+    numbers = _numbers(case)
+    if float(np.min(refined.fit)) < STRONG:  # resonances moved: another valley
+        wide = 1.0 / case.levels.off
+        loose = [e.replace(prior={name: wide * sd for name, sd in e.prior.items()}) for e in numbers]
+        return _fit(case, loose, refine)
     for _ in range(_ROUNDS):
         moved = {(row.kind, row.place): abs(row.coefficient) for row in refined.parameters}
         wider = []
@@ -117,7 +148,7 @@ def _let_go(case: Case, numbers: list[Effect], refined: Refinement) -> Refinemen
         if [e.prior for e in wider] == [e.prior for e in numbers]:  # equality of effects leaves priors out
             break
         numbers = wider
-        refined = base_fit(case.base, case.records, free=numbers, **case.options)
+        refined = _fit(case, numbers)
     return refined
 
 
@@ -184,14 +215,15 @@ def rivals_of_numbers(case: Case, numbers: Floated, scored: Sequence[Candidate])
         return True  # much is left, be it noise or a strong law, whose score promises little: all are fitted
     before = TestedResidual(case.fitted, whitener=numbers.battery.whitener)
     least = _PROMISED * 2 * (numbers.evidence + 0.5 * float(before.left @ before.left))
-    laws = [(test.gain, i) for i, test in enumerate(before.each(scored)) if not _is_number(scored[i].effect)]
-    tried = [c for c in scored if _is_number(c.effect)]
+    laws = [(test.gain, i) for i, test in enumerate(before.each(scored)) if not is_number(scored[i].effect)]
+    tried = [c for c in scored if is_number(c.effect)]
     tried += [scored[i] for gain, i in sorted(laws, reverse=True)[:_LAWS] if gain > least]
     race = fit_candidates(case.fitted, tried, progress=case.progress) if tried else None
     return race is not None and as_good(case, race, numbers)
 
 
-def _is_number(effect: Effect) -> bool:
+def is_number(effect: Effect) -> bool:
+    """Whether an effect is a change of a single number of a linear model."""
     return effect.spec.is_parameter or effect.spec.relative
 
 

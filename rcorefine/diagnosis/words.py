@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from .absorbed import numbers_that_moved, what_was_absorbed
+from .absorbed import far_numbers, numbers_that_moved, what_was_absorbed
+from .verdict import overall
 
 if TYPE_CHECKING:
     from .result import Diagnosis
 
-__all__ = ["sentences"]
+__all__ = ["no_test_fires", "sentences"]
 
 _OPEN = 0.05  # probability of none of these from which on it is said
-_MUCH = 75.0  # % of fit below which noise of a color is doubted
 _VERDICTS = {
     "adequate": "Nothing is missing that this record could show.",
     "parameters": "The numbers of the model are off; mended, no law is missing that this record could show.",
@@ -41,11 +39,12 @@ def sentences(found: Diagnosis) -> list[str]:
         alike += f", a force at {found.best.effect.place} that follows none of the laws"
     where = "" if found.place is None else f": at {found.place}, with probability {_place(found)}"
     lines = [_VERDICTS[found.verdict].format(best=_best(found), alike=alike, where=where)]
+    if found.verdict == "parameters" and far_numbers(found.parameters):
+        lines = ["The numbers of the model explain the record, moved so far that they may hide a law."]
     worst = min(found.tests, key=lambda t: t.p_value) if found.tests else None
     if found.verdict == "adequate":
         lines = [
             f"{lines[0]} {what_was_absorbed(found.base)}".rstrip(),
-            *_left_to_noise(found),
             *_shown(found),
         ]
     elif worst is not None:  # without motion nothing could be tested
@@ -84,30 +83,25 @@ def sentences(found: Diagnosis) -> list[str]:
     return [*lines, *found.notes]
 
 
-def _left_to_noise(found: Diagnosis) -> list[str]:
-    """Where much of the record passes for noise with a memory: the error of a model may look like that."""
-    fits, orders = found.base.fit[np.isfinite(found.base.fit)], found.base.residual_orders
-    if not any(orders) or fits.min(initial=100.0) >= _MUCH:
-        return []
-    run = "the prediction" if found.base.led else "the free run"
-    return [
-        f"But {run} explains only {fits.min():.3g} % of the record; the rest passes for noise with a memory "
-        f"(order {max(orders)}). If the sensor has no such noise, give a record with another input: steps, a "
-        "sweep."
-    ]
-
-
 def _place(found: Diagnosis) -> str:
     return f"{found.places[found.place]:.2f}" if found.place is not None else ""
 
 
+def no_test_fires(found: Diagnosis) -> str:
+    """The level, and how near the tests came to it: all of them together, as it is meant."""
+    said = f"No test fires at the level {found.significance:g}"
+    if not found.tests:
+        return f"{said}."
+    worst = min(found.tests, key=lambda t: t.p_value)
+    return (
+        f"{said} (smallest p-value {worst.p_value:.2g}, {worst.name}; corrected for the number of tests "
+        f"{overall(found.tests):.2g})."
+    )
+
+
 def _shown(found: Diagnosis) -> list[str]:
     """What no test saw, and what it would have seen."""
-    worst = min(found.tests, key=lambda t: t.p_value) if found.tests else None
-    lines = [
-        f"No test fires at the level {found.significance:g}"
-        + (f" (smallest p-value {worst.p_value:.2g}, {worst.name})." if worst else ".")
-    ]
+    lines = [no_test_fires(found)]
     if found.detectable:
         shown = ", ".join(f"{d.effect.label} {d.smallest:.3g} {d.unit}".strip() for d in found.detectable[:4])
         lines.append(f"It would have shown, with 95 % probability: {shown}.")

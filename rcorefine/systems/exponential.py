@@ -11,12 +11,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import matrix_balance
 
 __all__ = ["exponential"]
 
 # Higham, SIAM J. Matrix Anal. Appl. 26 (2005) 1179, table 2.3: degree 9 is exact to
 # double precision up to a 1-norm of 2.1.
 _THETA = 2.1
+_UNBALANCED = 64.0  # five squarings
 _PADE = (
     17643225600.0, 8821612800.0, 2075673600.0, 302702400.0, 30270240.0, 2162160.0, 110880.0, 3960.0,
     90.0, 1.0,
@@ -45,6 +47,12 @@ def exponential(matrices: NDArray[Any]) -> NDArray[Any]:
     norm = float(np.abs(matrices).sum(axis=-2).max(initial=0.0))
     if not np.isfinite(norm):
         return np.full_like(matrices, np.nan)
+    scale = None
+    if norm > _UNBALANCED:  # many squarings lose digits where units differ, as in a companion matrix
+        size = np.abs(matrices).max(axis=0)
+        _, (scale, _) = matrix_balance(size, permute=False, separate=True, overwrite_a=True)
+        matrices = matrices * scale / scale[:, None]
+        norm = float(np.abs(matrices).sum(axis=-2).max(initial=0.0))
     squarings = max(0, int(np.ceil(np.log2(max(norm, 1e-300) / _THETA))))
     a = matrices / 2.0**squarings
     one = np.eye(a.shape[-1])
@@ -59,4 +67,4 @@ def exponential(matrices: NDArray[Any]) -> NDArray[Any]:
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(squarings):
             result = result @ result
-    return np.asarray(result)
+    return np.asarray(result if scale is None else result * scale[:, None] / scale)

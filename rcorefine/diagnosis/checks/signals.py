@@ -15,6 +15,7 @@ __all__ = ["signal_rows"]
 
 _SAME = 1.0 - 1e-9  # correlation from which two signals are one
 _COARSE = 2.0  # steps of the converter over the noise
+_JUMP = 2.5  # steps of a coarse signal: its own, through zero, are smaller
 _NORMAL = 1.4826  # standard deviation over the median absolute deviation, for normal noise
 
 
@@ -99,6 +100,6 @@ def _lost(y: Array) -> int:
     first, end = runs(y == 0.0)
     inner = (first > 0) & (end < y.size)
     first, end = first[inner], end[inner]
-    far = 0.5 * y.std()
+    far = max(0.5 * y.std(), _JUMP * resolution(y))
     jumps = (np.abs(y[first - 1]) > far) & (np.abs(y[end]) > far) if first.size else np.zeros(0, dtype=bool)
     return int(np.sum((end - first)[jumps]))

@@ -18,6 +18,7 @@ __all__ = ["controller_rows", "feedback_rows", "sampling_rows"]
 
 _LAGS = 20
 _FEEDBACK = 1e-6  # p-value of past residuals in the input
+_FREE = 1e-3  # turn over the record below which a mode is a free one, up to rounding
 _STRONG = 0.15  # correlation: the innovations of steps are not independent, and make small ones by chance
 _OTHER = 0.05  # share of an input that its controller does not give, from which it is worth a word
 _RETURNS = 0.98  # correlation of an input with itself later, from which it is periodic
@@ -56,7 +57,7 @@ def sampling_rows(linear: LinearModel, data: Measurement, looped: bool = False) 
     else:
         yield CheckRow(OK, "sampling", "", figure, "Every mode lies below half the sampling frequency.")
     length = data.dt * data.n_samples
-    slow = [abs(p) for p in poles if 0 < abs(p) * length < 2.0]
+    slow = [abs(p) for p in poles if _FREE < abs(p) * length < 2.0]
     if slow:
         yield CheckRow(
             LOOK, "length", "", f"{length:.4g} s",

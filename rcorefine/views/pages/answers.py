@@ -8,6 +8,7 @@ import numpy as np
 
 from ...comparison.adequacy import best_of, failures_of
 from ...diagnosis.absorbed import numbers_that_moved
+from ...diagnosis.words import no_test_fires
 from ..tables import number, root_mean_square
 
 if TYPE_CHECKING:
@@ -104,8 +105,7 @@ def diagnosis_answer(found: Diagnosis) -> tuple[list[str], bool]:
     if worst is None:
         second = "No test was possible."
     elif found.verdict == "adequate":
-        least = f"smallest p = {worst.p_value:.2g}, {worst.name}"
-        second = f"No test fires at the level {found.significance:g} ({least})."
+        second = no_test_fires(found)
     else:
         p = f"p = {worst.p_value:.2g}" if worst.p_value > 0 else "p < 1e-300"
         second = f"The model as it is fails its tests, most clearly this one: {worst.name}, {p}."
