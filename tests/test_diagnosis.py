@@ -177,3 +177,21 @@ def test_much_noise_of_a_color_is_doubted(color, share, doubted):
     found = rco.diagnose(model, data, candidates=[rco.Effect("stiffness", "link1")])
     assert found.verdict == "adequate"
     assert ("passes for noise with a memory" in str(found).replace("\n", " ")) == doubted
+
+
+def test_an_offset_of_a_sensor_beside_an_integrator_is_no_effect():
+    """An arm that turns freely with a pendulum on it: the level of the angle that has one is a nuisance."""
+    M = np.array([[0.7, 0.06], [0.06, 0.024]])
+    W, C = np.linalg.inv(M), np.diag([0.8, 0.01])
+    A = np.block([[np.zeros((2, 2)), np.eye(2)], [-W @ np.diag([0.0, 0.6]), -W @ C]])
+    model = ct.ss(A, np.vstack([np.zeros((2, 1)), W[:, :1]]), np.eye(4)[:2], 0)
+    rng = np.random.default_rng(4)
+    w = np.repeat(rng.choice([-1.0, 1.0], 60), 15)  # steps, seldom
+    y = ct.forced_response(model.sample(0.05), inputs=w).outputs
+    size = y.std(axis=1, keepdims=True)
+    data = rco.Measurement(w, y + 0.5 * size + 0.01 * size * rng.standard_normal(y.shape), dt=0.05)
+    found = rco.diagnose(model, data)
+    assert found.verdict == "adequate"
+    (level,) = [row for row in found.base.parameters if row.place == "y[1]"]
+    assert abs(level.value - 0.5 * size[1, 0]) < 4 * level.std
+    assert not [row for row in found.checks if row.what == "closed loop"]  # steps follow nothing

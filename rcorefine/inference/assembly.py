@@ -20,7 +20,7 @@ from ..engine.structure import Structure
 from ..exceptions import ModelError
 from ..models.conversion import as_physical
 from ..models.physical_model import PhysicalModel
-from ..systems.linear import Array
+from ..systems.linear import Array, LinearModel
 from .refinement import Refinement
 
 __all__ = ["assemble", "check_settings", "nominal_size", "offset_variants", "priors", "unfold"]
@@ -131,7 +131,7 @@ def offset_variants(physical: PhysicalModel, record: Measurement, offset: bool) 
 
     Behind a linear model actuator and sensor offsets cannot be told apart as long as the
     inputs reach the outputs at rest; behind a nonlinear one they can, and both are tried.
-    Where the model integrates, a sensor offset is an initial state.
+    Where the model integrates, an offset of the sensors that read what is integrated is an initial state.
     """
     if not as_flag(offset, "offset") or in_frequency(record):
         return [[]]
@@ -141,7 +141,7 @@ def offset_variants(physical: PhysicalModel, record: Measurement, offset: bool) 
     at_inputs = [Effect(InputOffset.name, label) for label in linear.input_labels]
     at_outputs = [Effect(OutputOffset.name, label) for label in linear.output_labels]
     if integrates(linear, record):
-        return [at_inputs]
+        return [at_inputs + [at_outputs[i] for i in _own_levels(linear)]]
     reach = linear.D - linear.C @ np.linalg.pinv(linear.A) @ linear.B
     level = np.abs(reach) @ np.sqrt(np.mean(record.inputs**2, axis=1))
     seen = np.flatnonzero(level > 1e-3 * record.outputs.std(axis=1))
@@ -150,6 +150,25 @@ def offset_variants(physical: PhysicalModel, record: Measurement, offset: bool) 
     taken = set(seen[: linear.n_inputs])
     rest = [effect for i, effect in enumerate(at_outputs) if i not in taken]
     return [at_inputs + rest, at_outputs]
+
+
+def _own_levels(linear: LinearModel) -> list[int]:
+    """Outputs of a model that integrates whose level neither an initial state nor a constant input sets."""
+    if not linear.is_continuous:
+        return []
+    U, s, Vt = np.linalg.svd(linear.A)
+    free = s <= 1e-9 * s.max(initial=0.0)
+    inverse = np.linalg.pinv(linear.A, rcond=1e-9)
+    away = np.linalg.norm(U[:, free].T @ linear.B, axis=0) > 1e-9 * np.linalg.norm(linear.B, axis=0)
+    levels = [linear.C @ Vt[free].T, (linear.C @ inverse @ linear.B)[:, ~away]]
+    span, own = np.hstack(levels), []
+    span = span / np.maximum(np.linalg.norm(span, axis=0), 1e-300)
+    for i, unit in enumerate(np.eye(linear.n_outputs)):
+        more = np.column_stack([span, unit])
+        if np.linalg.matrix_rank(more, tol=1e-6) > np.linalg.matrix_rank(span, tol=1e-6):
+            span = more
+            own.append(i)
+    return own
 
 
 def priors(structure: Structure, roles: Sequence[str], tolerance: float) -> tuple[Array, Array]:

@@ -167,9 +167,14 @@ def _periodic(w: Array) -> bool:
 
 
 def _follows(new: Array, past: Array, first: int) -> tuple[float, float]:
-    """p-value that an input's innovation is independent of past residuals, and the largest correlation."""
+    """p-value that an input's innovation is independent of past residuals, and the largest correlation.
+
+    Each product is weighed by its own size: an input that seldom steps tells as much as it has steps.
+    """
     n = min(new.size, past.size)
     new, past = new[-n:], past[-n:]
-    r = np.array([new[k:] @ past[: n - k] for k in range(first, _LAGS + first)])
-    r = r / (np.linalg.norm(new) * np.linalg.norm(past))
-    return float(stats.chi2.sf(n * float(r @ r), _LAGS)), float(np.abs(r).max())
+    products = [new[k:] * past[: n - k] for k in range(first, _LAGS + first)]
+    sums = np.array([p.sum() for p in products])
+    z = sums / np.maximum([np.linalg.norm(p) for p in products], 1e-300)
+    most = np.abs(sums).max() / (np.linalg.norm(new) * np.linalg.norm(past))
+    return float(stats.chi2.sf(float(z @ z), _LAGS)), float(most)
