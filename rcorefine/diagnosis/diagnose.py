@@ -24,31 +24,34 @@ from ..inference.windows import about_noise, as_data, check_validation, spread_l
 from ..models.conversion import as_physical, under_control
 from ..progress import Progress
 from ..refinement.base_fit import base_fit
-from ..refinement.refine import refit
 from .candidate_fits import CandidateFits, fit_candidates, shortlist
 from .case import Case
 from .checks.check import looks
-from .colored_noise import gain_over_color, left_to_noise
+from .colored_noise import gain_over_color
 from .excitation import no_motion, not_excited
 from .families import hosts, said_of_families
 from .floating import (
-    Floated,
-    as_good,
-    explaining_numbers,
     floating,
-    is_number,
     outdone,
     rivals_of_numbers,
 )
 from .judging import Judged, beside_force, judge, outweighs, pair_hint, second_chance, with_special_cases
 from .open_law import open_law, probabilities
 from .places import in_race
-from .ranking import detectable, in_free_run, ranking
+from .ranking import in_free_run, ranking
 from .remarks import amplitude_test, fit_remarks, remarks
 from .residual_tests import TestedResidual, run_tests
 from .result import Diagnosis
-from .unmeasured_force import Explained, explaining_force
+from .unmeasured_force import Explained
 from .verdict import overall, tied, verdict
+from .without_a_law import (
+    about_hold,
+    adequate,
+    numbers_instead,
+    parameters,
+    under_another_hold,
+    without_a_law,
+)
 
 __all__ = ["diagnose", "investigate"]
 
@@ -218,18 +221,18 @@ def investigate(
     passed = case.passes(tests, case.fitted)
     colored = passed and gain_over_color(free_run, scored) >= case.levels.color
     if passed and not colored:
-        adequate = _adequate(case, Explained(free_run, scored, tests))
+        fine = adequate(case, Explained(free_run, scored, tests))
         if thorough or overall(tests, equal=True) >= significance:
-            return adequate, None
+            return fine, None
         # few samples carry it, fault or noise: whoever holds another record asks the candidates there
         short = [scored[i] for i in shortlist(scored, [free_run])[0]]
-        return adequate, fit_candidates(case.fitted, short, progress=progress)
+        return fine, fit_candidates(case.fitted, short, progress=progress)
     floated = floating(case)
-    force, numbers = _without_a_law(case, free_run, floated)
+    force, numbers = without_a_law(case, free_run, floated)
     if numbers is not None and not rivals_of_numbers(case, numbers, scored):
-        return _parameters(case, numbers, tests), None
+        return parameters(case, numbers, tests), None
     if thorough and force is None and numbers is None:
-        mended = _under_another_hold(case)
+        mended = under_another_hold(case)
         if mended is not None:
             return mended, None
     batteries = [free_run, *(TestedResidual(case.fitted, r) for r in case.observers)]
@@ -241,37 +244,20 @@ def investigate(
     with progress.step("tests"):
         judged = judge(case, race)
     if colored and not outdone(judged.race, free_run, case.levels.color):
-        return _adequate(case, Explained(free_run, scored, tests)), None
+        return adequate(case, Explained(free_run, scored, tests)), None
     if force is not None and not outweighs(judged, force.battery, 0.0):
         # an unmeasured force alone explains the residual: an effect beside it must earn its place
         beside = beside_force(case, judged)
         if beside is None or not outweighs(beside, force.battery, case.levels.force):
-            return _adequate(case, force), None
+            return adequate(case, force), None
         judged = beside
-    if numbers is not None and not outdone(judged.race, numbers.battery, case.levels.force):
-        if not (judged.passed and as_good(case, judged.race, numbers)):
-            return _parameters(case, numbers, tests), None
-    if numbers is None and not (judged.passed and is_number(judged.race.rivals[0].effect)):
-        # a law with room for it mimics a spring and a damper: numbers far off are the plainer words
-        far = explaining_numbers(case, floated, far=True)
-        if far is not None and not outdone(judged.race, far.battery, case.levels.force):
-            return _parameters(case, far, tests), None
+    plainer = numbers_instead(case, numbers, floated, judged)
+    if plainer is not None:
+        return parameters(case, plainer, tests), None
     if not judged.passed:
         judged = second_chance(case, judged, scored, chosen)
     found = _named(case, judged, scored, scores, batteries, validation)
     return replace(found, tests=tuple(tests)), judged.race
-
-
-def _without_a_law(
-    case: Case, free_run: TestedResidual, floated: Refinement | None
-) -> tuple[Explained | None, Floated | None]:
-    """An unmeasured force, or the numbers of the model: what of them explains the residual better, if any."""
-    force, numbers = explaining_force(case, free_run), explaining_numbers(case, floated)
-    if force is not None and numbers is not None:
-        if numbers.battery.log_likelihood > force.battery.log_likelihood:
-            return None, numbers
-        return force, None
-    return force, numbers
 
 
 def _named(
@@ -303,7 +289,7 @@ def _named(
     if word == "unexplained" and not case.in_time:  # laws that fail do not tell where
         places = {}
     rows = ranking(shown, p_values, shares, case.base, validation, case.settings["horizon"])
-    notes = [*_about_hold(case), *fit_remarks(race), *remarks(race, scored, batteries)]
+    notes = [*about_hold(case), *fit_remarks(race), *remarks(race, scored, batteries)]
     notes += said_of_families(race.rivals, held)
     notes += [sentence] if sentence else []
     if case.thorough and word == "unexplained":
@@ -312,52 +298,3 @@ def _named(
     own = {"force_ratio": race.ratio, "notes": tuple(notes), **case.about}
     found = Diagnosis(word, rows, alike, (), tuple(judged.tests), (), **own)
     return replace(found, none_of_these=none, places=places, open_law=None if law is None else law.law)
-
-
-def _under_another_hold(case: Case) -> Diagnosis | None:
-    """The verdict where the inputs run otherwise between the samples than declared, and no law is missing.
-
-    A missing law can look like a wrong hold, so that only counts if every test passes with it.
-    """
-    hold, sentence = case.hold
-    if not sentence:
-        return None
-    base = refit(case.base.with_hold(hold), case.records, **case.options)
-    given = (case.library, case.settings, case.significance, case.progress, case.thorough)
-    other = Case.prepare(base, case.records, *given)
-    scored = candidate_columns(other.fitted, other.library, other.motions[0], (0.0,))
-    free_run = TestedResidual(other.fitted)
-    tests = run_tests(free_run, scored, other.motions)
-    if other.passes(tests, other.fitted) and gain_over_color(free_run, scored) < case.levels.color:
-        found = _adequate(other, Explained(free_run, scored, tests))
-        return replace(found, notes=(sentence, *found.notes))
-    numbers = explaining_numbers(other, floating(other))
-    return None if numbers is None else replace(_parameters(other, numbers, tests), notes=(sentence,))
-
-
-def _about_hold(case: Case) -> list[str]:
-    """What the hold has to say; only where the case is looked into thoroughly."""
-    if not case.thorough:
-        return []
-    sentence = case.hold[1]
-    return [sentence] if sentence else []
-
-
-def _parameters(case: Case, numbers: Floated, tests: Sequence[FTest]) -> Diagnosis:
-    """No law is missing, the numbers are off."""
-    return Diagnosis(
-        "parameters", (), (), tuple(tests), tuple(numbers.tests), (), force_ratio=0.0,
-        floated=numbers.refinement, notes=tuple(_about_hold(case)), **case.about,
-    )  # fmt: skip
-
-
-def _adequate(case: Case, explained: Explained) -> Diagnosis:
-    """Nothing is missing; say what the record would have shown."""
-    count = len(explained.tests)
-    known, battery = {c.effect for c in explained.scored}, explained.battery
-    far = [e for e in case.library if e not in known and len(e.coefficients) == 1]
-    scored = [*explained.scored, *candidate_columns(battery.fitted, far, case.motions[0], (battery.ratio,))]
-    shown = detectable(battery, scored, count, case.significance, case.levels)
-    tests, ratio = tuple(explained.tests), explained.battery.ratio
-    notes = tuple(left_to_noise(battery))
-    return Diagnosis("adequate", (), (), tests, (), shown, force_ratio=ratio, notes=notes, **case.about)

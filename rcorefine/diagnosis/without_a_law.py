@@ -1,0 +1,99 @@
+"""Answers that name no law: nothing is missing, an unmeasured force, the hold, the numbers of the model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from ..inference.refinement import Refinement
+from ..inference.sensitivities import candidate_columns
+from ..inference.whitening import FTest
+from ..refinement.refine import refit
+from .case import Case
+from .colored_noise import gain_over_color, left_to_noise
+from .floating import Floated, as_good, explaining_numbers, floating, is_number, outdone
+from .judging import Judged
+from .ranking import detectable
+from .residual_tests import TestedResidual, run_tests
+from .result import Diagnosis
+from .unmeasured_force import Explained, explaining_force
+
+__all__ = ["about_hold", "adequate", "numbers_instead", "parameters", "under_another_hold", "without_a_law"]
+
+
+def without_a_law(
+    case: Case, free_run: TestedResidual, floated: Refinement | None
+) -> tuple[Explained | None, Floated | None]:
+    """An unmeasured force, or the numbers of the model: what of them explains the residual better, if any."""
+    force, numbers = explaining_force(case, free_run), explaining_numbers(case, floated)
+    if force is not None and numbers is not None:
+        if numbers.battery.log_likelihood > force.battery.log_likelihood:
+            return None, numbers
+        return force, None
+    return force, numbers
+
+
+def numbers_instead(
+    case: Case, numbers: Floated | None, floated: Refinement | None, judged: Judged
+) -> Floated | None:
+    """The numbers of the model, where they explain the records no worse than the best law.
+
+    A law with room for it mimics a spring and a damper, and numbers, be they far off, are the plainer
+    words. A single effect that explains as much as all the numbers keeps its name.
+    """
+    if numbers is not None:
+        as_much = judged.passed and as_good(case, judged.race, numbers)
+        return None if as_much or outdone(judged.race, numbers.battery, case.levels.force) else numbers
+    if judged.passed and is_number(judged.race.rivals[0].effect):
+        return None
+    far = explaining_numbers(case, floated, far=True)
+    return None if far is None or outdone(judged.race, far.battery, case.levels.force) else far
+
+
+def under_another_hold(case: Case) -> Diagnosis | None:
+    """The verdict where the inputs run otherwise between the samples than declared, and no law is missing.
+
+    A missing law can look like a wrong hold, so that only counts if every test passes with it.
+    """
+    hold, sentence = case.hold
+    if not sentence:
+        return None
+    base = refit(case.base.with_hold(hold), case.records, **case.options)
+    given = (case.library, case.settings, case.significance, case.progress, case.thorough)
+    other = Case.prepare(base, case.records, *given)
+    scored = candidate_columns(other.fitted, other.library, other.motions[0], (0.0,))
+    free_run = TestedResidual(other.fitted)
+    tests = run_tests(free_run, scored, other.motions)
+    if other.passes(tests, other.fitted) and gain_over_color(free_run, scored) < case.levels.color:
+        found = adequate(other, Explained(free_run, scored, tests))
+        return replace(found, notes=(sentence, *found.notes))
+    numbers = explaining_numbers(other, floating(other))
+    return None if numbers is None else replace(parameters(other, numbers, tests), notes=(sentence,))
+
+
+def about_hold(case: Case) -> list[str]:
+    """What the hold has to say; only where the case is looked into thoroughly."""
+    if not case.thorough:
+        return []
+    sentence = case.hold[1]
+    return [sentence] if sentence else []
+
+
+def parameters(case: Case, numbers: Floated, tests: Sequence[FTest]) -> Diagnosis:
+    """No law is missing, the numbers are off."""
+    return Diagnosis(
+        "parameters", (), (), tuple(tests), tuple(numbers.tests), (), force_ratio=0.0,
+        floated=numbers.refinement, notes=tuple(about_hold(case)), **case.about,
+    )  # fmt: skip
+
+
+def adequate(case: Case, explained: Explained) -> Diagnosis:
+    """Nothing is missing; say what the record would have shown."""
+    count = len(explained.tests)
+    known, battery = {c.effect for c in explained.scored}, explained.battery
+    far = [e for e in case.library if e not in known and len(e.coefficients) == 1]
+    scored = [*explained.scored, *candidate_columns(battery.fitted, far, case.motions[0], (battery.ratio,))]
+    shown = detectable(battery, scored, count, case.significance, case.levels)
+    tests, ratio = tuple(explained.tests), explained.battery.ratio
+    notes = tuple(left_to_noise(battery))
+    return Diagnosis("adequate", (), (), tests, (), shown, force_ratio=ratio, notes=notes, **case.about)
