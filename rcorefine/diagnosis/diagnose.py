@@ -35,7 +35,7 @@ from .floating import (
     outdone,
     rivals_of_numbers,
 )
-from .judging import Judged, beside_force, judge, outweighs, pair_hint, second_chance, with_special_cases
+from .judging import Judged, judge, pair_hint, second_chance, with_special_cases
 from .open_law import open_law, probabilities
 from .places import in_race
 from .ranking import in_free_run, ranking
@@ -47,6 +47,7 @@ from .verdict import overall, tied, verdict
 from .without_a_law import (
     about_hold,
     adequate,
+    earned_beside,
     numbers_instead,
     parameters,
     under_another_hold,
@@ -231,10 +232,9 @@ def investigate(
     force, numbers = without_a_law(case, free_run, floated)
     if numbers is not None and not rivals_of_numbers(case, numbers, scored):
         return parameters(case, numbers, tests), None
-    if thorough and force is None and numbers is None:
-        mended = under_another_hold(case)
-        if mended is not None:
-            return mended, None
+    mended = under_another_hold(case) if force is None and numbers is None else None
+    if mended is not None:
+        return mended, None
     batteries = [free_run, *(TestedResidual(case.fitted, r) for r in case.observers)]
     chosen, scores = shortlist(scored, batteries)
     race = fit_candidates(case.fitted, [scored[i] for i in chosen], progress=progress)
@@ -245,12 +245,11 @@ def investigate(
         judged = judge(case, race)
     if colored and not outdone(judged.race, free_run, case.levels.color):
         return adequate(case, Explained(free_run, scored, tests)), None
-    if force is not None and not outweighs(judged, force.battery, 0.0):
-        # an unmeasured force alone explains the residual: an effect beside it must earn its place
-        beside = beside_force(case, judged)
-        if beside is None or not outweighs(beside, force.battery, case.levels.force):
+    if force is not None:
+        earned = earned_beside(case, force, judged)
+        if earned is None:
             return adequate(case, force), None
-        judged = beside
+        judged = earned
     plainer = numbers_instead(case, numbers, floated, judged)
     if plainer is not None:
         return parameters(case, plainer, tests), None

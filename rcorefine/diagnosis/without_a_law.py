@@ -12,13 +12,21 @@ from ..refinement.refine import refit
 from .case import Case
 from .colored_noise import gain_over_color, left_to_noise
 from .floating import Floated, as_good, explaining_numbers, floating, is_number, outdone
-from .judging import Judged
+from .judging import Judged, beside_force, outweighs
 from .ranking import detectable
 from .residual_tests import TestedResidual, run_tests
 from .result import Diagnosis
 from .unmeasured_force import Explained, explaining_force
 
-__all__ = ["about_hold", "adequate", "numbers_instead", "parameters", "under_another_hold", "without_a_law"]
+__all__ = [
+    "about_hold",
+    "adequate",
+    "earned_beside",
+    "numbers_instead",
+    "parameters",
+    "under_another_hold",
+    "without_a_law",
+]
 
 
 def without_a_law(
@@ -31,6 +39,14 @@ def without_a_law(
             return None, numbers
         return force, None
     return force, numbers
+
+
+def earned_beside(case: Case, force: Explained, judged: Judged) -> Judged | None:
+    """The winner, if it earns its place beside an unmeasured force that alone explains the residual."""
+    if outweighs(judged, force.battery, 0.0):
+        return judged
+    beside = beside_force(case, judged)
+    return beside if beside is not None and outweighs(beside, force.battery, case.levels.force) else None
 
 
 def numbers_instead(
@@ -55,7 +71,7 @@ def under_another_hold(case: Case) -> Diagnosis | None:
 
     A missing law can look like a wrong hold, so that only counts if every test passes with it.
     """
-    hold, sentence = case.hold
+    hold, sentence = case.hold if case.thorough else ("", "")
     if not sentence:
         return None
     base = refit(case.base.with_hold(hold), case.records, **case.options)
