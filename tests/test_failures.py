@@ -274,7 +274,7 @@ def test_measured_response_is_compared_directly():
     assert str(pickle.loads(pickle.dumps(result))) == str(result)
     one = rco.compare(model(), data)
     assert one.fit.shape == (2, 1)
-    with pytest.raises(ct.ControlArgument, match="neither"):
+    with pytest.raises(ct.ControlArgument, match="horizon belongs to records in time"):
         rco.compare(model(), data, horizon=1.0)
     with pytest.raises(ct.ControlDimension, match="response"):
         rco.compare(ct.ss(-1, 1, 1, 0), data)
