@@ -41,6 +41,8 @@ ROWS: dict[str, list[tuple[str, tuple[str, ...], dict[str, object]]]] = {
         ("nothing, numbers exact", EVERY, {}),
         ("nothing, numbers 2 % off", EVERY, {"off": 0.02}),
         ("nothing, numbers 5 % off", EVERY, {"off": 0.05}),
+        ("nothing, numbers 15 % off", EVERY, {"off": 0.15}),
+        ("nothing, numbers 35 % off", EVERY, {"off": 0.35}),
         ("nothing, clock .2 % off", EVERY, {"clock": 0.002}),
         ("nothing, sensor gain 2 % off", EVERY, {"gain": 0.02}),
         ("nothing, 7 bits", EVERY, {"bits": 7, "noise": 0.005}),

@@ -111,3 +111,17 @@ def test_a_cubic_spring_is_as_stiff_as_its_describing_function(rng):
     assert linearized(structure, theta, still, np.zeros((structure.n_inputs, 1000)))[0] == pytest.approx(
         plain.A
     )
+
+
+@pytest.mark.parametrize("driven", [1.0, 0.0])
+def test_smoothed_covariance_is_the_recursion_backwards(driven: float) -> None:
+    """Also of a constant without process noise, which the record shows ever better."""
+    F, H = np.array([[0.9, 0.1], [0.0, 1.0]]), np.array([[1.0, 0.0]])
+    Q = np.diag([0.1, 1e-3 * driven + 1e-14])
+    found = smooth(F, H, Q, np.array([[0.2]]), np.random.default_rng(5).standard_normal((500, 1)))
+    P, Pp = found.steady.filtered, found.steady.predicted
+    back = P @ F.T @ np.linalg.pinv(Pp, rcond=1e-12)
+    expected = P.copy()
+    for _ in range(512):
+        expected = P + back @ (expected - Pp) @ back.T
+    np.testing.assert_allclose(found.covariance, expected, rtol=1e-6, atol=1e-9)

@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_discrete_lyapunov
 
 from ..jit import compiled, put
 from ..systems.linear import Array
@@ -52,10 +51,13 @@ class Smoothed:
 
     @cached_property
     def covariance(self) -> Array:
-        """Of the states by all samples, far from both ends, shape (n, n)."""
+        """Of the states by all samples, as far from the end as the record reaches, shape (n, n)."""
         steady, back = self.steady, self._back
-        found = solve_discrete_lyapunov(back, steady.filtered - back @ steady.predicted @ back.T)
-        return np.asarray(found)
+        found = steady.filtered - back @ steady.predicted @ back.T
+        for _ in range(int(np.ceil(np.log2(len(self.filtered))))):  # P = Q + back P back', from the end on
+            found = found + back @ found @ back.T
+            back = back @ back
+        return np.asarray(found + back @ steady.filtered @ back.T)
 
     @cached_property
     def power(self) -> float:
