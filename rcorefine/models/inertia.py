@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import matrix_balance
 
+from ..systems.balance import balance
 from ..systems.linear import Array
 
 __all__ = ["coupled_inverse"]
@@ -92,8 +92,7 @@ def _null(rows: Array, tolerance: float) -> Array:
 def _scales(K: Array, C: Array) -> Array:
     """Units of the coordinates in which the couplings are of one size."""
     speed = np.sqrt(np.abs(K).max(initial=0.0))
-    _, (scale, _) = matrix_balance(np.abs(K) + speed * np.abs(C), permute=False, separate=True)
-    return np.asarray(scale, dtype=np.float64)
+    return balance(np.abs(K) + speed * np.abs(C))
 
 
 def _unit(n: int, i: int, j: int) -> Array:

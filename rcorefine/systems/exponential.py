@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import matrix_balance
+
+from .balance import balance
 
 __all__ = ["exponential"]
 
@@ -50,7 +51,7 @@ def exponential(matrices: NDArray[Any]) -> NDArray[Any]:
     scale = None
     if norm > _UNBALANCED:  # many squarings lose digits where units differ, as in a companion matrix
         size = np.abs(matrices).max(axis=0)
-        _, (scale, _) = matrix_balance(size, permute=False, separate=True, overwrite_a=True)
+        scale = balance(size)
         matrices = matrices * scale / scale[:, None]
         norm = float(np.abs(matrices).sum(axis=-2).max(initial=0.0))
     squarings = max(0, int(np.ceil(np.log2(max(norm, 1e-300) / _THETA))))
