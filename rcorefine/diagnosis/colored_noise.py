@@ -11,7 +11,7 @@ from ..inference.whitening import Whitener, in_own_units, project
 from ..systems.linear import Array
 from .residual_tests import TestedResidual
 
-__all__ = ["gain_over_color", "left_to_noise"]
+__all__ = ["gain_over_color", "left_to_noise", "takes_error_for_color"]
 
 _MUCH = 75.0  # % of fit below which noise of a color is doubted
 _MEMORY = 3.0  # size of a residual over what is new in each sample, above which it is
@@ -56,6 +56,11 @@ def gain_over_color(battery: TestedResidual, candidates: Sequence[Candidate]) ->
         if left < _LEFT * color:
             best = max(best, reached - 0.5 * int(rank) * float(np.log(n)) - none)
     return best
+
+
+def takes_error_for_color(battery: TestedResidual, candidates: Sequence[Candidate], level: float) -> bool:
+    """Whether a residual that passes may be a model error: much of it is color, or a candidate fits it."""
+    return bool(left_to_noise(battery)) or gain_over_color(battery, candidates) >= level
 
 
 def left_to_noise(battery: TestedResidual) -> list[str]:

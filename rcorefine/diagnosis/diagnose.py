@@ -27,7 +27,7 @@ from ..refinement.base_fit import base_fit
 from .candidate_fits import CandidateFits, fit_candidates, shortlist
 from .case import Case
 from .checks.check import looks
-from .colored_noise import gain_over_color
+from .colored_noise import takes_error_for_color
 from .excitation import no_motion, not_excited
 from .families import hosts, said_of_families
 from .floating import (
@@ -220,8 +220,8 @@ def investigate(
         free_run = TestedResidual(case.fitted)
         tests = run_tests(free_run, scored, case.motions, len(case.library) - len(near))
     passed = case.passes(tests, case.fitted)
-    colored = passed and gain_over_color(free_run, scored) >= case.levels.color
-    if passed and not colored:
+    doubtful = passed and takes_error_for_color(free_run, scored, case.levels.color)
+    if passed and not doubtful:
         fine = adequate(case, Explained(free_run, scored, tests))
         if thorough or overall(tests, equal=True) >= significance:
             return fine, None
@@ -229,7 +229,7 @@ def investigate(
         short = [scored[i] for i in shortlist(scored, [free_run])[0]]
         return fine, fit_candidates(case.fitted, short, progress=progress)
     floated = floating(case)
-    force, numbers = without_a_law(case, free_run, floated)
+    force, numbers = without_a_law(case, free_run, floated, doubtful)
     if numbers is not None and not rivals_of_numbers(case, numbers, scored):
         return parameters(case, numbers, tests), None
     mended = under_another_hold(case) if force is None and numbers is None else None
@@ -243,7 +243,7 @@ def investigate(
         return Diagnosis("unexplained", (), (), tuple(tests), (), (), force_ratio=0.0, **case.about), None
     with progress.step("tests"):
         judged = judge(case, race)
-    if colored and not outdone(judged.race, free_run, case.levels.color):
+    if doubtful and not outdone(judged.race, free_run, case.levels.color):
         return adequate(case, Explained(free_run, scored, tests)), None
     if force is not None:
         earned = earned_beside(case, force, judged)

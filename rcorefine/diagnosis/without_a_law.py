@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from ..inference.refinement import Refinement
 from ..inference.sensitivities import candidate_columns
 from ..inference.whitening import FTest
@@ -30,10 +32,16 @@ __all__ = [
 
 
 def without_a_law(
-    case: Case, free_run: TestedResidual, floated: Refinement | None
+    case: Case, free_run: TestedResidual, floated: Refinement | None, doubtful: bool
 ) -> tuple[Explained | None, Floated | None]:
-    """An unmeasured force, or the numbers of the model: what of them explains the residual better, if any."""
+    """An unmeasured force, or the numbers of the model: what of them explains the residual better, if any.
+
+    Where the residual passes for noise of a color that is doubtful, either has to gain over that.
+    """
+    least = free_run.log_likelihood + case.levels.color if doubtful else -np.inf
     force, numbers = explaining_force(case, free_run), explaining_numbers(case, floated)
+    force = None if force is None or force.battery.log_likelihood < least else force
+    numbers = None if numbers is None or numbers.battery.log_likelihood < least else numbers
     if force is not None and numbers is not None:
         if numbers.battery.log_likelihood > force.battery.log_likelihood:
             return None, numbers
