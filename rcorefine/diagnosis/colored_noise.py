@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..inference.levels import Levels
 from ..inference.sensitivities import Candidate
 from ..inference.whitening import Whitener, in_own_units, project
 from ..systems.linear import Array
@@ -13,8 +14,6 @@ from .residual_tests import TestedResidual
 
 __all__ = ["gain_over_color", "left_to_noise", "takes_error_for_color"]
 
-_MUCH = 75.0  # % of fit below which noise of a color is doubted
-_MEMORY = 3.0  # size of a residual over what is new in each sample, above which it is
 _LEFT = 0.5  # share of what the color of the residual gains, above which a candidate has not explained it
 
 
@@ -58,18 +57,20 @@ def gain_over_color(battery: TestedResidual, candidates: Sequence[Candidate]) ->
     return best
 
 
-def takes_error_for_color(battery: TestedResidual, candidates: Sequence[Candidate], level: float) -> bool:
+def takes_error_for_color(battery: TestedResidual, candidates: Sequence[Candidate], levels: Levels) -> bool:
     """Whether a residual that passes may be a model error: much of it is color, or a candidate fits it."""
-    return bool(left_to_noise(battery)) or gain_over_color(battery, candidates) >= level
+    return bool(left_to_noise(battery, levels)) or gain_over_color(battery, candidates) >= levels.color
 
 
-def left_to_noise(battery: TestedResidual) -> list[str]:
+def left_to_noise(battery: TestedResidual, levels: Levels) -> list[str]:
     """Where much of a residual passes for noise with a memory: the error of a model may look like that.
 
     Parameters
     ----------
     battery : TestedResidual
         Residual that passed.
+    levels : Levels
+        How much of it may be color.
 
     Returns
     -------
@@ -82,7 +83,7 @@ def left_to_noise(battery: TestedResidual) -> list[str]:
     whole = np.hstack(battery.fitted.residuals(battery.ratio)).std(axis=1)
     memory = float(np.max(whole / battery.whitener.scales, where=np.array(orders) > 0, initial=0.0))
     fit = float(refined.fit[np.isfinite(refined.fit)].min(initial=100.0))
-    if fit >= _MUCH and memory < _MEMORY:
+    if fit >= levels.colored_fit and memory < levels.colored_size:
         return []
     run = "the prediction" if refined.led else "the free run"
     return [

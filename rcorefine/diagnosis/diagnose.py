@@ -220,7 +220,7 @@ def investigate(
         free_run = TestedResidual(case.fitted)
         tests = run_tests(free_run, scored, case.motions, len(case.library) - len(near))
     passed = case.passes(tests, case.fitted)
-    doubtful = passed and takes_error_for_color(free_run, scored, case.levels.color)
+    doubtful = passed and takes_error_for_color(free_run, scored, case.levels)
     if passed and not doubtful:
         fine = adequate(case, Explained(free_run, scored, tests))
         if thorough or overall(tests, equal=True) >= significance:

@@ -119,5 +119,5 @@ def adequate(case: Case, explained: Explained) -> Diagnosis:
     scored = [*explained.scored, *candidate_columns(battery.fitted, far, case.motions[0], (battery.ratio,))]
     shown = detectable(battery, scored, count, case.significance, case.levels)
     tests, ratio = tuple(explained.tests), explained.battery.ratio
-    notes = tuple(left_to_noise(battery))
+    notes = tuple(left_to_noise(battery, case.levels))
     return Diagnosis("adequate", (), (), tests, (), shown, force_ratio=ratio, notes=notes, **case.about)

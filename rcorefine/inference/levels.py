@@ -42,10 +42,6 @@ class Levels:
     force : float
         Log-likelihood that an unmeasured force must earn over none, or an effect over such a
         force. Below it the simpler one stands.
-    color : float
-        Log-likelihood that an effect must earn over noise of any color that passes the tests, each
-        side with a filter of its own. By chance below 15, and up to 54 where the noise has the
-        period and the damping of a mode that rings through the whole record.
     force_beside : float
         The same beside an effect that fails without it, where the tests decide.
     force_size : float
@@ -53,6 +49,16 @@ class Levels:
     hopeless : float
         p-value of a model beside an unmeasured force, uniform by chance. Below it no fit of
         the candidates beside that force is tried.
+    color : float
+        Log-likelihood that an effect must earn over noise of any color that passes the tests, each
+        side with a filter of its own. By chance below 15, and up to 54 where the noise has the
+        period and the damping of a mode that rings through the whole record.
+    colored_fit : float
+        Fit of the free run in percent, 100 without noise. Below it a residual that passes as noise with
+        a memory may be the error of the model: candidates and numbers are asked all the same.
+    colored_size : float
+        Standard deviation of such a residual over that of its innovations, 1 for white noise. Above it
+        likewise.
     swap : float
         Log-likelihood by which a candidate must win to take another one's place in a model;
         4.6 are odds of 100 to 1.
@@ -88,10 +94,12 @@ class Levels:
     off: float = 0.05
     power: float = 1.645
     force: float = 15.0
-    color: float = 60.0
     force_beside: float = 3.0
     force_size: float = 6.0
     hopeless: float = 1e-9
+    color: float = 60.0
+    colored_fit: float = 75.0
+    colored_size: float = 3.0
     swap: float = 4.6
     earned: float = 0.05
     spoiled: float = 0.02
