@@ -78,7 +78,8 @@ def floating(case: Case) -> Refinement | None:
     What it declares floats, and every mass where they are known from the matrices alone; what only
     rescales others stays. None if there is nothing to float.
     """
-    return _fit(case, _numbers(case)) if _numbers(case) else None
+    numbers = _numbers(case)
+    return _fit(case, numbers) if numbers else None
 
 
 def explaining_numbers(case: Case, refined: Refinement | None, *, far: bool = False) -> Floated | None:
