@@ -23,7 +23,7 @@ _FORCES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)  # unknown over measured: the least t
 _DIES_OUT = 1e-3  # share of its largest effect to which an error of the start is to fall
 _FOLLOWS = 5.0  # times the error of the strongest observer: more, and the motion is lost
 _KEPT = 64
-_KNOWN: dict[tuple[int, float, bytes], tuple[object, float | None]] = {}
+_KNOWN: dict[tuple[int, float, bytes, bytes], tuple[object, float | None]] = {}
 
 
 def leading_gain(structure: Structure, data: Measurement) -> Array | None:
@@ -76,13 +76,14 @@ def steadying_ratio(model: PhysicalModel, record: Measurement) -> float | None:
     """
     point = model.operating_point
     field = None if point is None else point.field
-    key = (id(field), record.dt, record.outputs.tobytes())
-    if key not in _KNOWN:
+    key = (id(field), record.dt, record.inputs.tobytes(), record.outputs.tobytes())
+    known = _KNOWN.get(key)
+    if known is None:
         while len(_KNOWN) >= _KEPT:
-            del _KNOWN[next(iter(_KNOWN))]
+            _KNOWN.pop(next(iter(_KNOWN)), None)  # threads may do the same
         # the field is kept, so that its id stays its own
-        _KNOWN[key] = (field, _sought(open_loop(Structure(model)), record))
-    return _KNOWN[key][1]
+        known = _KNOWN[key] = (field, _sought(open_loop(Structure(model)), record))
+    return known[1]
 
 
 def _sought(bare: Structure, record: Measurement) -> float | None:
