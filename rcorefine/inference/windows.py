@@ -19,8 +19,8 @@ from ..models.physical_model import PhysicalModel
 
 __all__ = ["about_noise", "as_data", "check_validation", "spread_lines", "windows"]
 
-LOOPED = "Fitted by what it predicts one sample ahead (compare and simulate run the loop)."
-PREDICTED = (
+_LOOPED = "Fitted by what it predicts one sample ahead (compare and simulate run the loop)."
+_PREDICTED = (
     "The motion is chaotic and has no free run: it is judged by what the model predicts one sample ahead, "
     "led by an observer (horizon= gives short free runs)."
 )
@@ -89,15 +89,12 @@ def about_noise(physical: PhysicalModel, data: list[Any], given: list[Any]) -> l
 def windows(
     physical: PhysicalModel, records: list[Any], horizon: float | None, known_start: bool = False
 ) -> tuple[list[Any], str]:
-    """Cut the records into the windows of `physics.windows.free_runs`, and say why.
-
-    Frequency responses stay whole; said is what their noise is.
-    """
+    """Records in the windows of `engine.free_runs`, and why; responses whole, and what their noise is."""
     if in_frequency(records):
         return records, " ".join(dict.fromkeys(record.note for record in records if record.note))
     cuts, note = free_runs([as_it_runs(physical, r) for r in records], records, horizon, known_start)
     if len(cuts[0]) == 1 and not note and any(leading_ratio(physical, r) is not None for r in records):
-        note = PREDICTED if physical.controller is None else LOOPED
+        note = _PREDICTED if physical.controller is None else _LOOPED
     pieces = []
     for record, parts in zip(records, cuts, strict=True):
         pieces += [record] if len(parts) == 1 else [record._part(part) for part in parts]
