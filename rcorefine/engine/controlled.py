@@ -28,13 +28,12 @@ __all__ = ["as_it_runs", "loop_gain", "open_loop", "own_states", "sample_jumps",
 
 def own_states(structure: Structure) -> NDArray[np.int64]:
     """Indices of the states that are not a controller's."""
-    first = structure.linear_model.n_states
-    return np.delete(np.arange(structure.n_states), slice(first, first + structure.n_loop))
+    return np.delete(np.arange(structure.n_states), structure.loop)
 
 
 def open_loop(structure: Structure) -> Structure:
     """The same model and effects without a controller."""
-    if not structure.n_loop:
+    if structure.model.controller is None:
         return structure
     model = replace(structure.model, controller=None)
     return type(structure)(model, structure.effects, constants=structure.constants)
@@ -46,9 +45,9 @@ def sample_jumps(structure: Structure, dt: float) -> Array:
     if controller is None:
         return np.zeros((0, 0))
     A, _, C, _ = controller.at(dt)
-    jumps, k = np.eye(structure.n_states), structure.linear_model.n_states
-    inner = slice(k, k + A.shape[0])
-    held = slice(inner.stop, k + structure.n_loop)
+    jumps, loop = np.eye(structure.n_states), structure.loop
+    inner = slice(loop.start, loop.start + A.shape[0])
+    held = slice(inner.stop, loop.stop)
     jumps[inner, inner], jumps[held, inner], jumps[held, held] = A, C, 0.0
     return jumps
 
@@ -59,9 +58,7 @@ def loop_gain(structure: Structure, dt: float) -> Array:
     gain = np.zeros((structure.n_states, structure.n_outputs))
     if controller is not None:
         _, B, _, D = controller.fed_back(dt, structure.n_outputs)
-        gain[
-            structure.linear_model.n_states : structure.linear_model.n_states + structure.n_loop
-        ] = -np.vstack([B, D])
+        gain[structure.loop] = -np.vstack([B, D])
     return gain
 
 
@@ -73,7 +70,7 @@ def start_columns(structure: Structure, count: int) -> Array:
     n, controller = structure.n_states, structure.model.controller
     found = np.eye(count, n, n - count)
     if controller is not None and controller.recorded:
-        found[:, structure.linear_model.n_states : structure.linear_model.n_states + structure.n_loop] = 0.0
+        found[:, structure.loop] = 0.0
     return found
 
 

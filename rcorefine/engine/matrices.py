@@ -50,13 +50,9 @@ def site_of(structure: Structure, index: int) -> Site:
         port = structure.model.port(effect.place)
         rows = [np.pad(row, (0, n - row.size)) for row in (port.act, port.position, port.velocity)]
         inputs = [port.position_input, port.velocity_input, port.acceleration_input]
-    states = [
-        base.n_states + structure.n_loop + i
-        for i, (owner, _) in enumerate(structure.added_states)
-        if owner == index
-    ]
+    added = enumerate(structure.added_states, structure.loop.stop)
+    state = next((state for state, (owner, _) in added if owner == index), -1)
     (act, position, velocity), (d_w, v_w, a_w) = rows, inputs
-    state = states[0] if states else -1
     return Site(act, position, velocity, d_w, v_w, a_w, channel, entry, state)
 
 
@@ -114,7 +110,7 @@ def continuous_matrices(structure: Structure, theta: NDArray[Any]) -> Matrices:
         sense = np.vstack([sense, np.eye(n0, n + nw + 1), np.hstack([Ux, into.Uw])])
     controller = model.controller
     if controller is not None:  # what it adds to the inputs is held in its last states
-        held = slice(n0 + structure.n_loop - len(controller.driven), n0 + structure.n_loop)
+        held = slice(structure.loop.stop - len(controller.driven), structure.loop.stop)
         driven = np.array(controller.driven)
         A[:, held] += B[:, driven]
         C[:, held] += D[:, driven]

@@ -48,7 +48,8 @@ def observer_gain(
     ndarray, shape (n, n_y)
         Gain K of ``x = x + K (y - y_model)`` at each sample.
     """
-    if structure.n_loop:  # what it predicts has the inputs as they were: a controller takes no part
+    if structure.model.controller is not None:
+        # what it predicts has the inputs as they were: a controller takes no part
         gain = np.zeros((structure.n_states, structure.n_outputs))
         gain[own_states(structure)] = observer_gain(
             open_loop(structure), theta, data, ratio, at=at, noise=noise

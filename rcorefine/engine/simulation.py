@@ -187,14 +187,15 @@ def simulated(model: Any, data: Measurement, x0: str | Array, *, led: bool = Fal
     if isinstance(inner, ct.StateSpace) and inner.dt != 0:
         return _simulate_discrete(LinearModel.from_statespace(inner), data, x0)
     structure, theta, substeps = structure_of(model)
-    if structure.n_loop:
+    if structure.model.controller is not None:
         data = completed(structure.model, data)
         data = record_for(data, match_channels(structure.linear_model, data))
     check_channels(structure.linear_model, data)
     own = own_states(structure)
     start, point = as_state(x0, own.size), structure.model.operating_point
     if start is not None:
-        start = np.insert(start, np.full(structure.n_loop, structure.linear_model.n_states), 0.0)
+        start, given = np.zeros(structure.n_states), start
+        start[own] = given
     levels = _levels(structure, data)
     if point is not None:
         data = data.deviation(point.inputs, point.outputs)
@@ -211,7 +212,7 @@ def simulated(model: Any, data: Measurement, x0: str | Array, *, led: bool = Fal
 
 def _lead(structure: Structure, data: Measurement, led: bool) -> Array | None:
     """What acts on the error of the outputs: the controller, or an observer where that may be."""
-    if structure.n_loop:
+    if structure.model.controller is not None:
         return loop_gain(structure, data.dt)
     return leading_gain(structure, data) if led else None
 

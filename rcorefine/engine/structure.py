@@ -83,8 +83,9 @@ class Structure:
         for index, effect in enumerate(self.effects):
             self._register(index, effect)
         # states of a controller stand between those of the model and those of effects
-        self.n_loop = 0 if self.model.controller is None else self.model.controller.n_states
-        self.n_states = base.n_states + self.n_loop + len(self.added_states)
+        n_loop = 0 if self.model.controller is None else self.model.controller.n_states
+        self.loop = slice(base.n_states, base.n_states + n_loop)
+        self.n_states = self.loop.stop + len(self.added_states)
         self.n_ports = len(self._port_effects)
         self._substeps: dict[tuple[bytes, float, bool], Discrete] = {}
         self.sites = {
