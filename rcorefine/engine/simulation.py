@@ -8,25 +8,23 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from numpy.typing import NDArray
 
 from ..arguments import as_state, shown
 from ..data.channels import match_channels, record_for
 from ..data.measurement import Measurement
 from ..exceptions import DivergenceError, ModelError
-from ..gauss_newton import Rows, gauss_newton
 from ..models.controller import completed
 from ..models.conversion import as_model, under_control
 from ..results import Data
 from ..systems.linear import Array, LinearModel
 from .controlled import loop_gain, own_states
 from .engine import Engine
+from .initial_state import estimate_initial_state
 from .leading import leading_gain
 from .structure import Structure
 
 __all__ = [
     "Simulation",
-    "estimate_initial_state",
     "simulate",
     "simulated",
     "structure_of",
@@ -77,59 +75,6 @@ def structure_of(model: Any) -> tuple[Structure, Array, int]:
         structure, theta, substeps = known()
         return structure, theta, substeps
     return Structure(model), np.zeros(0), 1
-
-
-def estimate_initial_state(
-    engine: Engine,
-    theta: Array,
-    weights: Array | None = None,
-    *,
-    gain: Array | None = None,
-    use: NDArray[np.bool_] | None = None,
-) -> Array:
-    """Initial state that brings the free run closest to the record.
-
-    Parameters
-    ----------
-    engine : Engine
-        Structure on its record.
-    theta : ndarray, shape (p,)
-        Coefficients, held.
-    weights : ndarray, shape (n_y,), optional
-        Weight of each output, default one over its standard deviation.
-    gain : ndarray, shape (n, n_y), optional
-        Observer gain; the free run without it.
-    use : ndarray of bool, shape (N, n_y), optional
-        Which outputs were measured; by default all.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Gauss-Newton estimate (exact in one step for a linear model); directions
-        that the record cannot see stay at zero.
-    """
-    y = engine.data.outputs
-    if weights is None:
-        weights = 1.0 / np.maximum(y.std(axis=1), 1e-300 + 1e-12 * np.abs(y).max(axis=1))
-        weights = np.where(np.isfinite(weights), weights, 1.0)
-    judged = np.arange(y.shape[1]) >= engine.unjudged(theta)[:, None]
-    weights = weights[:, None] * (judged if use is None else judged & use.T)
-    calm = theta.copy()
-    if not engine.structure.is_linear:
-        calm[engine.structure.port_columns] = 0.0  # without its nonlinear forces: a safe first guess
-
-    def rows(theta: Array, point: Array) -> Rows:
-        run = engine.run(theta, point, sensitivity=False, initial_state=True, gain=gain, use=use, check=False)
-        error = (weights * (run.outputs - engine.data.outputs)).ravel()
-        slopes = (weights[:, :, None] * run.sensitivity).reshape(error.size, -1)
-        sound = run.blew_up < 0 and np.isfinite(slopes).all()
-        return Rows(error if sound else np.full(1, np.inf), slopes)
-
-    x0 = np.zeros(engine.structure.n_states)
-    x0 = gauss_newton(partial(rows, calm), x0, evaluations=3, tolerance=1e-8, damping=0.0).point
-    if engine.structure.is_linear:
-        return x0
-    return gauss_newton(partial(rows, theta), x0, evaluations=20, tolerance=1e-8, damping=0.0).point
 
 
 def simulate(

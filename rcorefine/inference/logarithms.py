@@ -51,8 +51,8 @@ def by_logarithms(problem: Problem, point: Array) -> Array:
     chosen = engines
 
     def rows(box: Array) -> Rows:
-        theta = problem.unpack(problem.from_box(box))[0]
-        residuals, slopes = [problem.prior_rows(theta)[0]], [problem.prior_rows(theta)[1]]
+        theta = problem.from_box(box)  # a response has no start
+        residuals, slopes = ([part] for part in problem.prior_rows(theta))
         for engine, g, weight in zip(engines, measured, weights, strict=True):
             if engine not in chosen:
                 continue

@@ -12,8 +12,8 @@ from ..arguments import as_noise
 from ..data.measurement import Measurement
 from ..data.response_record import in_frequency, noise_is_known
 from ..engine.engine import Engine
+from ..engine.initial_state import estimate_initial_state
 from ..engine.response_engine import engine_on
-from ..engine.simulation import estimate_initial_state
 from ..engine.structure import Structure
 from ..exceptions import IdentifiabilityWarning
 from ..models.physical_model import PhysicalModel

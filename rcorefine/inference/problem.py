@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.optimize import OptimizeResult, least_squares
 
 from ..data.measurement import Measurement
 from ..data.response_record import ResponseRecord, in_frequency
+from ..engine.initial_state import brief_modes
 from ..engine.response_engine import engine_on, is_linear
 from ..engine.structure import Structure
 from ..systems.linear import Array
@@ -146,18 +149,34 @@ class Problem:
                 error = np.full(engine.data.outputs.size, _FAILED)
             rows.append(error)
             blocks.append(block)
-        for whole, part in zip((rows, blocks), self.prior_rows(theta), strict=True):
+        for whole, part in zip((rows, blocks), self.prior_rows(point), strict=True):
             whole.append(part)
         result = Evaluation(np.concatenate(rows), np.vstack(blocks), finite)
         self._cache = (point.copy(), result)
         return result
 
-    def prior_rows(self, theta: Array) -> tuple[Array, Array]:
-        """Distance of the coefficients from their priors in standard deviations, and its derivatives."""
+    def prior_rows(self, point: Array) -> tuple[Array, Array]:
+        """Distance of the unknowns from their priors in standard deviations, and its derivatives."""
+        rows = self._prior
+        return rows @ point - self._expected, rows
+
+    @cached_property
+    def _prior(self) -> Array:
+        """Rows of the priors: of the coefficients that have one, then of how brief modes start."""
+        held = np.flatnonzero(np.isfinite(self.prior_sd))
+        starts = []
+        if self.free_start:
+            at = self.structure.start()
+            starts = [brief_modes(engine, at) for engine in self.engines]
+        return np.asarray(block_diag(np.eye(self.n_theta)[held] / self.prior_sd[held, None], *starts))
+
+    @cached_property
+    def _expected(self) -> Array:
+        """Products of the rows of the priors with the unknowns, as they were expected."""
         held = np.isfinite(self.prior_sd)
-        block = np.zeros((int(held.sum()), self.size))
-        block[np.arange(block.shape[0]), np.flatnonzero(held)] = 1.0 / self.prior_sd[held]
-        return (theta[held] - self.prior_mean[held]) / self.prior_sd[held], block
+        expected = np.zeros(self._prior.shape[0])
+        expected[: held.sum()] = self.prior_mean[held] / self.prior_sd[held]
+        return expected
 
     def judged(self, theta: Array) -> list[Array]:
         """Weight (n_y, N) of the samples of each record: nothing for those that a delay hides.

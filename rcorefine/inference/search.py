@@ -10,8 +10,8 @@ import numpy as np
 from ..data.measurement import Measurement
 from ..data.response_record import in_frequency
 from ..engine.engine import Engine
+from ..engine.initial_state import estimate_initial_state
 from ..engine.observer import observer_gain
-from ..engine.simulation import estimate_initial_state
 from ..engine.structure import Structure
 from ..systems.linear import Array
 from .covariance import parameter_uncertainty

@@ -12,7 +12,7 @@ from ...comparison.metrics import fit_percent
 from ...data.measurement import Measurement
 from ...effects.effect import Effect
 from ...engine.engine import Engine
-from ...engine.simulation import estimate_initial_state
+from ...engine.initial_state import estimate_initial_state
 from ...inference.assembly import nominal_size
 from ...systems.linear import Array
 from .baseline import FREE

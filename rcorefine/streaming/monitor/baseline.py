@@ -14,8 +14,8 @@ from scipy.stats import norm
 
 from ...data.measurement import Measurement
 from ...engine.engine import Engine
+from ...engine.initial_state import estimate_initial_state
 from ...engine.observer import observer_gain
-from ...engine.simulation import estimate_initial_state
 from ...engine.structure import Structure
 from ...exceptions import DataError
 from ...inference.autoregression import autoregression

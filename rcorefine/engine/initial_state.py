@@ -1,0 +1,126 @@
+"""The initial state that suits a record, and what is known of it before: brief modes start as they move."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import schur
+
+from ..gauss_newton import Rows, gauss_newton
+from ..systems.exponential import exponential
+from ..systems.linear import Array
+from .engine import Engine
+from .observer import observer_gain
+
+__all__ = ["brief_modes", "estimate_initial_state"]
+
+_BRIEF = 0.63  # what is left of a mode after a sample, if a hundredth is left after ten
+_WIDE = 30.0  # standard deviations of how a brief mode starts, over the largest motion that it shows
+
+
+def brief_modes(engine: Engine, theta: Array) -> Array:
+    """Prior of the initial state: modes that die within some samples start as far off as they move later.
+
+    The record hardly sees where they started, and the initial state would follow the noise of those samples
+    to any size; what is nonlinear blows up there.
+
+    Parameters
+    ----------
+    engine : Engine
+        Structure on its record.
+    theta : ndarray, shape (p,)
+        Coefficients.
+
+    Returns
+    -------
+    ndarray, shape (k, n)
+        Rows whose products with the initial state have standard deviation 1; none where no mode is brief.
+    """
+    structure, data = engine.structure, engine.data
+    n = structure.n_states
+    none = np.zeros((0, n))
+    if not n or structure.n_loop:  # in a loop modes are others than those of the matrices
+        return none
+    Phi = exponential(structure.matrices(theta.astype(float)).A[None] * data.dt)[0]
+    if not np.isfinite(Phi).all() or np.abs(np.linalg.eigvals(Phi)).min() >= _BRIEF:
+        return none
+    gain = observer_gain(structure, theta, data, 1.0)
+    with np.errstate(all="ignore"):
+        runs = [
+            engine.run(theta, sensitivity=False, gain=g, histories=True, check=False).states
+            for g in (np.zeros_like(gain), gain)
+        ]
+    sound = [states for states in runs if np.isfinite(states).all()]
+    if not sound:
+        return none
+    sizes = np.max([np.abs(states).max(axis=1) for states in sound], axis=0)
+    sizes = np.where(sizes > 0, sizes, 1.0)
+    # a left invariant subspace: what it takes of the state depends on the past by brief modes alone
+    _, Q, k = schur((Phi * sizes / sizes[:, None]).T / _BRIEF, "real", sort="iuc")
+    rows = Q[:, :k].T / sizes
+    moved = np.max([np.abs(rows @ states).max(axis=1) for states in sound], axis=0)
+    return np.asarray(rows[moved > 0] / (_WIDE * moved[moved > 0])[:, None])
+
+
+def estimate_initial_state(
+    engine: Engine,
+    theta: Array,
+    weights: Array | None = None,
+    *,
+    gain: Array | None = None,
+    use: NDArray[np.bool_] | None = None,
+) -> Array:
+    """Initial state that brings the free run closest to the record.
+
+    Parameters
+    ----------
+    engine : Engine
+        Structure on its record.
+    theta : ndarray, shape (p,)
+        Coefficients, held.
+    weights : ndarray, shape (n_y,), optional
+        Weight of each output, default one over its standard deviation.
+    gain : ndarray, shape (n, n_y), optional
+        Observer gain; the free run without it.
+    use : ndarray of bool, shape (N, n_y), optional
+        Which outputs were measured; by default all.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Gauss-Newton estimate (exact in one step for a linear model); directions
+        that the record cannot see stay at zero, and `brief_modes` where they move.
+    """
+    y = engine.data.outputs
+    if weights is None:
+        weights = 1.0 / np.maximum(y.std(axis=1), 1e-300 + 1e-12 * np.abs(y).max(axis=1))
+        weights = np.where(np.isfinite(weights), weights, 1.0)
+    judged = np.arange(y.shape[1]) >= engine.unjudged(theta)[:, None]
+    weights = weights[:, None] * (judged if use is None else judged & use.T)
+    calm = theta.copy()
+    if not engine.structure.is_linear:
+        calm[engine.structure.port_columns] = 0.0  # without its nonlinear forces: a safe first guess
+    prior = np.zeros((0, engine.structure.n_states))
+
+    def rows(theta: Array, point: Array) -> Rows:
+        run = engine.run(theta, point, sensitivity=False, initial_state=True, gain=gain, use=use, check=False)
+        error = (weights * (run.outputs - engine.data.outputs)).ravel()
+        slopes = (weights[:, :, None] * run.sensitivity).reshape(error.size, -1)
+        sound = run.blew_up < 0 and np.isfinite(slopes).all()
+        error, slopes = np.append(error, prior @ point), np.vstack([slopes, prior])
+        return Rows(error if sound else np.full(1, np.inf), slopes)
+
+    rest = np.zeros(engine.structure.n_states)
+    linear = partial(gauss_newton, partial(rows, calm), rest, evaluations=3, tolerance=1e-8, damping=0.0)
+    found = linear()
+    known = brief_modes(engine, theta) if gain is None and np.isfinite(found.cost) else prior
+    if np.any(np.abs(known @ found.point) > 1.0):
+        # in units of what the best start leaves: an exact record keeps its exact start
+        left = 2.0 * found.cost / max(1.0, float(np.count_nonzero(weights)))
+        prior = known * np.sqrt(left)
+        found = linear()
+    if engine.structure.is_linear:
+        return found.point
+    return gauss_newton(partial(rows, theta), found.point, evaluations=20, tolerance=1e-8, damping=0.0).point
