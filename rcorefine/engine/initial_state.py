@@ -13,6 +13,7 @@ from ..systems.exponential import exponential
 from ..systems.linear import Array
 from .engine import Engine
 from .observer import observer_gain
+from .structure import Structure
 
 __all__ = ["brief_modes", "estimate_initial_state"]
 
@@ -20,7 +21,7 @@ _BRIEF = 0.63  # what is left of a mode after a sample, if a hundredth is left a
 _WIDE = 30.0  # standard deviations of how a brief mode starts, over the largest motion that it shows
 
 
-def brief_modes(engine: Engine, theta: Array) -> Array:
+def brief_modes(engine: Engine) -> Array:
     """Prior of the initial state: modes that die within some samples start as far off as they move later.
 
     The record hardly sees where they started, and the initial state would follow the noise of those samples
@@ -29,27 +30,26 @@ def brief_modes(engine: Engine, theta: Array) -> Array:
     Parameters
     ----------
     engine : Engine
-        Structure on its record.
-    theta : ndarray, shape (p,)
-        Coefficients.
+        Structure on its record; its model counts as it is without effects.
 
     Returns
     -------
     ndarray, shape (k, n)
         Rows whose products with the initial state have standard deviation 1; none where no mode is brief.
     """
-    structure, data = engine.structure, engine.data
-    n = structure.n_states
-    none = np.zeros((0, n))
+    structure, theta, data = Structure(engine.structure.model), np.zeros(0), engine.data
+    n, added = structure.n_states, engine.structure.n_states - structure.n_states
+    none = np.zeros((0, n + added))
     if not n or structure.n_loop:  # in a loop modes are others than those of the matrices
         return none
-    Phi = exponential(structure.matrices(theta.astype(float)).A[None] * data.dt)[0]
+    Phi = exponential(structure.matrices(theta).A[None] * data.dt)[0]
     if not np.isfinite(Phi).all() or np.abs(np.linalg.eigvals(Phi)).min() >= _BRIEF:
         return none
+    alone = Engine(structure, data, substeps=engine.substeps)
     gain = observer_gain(structure, theta, data, 1.0)
     with np.errstate(all="ignore"):
         runs = [
-            engine.run(theta, sensitivity=False, gain=g, histories=True, check=False).states
+            alone.run(theta, sensitivity=False, gain=g, histories=True, check=False).states
             for g in (np.zeros_like(gain), gain)
         ]
     sound = [states for states in runs if np.isfinite(states).all()]
@@ -61,7 +61,8 @@ def brief_modes(engine: Engine, theta: Array) -> Array:
     _, Q, k = schur((Phi * sizes / sizes[:, None]).T / _BRIEF, "real", sort="iuc")
     rows = Q[:, :k].T / sizes
     moved = np.max([np.abs(rows @ states).max(axis=1) for states in sound], axis=0)
-    return np.asarray(rows[moved > 0] / (_WIDE * moved[moved > 0])[:, None])
+    rows = rows[moved > 0] / (_WIDE * moved[moved > 0])[:, None]
+    return np.pad(rows, ((0, 0), (0, added)))
 
 
 def estimate_initial_state(
@@ -115,7 +116,7 @@ def estimate_initial_state(
     rest = np.zeros(engine.structure.n_states)
     linear = partial(gauss_newton, partial(rows, calm), rest, evaluations=3, tolerance=1e-8, damping=0.0)
     found = linear()
-    known = brief_modes(engine, theta) if gain is None and np.isfinite(found.cost) else prior
+    known = brief_modes(engine) if gain is None and np.isfinite(found.cost) else prior
     if np.any(np.abs(known @ found.point) > 1.0):
         # in units of what the best start leaves: an exact record keeps its exact start
         left = 2.0 * found.cost / max(1.0, float(np.count_nonzero(weights)))

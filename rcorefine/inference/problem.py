@@ -164,10 +164,7 @@ class Problem:
     def _prior(self) -> Array:
         """Rows of the priors: of the coefficients that have one, then of how brief modes start."""
         held = np.flatnonzero(np.isfinite(self.prior_sd))
-        starts = []
-        if self.free_start:
-            at = self.structure.start()
-            starts = [brief_modes(engine, at) for engine in self.engines]
+        starts = [brief_modes(engine) for engine in self.engines] if self.free_start else []
         return np.asarray(block_diag(np.eye(self.n_theta)[held] / self.prior_sd[held, None], *starts))
 
     @cached_property
