@@ -40,7 +40,7 @@ def brief_modes(engine: Engine) -> Array:
     structure, theta, data = Structure(engine.structure.model), np.zeros(0), engine.data
     n, added = structure.n_states, engine.structure.n_states - structure.n_states
     none = np.zeros((0, n + added))
-    if not n or structure.n_loop:  # in a loop modes are others than those of the matrices
+    if not n or structure.model.controller is not None:  # in a loop modes are not those of the matrices
         return none
     Phi = exponential(structure.matrices(theta).A[None] * data.dt)[0]
     if not np.isfinite(Phi).all() or np.abs(np.linalg.eigvals(Phi)).min() >= _BRIEF:
