@@ -43,7 +43,8 @@ class RCORefiner(Result, Learned):
     Stage 1 adapts a *dynamic* correction until the output follows; its state estimates the true one.
     Stage 2 fits a *static* correction to that: a refined model of the same order. By default several
     forms of it run as exact filters and compete; `window`, `markov` or a ``static_...`` setting asks
-    for the paper's own equations. More in ``docs/refiner.md``.
+    for the paper's own equations, (23) to (46). Several threads may use it in turn. More in
+    ``docs/refiner.md``.
 
     Parameters
     ----------
@@ -82,11 +83,6 @@ class RCORefiner(Result, Learned):
         Unknown force over the input, rms (0; 0.03 with `forgetting`); share of what is known that a
         sample leaves (1); steps per sample for nonlinear effects (4).
 
-    Attributes
-    ----------
-    n_samples, n_learned : int
-        Samples taken, and learned from: 0 while the first are held back.
-
     Raises
     ------
     control.ControlArgument
@@ -95,10 +91,6 @@ class RCORefiner(Result, Learned):
         If B_u, D_u or a scale has the wrong shape.
     ModelError
         If a setting is out of range, dt is missing or contradicts, or the correction reaches no output.
-
-    Notes
-    -----
-    Several threads may use it in turn. The paper's equations are (23) to (46).
 
     Examples
     --------
