@@ -10,7 +10,7 @@ import numpy as np
 
 from ..systems.linear import Array
 from .absorbed import AbsorbedLaw, Assembly, Site
-from .law import Coefficient, Seen, register
+from .law import Coefficient, Seen, positive, register
 
 
 @register
@@ -51,21 +51,9 @@ class HiddenMode(AbsorbedLaw):
 
     where = frozenset(["mechanical"])
     coefficients = (
-        Coefficient(
-            "mass",
-            "force s/velocity",
-            lower=0.0,
-            default_start=None,
-            explanation="attached mass",
-        ),
-        Coefficient("damping", "force/velocity", lower=0.0, default_start=None, explanation="its damper"),
-        Coefficient(
-            "stiffness",
-            "force/position",
-            lower=0.0,
-            default_start=None,
-            explanation="its spring",
-        ),
+        positive("mass", "force s/velocity", "attached mass"),
+        positive("damping", "force/velocity", "its damper"),
+        positive("stiffness", "force/position", "its spring"),
     )
     formula = "m z'' = f = c (v - z') + k (d - z)"
     explanation = (

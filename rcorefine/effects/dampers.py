@@ -12,7 +12,7 @@ import numpy as np
 from .absorbed import AbsorbedLaw, Assembly, Site, nominal_is_left
 from .flows import ROOT_WIDTH
 from .formula import PortLaw
-from .law import Coefficient, Seen, register
+from .law import Coefficient, Seen, positive, register
 
 
 @register
@@ -139,15 +139,7 @@ class PowerDamping(PortLaw):
     where = frozenset(["first_order", "mechanical"])
     coefficients = (
         Coefficient("damping", "force", explanation="force at unit speed"),
-        Coefficient(
-            "power",
-            "1",
-            lower=0.3,
-            upper=3.5,
-            default_start=None,
-            shapes=True,
-            explanation="exponent of the speed",
-        ),
+        positive("power", "1", "exponent of the speed", lower=0.3, upper=3.5, shapes=True),
     )
     constants = MappingProxyType({"width": None})
     formula = "f = t |v|^p sgn(v)"

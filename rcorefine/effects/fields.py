@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from .formula import PortLaw
-from .law import Coefficient, Seen, register
+from .law import Coefficient, Seen, positive, register
 
 
 @register
@@ -42,14 +42,7 @@ class Cogging(PortLaw):
     coefficients = (
         Coefficient("sine", "force", explanation="part that is zero at rest"),
         Coefficient("cosine", "force", explanation="part that is largest at rest"),
-        Coefficient(
-            "period",
-            "position",
-            lower=0.0,
-            default_start=None,
-            shapes=True,
-            explanation="distance from one cog to the next",
-        ),
+        positive("period", "position", "distance from one cog to the next", shapes=True),
     )
     formula = "f = a sin(2 pi d/P) + b (cos(2 pi d/P) - 1)"
     explanation = "The force at {place} repeats with the position: cogging of a motor, ripple of gears."

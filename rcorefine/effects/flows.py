@@ -54,11 +54,7 @@ class ThresholdFlow(PortLaw):
     coefficients = (
         Coefficient("flow", "force/velocity", explanation="flow per unit above the threshold"),
         Coefficient(
-            "threshold",
-            "velocity",
-            default_start=None,
-            shapes=True,
-            explanation="level at which it starts",
+            "threshold", "velocity", default_start=None, shapes=True, explanation="level at which it starts"
         ),
     )
     formula = "f = t max(x - threshold, 0)"

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from .formula import PortLaw
-from .law import Coefficient, Seen, register
+from .law import Coefficient, Seen, positive, register
 
 # the width over which sgn(v) is smoothed is fixed, because a free one only fits noise
 SIGN_WIDTH = 0.005  # of the rms velocity
@@ -58,14 +58,12 @@ class SmoothFriction(PortLaw):
     where = frozenset(["first_order", "mechanical"])
     coefficients = (
         Coefficient("force", "force", explanation="friction force at high speed"),
-        Coefficient(
+        positive(
             "velocity",
             "velocity",
-            lower=0.0,
-            default_start=None,
-            shapes=True,
+            "speed at which it has reached three quarters of that",
             widths=(20.0, 1000.0),  # below it is a jump, above a damper
-            explanation="speed at which it has reached three quarters of that",
+            shapes=True,
         ),
     )
     formula = "f = t tanh(v/v0)"
@@ -157,14 +155,12 @@ class StribeckFriction(PortLaw):
     coefficients = (
         Coefficient("coulomb_force", "force", lower=0.0, explanation="friction force at high speed"),
         Coefficient("static_force", "force", lower=0.0, explanation="friction force at breakaway"),
-        Coefficient(
+        positive(
             "velocity",
             "velocity",
-            lower=0.0,
-            default_start=None,
-            shapes=True,
+            "speed at which the static part has faded",
             widths=SEEN_TO_FADE,
-            explanation="speed at which the static part has faded",
+            shapes=True,
         ),
     )
     constants = MappingProxyType({"width": None})

@@ -10,7 +10,7 @@ import numpy as np
 
 from .formula import PortLaw
 from .friction import SEEN_TO_FADE, SIGN_WIDTH
-from .law import Coefficient, Seen, register
+from .law import Coefficient, Seen, positive, register
 
 
 @register
@@ -20,13 +20,11 @@ class Hysteresis(PortLaw):
     where = frozenset(["mechanical"])
     coefficients = (
         Coefficient("force", "force", explanation="force that the hysteresis saturates at"),
-        Coefficient(
+        positive(
             "displacement",
             "position",
-            lower=0.0,
-            default_start=None,
+            "presliding displacement: how far it gives before it slips",
             shapes=True,
-            explanation="presliding displacement: how far it gives before it slips",
         ),
     )
     formula = "f = t z/D, dz/dt = v - |v| z/D (Dahl)"
@@ -86,31 +84,19 @@ class LugreFriction(PortLaw):
     where = frozenset(["mechanical"])
     coefficients = (
         Coefficient("force", "force", explanation="friction force at high speed"),
-        Coefficient(
-            "static_ratio",
-            "1",
-            lower=1.0,
-            upper=10.0,
-            default_start=None,
-            shapes=True,
-            explanation="friction at breakaway over that",
-        ),
-        Coefficient(
+        positive("static_ratio", "1", "friction at breakaway over that", lower=1.0, upper=10.0, shapes=True),
+        positive(
             "velocity",
             "velocity",
-            lower=0.0,
-            default_start=None,
-            shapes=True,
+            "speed at which the static part has faded",
             widths=SEEN_TO_FADE,
-            explanation="speed at which the static part has faded",
+            shapes=True,
         ),
-        Coefficient(
+        positive(
             "displacement",
             "position",
-            lower=0.0,
-            default_start=None,
+            "how far it gives before it slips: force over stiffness of the bristles",
             shapes=True,
-            explanation="how far it gives before it slips: force over stiffness of the bristles",
         ),
     )
     formula = "f = F z, D dz/dt = v - |v| z/g, g = 1 + (r - 1) exp(-(v/vs)^2) (LuGre)"
@@ -183,14 +169,7 @@ class Play(PortLaw):
     where = frozenset(["mechanical"])
     coefficients = (
         Coefficient("stiffness", "force/position", explanation="stiffness of what is dragged along"),
-        Coefficient(
-            "gap",
-            "position",
-            lower=0.0,
-            default_start=None,
-            shapes=True,
-            explanation="play on either side",
-        ),
+        positive("gap", "position", "play on either side", shapes=True),
     )
     formula = "f = t z, z follows d with play of +- gap"
     explanation = "A spring at {place} is dragged along behind a play: the force depends on the path taken."

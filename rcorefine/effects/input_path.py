@@ -11,7 +11,7 @@ import numpy as np
 from ..systems.linear import Array
 from .absorbed import AbsorbedLaw, Assembly, Site
 from .formula import InputLaw
-from .law import Coefficient, Seen, register
+from .law import Coefficient, Seen, positive, register
 
 
 @register
@@ -56,7 +56,7 @@ class InputDelay(InputLaw):
     """Actuator with a dead time."""
 
     where = frozenset(["input"])
-    coefficients = (Coefficient("delay", "s", lower=0.0, default_start=None, explanation="dead time"),)
+    coefficients = (positive("delay", "s", "dead time"),)
     formula = "w(t) -> w(t - delay)"
     explanation = "The input {place} acts later than the record says: a dead time."
     linear = True
@@ -73,9 +73,7 @@ class InputLag(AbsorbedLaw):
     """Slow actuator."""
 
     where = frozenset(["input"])
-    coefficients = (
-        Coefficient("time_constant", "s", lower=0.0, default_start=None, explanation="time constant"),
-    )
+    coefficients = (positive("time_constant", "s", "time constant"),)
     formula = "T dr/dt + r = w, w -> r"
     explanation = "The input {place} does not act at once but catches up with a lag, like a slow actuator."
     linear = True
@@ -98,16 +96,7 @@ class InputDeadzone(InputLaw):
     """Actuator that ignores small values."""
 
     where = frozenset(["input"])
-    coefficients = (
-        Coefficient(
-            "threshold",
-            "signal",
-            lower=0.0,
-            default_start=None,
-            shapes=True,
-            explanation="input that is lost",
-        ),
-    )
+    coefficients = (positive("threshold", "signal", "input that is lost", shapes=True),)
     signal = "deadzone"
     secant = False
     formula = "w -> sgn(w) max(|w| - threshold, 0)"
@@ -140,16 +129,7 @@ class InputSaturation(InputLaw):
     """Actuator with a limit."""
 
     where = frozenset(["input"])
-    coefficients = (
-        Coefficient(
-            "limit",
-            "signal",
-            lower=0.0,
-            default_start=None,
-            shapes=True,
-            explanation="largest size that acts",
-        ),
-    )
+    coefficients = (positive("limit", "signal", "largest size that acts", shapes=True),)
     signal = "saturation"
     formula = "w -> min(max(w, -limit), limit)"
     explanation = "The input {place} saturates: it cannot exceed a limit in either direction."
@@ -179,23 +159,8 @@ class InputPower(InputLaw):
 
     where = frozenset(["input"])
     coefficients = (
-        Coefficient(
-            "power",
-            "1",
-            lower=0.2,
-            upper=5.0,
-            default_start=None,
-            shapes=True,
-            explanation="exponent of the command",
-        ),
-        Coefficient(
-            "level",
-            "signal",
-            lower=0.0,
-            default_start=None,
-            shapes=True,
-            explanation="command at which it acts as the model says",
-        ),
+        positive("power", "1", "exponent of the command", lower=0.2, upper=5.0, shapes=True),
+        positive("level", "signal", "command at which it acts as the model says", shapes=True),
     )
     formula = "w -> sgn(w) level |w/level|^p"
     explanation = "The input {place} acts by a power of its size: the thrust of a fan, the flow of a valve."
@@ -224,11 +189,7 @@ class InputPlay(InputLaw):
     """Backlash of an actuator: inside the gap nothing moves on."""
 
     where = frozenset(["input"])
-    coefficients = (
-        Coefficient(
-            "gap", "signal", lower=0.0, default_start=None, shapes=True, explanation="play on either side"
-        ),
-    )
+    coefficients = (positive("gap", "signal", "play on either side", shapes=True),)
     formula = "r follows w with play of +- gap, w -> r"
     explanation = "The input {place} has play: it acts again only a gap after it has turned."
     on_request = True  # a force has no play, a position or an angle that is commanded has
@@ -266,11 +227,7 @@ class InputRateLimit(InputLaw):
     """
 
     where = frozenset(["input"])
-    coefficients = (
-        Coefficient(
-            "rate", "signal/s", lower=0.0, default_start=None, shapes=True, explanation="fastest change"
-        ),
-    )
+    coefficients = (positive("rate", "signal/s", "fastest change", shapes=True),)
     formula = "dr/dt = rate sgn(w - r) until r = w, w -> r"
     explanation = "The input {place} cannot change faster than a rate: the actuator lags behind large moves."
     on_request = True  # a servo or a valve has one; a force that is switched has none

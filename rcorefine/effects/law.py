@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Protocol, TypeVar, cast
 
 from ..systems.linear import Array
 
-__all__ = ["KINDS", "Coefficient", "Law", "Seen", "instance_of", "register"]
+__all__ = ["KINDS", "Coefficient", "Law", "Seen", "instance_of", "positive", "register"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +53,11 @@ class Coefficient:
     explanation: str = ""
     shapes: bool = False
     widths: tuple[float, ...] = ()
+
+
+def positive(name: str, unit_rule: str, explanation: str, *, lower: float = 0.0, **more: Any) -> Coefficient:
+    """A coefficient that is not negative, and whose start must be found from data."""
+    return Coefficient(name, unit_rule, lower, default_start=None, explanation=explanation, **more)
 
 
 class Seen(Protocol):

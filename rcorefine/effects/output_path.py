@@ -9,7 +9,7 @@ import numpy as np
 
 from .absorbed import AbsorbedLaw, Assembly, Site
 from .formula import OutputLaw
-from .law import Coefficient, Seen, register
+from .law import Coefficient, Seen, positive, register
 
 
 @register
@@ -50,7 +50,7 @@ class OutputDelay(OutputLaw):
     """Sensor that reports late."""
 
     where = frozenset(["output"])
-    coefficients = (Coefficient("delay", "s", lower=0.0, default_start=None, explanation="dead time"),)
+    coefficients = (positive("delay", "s", "dead time"),)
     formula = "y(t) -> y(t - delay)"
     explanation = "The sensor {place} reports late: a dead time."
     linear = True
@@ -67,9 +67,7 @@ class OutputLag(AbsorbedLaw):
     """Slow sensor."""
 
     where = frozenset(["output"])
-    coefficients = (
-        Coefficient("time_constant", "s", lower=0.0, default_start=None, explanation="time constant"),
-    )
+    coefficients = (positive("time_constant", "s", "time constant"),)
     formula = "T dr/dt + r = y, y -> r"
     explanation = "The sensor {place} is slow: it follows what it measures with a lag, like a filter."
     linear = True
@@ -92,16 +90,7 @@ class OutputSaturation(OutputLaw):
     """Sensor with a limit."""
 
     where = frozenset(["output"])
-    coefficients = (
-        Coefficient(
-            "limit",
-            "signal",
-            lower=0.0,
-            default_start=None,
-            shapes=True,
-            explanation="largest size it can show",
-        ),
-    )
+    coefficients = (positive("limit", "signal", "largest size it can show", shapes=True),)
     signal = "saturation"
     formula = "y -> min(max(y, -limit), limit)"
     explanation = "The sensor {place} is capped: beyond a limit it shows the limit."
@@ -131,16 +120,7 @@ class OutputRectification(OutputLaw):
     """Sensor that loses the sign."""
 
     where = frozenset(["output"])
-    coefficients = (
-        Coefficient(
-            "fraction",
-            "1",
-            lower=0.0,
-            upper=1.0,
-            default_start=None,
-            explanation="rectified share",
-        ),
-    )
+    coefficients = (positive("fraction", "1", "rectified share", upper=1.0),)
     signal = "rectification"
     formula = "y -> (1 - t) y + t |y|"
     explanation = "The sensor {place} loses the sign: it shows the size, in whole (1) or in part."

@@ -11,7 +11,7 @@ import numpy as np
 
 from .absorbed import AbsorbedLaw, Assembly, Site, nominal_is_left
 from .formula import PortLaw
-from .law import Coefficient, Seen, register
+from .law import Coefficient, Seen, positive, register
 
 
 @register
@@ -140,14 +140,7 @@ class Clearance(PortLaw):
     where = frozenset(["mechanical"])
     coefficients = (
         Coefficient("stiffness", "force/position", explanation="stiffness of the contact"),
-        Coefficient(
-            "gap",
-            "position",
-            lower=0.0,
-            default_start=None,
-            shapes=True,
-            explanation="play on either side",
-        ),
+        positive("gap", "position", "play on either side", shapes=True),
     )
     contains = MappingProxyType({"stiffness": {"gap": 0.0}})
     formula = "f = t sgn(d) max(|d| - gap, 0)"
@@ -182,23 +175,8 @@ class SoftClearance(PortLaw):
     where = frozenset(["mechanical"])
     coefficients = (
         Coefficient("stiffness", "force/position", explanation="stiffness of the contact"),
-        Coefficient(
-            "gap",
-            "position",
-            lower=0.0,
-            default_start=None,
-            shapes=True,
-            explanation="play on either side, to the middle of the corner",
-        ),
-        Coefficient(
-            "softness",
-            "1",
-            lower=0.1,
-            upper=3.0,
-            default_start=None,
-            shapes=True,
-            explanation="rounding of the corner, in gaps",
-        ),
+        positive("gap", "position", "play on either side, to the middle of the corner", shapes=True),
+        positive("softness", "1", "rounding of the corner, in gaps", lower=0.1, upper=3.0, shapes=True),
     )
     formula = "f = t (d + (r(d - gap) - r(d + gap))/2), r(x) = sqrt(x^2 + (softness gap)^2)"
     explanation = "There is play at {place}, and its stop is met gradually, as through a layer of rubber."
