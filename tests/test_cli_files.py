@@ -7,7 +7,6 @@ import os
 import subprocess
 import sys
 import warnings
-from argparse import Namespace
 from pathlib import Path
 
 import control as ct
@@ -19,7 +18,7 @@ import rcorefine as rco
 from rcorefine.commands.analysis import wanted_candidates
 from rcorefine.commands.cli import main
 from rcorefine.commands.example import NAMES, example_csv, example_toml
-from rcorefine.commands.records import read_record
+from rcorefine.data.files import read_record
 from rcorefine.models.reading import builder_names, read_model
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -558,7 +557,7 @@ def test_examples_work_when_fed_back(call, tmp_path, name):
     exact = tmp_path / "exact.csv"
     exact.write_text(example_csv(name, exact=True))
     system = read_model(model)
-    data = read_record(exact, system, Namespace(input=None, output=None, time=None, dt=None, hold="zoh"))
+    data = read_record(exact, system)
     # 2 % of noise leaves a fit of 98 %
     assert np.abs(rco.compare(system, data).fit - 98).max() < 0.2
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from ..comparison.adequacy import best_of, failures_of
 from ..comparison.compare import compare
+from ..data.measurement import Measurement
 from ..diagnosis.checks.check import check
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.stepwise.improve import improve
@@ -32,6 +33,7 @@ __all__ = [
     "check_targets",
     "finish",
     "fit_options",
+    "opened",
     "run_check",
     "run_compare",
     "run_diagnose",
@@ -59,65 +61,41 @@ def run_compare(arguments: Namespace) -> int:
     record = data if held_out is None else held_out
     one = len(models) == 1
     result = compare(models[0] if one else models, record, x0=arguments.x0, horizon=arguments.horizon)
-    found = failures_of(result, best_of(result))
+    failures = failures_of(result, best_of(result))
     sentences, _ = comparison_answer(result)
-    text = f"{result}\n{found}"
-    return finish(
-        arguments,
-        int(bool(found)),
-        sentences,
-        text,
-        result,
-        {"record": record_object(record)},
-        result.to_dict(),
-        result.plot,
-    )
+    return finish(arguments, bool(failures), sentences, result, record, text=f"{result}\n{failures}")
 
 
 def run_check(arguments: Namespace) -> int:
     """Look over a record and a model beside it; 1 where something must be mended first."""
-    model = read_model(arguments.model)
-    data, _ = fitted_and_held_out(model, arguments)
+    model, data, _ = opened(arguments)
     found = check(model, data)
-    sentences = [row.sentence for row in found.looks]
-    about = {"record": record_object(data)}
-    return finish(arguments, int(found.stops), sentences, str(found), found, about, found.to_dict())
+    return finish(arguments, found.stops, [row.sentence for row in found.looks], found, data)
 
 
 def run_diagnose(arguments: Namespace) -> int:
     """Find the effect that a model lacks; arguments and codes as `run_compare`."""
-    check_targets(arguments)
-    model = read_model(arguments.model)
-    data, validation = fitted_and_held_out(model, arguments)
+    model, data, validation = opened(arguments)
     found = diagnose(model, data, validation=validation, **_options(arguments, model))
     sentences, fine = diagnosis_answer(found)
-    records = {"record": record_object(data)}
-    return finish(
-        arguments, int(not fine), sentences, str(found), found, records, found.to_dict(), found.plot
-    )
+    return finish(arguments, not fine, sentences, found, data)
 
 
 def run_improve(arguments: Namespace) -> int:
     """Add one effect after the other; arguments and codes as `run_compare`."""
-    check_targets(arguments)
-    model = read_model(arguments.model)
-    data, validation = fitted_and_held_out(model, arguments)
+    model, data, validation = opened(arguments)
     options = _options(arguments, model)
     ladder = improve(model, data, validation=validation, max_effects=arguments.max_effects, **options)
     sentences, fine = improvement_answer(ladder)
-    records = {"record": record_object(data)}
-    text = f"{ladder}\n{ladder.refinement}"
-    return finish(
-        arguments,
-        int(not fine),
-        sentences,
-        text,
-        ladder,
-        records,
-        ladder.to_dict(),
-        ladder.plot,
-        data=data if validation is None else validation,
-    )
+    text, shown = f"{ladder}\n{ladder.refinement}", data if validation is None else validation
+    return finish(arguments, not fine, sentences, ladder, data, text=text, beside=shown)
+
+
+def opened(arguments: Namespace) -> tuple[Any, Measurement, Measurement | None]:
+    """The model, the record to work on and the one to judge by, if any; what is to be written can be."""
+    check_targets(arguments)
+    model = read_model(arguments.model)
+    return model, *fitted_and_held_out(model, arguments)
 
 
 def wanted_candidates(model: Any, wanted: Sequence[str] | None) -> list[Effect] | None:
@@ -177,14 +155,12 @@ def _options(arguments: Namespace, model: Any) -> dict[str, Any]:
 
 def fit_options(arguments: Namespace) -> dict[str, Any]:
     """What of the model may move, and what is known of the record, as `refine` takes it."""
-    free: Any = getattr(arguments, "free", None) or ()
+    free, noise = arguments.free or (), arguments.noise
     return {
         "free": "linear" if list(free) == ["linear"] else free,
         "tolerance": arguments.tolerance,
         "offset": arguments.offset,
-        "noise": arguments.noise
-        if arguments.noise is None or len(arguments.noise) > 1
-        else arguments.noise[0],
+        "noise": noise[0] if noise is not None and len(noise) == 1 else noise,
         "horizon": arguments.horizon,
     }
 
@@ -193,7 +169,7 @@ def check_targets(arguments: Namespace) -> None:
     """Whether report, picture and table can be written is known before the work, not after it."""
     if arguments.report is not None:
         check_target(arguments.report, overwrite=arguments.overwrite)
-    for path in (arguments.picture, getattr(arguments, "csv", None)):
+    for path in (arguments.picture, arguments.csv):
         if path is not None and not path.absolute().parent.is_dir():
             raise FileNotFoundError(f"the folder {path.absolute().parent} does not exist; make it first")
 
@@ -202,40 +178,62 @@ def finish(
     arguments: Namespace,
     code: int,
     sentences: Sequence[str],
-    text: str,
     result: Any,
-    about: dict[str, Any],
-    content: dict[str, Any],
+    data: Measurement | None = None,
+    *,
+    text: str | None = None,
+    content: dict[str, Any] | None = None,
     draw: Callable[[], Any] | None = None,
-    **more: Any,
+    beside: Measurement | None = None,
 ) -> int:
-    """Write the report and the picture, then say what was found; returns the exit code."""
+    """Write the report and the picture, then say what was found.
+
+    Parameters
+    ----------
+    arguments : Namespace
+        Parsed command line.
+    code : int
+        Exit code.
+    sentences : sequence of str
+        The answer, for JSON.
+    result : Result
+        What was found.
+    data : Measurement, optional
+        Record that it rests on.
+    text, content, draw : str, dict, callable, optional
+        What is printed, what JSON holds, and what draws, where these are not the result's own.
+    beside : Measurement, optional
+        Record of the report.
+
+    Returns
+    -------
+    int
+        The exit code.
+    """
     report: Path | None = None
     if arguments.report is not None:
         line = f"# in a terminal:\n{comment(f'rcorefine {shlex.join(arguments.words)}')}"
+        more = {} if beside is None else {"data": beside}
         report = result.report(arguments.report, code=line, overwrite=arguments.overwrite, **more)
-    picture: Path | None = getattr(arguments, "picture", None)
-    if picture is not None and draw is not None:
-        _write_picture(draw, picture)
+    if arguments.picture is not None:
+        _write_picture(draw or result.plot, arguments.picture)
     if arguments.json:
-        head = {
-            "command": arguments.command,
-            "rcorefine": __version__,
-            "exit_code": code,
-            "answer": list(sentences),
-        }
-        text = json_text({**head, **about, **content, "report": None if report is None else str(report)})
-    elif report is not None:
-        text += f"\nReport: {report}"
-    if picture is not None and not arguments.json:
-        text += f"\nPicture: {picture}"
+        head: dict[str, Any] = {"command": arguments.command, "rcorefine": __version__}
+        head |= {"exit_code": int(code), "answer": list(sentences)}
+        head |= {} if data is None else {"record": record_object(data)}
+        head |= result.to_dict() if content is None else content
+        said = json_text(head | {"report": None if report is None else str(report)})
+    else:
+        said = str(result) if text is None else text
+        written = {"Report": report, "Picture": arguments.picture}
+        said += "".join(f"\n{what}: {path}" for what, path in written.items() if path is not None)
     try:
-        sys.stdout.write(text + "\n")
+        sys.stdout.write(said + "\n")
         sys.stdout.flush()
     except BrokenPipeError:
         # the reader left (rcorefine compare ... | head); what was found is still in the exit code
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return code
+    return int(code)
 
 
 def _write_picture(draw: Callable[[], Any], path: Path) -> None:

@@ -15,11 +15,13 @@ __all__ = [
     "columns_options",
     "count",
     "fit_options",
+    "free_option",
     "horizon_option",
+    "json_option",
     "output_options",
     "record_options",
     "search_options",
-    "seed",
+    "seed_option",
 ]
 
 
@@ -86,9 +88,7 @@ def search_options(parser: argparse.ArgumentParser, *, places: bool = False) -> 
         help=f"{words}; default: all that are plausible",
     )
     if not places:
-        group.add_argument(
-            "--free", action=Names, metavar="NAME", help="parameters that float: linear for all, or names"
-        )
+        free_option(group)
     fit_options(group)
     group.add_argument(
         "--significance",
@@ -96,6 +96,13 @@ def search_options(parser: argparse.ArgumentParser, *, places: bool = False) -> 
         default=0.01,
         metavar="LEVEL",
         help="rate of false alarms where nothing is missing (default: %(default)s)",
+    )
+
+
+def free_option(group: Any) -> None:
+    """What of the model floats."""
+    group.add_argument(
+        "--free", action=Names, metavar="NAME", help="parameters that float: linear for all, or names"
     )
 
 
@@ -125,13 +132,23 @@ def output_options(parser: argparse.ArgumentParser, *, report: bool = True) -> A
     group.add_argument(
         "--picture", type=_picture, metavar="FILE", help="draw what was found (.png, .svg or .pdf)"
     )
-    group.add_argument("--json", action="store_true", help="print one JSON object in place of the tables")
-    if not report:
-        parser.set_defaults(report=None)
-        return group
-    group.add_argument("--report", type=Path, metavar="FILE", help="write an HTML report")
-    group.add_argument("--overwrite", action="store_true", help="replace FILE even where it is no report")
+    json_option(group)
+    if report:
+        group.add_argument("--report", type=Path, metavar="FILE", help="write an HTML report")
+        group.add_argument("--overwrite", action="store_true", help="replace FILE even where it is no report")
     return group
+
+
+def json_option(parser: Any) -> None:
+    """Whether the answer is for programs."""
+    parser.add_argument("--json", action="store_true", help="print one JSON object in place of the tables")
+
+
+def seed_option(parser: Any, of: str) -> None:
+    """Seed of what is drawn."""
+    parser.add_argument(
+        "--seed", type=_seed, default=1, metavar="N", help=f"seed of {of} (default: %(default)s)"
+    )
 
 
 class Names(argparse.Action):
@@ -176,7 +193,7 @@ def count(text: str) -> int:
     return int(text)
 
 
-def seed(text: str) -> int:
+def _seed(text: str) -> int:
     """Parse a seed; argparse turns the error into exit code 2."""
     value = int(text)
     if value < 0:

@@ -13,11 +13,13 @@ from .options import (
     columns_options,
     count,
     fit_options,
+    free_option,
     horizon_option,
+    json_option,
     output_options,
     record_options,
     search_options,
-    seed,
+    seed_option,
 )
 
 __all__ = ["build_parser"]
@@ -31,33 +33,34 @@ _MODEL = (
     "model: .toml (matrices, or a builder's parameters; see rcorefine example), or .npz/.mat with A, B, C, D"
 )
 _DATA = "record: .csv, .tsv, .txt, .lvm, .log (with a header line), .mat, .npz, .h5 or .tdms"
+_KEYS = "Keys of --json: command, rcorefine, exit_code, answer"
 _JSON = {
-    "check": "Keys of --json: command, rcorefine, exit_code, answer (a sentence for each row that is not "
+    "check": " (a sentence for each row that is not "
     "ok), record, rows (status, what, where, figure, sentence), detectable (effect, coefficient, "
     "smallest, unit).",
-    "compare": "Keys of --json: command, rcorefine, exit_code, answer (3 sentences), record (name, "
+    "compare": " (3 sentences), record (name, "
     "samples, dt, hold, inputs, outputs, sha256_inputs, sha256_outputs), models (name; "
     "outputs: name, unit, fit, rmse, bias; failures: role, dimension, where, measure, "
     "statistic, p_value, share, sentence), report.",
-    "diagnose": "Keys of --json: command, rcorefine, exit_code, answer (3 sentences), record, verdict, "
+    "diagnose": " (3 sentences), record, verdict, "
     "ranking (effect: kind and place; coefficients, std, fit_before, fit_after, p_value, "
     "probability), none_of_these, places, ambiguous, parameters (as in improve), tests and "
     "winner_tests (name, statistic, dof, p_value), detectable (effect, coefficient, smallest, unit), "
     "significance, notes, checks (status, what, where, figure, sentence), report.",
-    "improve": "Keys of --json: command, rcorefine, exit_code, answer (3 sentences), record, verdict, "
+    "improve": " (3 sentences), record, verdict, "
     "message, checks (as in diagnose), steps (action, effect, coefficients, std, train_rmse, choice_rmse, "
     "validation_rmse, rivals), parameters (name, kind, place, role, initial, value, "
     "coefficient, std, unit), hold, system (A, B, C, D, inputs, outputs, states), report.",
-    "refine": "Keys of --json: command, rcorefine, exit_code, answer (3 sentences), record, parameters "
+    "refine": " (3 sentences), record, parameters "
     "(as in improve), hold, system, fit, rmse, initial_fit, success, message, warnings, report. The exit "
     "code is 0 where it converged.",
-    "localize": "Keys of --json: command, rcorefine, exit_code, answer (what has changed), record, name, "
+    "localize": " (what has changed), record, name, "
     "rows (name, kind, place, nominal, unit, change, std, percent, percent_std, p_value, limit, "
     "limit_percent, named, ...), and the other fields of the result. The exit code is 1 where a place "
     "has changed.",
-    "bode": "Keys of --json: command, rcorefine, exit_code, answer, record (where there is one), curves "
+    "bode": ", record (where there is one), curves "
     "(curve, output, input, omega, magnitude, phase_deg), report.",
-    "survey": "Keys of --json: command, rcorefine, exit_code, answer (sentences), task, mode, significance, "
+    "survey": " (sentences), task, mode, significance, "
     "summary, rows (machine, record, number, start, verdict, effect, place, coefficient, std, unit, "
     "probability, seconds, error, estimates, sentences), effects (kind, place, name, unit, sort, "
     "n_machines, mean, std, spread, p_value, p_alike, machines), trends, breaches (condition, machine, "
@@ -111,13 +114,7 @@ def _demo(commands: Any) -> None:
         metavar="FOLDER",
         help="folder for the pictures, made if it is absent (default: %(default)s)",
     )
-    demo.add_argument(
-        "--seed",
-        type=seed,
-        default=1,
-        metavar="N",
-        help="seed of the excitation and the noise, 0 or larger (default: %(default)s)",
-    )
+    seed_option(demo, "the excitation and the noise, 0 or larger")
     demo.add_argument("--quiet", action="store_true", help="no progress bar")
 
 
@@ -138,22 +135,14 @@ def _compare(commands: Any) -> None:
 
 
 def _check(commands: Any) -> None:
-    parser = commands.add_parser(
+    parser = _reading(
+        commands,
         "check",
-        help="what is odd about a record, before anything else",
-        description=textwrap.fill(
-            "Look over the record and the model beside it: units, sign and gain, delay, offset, drift, "
-            "clipping, sampling, closed loop, and the smallest effects that the record could show.",
-            79,
-        ),
-        epilog=_epilog("check"),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "what is odd about a record, before anything else",
+        "Look over the record and the model beside it: units, sign and gain, delay, offset, drift, "
+        "clipping, sampling, closed loop, and the smallest effects that the record could show.",
     )
-    parser.add_argument("model", type=Path, metavar="MODEL", help=_MODEL)
-    parser.add_argument("data", type=Path, metavar="DATA", help=_DATA)
-    record_options(parser)
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
-    parser.set_defaults(validation=None, split=None, report=None)
+    json_option(parser)
 
 
 def _diagnose(commands: Any) -> None:
@@ -195,9 +184,7 @@ def _refine(commands: Any) -> None:
         "--effects", "--candidates", dest="candidates", action=Names, metavar="KIND@PLACE",
         help="effects to add, such as coulomb_friction@link2",
     )  # fmt: skip
-    group.add_argument(
-        "--free", action=Names, metavar="NAME", help="parameters that float: linear for all, or names"
-    )
+    free_option(group)
     fit_options(group)
     output_options(parser)
 
@@ -214,17 +201,13 @@ def _localize(commands: Any) -> None:
 
 
 def _bode(commands: Any) -> None:
-    parser = commands.add_parser(
+    parser = _command(
+        commands,
         "bode",
-        help="frequency responses of models, beside that of a record",
-        description=textwrap.fill(
-            "Draw one model or several as a Bode diagram with --picture, and write the points with --csv "
-            "(curve, output, input, omega [rad/s], magnitude, phase [deg]). Beside a record, which comes "
-            "last, models are drawn as it sees them: sampled, and with its hold.",
-            79,
-        ),
-        epilog=_epilog("bode"),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "frequency responses of models, beside that of a record",
+        "Draw one model or several as a Bode diagram with --picture, and write the points with --csv "
+        "(curve, output, input, omega [rad/s], magnitude, phase [deg]). Beside a record, which comes "
+        "last, models are drawn as it sees them: sampled, and with its hold.",
     )
     parser.add_argument(
         "files", nargs="+", type=Path, metavar="MODEL", help=f"{_MODEL}; a record may be the last"
@@ -240,17 +223,13 @@ def _bode(commands: Any) -> None:
 
 
 def _survey(commands: Any) -> None:
-    parser = commands.add_parser(
+    parser = _command(
+        commands,
         "survey",
-        help="many records of many machines: one row each, and what they have in common",
-        description=textwrap.fill(
-            "Examine every record of a folder, here, on several processes or on a cluster, and compare the "
-            "machines: which effects are common, which belong to one machine, which grow with time. A record "
-            "that fails stops nothing.",
-            79,
-        ),
-        epilog=_epilog("survey"),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "many records of many machines: one row each, and what they have in common",
+        "Examine every record of a folder, here, on several processes or on a cluster, and compare the "
+        "machines: which effects are common, which belong to one machine, which grow with time. A record "
+        "that fails stops nothing.",
     )
     parser.add_argument(
         "folder",
@@ -291,20 +270,27 @@ def _survey(commands: Any) -> None:
     group = parser.add_argument_group("what comes out")
     group.add_argument("--report", type=Path, metavar="DIR", help="write an index page and one per machine")
     group.add_argument("--overwrite", action="store_true", help="replace files in DIR that are no reports")
-    group.add_argument("--json", action="store_true", help="print one JSON object in place of the tables")
+    json_option(group)
+
+
+def _command(commands: Any, name: str, summary: str, description: str) -> argparse.ArgumentParser:
+    """A command whose answer may be JSON; what it does not offer is None."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        name,
+        help=summary,
+        description=textwrap.fill(description, 79),
+        epilog="\n\n".join(textwrap.fill(text, 79) for text in (_KEYS + _JSON[name], _EXIT_CODES)),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.set_defaults(free=None, picture=None, csv=None, report=None)
+    return parser
 
 
 def _reading(
     commands: Any, name: str, summary: str, description: str, several: bool = False
 ) -> argparse.ArgumentParser:
     """A command that reads one model or several, and a record."""
-    parser: argparse.ArgumentParser = commands.add_parser(
-        name,
-        help=summary,
-        description=textwrap.fill(description, 79),
-        epilog=_epilog(name),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = _command(commands, name, summary, description)
     if several:
         parser.add_argument("models", nargs="+", type=Path, metavar="MODEL", help=_MODEL)
     else:
@@ -333,14 +319,7 @@ def _example(commands: Any) -> None:
     parser.add_argument(
         "--write", type=Path, metavar="DIR", help="write NAME.toml and NAME.csv into this folder"
     )
-    parser.add_argument(
-        "--seed", type=seed, default=1, metavar="N", help="seed of the record (default: %(default)s)"
-    )
+    seed_option(parser, "the record")
     parser.add_argument(
         "--exact", action="store_true", help="a record that hides nothing, so that the model is adequate"
     )
-
-
-def _epilog(command: str) -> str:
-    """Keys of the JSON object and exit codes, a paragraph each."""
-    return "\n\n".join(textwrap.fill(text, 79) for text in (_JSON[command], _EXIT_CODES))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from argparse import Namespace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +22,8 @@ from ..systems.response import as_sampled, frequency_response
 from ..views.bode import bode_comparison, bode_grid
 from ..views.pages.answers import refinement_answer
 from ..writing import replacing
-from .analysis import check_targets, finish, fit_options, wanted_candidates
-from .machine import record_object
-from .records import fitted_and_held_out, read_record
+from .analysis import check_targets, finish, fit_options, opened, wanted_candidates
+from .records import read_record
 
 __all__ = ["run_bode", "run_localize", "run_refine"]
 
@@ -32,35 +32,25 @@ _COLUMNS = ("curve", "output", "input", "omega", "magnitude", "phase_deg")
 
 def run_refine(arguments: Namespace) -> int:
     """Add effects, estimate them and what floats; 0 where it converged."""
-    check_targets(arguments)
-    model = read_model(arguments.model)
-    data, held_out = fitted_and_held_out(model, arguments)
+    model, data, held_out = opened(arguments)
     effects = wanted_candidates(model, arguments.candidates) or []
     found = refine(model, data, effects, **fit_options(arguments))
     sentences, fine = refinement_answer(found)
-    about = {"record": record_object(data)}
     shown = data if held_out is None else held_out
-    draw = lambda: found.bode_plot(shown)  # noqa: E731
-    return finish(
-        arguments, int(not fine), sentences, str(found), found, about, found.to_dict(), draw, data=shown
-    )
+    draw = partial(found.bode_plot, shown)
+    return finish(arguments, not fine, sentences, found, data, draw=draw, beside=shown)
 
 
 def run_localize(arguments: Namespace) -> int:
     """Find which links of a structure have changed; 1 where one has."""
-    check_targets(arguments)
-    model = read_model(arguments.model)
-    data, _ = fitted_and_held_out(model, arguments)
+    model, data, _ = opened(arguments)
     options = fit_options(arguments)
     del options["free"]
     found = localize_damage(
         model, data, candidates=arguments.candidates, significance=arguments.significance, **options
     )
-    about = {"record": record_object(data)}
     named = [f"{row.kind} at {row.place}: {row.percent:.3g} %" for row in found.named] + [found.message]
-    return finish(
-        arguments, int(bool(found.named)), named, str(found), found, about, found.to_dict(), found.plot
-    )
+    return finish(arguments, bool(found.named), named, found, data)
 
 
 def run_bode(arguments: Namespace) -> int:
@@ -97,10 +87,9 @@ def run_bode(arguments: Namespace) -> int:
     curves = _curves(systems, measured)
     if arguments.csv is not None:
         _write_csv(arguments.csv, curves, arguments.decimal)
-    about = {} if data is None else {"record": record_object(data)}
     text = "\n".join(_said(curve, curves) for curve in curves)
-    draw = lambda: bode_comparison(systems, measured)  # noqa: E731
-    return finish(arguments, 0, [], text, None, about, {"curves": curves}, draw)
+    draw = partial(bode_comparison, systems, measured)
+    return finish(arguments, 0, [], None, data, text=text, content={"curves": curves}, draw=draw)
 
 
 def _is_record(path: Path) -> bool:
@@ -154,11 +143,9 @@ def _said(curve: dict[str, Any], curves: list[dict[str, Any]]) -> str:
         f"{curve['curve']}, {curve['input']} to {curve['output']}: largest {curve['magnitude'][peak]:.4g} "
         f"at {curve['omega'][peak]:.4g} rad/s"
     )
-    channel = (curve["output"], curve["input"])
-    measured = curves[-1]["curve"] == "measured" and next(
-        c for c in curves if c["curve"] == "measured" and (c["output"], c["input"]) == channel
-    )
-    if not measured or curve is measured:
+    same = ("measured", curve["output"], curve["input"])
+    measured = next((c for c in curves if (c["curve"], c["output"], c["input"]) == same), curve)
+    if measured is curve:
         return text
     size = np.interp(measured["omega"], curve["omega"], curve["magnitude"])
     off = 100 * np.median(np.abs(size / measured["magnitude"] - 1))

@@ -55,7 +55,7 @@ def reading(arguments: Namespace) -> dict[str, Any]:
         "time": arguments.time,
         "dt": arguments.dt,
         "hold": arguments.hold,
-        "decimal": getattr(arguments, "decimal", None),
+        "decimal": arguments.decimal,
     }
 
 

@@ -16,7 +16,7 @@ from ..exceptions import DataError, MissingExtraError
 from ..fleet.pieces import model_for
 from ..fleet.result import Survey
 from ..fleet.survey import ASKED, survey
-from .analysis import finish, wanted_candidates
+from .analysis import finish, fit_options, wanted_candidates
 from .records import reading
 
 __all__ = ["run_survey"]
@@ -67,7 +67,8 @@ def _say(arguments: Namespace, found: Survey, code: int | None) -> int:
         code = int(bool(broken) if arguments.conditions else found.finds)
     lines = [f"NOT KEPT {b.condition}: {': '.join(filter(None, (b.machine, b.sentence)))}" for b in broken]
     content = found.to_dict() | {"breaches": [asdict(b) for b in broken]}
-    return finish(arguments, code, found.sentences(), "\n".join([str(found), *lines]), found, {}, content)
+    text = "\n".join([str(found), *lines])
+    return finish(arguments, code, found.sentences(), found, text=text, content=content)
 
 
 def _options(arguments: Namespace) -> dict[str, Any]:
@@ -75,16 +76,8 @@ def _options(arguments: Namespace) -> dict[str, Any]:
     candidates = None
     if arguments.candidates:
         candidates = wanted_candidates(model_for(arguments.model), arguments.candidates)
-    given = {
-        "candidates": candidates,
-        "effects": candidates or [],
-        "free": "linear" if arguments.free == ["linear"] else arguments.free or (),
-        "tolerance": arguments.tolerance,
-        "offset": arguments.offset,
-        "noise": arguments.noise,
-        "horizon": arguments.horizon,
-        "significance": arguments.significance,
-    }
+    given = {"candidates": candidates, "effects": candidates or [], "significance": arguments.significance}
+    given |= fit_options(arguments)
     return {key: given[key] for key in inspect.signature(ASKED[arguments.task]).parameters if key in given}
 
 
