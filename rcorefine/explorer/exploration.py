@@ -1,0 +1,320 @@
+"""What stands while somebody explores: model, record, effects added so far, and the way back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from ..arguments import as_number
+from ..arithmetic import own_arithmetic
+from ..comparison.compare import compare
+from ..comparison.failure_map.residual_force import ResidualForce
+from ..comparison.failure_map.search import Failure
+from ..comparison.result import Comparison
+from ..data.measurement import Measurement
+from ..diagnosis.checks.check import check
+from ..diagnosis.checks.result import Check
+from ..diagnosis.diagnose import diagnose
+from ..diagnosis.result import Diagnosis
+from ..effects.effect import Effect
+from ..engine.free_runs import checked_horizon
+from ..engine.structure import Structure
+from ..exceptions import ModelError
+from ..inference.outcome import fit_of
+from ..inference.refinement import Refinement
+from ..inference.sizes import natural_sizes
+from ..inference.starts import Motion, estimated_motion
+from ..inference.windows import windows
+from ..models.conversion import as_model, as_physical
+from ..models.operating_point import ordered_record
+from ..refinement.base_fit import base_fit
+from ..refinement.refine import refine
+from ..systems.linear import Array
+from ..views.pages.code import call_options, comment, effects_code, model_code, record_code, script
+from .by_hand import free_run, key, quickly_settled, settled, values_of, with_held
+from .candidates import Candidate, candidates_at, lacking_force, laid_over
+
+__all__ = ["Exploration", "Step"]
+
+_REACH = 3.0  # of its present size that a coefficient is moved to
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """Where an exploration stood.
+
+    Attributes
+    ----------
+    action : str
+        "start", "add", "move" (a coefficient was set by hand) or "fit".
+    name : str
+        The same in words.
+    effects : tuple of Effect
+        Those added so far; what was set by hand is in `Effect.fixed`.
+    refinement : Refinement
+        The model with them.
+    runs : ndarray, shape (n_y, N)
+        Its free run.
+    fit : ndarray, shape (n_y,)
+        In percent, as in `Refinement.fit`.
+    """
+
+    action: str
+    name: str
+    effects: tuple[Effect, ...]
+    refinement: Refinement
+    runs: Array
+    fit: Array
+
+    @property
+    def error(self) -> float:
+        """Part of the outputs that the model misses in percent, 100 less the fit; the mean over outputs."""
+        return 100.0 - float(np.nanmean(self.fit))
+
+
+class Exploration:
+    """A model beside a record, to which effects are added by hand.
+
+    Each change is a step, and `undo` takes the last one back. The constant offset of the record and the
+    initial state are estimated from the start, as `refine` does.
+
+    Parameters
+    ----------
+    model : StateSpace, PhysicalModel or Refinement
+        Initial model, continuous time.
+    data : Measurement
+        Record.
+    horizon : float, optional
+        Length in s of the free runs, as in `refine`.
+
+    Raises
+    ------
+    control.ControlArgument
+        If the data are no record in time.
+    DivergenceError
+        If the free run of the model leaves all bounds.
+
+    Examples
+    --------
+    >>> from rcorefine.explorer import Exploration
+    >>> model = rco.mass_spring_damper([1.0], [0.4], [100.0], sensors="displacement")
+    >>> true = rco.mass_spring_damper([1.0], [0.4], [90.0], sensors="displacement")
+    >>> force = np.random.default_rng(0).standard_normal(600)
+    >>> y = rco.simulate(true, rco.Measurement(force, np.zeros(600), dt=0.02), "zero").outputs
+    >>> tried = Exploration(model, rco.Measurement(force, y, dt=0.02))
+    >>> tried.add(rco.Effect("stiffness", "link1"), stiffness=-5.0).error < tried.steps[0].error
+    True
+    >>> round(tried.fit().refinement.parameter("stiffness").value, 3)
+    90.0
+    """
+
+    def __init__(self, model: Any, data: Measurement, *, horizon: float | None = None) -> None:
+        if not isinstance(data, Measurement):
+            raise ct.ControlArgument(
+                f"data must be one rcorefine.Measurement, not {type(data).__name__}; "
+                "an exploration shows one record in time"
+            )
+        self.model, self.data, self.horizon = as_model(model), data, checked_horizon(horizon)
+        self.initial: Comparison = compare(self.model, data, horizon=horizon)
+        self.physical = as_physical(self.model)
+        #: the record in the order of the model's channels, above its operating point
+        self.record: Measurement = ordered_record(self.physical, data)
+        self._pieces, self.note = windows(self.physical, [self.record], horizon)
+        self._maps: dict[int, Comparison] = {}
+
+    # ------------------------------------------------------------------ where it stands
+    @cached_property
+    def _steps(self) -> list[Step]:
+        with own_arithmetic():
+            records, horizon = [self.data], self.horizon
+            base = base_fit(
+                self.model, records, free=(), tolerance=0.0, offset=True, noise=None, horizon=horizon
+            )
+        return [self._step("start", "initial model", (), base)]
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """All steps that count, the initial model first; they are worked out when first asked for."""
+        return tuple(self._steps)
+
+    @property
+    def refinement(self) -> Refinement:
+        """The present model, which `compare`, `refine` and the others take."""
+        return self._steps[-1].refinement
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Effects added so far."""
+        return self._steps[-1].effects
+
+    @property
+    def error(self) -> float:
+        """Part of the record that the present model misses, in percent."""
+        return self._steps[-1].error
+
+    @property
+    def comparison(self) -> Comparison:
+        """The present model beside the record, as `compare` has it; its `failures` say where it fails."""
+        key = id(self._steps[-1])
+        if key not in self._maps:
+            self._maps = {key: compare(self.refinement, self.data, horizon=self.horizon)}
+        return self._maps[key]
+
+    def coefficients(self, effect: Effect) -> dict[str, float]:
+        """Present values of an added effect, in the model's units."""
+        return values_of(self.refinement, self._index(effect))
+
+    def reach(self, effect: Effect, name: str) -> tuple[float, float, str]:
+        """Range in which a coefficient is worth moving, about its present value and inside its bounds.
+
+        Lower and upper end, and the unit, "" where unknown.
+        """
+        structure = Structure(self.physical, [effect.replace(fixed={}, start={}, prior={})])
+        at = [q.name for q in structure.parameters].index(name)
+        bound = structure.parameters[at]
+        size = abs(self.coefficients(effect)[name]) or float(natural_sizes(structure, [self.record])[at])
+        lower, upper = max(bound.lower, -_REACH * size), min(bound.upper, _REACH * size)
+        return lower, upper, structure.unit(bound)
+
+    # ------------------------------------------------------------------ what could be missing
+    @cached_property
+    def motion(self) -> Motion:
+        """Motion at the ports as the record and the initial model show it."""
+        return estimated_motion(Structure(self.physical), np.zeros(0), self.record)
+
+    def force(self, row: Failure | None = None) -> ResidualForce | None:
+        """The force that the present model lacks where a row of its failure map stands.
+
+        By default, and where the row has no place, at the place that explains most of the record. None for a
+        row at an input or an output, and for a model without places.
+        """
+        return lacking_force(self.comparison, row)
+
+    def candidates(self, row: Failure | None = None, force: ResidualForce | None = None) -> list[Candidate]:
+        """Effects that are not in the model yet and could stand where a row of the failure map does.
+
+        By default all. With the force there, laws are laid over it, those that explain most of it first.
+        """
+        held = self.refinement.effects
+        return candidates_at(self.physical, held, self.motion, self.record.inputs, row, force)
+
+    # ------------------------------------------------------------------ what can be done
+    def add(self, effect: Effect, **values: float) -> Step:
+        """Add an effect, its coefficients set by hand; those left out are where it is absent, or small.
+
+        Raises
+        ------
+        ModelError
+            If the model holds it already, or it does not fit.
+        DivergenceError
+            If the model leaves all bounds with it; nothing has changed then.
+        """
+        if key(effect) in map(key, self.refinement.effects):
+            raise ModelError(f"the model holds {effect.label} already; move its coefficient")
+        with own_arithmetic():
+            model = settled(self._changed(effect, values), self._pieces)
+            return self._enter(self._step("add", f"add {effect.label}", (*self.effects, effect), model))
+
+    def move(self, effect: Effect, **values: float) -> Step:
+        """Set coefficients of an added effect by hand; offset and initial state are estimated anew.
+
+        Moves of one effect after the other are one step. Raises as `add`.
+        """
+        self._index(effect)
+        with own_arithmetic():
+            model = settled(self._changed(effect, values), self._pieces)
+            step = self._enter(self._step("move", f"move {effect.label}", self.effects, model))
+        if self._steps[-2].name == step.name:
+            del self._steps[-2]
+        return step
+
+    def preview(self, effect: Effect, **values: float) -> tuple[Array, float]:
+        """Free run (n_y, N) and error in percent with coefficients moved, fast enough to follow a slider.
+
+        Nothing is changed. Offset and initial state are estimated as for the linear part of the model; `move`
+        does it for the whole. Raises as `add`.
+        """
+        self._index(effect)
+        with own_arithmetic():
+            runs = quickly_settled(self._changed(effect, values), self._pieces)
+        return runs, 100.0 - float(np.nanmean(fit_of([self.record], [runs - self.record.outputs])[0]))
+
+    def fit(self) -> Step:
+        """Estimate all effects added so far together: what ``refine(model, data, effects)`` finds."""
+        found = refine(self.model, self.data, self.effects, horizon=self.horizon)
+        return self._enter(self._step("fit", "fit", self.effects, found))
+
+    def undo(self) -> Step:
+        """Take the last step back, and return the one before; the initial model stays."""
+        if len(self._steps) > 1:
+            del self._steps[-1]
+        return self._steps[-1]
+
+    # ------------------------------------------------------------------ what is asked of it
+    def diagnose(self) -> Diagnosis:
+        """Verdict on the present model: whether anything is still missing."""
+        return diagnose(self.refinement, self.data, horizon=self.horizon)
+
+    def check(self) -> Check:
+        """What is odd about the record, or the initial model beside it."""
+        return check(self.model, self.data)
+
+    def script(self) -> str:
+        """Python program that comes to the present model: what is set by hand is held, the rest is fitted."""
+        start = self._steps[0].refinement
+        held = [e for e, role in zip(start.effects, start.roles, strict=True) if role != "offset"]
+        added = [self.refinement.effects[self._index(effect)] for effect in self.effects]
+        lines = [
+            f"effects = {effects_code([*held, *added])}",
+            f"better = rco.refine(model, data, effects{call_options({'horizon': self.horizon})})",
+            "print(better)",
+            f"print(rco.compare([model, better], data{call_options({'horizon': self.horizon})}))",
+        ]
+        return script(["# the initial model", *model_code(self.physical)], record_code([self.data]), lines)
+
+    def report(self, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
+        """Write the report of the present model beside the record, with the steps and the script.
+
+        Raises as `Refinement.report`.
+        """
+        ladder = [comment(f"{step.name}: error {step.error:.3g} %") for step in self._steps]
+        code = "\n".join(["# the steps by hand", *ladder, "", self.script()])
+        title = f"Exploration of {self.physical.name}"
+        return self.refinement.report(path, data=self.data, title=title, code=code, overwrite=overwrite)
+
+    # ------------------------------------------------------------------ how it is done
+    def _index(self, effect: Effect) -> int:
+        keys = [key(each) for each in self.refinement.effects]
+        if not self._added(effect):
+            known = ", ".join(each.label for each in self.effects) or "none"
+            raise ModelError(f"{effect.label} was not added; there are {known}")
+        return keys.index(key(effect))
+
+    def _added(self, effect: Effect) -> bool:
+        return key(effect) in map(key, self.effects)
+
+    def _changed(self, effect: Effect, values: Mapping[str, float]) -> Refinement:
+        """The present model with some coefficients of an effect at other values, or with it added."""
+        unknown = [name for name in values if name not in effect.coefficients]
+        if unknown:
+            raise ModelError(f"{effect.label} has no {unknown[0]}, only {', '.join(effect.coefficients)}")
+        given = {name: as_number(value, name) for name, value in values.items()}
+        if self._added(effect):
+            first = self.coefficients(effect)
+        else:
+            first = laid_over(effect, self.physical, self.motion, self.record.inputs, None).coefficients
+        return with_held(self.refinement, self.motion, effect, first | given)
+
+    def _step(self, action: str, name: str, effects: tuple[Effect, ...], model: Refinement) -> Step:
+        return Step(action, name, effects, model, free_run(model, self._pieces), model.fit)
+
+    def _enter(self, step: Step) -> Step:
+        self._steps.append(step)
+        return step
