@@ -47,11 +47,7 @@ class FileReaders:
         inputs, outputs : str or sequence of str
             Variables of shape (N, 1) or (1, N), which become the labels; the
             field of a structure as "data.voltage".
-        time : str, optional
-            Variable that holds the times in s; else give `dt`.
-        dt : float, optional
-            Sampling time in s.
-        **options
+        time, dt, **options
             As in `from_csv`.
 
         Returns
@@ -95,11 +91,7 @@ class FileReaders:
             File of named arrays.
         inputs, outputs : str or sequence of str
             Arrays of shape (N,), (N, 1) or (1, N), which become the labels.
-        time : str, optional
-            Array that holds the times in s; else give `dt`.
-        dt : float, optional
-            Sampling time in s.
-        **options
+        time, dt, **options
             As in `from_csv`.
 
         Returns

@@ -42,11 +42,7 @@ class LabReaders(FileReaders):
             HDF5 file; needs h5py.
         inputs, outputs : str or sequence of str
             Data sets of shape (N,), (N, 1) or (1, N), as "group/name".
-        time : str, optional
-            The one that holds the times in s; else give `dt`.
-        dt : float, optional
-            Sampling time in s.
-        **options
+        time, dt, **options
             As in `from_csv`.
 
         Returns
@@ -94,11 +90,7 @@ class LabReaders(FileReaders):
         inputs, outputs : str or sequence of str
             Channels, as "group/channel" where two groups have one of the name;
             their units are taken along.
-        time : str, optional
-            The one that holds the times in s; else give `dt`.
-        dt : float, optional
-            Sampling time in s.
-        **options
+        time, dt, **options
             As in `from_csv`.
 
         Returns

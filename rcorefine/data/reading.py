@@ -121,11 +121,7 @@ class RecordReaders(LabReaders):
             columns needs the extra "pandas".
         inputs, outputs : str or sequence of str
             Columns by name, which become the labels.
-        time : str, optional
-            Column of times in s; else give `dt`.
-        dt : float, optional
-            Sampling time in s.
-        **options
+        time, dt, **options
             As in `from_csv`.
 
         Returns

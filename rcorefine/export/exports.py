@@ -56,10 +56,8 @@ class CodeExports:
 
         Examples
         --------
-        >>> model, true = rco.mass_spring_damper(1.0, 0.8, 25.0), rco.mass_spring_damper(1.0, 0.8, 30.0)
-        >>> force = rco.Measurement(np.sin(0.3 * np.arange(200.0)), np.zeros(200), dt=0.05)
-        >>> y = rco.simulate(true, force, "zero").outputs
-        >>> data = rco.Measurement(force.inputs, y, dt=0.05)
+        >>> model, w = rco.mass_spring_damper(1.0, 0.8, 25.0), np.sin(0.3 * np.arange(200.0))
+        >>> data = rco.Measurement(w, ct.forced_response(model.system.sample(0.05), U=w).outputs, dt=0.05)
         >>> better = rco.refine(model, data, [rco.Effect("stiffness", "link1")], offset=False)
         >>> space = {}
         >>> exec(better.to_python(), space)
@@ -89,10 +87,8 @@ class CodeExports:
 
         Examples
         --------
-        >>> model, true = rco.mass_spring_damper(1.0, 0.8, 25.0), rco.mass_spring_damper(1.0, 0.8, 30.0)
-        >>> force = rco.Measurement(np.sin(0.3 * np.arange(200.0)), np.zeros(200), dt=0.05)
-        >>> y = rco.simulate(true, force, "zero").outputs
-        >>> data = rco.Measurement(force.inputs, y, dt=0.05)
+        >>> model, w = rco.mass_spring_damper(1.0, 0.8, 25.0), np.sin(0.3 * np.arange(200.0))
+        >>> data = rco.Measurement(w, ct.forced_response(model.system.sample(0.05), U=w).outputs, dt=0.05)
         >>> better = rco.refine(model, data, [rco.Effect("stiffness", "link1")], offset=False)
         >>> "void chain_rhs(double t" in better.to_c()
         True
@@ -120,10 +116,8 @@ class CodeExports:
 
         Examples
         --------
-        >>> model, true = rco.mass_spring_damper(1.0, 0.8, 25.0), rco.mass_spring_damper(1.0, 0.8, 30.0)
-        >>> force = rco.Measurement(np.sin(0.3 * np.arange(200.0)), np.zeros(200), dt=0.05)
-        >>> y = rco.simulate(true, force, "zero").outputs
-        >>> data = rco.Measurement(force.inputs, y, dt=0.05)
+        >>> model, w = rco.mass_spring_damper(1.0, 0.8, 25.0), np.sin(0.3 * np.arange(200.0))
+        >>> data = rco.Measurement(w, ct.forced_response(model.system.sample(0.05), U=w).outputs, dt=0.05)
         >>> better = rco.refine(model, data, [rco.Effect("stiffness", "link1")], offset=False)
         >>> better.to_matlab().splitlines()[0]
         'function [dx, y] = chain(t, x, u)'
@@ -151,10 +145,8 @@ class CodeExports:
 
         Examples
         --------
-        >>> model, true = rco.mass_spring_damper(1.0, 0.8, 25.0), rco.mass_spring_damper(1.0, 0.8, 30.0)
-        >>> force = rco.Measurement(np.sin(0.3 * np.arange(200.0)), np.zeros(200), dt=0.05)
-        >>> y = rco.simulate(true, force, "zero").outputs
-        >>> data = rco.Measurement(force.inputs, y, dt=0.05)
+        >>> model, w = rco.mass_spring_damper(1.0, 0.8, 25.0), np.sin(0.3 * np.arange(200.0))
+        >>> data = rco.Measurement(w, ct.forced_response(model.system.sample(0.05), U=w).outputs, dt=0.05)
         >>> better = rco.refine(model, data, [rco.Effect("stiffness", "link1")], offset=False)
         >>> better.to_modelica().splitlines()[0]
         'model chain'
