@@ -235,19 +235,13 @@ def _noise(measured: FrequencyResponse) -> tuple[Array, bool, str]:
         return measured.std, True, ""
     if measured.coherence is not None and measured.coherence.min() < 1.0 and measured.ninputs == 1:
         share = np.clip(measured.coherence, 1e-6, 1.0 - 1e-9)[:, None]
-        return (
-            measured.magnitude * np.sqrt((1.0 - share) / share),
-            False,
-            ("The noise is spread as the coherence says; its size is that of the residual."),
-        )
-    return (
-        _scatter(measured),
-        False,
-        (
-            "No noise is given (std=): a constant part and one in proportion are taken as neighboring points "
-            "scatter; their size is that of the residual."
-        ),
+        spread = measured.magnitude * np.sqrt((1.0 - share) / share)
+        return spread, False, "The noise is spread as the coherence says; its size is that of the residual."
+    said = (
+        "No noise is given (std=): a constant part and one in proportion are taken as neighboring points "
+        "scatter; their size is that of the residual."
     )
+    return _scatter(measured), False, said
 
 
 def _curvature(measured: FrequencyResponse) -> NDArray[np.complex128]:

@@ -198,12 +198,8 @@ def seen_in_responses(
         if fits and not law.of_record and not (law.holds_constant and linear):
             seen.append(effect)
         elif asked:
-            why = "is not seen in a response"
-            if not fits:
-                why = (
-                    "has memory, and takes records in time"
-                    if amplitudes
-                    else "needs the amplitude of the sines (amplitude=)"
-                )
+            why = "needs the amplitude of the sines (amplitude=)"
+            if fits or amplitudes:
+                why = "is not seen in a response" if fits else "has memory, and takes records in time"
             raise ModelError(f"{effect.label} {why}; leave it out of candidates")
     return seen

@@ -30,11 +30,7 @@ from .checks.check import looks
 from .colored_noise import takes_error_for_color
 from .excitation import no_motion, not_excited
 from .families import hosts, said_of_families
-from .floating import (
-    floating,
-    outdone,
-    rivals_of_numbers,
-)
+from .floating import floating, outdone, rivals_of_numbers
 from .judging import Judged, judge, pair_hint, second_chance, with_special_cases
 from .open_law import open_law, probabilities
 from .places import in_race

@@ -67,9 +67,8 @@ def _tested(case: Case, race: CandidateFits) -> Judged:
     """The winner's residual, tested."""
     fitted = race.model()
     rest = not_held(case.library, fitted.structure.effects)
-    if (
-        fitted.problem.dwells
-    ):  # the free stiffness stands for the other laws: a balance of two of them is slow
+    if fitted.problem.dwells:
+        # the free stiffness stands for the other laws: a balance of two of them is slow
         rest = [e for e in rest if e.spec.linear or e.spec.delays]
     moved = [estimated_motion(fitted.structure, fitted.theta, motion.data) for motion in case.motions]
     try:

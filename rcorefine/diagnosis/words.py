@@ -43,10 +43,7 @@ def sentences(found: Diagnosis) -> list[str]:
         lines = ["The numbers of the model explain the record, moved so far that they may hide a law."]
     worst = min(found.tests, key=lambda t: t.p_value) if found.tests else None
     if found.verdict == "adequate":
-        lines = [
-            f"{lines[0]} {what_was_absorbed(found.base)}".rstrip(),
-            *_shown(found),
-        ]
+        lines = [f"{lines[0]} {what_was_absorbed(found.base)}".rstrip(), *_shown(found)]
     elif worst is not None:  # without motion nothing could be tested
         lines += _open_law(found)
         lines.append(f"The model as it is fails: {worst.name}, p = {worst.p_value:.2g}.")

@@ -135,11 +135,8 @@ class ResponseEngine:
             return None
         m, n, nw = s.matrices(theta.astype(float)), s.n_states, s.n_inputs
         n0 = s.linear_model.n_states
-        sense, direct = (
-            (port.position, port.position_input)
-            if port.has_position
-            else (port.velocity, port.velocity_input)
-        )
+        seen = "position" if port.has_position else "velocity"
+        sense, direct = getattr(port, seen), getattr(port, f"{seen}_input")
         row, act = np.pad(sense, (0, n - n0))[None], np.pad(port.act, (0, n - n0))[:, None]
         out = s.model.output_rate @ port.act
         points = 1j * self.data.omega
@@ -271,14 +268,10 @@ def port_phasors(
 ) -> tuple[Complex, Complex]:
     """Displacement and velocity at a port under the sines of the inputs, each (n_w n_omega,), as phasors."""
     m, nw = structure.matrices(theta.astype(float)), structure.n_inputs
-    port, n, rest = (
-        structure.model.port(place),
-        structure.n_states,
-        structure.n_states - structure.linear_model.n_states,
-    )
-    rows = np.pad(np.array([port.position, port.velocity]), ((0, 0), (0, rest)))
+    port, added = structure.model.port(place), structure.n_states - structure.linear_model.n_states
+    rows = np.pad(np.array([port.position, port.velocity]), ((0, 0), (0, added)))
     through = np.array([port.position_input, port.velocity_input])
-    G, _ = _transfer([(m.A, m.B[:, :nw], rows.reshape(2, n), through)], 1j * data.omega)
+    G, _ = _transfer([(m.A, m.B[:, :nw], rows, through)], 1j * data.omega)
     d, v = np.nan_to_num(G) * data.inputs[0, : data.omega.size]
     return d.ravel(), v.ravel()
 

@@ -76,9 +76,9 @@ class Piece:
         if isinstance(model, Path):
             model = _model_in(model, model.stat().st_mtime_ns)
         record = self.record
-        return model, record if isinstance(record, Measurement) else read_record(
-            record, model, **self.reading
-        )
+        if not isinstance(record, Measurement):
+            record = read_record(record, model, **self.reading)
+        return model, record
 
 
 @functools.lru_cache(maxsize=16)

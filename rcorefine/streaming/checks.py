@@ -10,9 +10,9 @@ import numpy as np
 
 from ..arguments import as_array, as_number, as_whole
 from ..exceptions import DataError, ModelError
-from ..systems.linear import Array
+from ..systems.linear import Array, LinearModel
 
-__all__ = ["as_matrix", "as_rate", "as_samples", "as_size", "check_samples"]
+__all__ = ["as_block", "as_matrix", "as_rate", "as_samples", "as_size", "check_samples"]
 
 
 def as_size(value: Any, name: str, least: int, meaning: str) -> int:
@@ -71,6 +71,17 @@ def as_samples(values: Any, what: str, n_signals: int) -> Array:
             f"give one sample ({n_signals},) or a block ({n_signals}, N)"
         )
     return array
+
+
+def as_block(model: LinearModel, w: Any, y: Any) -> tuple[Array, Array]:
+    """Inputs (n_w, N) and outputs (n_y, N) at the same samples; what is raised as in `as_samples`."""
+    inputs, outputs = as_samples(w, "inputs", model.n_inputs), as_samples(y, "outputs", model.n_outputs)
+    if inputs.shape[1] != outputs.shape[1]:
+        raise ct.ControlDimension(
+            f"inputs have {inputs.shape[1]} sample(s) and outputs {outputs.shape[1]}; "
+            "give both at the same samples"
+        )
+    return inputs, outputs
 
 
 def check_samples(signals: Array, labels: Sequence[str], what: str, first: int, dt: float | None) -> None:

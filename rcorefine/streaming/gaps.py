@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-import control as ct
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..arguments import as_choice
 from ..systems.linear import Array, LinearModel
-from .checks import as_samples, check_samples
+from .checks import as_block, check_samples
 
 __all__ = ["Block", "as_missing", "block_with_gaps", "whole_block"]
 
@@ -95,18 +94,11 @@ def block_with_gaps(
     latest : ndarray of shape (n_w,)
         Inputs of the sample before, to go on with where one is missing.
     """
-    inputs = as_samples(_unmasked(w), "inputs", model.n_inputs)
-    outputs = as_samples(_unmasked(y), "outputs", model.n_outputs)
-    if inputs.shape[1] != outputs.shape[1]:
-        raise ct.ControlDimension(
-            f"inputs have {inputs.shape[1]} sample(s) and outputs {outputs.shape[1]}; "
-            "give both at the same samples"
-        )
-    signals: Sequence[tuple[Array, tuple[str, ...], str]] = (
+    inputs, outputs = as_block(model, _unmasked(w), _unmasked(y))
+    for signal, labels, what in (
         (inputs, model.input_labels, "input"),
         (outputs, model.output_labels, "output"),
-    )
-    for signal, labels, what in signals:
+    ):
         check_samples(np.where(np.isnan(signal), 0.0, signal), labels, what, first, step)
     known, use = np.asarray(~np.isnan(inputs).any(axis=0)), ~np.isnan(outputs)
     inputs, outputs = np.ascontiguousarray(inputs.T), np.ascontiguousarray(outputs.T)

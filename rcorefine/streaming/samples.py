@@ -13,7 +13,7 @@ from ..data.measurement import Measurement
 from ..exceptions import DataError
 from ..systems.conversion import to_discrete
 from ..systems.linear import Array, LinearModel
-from .checks import as_samples, check_samples
+from .checks import as_block, check_samples
 from .rcmr.setup import Sampled
 
 __all__ = ["checked_block", "checked_record"]
@@ -44,13 +44,7 @@ def checked_block(
         and math.isfinite(sum(w.tolist()) + sum(y.tolist()))
     ):
         return w[None].copy(), y[None].copy()
-    inputs = as_samples(w, "inputs", model.n_inputs)
-    outputs = as_samples(y, "outputs", model.n_outputs)
-    if inputs.shape[1] != outputs.shape[1]:
-        raise ct.ControlDimension(
-            f"inputs have {inputs.shape[1]} sample(s) and outputs {outputs.shape[1]}; "
-            "give both at the same samples"
-        )
+    inputs, outputs = as_block(model, w, y)
     check_samples(inputs, model.input_labels, "input", first, step)
     check_samples(outputs, model.output_labels, "output", first, step)
     return np.ascontiguousarray(inputs.T), np.ascontiguousarray(outputs.T)

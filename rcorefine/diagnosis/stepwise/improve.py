@@ -134,9 +134,8 @@ def improve(
         ladder = StepwiseSelection(
             model, parts, free=free, settings=settings, significance=significance, progress=bar
         )
-        odd = (
-            looks(model, records, horizon) if ladder.in_time else ()
-        )  # by now the channels of every record are known to be there
+        # by now the channels of every record are known to be there
+        odd = looks(model, records, horizon) if ladder.in_time else ()
         physical = ladder.current.physical_model
         library = candidates_of(physical) if candidates is None else candidates
         if not ladder.in_time:
@@ -149,11 +148,10 @@ def improve(
         verdict = ladder.verdict(library)
         message = _closing(ladder, verdict, library, max_effects, back)
     steps, names = with_other_names(ladder.steps)
-    units = (
-        tuple(parts.fit[0].output_units) if ladder.in_time else ("std",) * len(physical.linear.output_labels)
-    )
+    outputs = physical.linear.output_labels
+    units = tuple(parts.fit[0].output_units) if ladder.in_time else ("std",) * len(outputs)
     notes = (*ladder.notes(), *names)
-    return Improvement(tuple(steps), verdict, message, physical.linear.output_labels, units, notes, odd)
+    return Improvement(tuple(steps), verdict, message, outputs, units, notes, odd)
 
 
 def _climb(ladder: StepwiseSelection, library: list[Effect], most: int) -> None:

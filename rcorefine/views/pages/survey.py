@@ -48,12 +48,9 @@ def _files(machines: tuple[str, ...]) -> dict[str, str]:
     found = {}
     for machine in machines:
         word = re.sub(r"[^A-Za-z0-9_.-]+", "_", machine)[:60]
-        tag = (
-            ""
-            if word == machine
-            else "-" + hashlib.sha256(machine.encode("utf-8", "replace")).hexdigest()[:8]
-        )
-        found[machine] = f"machine-{word}{tag}.html"
+        if word != machine:
+            word += "-" + hashlib.sha256(machine.encode("utf-8", "replace")).hexdigest()[:8]
+        found[machine] = f"machine-{word}.html"
     return found
 
 
