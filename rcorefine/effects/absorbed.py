@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from math import inf
 from typing import Any, ClassVar
 
+import numpy as np
 from numpy.typing import NDArray
 
 from ..systems.linear import Array
@@ -21,6 +23,8 @@ class Assembly:
 
     Attributes
     ----------
+    rates : ndarray, shape (n, n + n_w)
+        [A, Bu], of which `A` and `Bu` are views.
     A, Bu, inertia, constant : ndarray
         dx/dt = inertia^-1 (A x + Bu r + constant), with r what the inputs become.
     Uw : ndarray, shape (n_w, n_w + 1)
@@ -31,6 +35,7 @@ class Assembly:
         Time that passes over the time that the record says.
     """
 
+    rates: NDArray[Any]
     A: NDArray[Any]
     Bu: NDArray[Any]
     inertia: NDArray[Any]
@@ -38,12 +43,12 @@ class Assembly:
     Uw: NDArray[Any]
     output_gain: NDArray[Any]
     output_offset: NDArray[Any]
-    input_lags: list[tuple[int, int, Any]]
-    output_lags: list[tuple[int, int, Any]]
+    input_lags: list[tuple[int, int, Any]] = field(default_factory=list)
+    output_lags: list[tuple[int, int, Any]] = field(default_factory=list)
     pace: Any = 1.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Site:
     """Where an effect sits, in the states of the model with all effects.
 
@@ -70,6 +75,16 @@ class Site:
     channel: int
     entry: tuple[int, int]
     state: int
+
+    @cached_property
+    def by_displacement(self) -> Array:
+        """Rates by a resisting force of unit stiffness at the port, (n, n + n_w)."""
+        return np.outer(self.act, np.concatenate([self.position, self.position_input]))
+
+    @cached_property
+    def by_velocity(self) -> Array:
+        """Rates by a resisting force of unit damping at the port, (n, n + n_w)."""
+        return np.outer(self.act, np.concatenate([self.velocity, self.velocity_input]))
 
 
 class AbsorbedLaw(Law):

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Any
 
-import numpy as np
-
 from .absorbed import AbsorbedLaw, Assembly, Site, nominal_is_left
 from .flows import ROOT_WIDTH
 from .formula import PortLaw
@@ -32,9 +30,7 @@ class Damping(AbsorbedLaw):
 
     def absorb(self, into: Assembly, site: Site, *values: Any) -> None:
         """Add t v to the force at the port."""
-        (t,) = values
-        into.A += t * np.outer(site.act, site.velocity)
-        into.Bu += t * np.outer(site.act, site.velocity_input)
+        into.rates += values[0] * site.by_velocity
 
     def bounds_in(self, structure: Any, place: str) -> tuple[float, float]:
         """What is left of the damper stays positive."""

@@ -32,9 +32,7 @@ class Stiffness(AbsorbedLaw):
 
     def absorb(self, into: Assembly, site: Site, *values: Any) -> None:
         """Add t d to the force at the port."""
-        (t,) = values
-        into.A += t * np.outer(site.act, site.position)
-        into.Bu += t * np.outer(site.act, site.position_input)
+        into.rates += values[0] * site.by_displacement
 
     def bounds_in(self, structure: Any, place: str) -> tuple[float, float]:
         """What is left of the spring stays positive."""

@@ -69,10 +69,10 @@ def continuous_matrices(structure: Structure, theta: NDArray[Any]) -> Matrices:
     Ux, lag_drive = _input_lags(into)
 
     # masses are divided by, lagged inputs are states
-    A = structure.adjusted_rates(into.A, theta)
-    right = np.hstack([A, into.Bu, E, into.constant[:, None]])
-    solved = np.linalg.solve(into.inertia, right) if structure.has_mass else right
-    A, Bu, E, constant = solved[:, :n], solved[:, n : n + nw], solved[:, n + nw : -1], solved[:, -1]
+    A, Bu, constant = structure.adjusted_rates(into.A, theta), into.Bu, into.constant
+    if structure.has_mass:
+        solved = np.linalg.solve(into.inertia, np.hstack([A, Bu, E, constant[:, None]]))
+        A, Bu, E, constant = solved[:, :n], solved[:, n : n + nw], solved[:, n + nw : -1], solved[:, -1]
     B = Bu @ into.Uw
     B[:, nw] += constant
     A = A + Bu @ Ux
@@ -122,12 +122,12 @@ def _absorbed(structure: Structure, theta: NDArray[Any], scales: dict[str, Any])
     """The model's own matrices, with the linear effects in them."""
     base, n, nw, ny = structure.linear_model, structure.n_states, structure.n_inputs, structure.n_outputs
     kind = theta.dtype if theta.size else np.dtype(float)
-    A, Bu = np.zeros((n, n), kind), np.zeros((n, nw), kind)
+    rates = np.zeros((n, n + nw), kind)
+    A, Bu = rates[:, :n], rates[:, n:]
     A[: base.n_states, : base.n_states], Bu[: base.n_states] = base.A, base.B
     Uw = np.hstack([np.eye(nw, dtype=kind), np.zeros((nw, 1), kind)])
-    into = Assembly(
-        A, Bu, np.eye(n, dtype=kind), np.zeros(n, kind), Uw, np.ones(ny, kind), np.zeros(ny, kind), [], []
-    )
+    one, constant = np.eye(n, dtype=kind), np.zeros(n, kind)
+    into = Assembly(rates, A, Bu, one, constant, Uw, np.ones(ny, kind), np.zeros(ny, kind))
     for index, site in structure.sites.items():
         effect = structure.effects[index]
         assert isinstance(effect.spec, AbsorbedLaw)
