@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
+
 import numpy as np
 import pytest
 
+from rcorefine.jit import NUMBA, compiled
 from rcorefine.streaming.rcmr import kernels
 from rcorefine.streaming.rcmr.kernels import Design, learn
 from rcorefine.streaming.rcmr.stage import start
@@ -128,3 +131,14 @@ def test_slide_is_the_inverse_of_the_new_window(rng: np.random.Generator) -> Non
     now = gain - np.outer(pending[0], pending[0]) + np.outer(pending[1], pending[1])
     np.testing.assert_allclose(now, expected, atol=1e-12)
     np.testing.assert_allclose(step, expected @ gradient, atol=1e-12)
+
+
+@pytest.mark.numba
+@pytest.mark.skipif(not NUMBA, reason="numba is not installed or switched off")
+def test_a_constant_argument_compiles_no_kernel_anew():
+    types = importlib.import_module("numba").types
+    kernel = compiled(lambda values, by: values[0] - by)
+    for constant in (types.literal(2), types.literal(3), types.int64):
+        kernel.get_call_template((types.float64[::1], constant), {})
+    assert kernel(np.array([5.0]), 2) == 3.0
+    assert len(kernel.signatures) == 1

@@ -20,6 +20,7 @@ from ..exercises.record import hidden_outputs, noisy, record_of
 from ..jit import NUMBA
 from ..models.builders import mass_spring_damper
 from ..models.physical_model import PhysicalModel
+from ..views.pages.pictures import write_png
 from ..writing import replacing
 
 __all__ = ["run_demo"]
@@ -165,7 +166,7 @@ def _draw(
     }
     for name, (figure, dpi) in pictures.items():
         with replacing(folder / name) as stream:
-            figure.savefig(stream, format="png", dpi=dpi)
+            write_png(figure, stream, dpi)
     found.report(folder / "report.html")
     plt.close("all")
     return {

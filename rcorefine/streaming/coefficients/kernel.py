@@ -182,14 +182,13 @@ def advance(sizes, fixed, packed, counters, block, frozen, record, laws):
                     drive(ring, laws.statics, laws.levels, laws.substeps, laws.foh, laws.dt, inputs)
                 through, shown = (S_all, SY_all) if uncertain else (S_few, SY_few)
                 enter(through, S)
-                no_field = n - n  # a plain 0 is a type of its own, and the march would be compiled for it
                 blew_up = march(
                     Ms, laws.dMs, laws.pieces, laws.linear, O, laws.dO, laws.P, laws.dP, laws.codes,
                     laws.values, laws.columns, laws.widths, Wn, laws.foh, Wout, dW, dWout, affected,
                     measured, unused, none, np.zeros((0, 0)), laws.outcodes, laws.outvalues,
                     laws.outcolumns, x, z, through,
                     laws.substeps, Y, shown, X0, F0, limit,
-                    no_field, np.zeros((1, 0)), np.zeros(0, dtype=np.int64),
+                    0, np.zeros((1, 0)), np.zeros(0, dtype=np.int64),
                 )  # fmt: skip
                 if blew_up >= 0:
                     return k, DIVERGED

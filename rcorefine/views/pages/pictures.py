@@ -7,16 +7,17 @@ import io
 from collections.abc import Callable
 from dataclasses import dataclass
 from html import escape
-from typing import Any
+from typing import Any, BinaryIO
 
 import control as ct
 import matplotlib.pyplot as plt
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.gridspec import GridSpec
 from matplotlib.text import Text
 
 from ...exceptions import DataError
 
-__all__ = ["Picture", "draw"]
+__all__ = ["Picture", "draw", "write_png"]
 
 _DPI = 150
 _NARROW = 4.3  # inch: at 380 pixels letters of 10 pt are then 12 pixels high
@@ -87,10 +88,27 @@ def draw(plot: Callable[[], ct.ControlPlot], alt: str, caption: str) -> Picture 
 
 def _png(figure: Any) -> tuple[bytes, tuple[int, int]]:
     buffer = io.BytesIO()
-    # without the software's name and date the same result gives the same file
-    figure.savefig(buffer, format="png", dpi=_DPI, facecolor="white", metadata={"Software": None})
+    write_png(figure, buffer, _DPI)
     width, height = (round(float(side) * _DPI) for side in figure.get_size_inches())
     return buffer.getvalue(), (width, height)
+
+
+def write_png(figure: Any, stream: BinaryIO, dpi: float) -> None:
+    """Draw a figure on white, once: its own `savefig` lays it out in a drawing that nobody sees.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        Figure; it keeps the resolution.
+    stream : binary file
+        Where the PNG goes.
+    dpi : float
+        Pixels per inch.
+    """
+    figure.set_dpi(dpi)
+    figure.set_facecolor("white")
+    # without the software's name and date the same result gives the same file
+    FigureCanvasAgg(figure).print_png(stream, metadata={"Software": None})
 
 
 def _make_narrow(figure: Any) -> None:
