@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..exceptions import ModelError
+from ..inference.fitted import FittedModel
 from ..inference.sensitivities import Candidate, candidate_columns
 from ..inference.starts import Motion, estimated_motion
 from ..inference.whitening import FTest
@@ -42,6 +43,7 @@ class Judged:
         Whether that residual is noise.
     beside : float
         Log of the odds of a force of no law, over the winner's; -inf where that is no force at a port.
+        Beside an unmeasured force, no less than the odds of the error that is left to it.
     """
 
     race: CandidateFits
@@ -113,8 +115,27 @@ def beside_force(case: Case, first: Judged) -> Judged | None:
         if again is not None:
             judged = judge(case, again)
             if judged.passed:
-                return judged
+                return replace(
+                    judged, beside=float(np.logaddexp(judged.beside, _left_to_force(judged.race, race)))
+                )
     return None
+
+
+def _left_to_force(race: CandidateFits, free: CandidateFits) -> float:
+    """Log of the odds that a law which is no candidate makes what the unmeasured force stands for.
+
+    Nobody has measured that force, and it explains whatever a law does: the name is as likely as its share
+    of the error of the free run, beyond what is new in each sample.
+    """
+
+    def beyond(fitted: FittedModel) -> float:
+        left = np.hstack(fitted.residuals()) / race.whitener.scales[:, None]
+        return float(np.sum(np.maximum(np.mean(left**2, axis=1) - 1.0, 0.0)))
+
+    same = [i for i, rival in enumerate(free.rivals) if rival.effect == race.rivals[0].effect]
+    after, before = beyond(free.model(same[0]) if same else race.model()), beyond(free.fitted)
+    share = np.clip(after / before if before else 1.0, 1e-12, 1.0 - 1e-12)
+    return float(np.log(share) - np.log1p(-share))
 
 
 def second_chance(case: Case, first: Judged, scored: Sequence[Candidate], chosen: Sequence[int]) -> Judged:

@@ -61,15 +61,22 @@ def sentences(found: Diagnosis) -> list[str]:
                 "the model."
             )
         lines += _columns(found)
-    if found.best is not None and found.verdict != "unexplained" and found.none_of_these > _OPEN:
+    place = None if found.best is None or found.verdict == "unexplained" else found.best.effect.place
+    hidden = place is not None and found.none_of_these > _OPEN
+    if hidden and not found.force_ratio:
         lines.append(
-            f"A force at {found.best.effect.place} that follows none of the laws, though this record hardly "
+            f"A force at {place} that follows none of the laws, though this record hardly "
             f"shows how it departs, has probability {found.none_of_these:.2f}."
         )
     if found.force_ratio:
         lines.append(
             f"The residual speaks of an unmeasured force of about {100 * found.force_ratio:.2g} % of the "
             "measured one, which is allowed for."
+        )
+    if hidden and found.force_ratio:
+        lines.append(
+            f"If nobody shook the plant, that force is a law which is no candidate: probability "
+            f"{found.none_of_these:.2f}, the share of the error that is left to it."
         )
     if found.verdict == "ambiguous" and len(found.ambiguous) > 1:
         lines.append(
