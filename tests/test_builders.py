@@ -48,8 +48,17 @@ def with_parameter(model, name, change):
         inertia -= change * np.outer(port.act, port.velocity)
         B += change * np.outer(port.act, port.acceleration_input)
     A, B = np.linalg.solve(inertia, A), np.linalg.solve(inertia, B)
-    C = model.output_state + model.output_rate @ A
-    return ct.ss(A, B, C, model.output_input + model.output_rate @ B)
+    C, D = model.output_state + model.output_rate @ A, model.output_input + model.output_rate @ B
+    if port.output.size:  # y = ... + output f, with f = k d, c v, m a
+        sense = {"stiffness": port.position, "damping": port.velocity, "mass": port.velocity @ A}
+        of_inputs = {
+            "stiffness": port.position_input,
+            "damping": port.velocity_input,
+            "mass": port.velocity @ B + port.acceleration_input,
+        }
+        C = C + change * np.outer(port.output, sense[item.kind])
+        D = D + change * np.outer(port.output, of_inputs[item.kind])
+    return ct.ss(A, B, C, D)
 
 
 # ---------------------------------------------------------------- each parameter, through its place
@@ -120,7 +129,10 @@ CASES = {
          "k12": "k[mass1-mass2]", "k2": "k[mass2]"},
     ),
     "rlc": (
-        lambda p: series_rlc(p["R"], p["L"], 1 / p["1/C"], sensors=["current", "charge"]),
+        lambda p: series_rlc(
+            p["R"], p["L"], 1 / p["1/C"],
+            sensors=["current", "charge", "resistor_voltage", "capacitor_voltage", "inductor_voltage"],
+        ),
         {"R": 250.0, "L": 0.055, "1/C": 4e4},
         {},
     ),

@@ -67,7 +67,8 @@ def numbers_that_moved(rows: Sequence[EstimatedParameter]) -> str:
         f" {', '.join(far[:_MOST])} moved so far that they may stand in for a law at a place that the model "
         "does not show: declare its links with physical(...)."
     )
-    return f"Off for certain: {', '.join(said)}{more}.{doubt if far else ''}"
+    known = "the sensors taken as the model has them"
+    return f"Off by more than chance, {known}: {', '.join(said)}{more}.{doubt if far else ''}"
 
 
 def far_numbers(rows: Sequence[EstimatedParameter]) -> list[str]:

@@ -31,6 +31,9 @@ class Assembly:
         r = Uw [w; 1].
     output_gain, output_offset : ndarray, shape (n_y,)
     input_lags, output_lags : list of (channel, state, time constant)
+    felt : list of ndarray, shape (n_y, 2 n + n_w + 1)
+        What sensors read of the forces of effects beside what those do to the states: rows on x, r, 1 and
+        dx/dt.
     pace : float or complex
         Time that passes over the time that the record says.
     """
@@ -45,7 +48,13 @@ class Assembly:
     output_offset: NDArray[Any]
     input_lags: list[tuple[int, int, Any]] = field(default_factory=list)
     output_lags: list[tuple[int, int, Any]] = field(default_factory=list)
+    felt: list[NDArray[Any]] = field(default_factory=list)
     pace: Any = 1.0
+
+    def force(self, act: NDArray[Any]) -> NDArray[Any]:
+        """The force that has entered along `act`, as a row on x, r, 1 and dx/dt."""
+        entered = np.hstack([self.rates, self.constant[:, None], -self.inertia])
+        return np.asarray(act @ entered / (act @ act))
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +73,8 @@ class Site:
         Row and column of an entry of A.
     state : int
         First of the states that the effect adds.
+    output : ndarray, shape (n_y,) or (0,)
+        What the sensors read of its force beside that; empty for nothing.
     """
 
     act: Array
@@ -75,6 +86,7 @@ class Site:
     channel: int
     entry: tuple[int, int]
     state: int
+    output: Array
 
     @cached_property
     def by_displacement(self) -> Array:

@@ -39,7 +39,7 @@ def site_of(structure: Structure, index: int) -> Site:
     effect, base, n = structure.effects[index], structure.linear_model, structure.n_states
     where = effect.spec.where
     rows, inputs = [np.zeros(n)] * 3, [np.zeros(structure.n_inputs)] * 3
-    channel, entry = -1, (0, 0)
+    channel, entry, output = -1, (0, 0), np.zeros(0)
     if "input" in where:
         channel = base.input_labels.index(effect.place)
     elif "output" in where:
@@ -50,10 +50,11 @@ def site_of(structure: Structure, index: int) -> Site:
         port = structure.model.port(effect.place)
         rows = [np.pad(row, (0, n - row.size)) for row in (port.act, port.position, port.velocity)]
         inputs = [port.position_input, port.velocity_input, port.acceleration_input]
+        output = port.output
     added = enumerate(structure.added_states, structure.loop.stop)
     state = next((state for state, (owner, _) in added if owner == index), -1)
     (act, position, velocity), (d_w, v_w, a_w) = rows, inputs
-    return Site(act, position, velocity, d_w, v_w, a_w, channel, entry, state)
+    return Site(act, position, velocity, d_w, v_w, a_w, channel, entry, state, output)
 
 
 def continuous_matrices(structure: Structure, theta: NDArray[Any]) -> Matrices:
@@ -80,12 +81,12 @@ def continuous_matrices(structure: Structure, theta: NDArray[Any]) -> Matrices:
         B[state] += drive
 
     # sensors see states, their rates (accelerometers) and inputs; then come their own lags and laws
-    kind = A.dtype
-    Co, Ca = np.zeros((ny, n), kind), np.zeros((ny, n), kind)
-    Co[:, :n0], Ca[:, :n0] = model.output_state, model.output_rate
-    C = Co + model.output_input @ Ux + Ca @ A
-    D = model.output_input @ into.Uw + Ca @ B
-    G = Ca @ E
+    Co, Cr, offset, Ca = _sensors(structure, into)
+    C, D, G = Co + Cr @ Ux + Ca @ A, Cr @ into.Uw + Ca @ B, Ca @ E
+    D[:, nw] += offset
+    for j, index in enumerate(structure.port_effects):
+        output = model.port(structure.effects[index].place).output
+        G[: output.size, j] += output
     if field is not None:
         G[:, structure.n_ports + n0 :] += np.eye(ny)
     for i, state, lag in into.output_lags:
@@ -134,7 +135,12 @@ def _absorbed(structure: Structure, theta: NDArray[Any], scales: dict[str, Any])
         values = [structure.value(theta, index, name) for name in effect.coefficients]
         if effect.place in scales:
             site = replace(site, act=scales[effect.place] * site.act)
+        if not site.output.size:
+            effect.spec.absorb(into, site, *values)
+            continue
+        before = into.force(site.act)
         effect.spec.absorb(into, site, *values)
+        into.felt.append(np.outer(site.output, into.force(site.act) - before))
     point = structure.model.operating_point
     if point is not None and point.field is not None:  # a nonlinear model is absolute, and so are they
         n0 = base.n_states
@@ -143,6 +149,18 @@ def _absorbed(structure: Structure, theta: NDArray[Any], scales: dict[str, Any])
         ) @ point.inputs
         into.Uw[:, nw] += into.Uw[:, :nw] @ point.inputs - point.inputs
     return into
+
+
+def _sensors(structure: Structure, into: Assembly) -> tuple[NDArray[Any], ...]:
+    """What the sensors read of x, r, 1 and dx/dt."""
+    model, n, nw = structure.model, structure.n_states, structure.n_inputs
+    n0 = structure.linear_model.n_states
+    rows = np.zeros((structure.n_outputs, 2 * n + nw + 1), into.A.dtype)
+    rows[:, :n0], rows[:, n : n + nw] = model.output_state, model.output_input
+    rows[:, n + nw + 1 : n + nw + 1 + n0] = model.output_rate
+    for more in into.felt:
+        rows += more
+    return rows[:, :n], rows[:, n : n + nw], rows[:, n + nw], rows[:, n + nw + 1 :]
 
 
 def _ports(

@@ -138,7 +138,7 @@ class ResponseEngine:
         seen = "position" if port.has_position else "velocity"
         sense, direct = getattr(port, seen), getattr(port, f"{seen}_input")
         row, act = np.pad(sense, (0, n - n0))[None], np.pad(port.act, (0, n - n0))[:, None]
-        out = s.model.output_rate @ port.act
+        out = port.felt(s.model.output_rate)
         points = 1j * self.data.omega
         to, _ = _transfer([(m.A, m.B[:, :nw], row, direct[None])], points)
         back, _ = _transfer([(m.A, act, m.C, out[:, None])], points)

@@ -52,11 +52,8 @@ def estimated_force(
     n = linear.n_states
     act = np.zeros(n)
     act[: port.act.size] = port.act
-    rate = np.zeros((linear.n_outputs, n))
-    given = model.physical_model.output_rate
-    rate[:, : given.shape[1]] = given
     B = np.vstack([linear.B, np.zeros((1, linear.n_inputs))])
-    C = np.column_stack([linear.C, rate @ act])
+    C = np.column_stack([linear.C, port.felt(model.physical_model.output_rate)])
     hold = "zoh" if record.hold == "zoh" else "foh"
     w = record.inputs
     R = np.diag(np.maximum(noise, 1e-6 * record.outputs.std(axis=1)) ** 2)

@@ -304,18 +304,14 @@ def force_responses(
     A, C0 = fitted.linearized()
     n, n0 = structure.n_states, structure.linear_model.n_states
     data = fitted.problem.records[record]
-    acts = np.zeros((n, len(forces)))
-    for j, (name, _) in enumerate(forces):
-        acts[:n0, j] = structure.model.port(name).act
-    ports = list(dict.fromkeys(name for name, _ in forces))
-    unique = np.column_stack([acts[:, [f[0] for f in forces].index(name)] for name in ports])
-    rate = np.zeros((structure.n_outputs, n0))
-    rate[:, :] = structure.model.output_rate
-    through = rate @ unique[:n0]
+    names = list(dict.fromkeys(name for name, _ in forces))
+    ports = [structure.model.port(name) for name in names]
+    unique = np.column_stack([np.pad(port.act, (0, n - n0)) for port in ports])
+    through = np.column_stack([port.felt(structure.model.output_rate) for port in ports])
     Phi, G0, G1 = discretize(A, unique, data.dt, "foh")
     jumps = sample_jumps(structure, data.dt)
     Phi = jumps @ Phi if jumps.size else Phi
-    where = np.array([ports.index(name) for name, _ in forces])
+    where = np.array([names.index(name) for name, _ in forces])
     F = np.array([force for _, force in forces]).T  # (N, k)
     out = linear_responses(Phi, (G0[:, where], G1[:, where]), C0, through[:, where], F, gain=gain)
     return np.asarray(np.moveaxis(out, 0, 1) * fitted.problem.weights[:, None, None])

@@ -54,6 +54,11 @@ def check_sizes(model: PhysicalModel) -> None:
             raise ct.ControlDimension(f"{key} has {len(units)} entries for {size} {what}")
         store(model, key, units)
     store(model, "ports", tuple(as_list(model.ports, "ports", "Port objects")))
+    for port in model.ports:
+        if port.output.size not in (0, linear.n_outputs):
+            raise ct.ControlDimension(
+                f"output of port {port.name!r} has {port.output.size} entries for {linear.n_outputs} outputs"
+            )
     store(model, "parameters", tuple(as_list(model.parameters, "parameters", "nominal parameters")))
 
 

@@ -212,7 +212,7 @@ def _affinity(physical: PhysicalModel, port: Port, kind: str) -> int:
 def _action(port: Port, kind: str) -> tuple[Any, ...]:
     """Key that is equal for effects that act exactly alike, up to the sense of the port."""
     senses = KINDS[kind].senses
-    arrays = [port.act]
+    arrays = [port.act, port.output]
     if "position" in senses:
         arrays += [port.position, port.position_input]
     if "velocity" in senses:

@@ -30,7 +30,7 @@ class Port:
         a = velocity @ dx/dt + acceleration_input @ w  acceleration
 
     and a resisting force f at the port changes the model by
-    ``dx/dt += act * f``. At a ``"first_order"`` port (a level, a
+    ``dx/dt += act * f`` and ``y += output * f``. At a ``"first_order"`` port (a level, a
     temperature, a current) there is no displacement, and v is the state
     itself or the difference of two.
 
@@ -55,6 +55,9 @@ class Port:
         The place in words.
     modal : bool
         Whether it is a mode, and no place that a force from elsewhere could reach alone.
+    output : ndarray of shape (n_y,), optional
+        What the sensors read of a unit resisting force beside its effect on the states: 1 for a voltmeter
+        across the element, or a load cell in series with it. Nothing by default.
 
     Raises
     ------
@@ -90,6 +93,7 @@ class Port:
     force_unit: str = ""
     description: str = ""
     modal: bool = False
+    output: Array = ()  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:
@@ -115,6 +119,9 @@ class Port:
                 )
             array.setflags(write=False)
             object.__setattr__(self, key, array)
+        output = as_array(self.output, f"output of port {self.name!r}", error=ModelError).reshape(-1)
+        output.setflags(write=False)
+        object.__setattr__(self, "output", output)
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         # numpy forgets the write protection when it pickles
@@ -125,6 +132,21 @@ class Port:
 
     def __getstate__(self) -> tuple[Any, ...]:
         return tuple(getattr(self, key) for key in self.__slots__)
+
+    def felt(self, output_rate: Array) -> Array:
+        """What sensors read at once of a unit resisting force here, shape (n_y,).
+
+        Parameters
+        ----------
+        output_rate : ndarray of shape (n_y, n)
+            What they read of the rates of the states, as in `PhysicalModel`.
+
+        Returns
+        -------
+        ndarray
+        """
+        at_once = output_rate @ self.act
+        return np.asarray(at_once + self.output if self.output.size else at_once)
 
     @property
     def has_position(self) -> bool:

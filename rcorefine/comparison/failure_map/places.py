@@ -129,7 +129,7 @@ def _places(
             Place(
                 port.name, port.kind, states(port.act), states(port.position), states(port.velocity),
                 inputs(port.position_input), inputs(port.velocity_input),
-                physical.output_rate[rows] @ port.act, port.position_unit, port.velocity_unit,
+                port.felt(physical.output_rate)[rows], port.position_unit, port.velocity_unit,
             )
             for port in physical.ports
         ),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -69,10 +70,9 @@ def series_rlc(
     is `mass` at ``"inductor"``, resistance `damping` at ``"resistor"``, and the elastance 1/C
     `stiffness` at ``"capacitor"``. All three sit in one loop, so a law acts alike at each.
 
-    A sensor keeps the nominal value that turns current or charge into its voltage: ``"resistor_voltage"``
-    is R times the current with the R given here, the resistor of the meter. An effect `damping` is
-    therefore resistance that the meter does not sit on; if the metered
-    resistor itself is off, combine it with `output_gain`.
+    A voltmeter reads all that its element drops: an effect at the resistor shows in ``"resistor_voltage"``,
+    one at the capacitor in ``"capacitor_voltage"``, and so on. Resistance beside the metered resistor (of
+    the coil, of the source) is `damping` at ``"inductor"``.
 
     Examples
     --------
@@ -113,7 +113,7 @@ def series_rlc(
         none,
         units,
     )
-    return system.build(
+    model = system.build(
         places,
         found,
         parameters,
@@ -123,3 +123,8 @@ def series_rlc(
         states=as_labels(states, "states", ["charge", "current"]),
         name=as_text(name, "name"),
     )
+    voltmeters = [[float(label == f"{port.name}_voltage") for label in asked] for port in model.ports]
+    ports = (
+        replace(port, output=np.array(reads)) for port, reads in zip(model.ports, voltmeters, strict=True)
+    )
+    return replace(model, ports=tuple(ports))

@@ -291,7 +291,7 @@ def _columns(
     port = structure.model.port(effect.place)
     pad = n - port.act.size
     act = np.pad(port.act, (0, pad))
-    place = act, rate @ act
+    place = act, port.felt(structure.model.output_rate)
     d = np.concatenate([port.position, np.zeros(pad), port.position_input])
     v = np.concatenate([port.velocity, np.zeros(pad), port.velocity_input])
     if law.inertial:
