@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import control as ct
@@ -60,6 +61,76 @@ def test_units(factor, words):
     row = look(w, factor * noisy(w))["units"]
     assert row.status == "stop"
     assert words in row.sentence
+
+
+ROTOR = ct.ss([[-2]], [[30]], [[1]], [[0]], inputs=["u"], outputs=["speed"])
+
+
+def spun(gain=1.0, drag=0.0, noise=0.02, seed=2):
+    """Speed of a rotor with a drag that grows with the square of it, by small Euler steps."""
+    w, x, run = drive(seed), 0.0, []
+    for value in w:
+        run.append(x)
+        for _ in range(20):
+            x += DT / 20 * (30 * gain * value - 2 * x - drag * x * abs(x))
+    y = np.array(run)
+    return w, y + noise * y.std() * np.random.default_rng(seed + 9).standard_normal(y.size)
+
+
+def unit_rows(w, y, model=ROTOR, **units):
+    data = rco.Measurement(w, y, dt=DT, input_labels="u", output_labels="speed", **units)
+    return [row for row in rco.check(model, data, information=False).looks if row.what in ("units", "gain")]
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("gain", [6.35, 9.7, 55.0])
+def test_a_gain_near_a_unit_is_no_unit_for_certain(gain, seed):
+    (row,) = unit_rows(*spun(gain, seed=seed))
+    assert row.status == "look"
+    assert "a gain, or numbers that are off" in row.sentence
+    assert "m/s^2" not in row.sentence
+
+
+@pytest.mark.parametrize("drag", [0.1, 0.3])
+def test_a_unit_beside_a_law_that_is_missing_is_one_of_several_words(drag):
+    w, y = spun(drag=drag)
+    (row,) = unit_rows(w, y * 30 / np.pi)
+    assert row.status == "look"
+    assert "rpm where the model has rad/s" in row.sentence
+    assert "m/s^2" not in row.sentence
+
+
+def test_declared_units_are_certain_and_are_converted_in_one_line():
+    w, y = spun(drag=0.1)
+    model = rco.physical(ROTOR, units={"speed": "rad/s"})
+    (row, *_) = unit_rows(w, y * 30 / np.pi, model, output_units="rpm")
+    assert (row.status, row.what) == ("stop", "units")
+    line = row.sentence.split("convert it: ")[1].removesuffix(".")
+    data = rco.Measurement(w, y * 30 / np.pi, dt=DT, output_labels="speed", output_units="rpm")
+    known = {"data": data, "dataclasses": dataclasses}
+    exec(line, known)
+    np.testing.assert_allclose(known["data"].outputs[0], y, rtol=1e-5)
+    assert known["data"].output_units == ("rad/s",)
+    # the header may be what is wrong
+    w, y = spun()
+    (row,) = unit_rows(w, y, model, output_units="rpm")
+    assert row.status == "look"
+    assert "either is declared wrong" in row.sentence
+    # and where the same unit is declared twice, nothing is to be converted
+    assert unit_rows(w, y, model, output_units="rad/s") == []
+    (row,) = unit_rows(w, y * 1e3, rco.physical(ROTOR, units={"speed": "V"}), output_units="mV")
+    assert "data.outputs * 0.001" in row.sentence
+
+
+def test_the_header_of_a_file_tells_its_unit(tmp_path):
+    from rcorefine.data.files import read_record
+
+    w, y = spun()
+    rows = [f"{k * DT:.2f},{a:.6g},{b:.6g}" for k, (a, b) in enumerate(zip(w, y, strict=True))]
+    (tmp_path / "r.csv").write_text("\n".join(["time [s],u [N m],speed [rpm]", *rows]))
+    model = rco.physical(ROTOR, units={"speed": "rad/s", "u": "N m"})
+    data = read_record(tmp_path / "r.csv", model)
+    assert (data.output_units, data.input_units) == (("rpm",), ("N m",))
 
 
 def test_sign_with_units():

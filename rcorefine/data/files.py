@@ -77,7 +77,7 @@ def read_record(
     linear = LinearModel.from_statespace(getattr(model, "system", model))
     columns, labels = _columns(inputs, linear.input_labels)
     measured, output_labels = _columns(outputs, linear.output_labels)
-    return reader(
+    record = reader(
         path,
         columns,
         measured,
@@ -87,8 +87,14 @@ def read_record(
         **text,
         input_labels=labels,
         output_labels=output_labels,
-        input_units=_units(labels, linear.input_labels, getattr(model, "input_units", ())),
-        output_units=_units(output_labels, linear.output_labels, getattr(model, "output_units", ())),
+    )
+    return record._changed(
+        input_units=_units(
+            record.input_units, labels, linear.input_labels, getattr(model, "input_units", ())
+        ),
+        output_units=_units(
+            record.output_units, output_labels, linear.output_labels, getattr(model, "output_units", ())
+        ),
     )
 
 
@@ -100,6 +106,9 @@ def _columns(given: Sequence[str] | None, model: tuple[str, ...]) -> tuple[list[
     return list(given), list(given if by_name else model)
 
 
-def _units(labels: list[str], model: tuple[str, ...], units: tuple[str, ...]) -> list[str] | None:
+def _units(
+    own: tuple[str, ...], labels: list[str], model: tuple[str, ...], units: tuple[str, ...]
+) -> list[str]:
+    """The file's units, and the model's where the file has none."""
     known = dict(zip(model, units, strict=False))
-    return [known.get(label, "") for label in labels] if units else None
+    return [unit or known.get(label, "") for unit, label in zip(own, labels, strict=True)]

@@ -14,6 +14,7 @@ from ...arguments import as_flag
 from ...arithmetic import own_arithmetic
 from ...comparison.compare import compare
 from ...comparison.result import Comparison
+from ...data.channels import match_channels
 from ...data.measurement import Measurement
 from ...exceptions import DataError, DivergenceError, RCOWarning
 from ...inference.levels import levels
@@ -75,8 +76,9 @@ def check(
     Notes
     -----
     Looked at: constant, repeated, clipped, coarse and spiky signals, dropouts; sampling and length against
-    the model's modes; of each output beside the free run its sign, gain and unit (a gain within its error of
-    9.549 looks like rpm for rad/s), delay, offset and drift; inputs that follow the outputs. The gain's
+    the model's modes; of each output beside the free run its sign, gain and unit (known where record and
+    model declare it; else a gain that is 9.549 within a small error, while the rest of the record fits, is
+    rpm for rad/s, and one near that may be), delay, offset, drift; inputs that follow the outputs. The gain's
     standard deviation comes from the spread over blocks of the record, so the noise may have any color.
 
     Examples
@@ -156,7 +158,7 @@ def _looked_over(model: Any, data: Measurement, horizon: float | None) -> tuple[
         return record, [*rows, *controller_rows(controller, linear, data)]
     if compared is not None:
         # of a nonlinear model a gain says little
-        rows += gain_rows(compared) if straight and not compared.led else ()
+        rows += gain_rows(compared, _units(physical, data, compared)) if straight and not compared.led else ()
         return record, [*rows, *feedback_rows(compared)]
     diverges = CheckRow(
         STOP, "free run", "", "diverges",
@@ -164,6 +166,15 @@ def _looked_over(model: Any, data: Measurement, horizon: float | None) -> tuple[
         "horizon=, or mend its poles.",
     )  # fmt: skip
     return record, [*rows, diverges]
+
+
+def _units(physical: PhysicalModel | None, data: Measurement, compared: Comparison) -> tuple[str, ...]:
+    """Units that the model declares for the outputs that were compared."""
+    if physical is None or not any(physical.output_units):
+        return ()
+    outputs = match_channels(physical.linear, data).outputs
+    labels = [data.output_labels[place] if place >= 0 else "" for place in outputs]
+    return tuple(physical.output_units[labels.index(label)] for label in compared.data.output_labels)
 
 
 def _compared(model: Any, data: Measurement, horizon: float | None) -> Comparison | None:

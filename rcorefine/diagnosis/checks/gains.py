@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -10,34 +10,20 @@ import numpy as np
 from scipy.signal import correlate
 
 from ...comparison.result import Comparison
+from ...data.measurement import Measurement
 from ...data.range_ends import resolution
 from ...inference.whitening import project, rank_basis
 from ...systems.conversion import to_discrete
 from ...systems.linear import Array, LinearModel
 from .row import LOOK, OK, STOP, CheckRow
+from .units import between, likely
 
 __all__ = ["gain_rows"]
 
-#: Record over model, and what that looks like: (record in, model in).
-FACTORS = (
-    (60 / (2 * np.pi), "rpm", "rad/s"),
-    (180 / np.pi, "degrees", "radians"),
-    (2 * np.pi, "rad/s", "Hz"),
-    (9.80665, "m/s^2", "g"),
-    (25.4, "millimeters", "inches"),
-    (3.6, "km/h", "m/s"),
-    (60.0, "per minute", "per second"),
-    (100.0, "percent", "shares of 1"),
-    (1e3, "thousandths", "units"),
-    (1e6, "millionths", "units"),
-    (4.44822, "newtons", "pounds"),
-    (1.8, "Fahrenheit", "Celsius"),
-)
 _BLOCKS = 12
 _SURE = 4.0  # standard deviations
 _LEAST = 0.03  # of a gain that is worth a word
-_NEAR = 0.1  # most that a known factor may be missed by
-_FAR, _ABOUT = 5.0, 0.25  # a factor that no parameter makes; the log by which a unit may then be missed
+_FAR = 5.0  # a factor that parameters seldom make
 _RELATED = 0.3  # correlation below which no gain is read
 _CLEAR, _SAME = 0.8, 0.97  # the same for a sign, and for a unit of a size that dynamics could make
 _SPIKE = 8.0  # robust standard deviations from the samples before and after
@@ -56,13 +42,15 @@ class _Gain(NamedTuple):
     left: Array
 
 
-def gain_rows(compared: Comparison) -> Iterator[CheckRow]:
+def gain_rows(compared: Comparison, units: Sequence[str] = ()) -> Iterator[CheckRow]:
     """Rows on each output beside the free run of the model.
 
     Parameters
     ----------
     compared : Comparison
         Model on the record.
+    units : sequence of str, optional
+        Units that the model declares for these outputs.
 
     Yields
     ------
@@ -80,7 +68,9 @@ def gain_rows(compared: Comparison) -> Iterator[CheckRow]:
             continue
         found = _gain(y, run, [np.column_stack([part[i], np.ones(len(part[i]))]) for part in settling])
         yield from _delay_row(label, found, data.dt)
-        yield from _gain_row(label, found)
+        declared = (data.output_units[i], units[i] if units else "")
+        yield from _unit_row(found, data, i, declared[1])
+        yield from _gain_row(label, found, *declared)
         if abs(found.correlation) >= _RELATED:
             if len(settling) == 1:  # where a model integrates, an initial state is an offset
                 yield from _level_rows(label, found.left, y, data.timepts)
@@ -149,7 +139,32 @@ def _delay_row(label: str, found: _Gain, dt: float) -> Iterator[CheckRow]:
     )  # fmt: skip
 
 
-def _gain_row(label: str, found: _Gain) -> Iterator[CheckRow]:
+def _unit_row(found: _Gain, data: Measurement, i: int, model: str) -> Iterator[CheckRow]:
+    """What the declared units say of the size: there nothing has to be guessed."""
+    label, record = data.output_labels[i], data.output_units[i]
+    factor = between(record, model)
+    if factor is None or abs(np.log(factor)) < _LEAST:
+        return
+    said = f"{label} is declared in {record} on the record and in {model} on the model"
+    size = abs(found.value)
+    if abs(found.correlation) >= _RELATED and abs(np.log(size)) < abs(np.log(size / factor)):
+        yield CheckRow(
+            LOOK, "units", label, f"{found.value:.4g} +/- {found.std:.2g}",
+            f"{said}, but its size is that of the model: either is declared wrong, or a gain hides it.",
+        )  # fmt: skip
+        return
+    others = range(data.n_outputs)
+    factors = [f"{1 / factor:.6g}" if k == i else "1" for k in others]
+    units = [model if k == i else data.output_units[k] for k in others]
+    by, named = (f"[[{'], ['.join(factors)}]]", str(units)) if len(units) > 1 else (factors[0], repr(model))
+    yield CheckRow(
+        STOP, "units", label, f"factor {factor:.4g}",
+        f"{said}, which makes it {factor:.4g} times as large; convert it: "
+        f"data = dataclasses.replace(data, outputs=data.outputs * {by}, output_units={named}).",
+    )  # fmt: skip
+
+
+def _gain_row(label: str, found: _Gain, record: str, model: str) -> Iterator[CheckRow]:
     value, figure = found.value, f"{found.value:.4g} +/- {found.std:.2g}"
     if abs(found.correlation) < _RELATED:
         yield CheckRow(
@@ -158,36 +173,36 @@ def _gain_row(label: str, found: _Gain) -> Iterator[CheckRow]:
             "wiring, the order of the channels and the time constants.",
         )  # fmt: skip
         return
-    off = abs(value - 1.0)
-    if off <= max(_SURE * found.std, _LEAST):
-        yield CheckRow(OK, "gain", label, figure, f"{label} has the size that the model says.")
+    factor = between(record, model)
+    if any(
+        abs(value / known - 1.0) <= max(_SURE * found.std / known, _LEAST) for known in (1.0, factor or 1.0)
+    ):
+        if factor in (None, 1.0):
+            yield CheckRow(OK, "gain", label, figure, f"{label} has the size that the model says.")
         return
     # missing dynamics turn and shrink a response too, but then little of the record goes with the model
     like = abs(found.correlation)
-    size = _unit(abs(value), found.std) if like > _SAME or abs(np.log(abs(value))) > np.log(_FAR) else ""
+    clear = factor in (None, 1.0) and (like > _SAME or abs(np.log(abs(value))) > np.log(_FAR))
+    words, certain = likely(abs(value), found.std, label, record, model) if clear else ("", False)
+    certain = certain and like > _SAME  # the rest of the record has to go with it
+    unit = f"{'the record looks like' if certain else 'perhaps'} {words}"
     if like > _CLEAR and value + _SURE * found.std < 0:
-        more = f", and {size}" if size else ""
+        more = f", and {unit}" if words else ""
         yield CheckRow(
             STOP, "sign", label, figure,
             f"{label} goes against the model{more}: a swapped wire, or another convention of sign.",
         )  # fmt: skip
-    elif size:
-        yield CheckRow(STOP, "units", label, figure, f"{label}: {size}.")
+    elif certain:
+        yield CheckRow(
+            STOP, "units", label, figure,
+            f"{label}: {unit}; its size fits that within its error, and the rest of the record with it.",
+        )  # fmt: skip
     else:
         yield CheckRow(
-            LOOK, "gain", label, figure,
-            f"{label} is {figure} times what the model says: a gain, a unit, or parameters that are off.",
+            LOOK, "units" if words else "gain", label, figure,
+            f"{label} is {figure} times what the model says: a gain, or numbers that are off"
+            + (f", or a unit ({words})." if words else ", or a unit." if factor is None else "."),
         )  # fmt: skip
-
-
-def _unit(value: float, std: float) -> str:
-    """What a factor looks like, empty where it is none that is known."""
-    # parameters that are off make a gain of 1.3 and not of 60
-    within = _ABOUT if abs(np.log(value)) > np.log(_FAR) else min(max(3.0 * std / value, 0.01), _NEAR)
-    both = [*FACTORS, *((1 / factor, model, record) for factor, record, model in FACTORS)]
-    near = sorted((abs(np.log(value / factor)), record, model) for factor, record, model in both)
-    words = [f"{record} where the model has {model}" for far, record, model in near if far <= within]
-    return f"the record looks like {', or '.join(words)}" if words else ""
 
 
 def _level_rows(label: str, left: Array, y: Array, timepts: Array) -> Iterator[CheckRow]:
