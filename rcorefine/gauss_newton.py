@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .systems.linear import Array
 
-__all__ = ["Minimum", "Rows", "gauss_newton", "promised"]
+__all__ = ["Minimum", "Rows", "gauss_newton", "own_sizes", "promised"]
 
 _UNSEEN = 1e-14  # eigenvalue of the unit-column normal matrix, relative, below which a direction is not seen
 _NO_STEP = 1e-12  # size of a column, times that of its unknown and relative, below which it is not felt
@@ -102,6 +102,21 @@ def gauss_newton(
         if converged:
             break
     return Minimum(x, cost, rows, converged)
+
+
+def own_sizes(reached: Array, jacobian: Array) -> Array:
+    """Natural sizes of unknown initial values, whatever their units.
+
+    Parameters
+    ----------
+    reached : ndarray, shape (p,)
+        The largest that each becomes on its way from zero.
+    jacobian : ndarray, shape (N, p)
+        Derivatives of what is judged: of an unknown that nothing drives they tell what counts as one.
+    """
+    felt = np.linalg.norm(jacobian, axis=0)
+    driven = np.isfinite(reached) & (reached > 0)
+    return np.where(driven, reached, 1.0 / np.where(np.isfinite(felt) & (felt > 0), felt, 1.0))
 
 
 def promised(

@@ -17,6 +17,7 @@ from ..data.measurement import Measurement
 from ..effects.compiled import raise_pending
 from ..effects.formula import InputLaw
 from ..exceptions import DivergenceError
+from ..gauss_newton import own_sizes
 from ..systems.linear import Array
 from . import kernels
 from .controlled import sample_jumps, start_columns
@@ -27,6 +28,9 @@ from .substep import Discrete
 
 __all__ = ["Engine", "Trajectory"]
 
+_FAR = 1e12  # times the largest value of an output in the record: no model of it goes there
+_RUNS_AWAY = 100.0  # times: from there on the motion tells of the growth only
+_BEYOND = 1e100  # nor any state here, whatever its unit
 _PIECES = 16  # of a substep in which a friction force jumps
 _WHOLE = 0.05  # of a sample by which an estimated delay may exceed a whole number and count as one
 _NODES_FOR_DELAY = 8  # output nodes per sample where an output delay must be interpolated
@@ -177,15 +181,16 @@ class Engine:
                     "other coefficients or bound them"
                 )
             return _trajectory(Yout, SY, X, F, 0)
-        limit = 1e12 * (1.0 + float(np.abs(x).max(initial=0.0)) + self._state_bound())
         with np.errstate(all="ignore"):  # it notices what overflows; plain Python is as silent as compiled
             blew_up = kernels.march(
                 Ms, dMs, pieces, disc.linear, disc.O, disc.dO, disc.P, disc.dP, codes, values, columns,
                 widths, drive.W, drive.nodes, drive.Wout, dW, dWout, driven, self._measured, flags, K,
                 self._resets, outcodes, outvalues, outcolumns, x, np.zeros(s.n_ports + ny), S,
-                self.substeps, Yout, SY, X, F, limit, field, fvalues, fcolumns,
+                self.substeps, Yout, SY, X, F, _BEYOND, field, fvalues, fcolumns,
             )  # fmt: skip
         raise_pending()
+        beyond = self._beyond(Yout, _FAR)
+        blew_up = min((int(at) for at in (blew_up, beyond) if at >= 0), default=-1)
         if blew_up >= 0 and check:
             raise DivergenceError(
                 f"the simulation left all bounds at sample {blew_up} (t = {blew_up * self.data.dt:.6g} s): "
@@ -194,7 +199,7 @@ class Engine:
         for index, channel in s.output_delays:
             if np.isfinite(Yout[:, channel]).all():  # where it blew up there is nothing to shift
                 self._delay_output(theta, index, channel, Yout, SY, sensitivity)
-        return _trajectory(Yout - self._level, SY, X, F, int(blew_up))
+        return _trajectory(Yout - self._level, SY, X, F, blew_up)
 
     def _substep(self, theta: Array, derivatives: bool) -> tuple[Discrete, Discrete, int]:
         """A substep, a piece of it for where a force jumps, and the number of pieces."""
@@ -234,10 +239,25 @@ class Engine:
                 lost[channel] = max(lost[channel], here)
         return lost
 
-    def _state_bound(self) -> float:
-        """A scale above which no state of this record can be meant."""
-        measured = float(np.abs(self._measured).max(initial=0.0))
-        return measured + float(np.abs(self.data.inputs).max(initial=0.0))
+    def _beyond(self, Y: Array, times: float) -> int:
+        """First sample at which an output (N, n_y) is so many times as large as any in the record, or -1."""
+        levels = np.abs(self._measured).max(axis=0, initial=0.0)
+        far = np.abs(Y) > times * np.where(levels > 0, levels, np.inf)  # a record to be filled in has none
+        return int(far.any(axis=1).argmax()) if far.any() else -1
+
+    def state_sizes(self, theta: Array) -> Array:
+        """What counts as one in each state without nonlinear forces, whatever its unit, shape (n,)."""
+        calm = theta.copy()
+        if not self.structure.is_linear:
+            calm[self.structure.port_columns] = 0.0
+        run = self.run(calm, sensitivity=False, histories=True, check=False)
+        end = self._beyond((run.outputs + self._level[:, None]).T, _RUNS_AWAY)
+        reached = np.abs(run.states[:, : end if end > 0 else None]).max(axis=1, initial=0.0)
+        if (reached > 0).all():
+            return np.asarray(reached)
+        level = np.abs(self._measured).max(axis=0, initial=0.0)[:, None, None]
+        slopes = self.run(calm, sensitivity=False, initial_state=True, check=False).sensitivity
+        return own_sizes(reached, (slopes / np.where(level > 0, level, 1.0)).reshape(-1, reached.size))
 
     def _delay_output(
         self, theta: Array, index: int, channel: int, Y: Array, SY: Array, sensitivity: bool

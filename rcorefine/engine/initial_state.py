@@ -114,7 +114,8 @@ def estimate_initial_state(
         return Rows(error if sound else np.full(1, np.inf), slopes)
 
     rest = np.zeros(engine.structure.n_states)
-    linear = partial(gauss_newton, partial(rows, calm), rest, evaluations=3, tolerance=1e-8, damping=0.0)
+    descend = partial(gauss_newton, sizes=engine.state_sizes(theta), tolerance=1e-8, damping=0.0)
+    linear = partial(descend, partial(rows, calm), rest, evaluations=3)
     found = linear()
     known = brief_modes(engine) if gain is None and np.isfinite(found.cost) else prior
     if np.any(np.abs(known @ found.point) > 1.0):
@@ -124,4 +125,4 @@ def estimate_initial_state(
         found = linear()
     if engine.structure.is_linear:
         return found.point
-    return gauss_newton(partial(rows, theta), found.point, evaluations=20, tolerance=1e-8, damping=0.0).point
+    return descend(partial(rows, theta), found.point, evaluations=20).point

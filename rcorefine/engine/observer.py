@@ -8,12 +8,15 @@ import numpy as np
 from scipy.linalg import LinAlgError, solve_discrete_are
 
 from ..data.measurement import Measurement
+from ..systems.balance import balance
 from ..systems.exponential import exponential
 from ..systems.linear import Array
 from .controlled import open_loop, own_states
 from .structure import Structure
 
 __all__ = ["SteadyFilter", "observer_gain", "steady_filter"]
+
+_ROUNDS = 100
 
 
 def observer_gain(
@@ -59,18 +62,24 @@ def observer_gain(
     nw, n = structure.n_inputs, structure.n_states
     level = np.sqrt(np.mean(data.inputs**2, axis=1))
     level = np.where(level > 0, level, 1.0)
-    drives = [m.B[:, i] * level[i] for i in range(nw)]
+    spread = data.outputs.std(axis=1)
+    spread = np.where(spread > 0, spread, 1.0)
+    G, C = m.B[:, :nw] * level, m.C / spread[:, None]
+    units = _units(m.A * data.dt, G, C)  # the user's may be far apart
+    A, G, C = m.A * units / units[:, None], G / units[:, None], C * units
+    drives = list(G.T)
     top = max((np.linalg.norm(d) for d in drives), default=1.0) or 1.0
     acts = [] if at == "inputs" and drives else [port.act for port in structure.model.ports]
     for act in acts:
-        size = np.linalg.norm(act)
+        padded = np.zeros(n)
+        padded[: act.size] = act
+        padded /= units
+        size = np.linalg.norm(padded)
         if size > 0:
-            padded = np.zeros(n)
-            padded[: act.size] = act * (top / size)
-            drives.append(padded)
+            drives.append(padded * (top / size))
     G = np.column_stack(drives) * ratio
     block = np.zeros((2 * n, 2 * n))
-    block[:n, :n], block[:n, n:], block[n:, n:] = -m.A, G @ G.T, m.A.T
+    block[:n, :n], block[:n, n:], block[n:, n:] = -A, G @ G.T, A.T
     # Van Loan: exact covariance of a force that is constant over a sample, as a density
     scale = data.dt
     with np.errstate(over="ignore", invalid="ignore"):
@@ -80,19 +89,36 @@ def observer_gain(
     diagonal = np.diag(Q)
     if not np.isfinite(Q).all() or diagonal.min(initial=0.0) < -1e-9 * diagonal.max(initial=0.0):
         # a fast pole: the density form overflows or cancels, the held form does not
-        held = exponential((np.block([[m.A, G], [np.zeros((G.shape[1], n + G.shape[1]))]]) * scale)[None])[0]
+        held = exponential((np.block([[A, G], [np.zeros((G.shape[1], n + G.shape[1]))]]) * scale)[None])[0]
         Phi, gamma = held[:n, :n], held[:n, n:]
         Q = gamma @ gamma.T
     else:
         Q = Q * data.dt
-    spread = data.outputs.std(axis=1)
-    spread = np.where(spread > 0, spread, 1.0)
     R = noise**2 * np.eye(spread.size)
     size = np.sqrt(np.maximum(np.diag(Q), 1e-12 * np.trace(Q) / n + 1e-300))
     A = Phi * size / size[:, None]  # unit-size states keep the Riccati equation well scaled
-    C = m.C * size / spread[:, None]
     Qs = Q / np.outer(size, size) + 1e-12 * np.eye(n)
-    return np.asarray(steady_filter(A, C, Qs, R).gain * size[:, None] / spread)
+    return np.asarray(steady_filter(A, C * size, Qs, R).gain * (units * size)[:, None] / spread)
+
+
+def _units(A: Array, G: Array, C: Array) -> Array:
+    """Units in which states are of one size on the way from the drives to the outputs.
+
+    Osborne, J. ACM 7 (1960) 338, without rounding to powers of two: gains are to depend on no unit.
+    """
+    reached, seen = np.abs(G).max(axis=1, initial=0.0), np.abs(C).max(axis=0, initial=0.0)
+    between = np.abs(A) * (1.0 - np.eye(len(A)))  # the diagonal has no unit
+    size = np.block([[between, reached[:, None]], [seen, np.zeros(1)]])
+    units = balance(size)
+    for _ in range(_ROUNDS):
+        now = size * units / units[:, None]
+        rows, columns = np.linalg.norm(now, axis=1), np.linalg.norm(now, axis=0)
+        both = (rows > 0) & (columns > 0)
+        change = np.where(both, rows, 1.0) / np.where(both, columns, 1.0)
+        units = units * change**0.25
+        if np.abs(change - 1.0).max() < 1e-8:
+            break
+    return np.asarray(units[:-1] / units[-1])
 
 
 class SteadyFilter(NamedTuple):
@@ -147,14 +173,21 @@ def steady_filter(F: Array, H: Array, Q: Array, R: Array) -> SteadyFilter:
     except (LinAlgError, ValueError):
         P = _finite_horizon(F, H, Q, R)  # a state that the outputs cannot see has no steady covariance
     S = H @ P @ H.T + R
-    return SteadyFilter(P @ H.T @ np.linalg.inv(S), P, S)
+    return SteadyFilter(_gain(P, H, S), P, S)
+
+
+def _gain(P: Array, H: Array, S: Array) -> Array:
+    try:
+        return P @ H.T @ np.linalg.inv(S)
+    except LinAlgError:  # beside what blew up, the sensor noise is rounding
+        return np.full((len(P), len(H)), np.nan)
 
 
 def _finite_horizon(F: Array, H: Array, Q: Array, R: Array, steps: int = 300) -> Array:
     P = Q.copy()
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(steps):
-            K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+            K = _gain(P, H, H @ P @ H.T + R)
             P = F @ (P - K @ H @ P) @ F.T + Q
             P = 0.5 * (P + P.T)
     return P

@@ -13,6 +13,7 @@ from ..arguments import as_state, shown
 from ..data.channels import match_channels, record_for
 from ..data.measurement import Measurement
 from ..exceptions import DivergenceError, ModelError
+from ..gauss_newton import Rows, gauss_newton, own_sizes
 from ..models.controller import completed
 from ..models.conversion import as_model, under_control
 from ..results import Data
@@ -232,11 +233,13 @@ def _simulate_discrete(model: LinearModel, data: Measurement, x0: str | Array) -
             start = np.zeros(0)
         if start is None:
             weights = 1.0 / np.maximum(data.outputs.std(axis=1), 1e-300)
-            rows = (weights[:, None, None] * np.einsum("yi,kij->ykj", model.C, unit)).reshape(
-                -1, model.n_states
-            )
-            error = (weights[:, None] * (data.outputs - forced)).ravel()
-            start = np.linalg.lstsq(rows, error, rcond=1e-10)[0]
+            slopes = np.einsum("y,yi,kij->ykj", weights, model.C, unit).reshape(-1, model.n_states)
+            error = (weights[:, None] * (forced - data.outputs)).ravel()
+            start = gauss_newton(
+                lambda x: Rows(error + slopes @ x, slopes), np.zeros(model.n_states),
+                sizes=own_sizes(np.abs(states).max(axis=1), slopes), evaluations=3, tolerance=1e-8,
+                damping=0.0,
+            ).point  # fmt: skip
         states = states + np.einsum("kij,j->ik", unit, start)
     outputs = model.C @ states + model.D @ data.inputs
     return Simulation(outputs, states, np.zeros((0, data.n_samples)), start)

@@ -86,8 +86,11 @@ class Problem:
         self.free_start = initial is None
         self.gain: Array | None = None
         self._cache: tuple[Array, Evaluation] | None = None
-        states = np.ones(self.size - self.n_theta)
-        self.sizes = np.concatenate([natural_sizes(structure, self.records), states])
+        rest = np.zeros(self.size - self.n_theta)
+        self.sizes = np.concatenate([natural_sizes(structure, self.records), rest])
+        if self.free_start:
+            theta = self.inside(np.concatenate([prior_mean, rest]))[: self.n_theta]
+            self.sizes[self.n_theta :] = np.concatenate([one.state_sizes(theta) for one in self.engines])
         self.n_points = sum(record.outputs.size for record in self.records)
 
     def whitener(self, residuals: Sequence[Array]) -> Whitener:

@@ -9,6 +9,7 @@ from scipy import linalg
 
 from ..arguments import as_choice, as_number
 from ..exceptions import ModelError
+from .balance import balance
 from .linear import Array
 
 __all__ = ["HOLDS", "check_sampling_time", "discretize", "power_of_two"]
@@ -131,8 +132,8 @@ def _checked(A: ArrayLike, B: ArrayLike) -> tuple[Array, Array]:
 
 def _balanced(a: Array) -> tuple[Array, Array]:
     """Scale the states so that rows and columns of A have like norms: A = S A_bal S^-1."""
-    balanced, (scale, _) = linalg.matrix_balance(a, permute=False, separate=True)
-    return balanced, scale
+    scale = balance(a)
+    return a * scale / scale[:, None], scale
 
 
 def power_of_two(size: Array) -> Array:

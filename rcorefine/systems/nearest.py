@@ -8,6 +8,7 @@ import numpy as np
 from scipy import linalg
 
 from ..exceptions import ConversionWarning, ModelError
+from .balance import balance
 from .conversion import d2c
 from .linear import Array, LinearModel
 
@@ -83,7 +84,8 @@ def _without_bad_poles(model: LinearModel) -> tuple[LinearModel, Array]:
         size = abs(complex(real, imaginary))
         return size < _ZERO or (real <= 0 and abs(imaginary) <= _REAL * size)
 
-    triangle, basis, count = linalg.schur(model.A, output="real", sort=bad)
+    units = balance(model.A)  # those of the user may be far apart
+    triangle, basis, count = linalg.schur(model.A * units / units[:, None], output="real", sort=bad)
     if count == 0:
         return model, np.zeros(0)
     poles = linalg.eigvals(triangle[:count, :count])
@@ -93,7 +95,7 @@ def _without_bad_poles(model: LinearModel) -> tuple[LinearModel, Array]:
     split = np.eye(n)
     split[:count, count:] = apart
     basis = basis @ split  # columns: the bad subspace, then the good one
-    back = linalg.inv(basis)
+    basis, back = units[:, None] * basis, linalg.inv(basis) / units
     gain = back[:count] @ model.B
     # the static response of the moved modes stays: (1 - z) (I - A1)^-1 B1
     gain = (1.0 - _FAST) * linalg.solve(np.eye(count) - first, gain)

@@ -196,6 +196,8 @@ def _gain(
         # the unknown force comes in where the measured one does, or at the ports too
         K = observer_gain(structure, theta, data, ratio, at="everywhere" if everywhere else "inputs")
     closed = Phi @ (np.eye(n) - K @ matrices.C.astype(float))
+    if not np.isfinite(closed).all():  # there is no such observer
+        return K, np.inf
     return K, float(np.abs(np.linalg.eigvals(closed)).max(initial=0.0))
 
 

@@ -126,9 +126,11 @@ def test_samples_are_read(name, tmp_path):
 
 
 @pytest.mark.parametrize("name", SAMPLES)
-def test_mutants_are_refused_or_read(name, tmp_path):
-    count = 3 if name.endswith(".mat") else 60  # a MATLAB file takes a process each
-    assert fuzz(tmp_path, name, 20, count) > 0
+def test_mutants_are_refused_or_read(name, tmp_path, tally):
+    count = tally.cases(3 if name.endswith(".mat") else 60)  # a MATLAB file takes a process each
+    refused = fuzz(tmp_path, name, 20, count)
+    assert refused > 0
+    tally.update({"files, tried": count, "files, refused": refused})
 
 
 # ---------------------------------------------------------------------- text

@@ -19,7 +19,8 @@ import pytest
 
 import rcorefine as rco
 
-ROOT = Path(__file__).resolve().parent.parent
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent.parent
 OURS = (rco.RCOError, ct.ControlArgument, ct.ControlDimension)
 
 
@@ -168,24 +169,29 @@ def attack(path, kind, seed, count):
     print(f"DONE {refused} of {min(count, len(choices))} of {len(choices)} refused")
 
 
-def test_changed_files_are_refused_or_work(tmp_path):
+TOLD = {"refused": 1, "tried": 3}
+
+
+def test_changed_files_are_refused_or_work(tmp_path, tally):
     """All kinds in one process, which takes longer to start than to do it."""
     work = ["import test_state_files as t"]
     for index, (kind, make) in enumerate(SAVED.items()):
         path = tmp_path / f"state{index}.npz"
         make().save(path)
-        work.append(f"t.attack({str(path)!r}, {kind!r}, seed=6, count=40)")
+        work.append(f"t.attack({str(path)!r}, {kind!r}, seed=6, count={tally.cases(40)})")
     done = subprocess.run(
         [sys.executable, "-c", "\n".join(work)],
-        env={**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}"},
+        env={**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{HERE}"},
         capture_output=True,
         text=True,
-        timeout=900,
+        timeout=900 * max(1.0, tally.scale),
         check=False,
     )
     lines = done.stdout.strip().splitlines() or ["nothing"]
     assert done.returncode == 0, f"{lines[-1]:.300}\n{done.stderr[-900:]}"
-    assert sum(line.startswith("DONE") for line in lines) == len(SAVED)
+    over = [line.split() for line in lines if line.startswith("DONE")]
+    assert len(over) == len(SAVED)
+    tally.update({f"state files, {what}": sum(int(one[k]) for one in over) for what, k in TOLD.items()})
 
 
 # ------------------------------------------------------------------ what is said
