@@ -11,6 +11,8 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypedDict, TypeVar
 
+from .arguments import printable
+
 if TYPE_CHECKING:
     from .data.measurement import Measurement
 
@@ -126,7 +128,7 @@ class Result(Data):
         return f"<{first.strip()}>" if first.startswith(kind) else f"<{kind}: {first.strip()}>"
 
     def __str__(self) -> str:
-        return str(show(self, "text"))
+        return "\n".join(map(printable, str(show(self, "text")).split("\n")))
 
     def _repr_html_(self) -> str:
         return str(show(self, "html"))

@@ -10,7 +10,7 @@ from __future__ import annotations
 from .arrays import as_array, as_noise, as_state, as_vector
 from .numbers import as_flag, as_number, as_share, as_whole
 from .objects import as_generator, as_mapper, as_path
-from .quoting import shown
+from .quoting import printable, shown
 from .texts import as_choice, as_labels, as_list, as_mapping, as_text, as_texts
 
 __all__ = [
@@ -31,5 +31,6 @@ __all__ = [
     "as_texts",
     "as_vector",
     "as_whole",
+    "printable",
     "shown",
 ]

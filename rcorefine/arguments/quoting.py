@@ -1,11 +1,14 @@
-"""A bad value as a message quotes it."""
+"""Text from elsewhere as it may be shown: a bad value in a message, a name that holds control characters."""
 
 from __future__ import annotations
 
 from typing import Any
+from unicodedata import category
 
-__all__ = ["shown"]
+__all__ = ["printable", "shown"]
 
+_HIDDEN = ("Cc", "Cs", "Zl", "Zp")  # control characters, surrogates, separators of lines and paragraphs
+_TURNING = "\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"  # the direction of what follows
 _SHOWN = 80  # characters of a bad value in a message
 
 
@@ -15,3 +18,16 @@ def shown(value: Any) -> str:
         return f"a whole number of {value.bit_length()} bits"  # Python refuses to write out the longest
     text = " ".join(repr(value).split())
     return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 3]}..."
+
+
+def printable(text: str) -> str:
+    r"""Text whose control characters are spelled out, so that no name of a signal steers a terminal.
+
+    Examples
+    --------
+    >>> print(printable("red \x1b[31m"))
+    red \x1b[31m
+    """
+    if text.isprintable():
+        return text
+    return "".join(repr(one)[1:-1] if one in _TURNING or category(one) in _HIDDEN else one for one in text)

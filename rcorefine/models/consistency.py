@@ -31,8 +31,15 @@ def check_sizes(model: PhysicalModel) -> None:
     ------
     control.ControlDimension
         If a size does not fit the matrices.
+    ModelError
+        If a name is none for python-control.
     """
     linear, store = model.linear, object.__setattr__
+    for name in (linear.name, *linear.input_labels, *linear.output_labels, *linear.state_labels):
+        if "." in name:
+            raise ModelError(
+                f"python-control allows no '.' in a name; {name!r} can be {name.replace('.', '_')!r}"
+            )
     shapes = {
         "output_state": (linear.n_outputs, linear.n_states),
         "output_rate": (linear.n_outputs, linear.n_states),

@@ -14,9 +14,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.legend import Legend
+from matplotlib.mathtext import MathTextParser
+from matplotlib.text import Text
 from matplotlib.ticker import LogFormatter
 
-from ..arguments import as_choice, as_flag, as_mapping, as_text, as_texts, shown
+from ..arguments import as_choice, as_flag, as_mapping, as_text, as_texts, printable, shown
 from ..results import OPTIONS, shows
 
 __all__ = ["BAND", "MEASURED", "Frame", "Style", "draws", "log_labels", "plain", "style", "unit_text"]
@@ -178,7 +180,9 @@ def draws(kind: type, what: str = "plot") -> Callable[[_Draw], _Draw]:
         @functools.wraps(draw)
         def framed(result: Any, *args: Any, **options: Any) -> ct.ControlPlot:
             shared = {name: options.pop(name) for name in OPTIONS if name in options}
-            return draw(result, Frame(**shared), *args, **options)
+            drawn = draw(result, Frame(**shared), *args, **options)
+            _spell_out(drawn.figure)
+            return drawn
 
         shows(kind, what)(framed)
         return draw
@@ -196,6 +200,24 @@ class _Short(LogFormatter):
 def log_labels(axis: Any) -> None:
     """Short labels between the decades of a logarithmic x or y axis: 0.02 and not 2 x 10^-2."""
     axis.set_minor_formatter(_Short())
+
+
+def _spell_out(figure: Any) -> None:
+    """Names that are no mathtext, or hold control characters, as they are written: else nothing is drawn."""
+    for text in figure.findobj(Text):
+        words = str(text.get_text())
+        if "$" in words and not _is_mathtext(words):
+            words = plain(words.replace(r"\$", "$"))
+        if words != text.get_text() or not words.isprintable():
+            text.set_text("\n".join(map(printable, words.split("\n"))))
+
+
+def _is_mathtext(words: str) -> bool:
+    try:
+        MathTextParser("path").parse(words)
+    except ValueError:
+        return False
+    return True
 
 
 def plain(text: str) -> str:
