@@ -78,3 +78,33 @@ def test_a_hold_that_does_not_exist_or_does_not_fit_a_stream_is_refused() -> Non
     with pytest.raises(rco.ModelError, match="hold='foh'"):
         rco.RCORefiner(own, dt=DT, effects=[rco.Effect("stiffness", "link1")])
     rco.Monitor(own, dt=DT, hold="foh")
+
+
+def two_masses(k1: float = 1500.0, k2: float = 900.0, m1: float = 2.0) -> tuple[np.ndarray, np.ndarray]:
+    mass = np.array([m1, 1.2])[:, None]
+    spring = np.array([[k1 + k2, -k2], [-k2, k2]]) / mass
+    damper = np.array([[4.5, -1.5], [-1.5, 1.5]]) / mass
+    return np.block([[np.zeros((2, 2)), np.eye(2)], [-spring, -damper]]), np.array([[0], [0], [1 / m1], [0]])
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("lines", [True, False])
+@pytest.mark.parametrize("off", [{}, {"k1": 1560.0, "k2": 880.0, "m1": 1.95}])
+def test_a_wrong_hold_comes_before_numbers_that_are_off(
+    seed: int, lines: bool, off: dict[str, float]
+) -> None:
+    """A smooth input runs half a step late under the wrong hold: six numbers can make up for that."""
+    n, dt, rng = 2500, 0.025, np.random.default_rng(seed)
+    w = np.convolve(rng.standard_normal(n + 30), np.hanning(17), "same")[15:-15]
+    whole = np.zeros((6, 6))
+    whole[:4, :4], whole[:4, 4:5] = two_masses(**off)
+    whole[4, 5] = 1.0
+    step, x, seen = expm(whole * dt), np.zeros(4), np.empty(n)
+    for k in range(n):
+        seen[k] = x[1]
+        slope = (w[min(k + 1, n - 1)] - w[k]) / dt if lines else 0.0
+        x = (step @ np.concatenate([x, [w[k], slope]]))[:4]
+    data = rco.Measurement(w, seen + 0.02 * seen.std() * rng.standard_normal(n), dt=dt, hold="zoh")
+    found = rco.diagnose(ct.ss(*two_masses(), [[0, 1, 0, 0]], 0, states=["q1", "q2", "v1", "v2"]), data)
+    assert found.verdict == ("parameters" if off else "adequate")
+    assert found.base.hold == ("foh" if lines else None)

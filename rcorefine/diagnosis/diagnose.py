@@ -226,11 +226,11 @@ def investigate(
         return fine, fit_candidates(case.fitted, short, progress=progress)
     floated = floating(case)
     force, numbers = without_a_law(case, free_run, floated, doubtful)
-    if numbers is not None and not rivals_of_numbers(case, numbers, scored):
-        return parameters(case, numbers, tests), None
-    mended = under_another_hold(case) if force is None and numbers is None else None
+    mended = under_another_hold(case, numbers) if force is None else None
     if mended is not None:
         return mended, None
+    if numbers is not None and not rivals_of_numbers(case, numbers, scored):
+        return parameters(case, numbers, tests), None
     batteries = [free_run, *(TestedResidual(case.fitted, r) for r in case.observers)]
     chosen, scores = shortlist(scored, batteries)
     race = fit_candidates(case.fitted, [scored[i] for i in chosen], progress=progress)

@@ -74,10 +74,11 @@ def numbers_instead(
     return None if far is None or outdone(judged.race, far.battery, case.levels.force) else far
 
 
-def under_another_hold(case: Case) -> Diagnosis | None:
+def under_another_hold(case: Case, rival: Floated | None) -> Diagnosis | None:
     """The verdict where the inputs run otherwise between the samples than declared, and no law is missing.
 
-    A missing law can look like a wrong hold, so that only counts if every test passes with it.
+    A missing law can look like a wrong hold, so that only counts if every test passes with it; numbers
+    that move under the declared one (`rival`) are not the plainer words for it, unless they explain more.
     """
     hold, sentence = case.hold if case.thorough else ("", "")
     if not sentence:
@@ -88,11 +89,21 @@ def under_another_hold(case: Case) -> Diagnosis | None:
     scored = candidate_columns(other.fitted, other.library, other.motions[0], (0.0,))
     free_run = TestedResidual(other.fitted)
     tests = run_tests(free_run, scored, other.motions)
-    if other.passes(tests, other.fitted) and gain_over_color(free_run, scored) < case.levels.color:
+    least = -np.inf if rival is None else _likelihood(rival.battery) - 0.5 * case.levels.rival
+    as_it_is = _likelihood(free_run) >= least and other.passes(tests, other.fitted)
+    if as_it_is and gain_over_color(free_run, scored) < case.levels.color:
         found = adequate(other, Explained(free_run, scored, tests))
         return replace(found, notes=(sentence, *found.notes))
     numbers = explaining_numbers(other, floating(other))
-    return None if numbers is None else replace(parameters(other, numbers, tests), notes=(sentence,))
+    if numbers is None or _likelihood(numbers.battery) < least:
+        return None
+    return replace(parameters(other, numbers, tests), notes=(sentence,))
+
+
+def _likelihood(battery: TestedResidual) -> float:
+    """Log-likelihood in the units of the record: two fits need not share those of their noise."""
+    n = sum(r.shape[1] for r in battery.fitted.residuals(battery.ratio))
+    return battery.log_likelihood + n * float(np.sum(np.log(battery.fitted.problem.weights)))
 
 
 def about_hold(case: Case) -> list[str]:
