@@ -40,6 +40,8 @@ class CandidateFit:
     descent: Descent
     log_likelihood: float = -np.inf
     free_run: Descent | None = None  # its minimum of the plain error, before any whitening
+    raced: Candidate | None = None  # as which it had that, where no unmeasured force was allowed for
+    known: Descent | None = None  # where an earlier race left it, under the filter of that one
     settled: bool = False  # at a minimum, or lacking too little to come near the best
     lack: float = np.inf  # log-likelihood that its next full step would gain
 

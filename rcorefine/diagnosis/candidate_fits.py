@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..effects.effect import Effect
-from ..inference.descent import descend, lacking
+from ..inference.descent import descend, remeasured
 from ..inference.fitted import FittedModel
 from ..inference.search import step_matters
 from ..inference.sensitivities import Candidate
@@ -149,10 +149,7 @@ def fit_candidates(
     simple, general = in_families(candidates)
     tasks: list[_Task] = [(fitted, c, ratio, thorough, strong, ()) for c in simple]
     new = [r for r in progress.map(_laps, tasks, "first laps") if r is not None]
-    old = [
-        CandidateFit(r.candidate, continued(fitted, r, ratio, None, 4))
-        for r in progress.over(entered, "more laps")
-    ]
+    old = [_entered(fitted, r, ratio) for r in progress.over(entered, "more laps")]
     rivals = _best_of_each([*old, *new])
     if not rivals:
         return None
@@ -172,8 +169,12 @@ def fit_candidates(
             break
         _run_laps(fitted, rivals, ratio, progress)
     for rival in rivals:
-        rival.free_run = rival.descent
+        rival.free_run, rival.raced = rival.descent, None if ratio else rival.candidate
     whitener = whitener_of(min(rivals, key=lambda r: r.descent.cost))
+    for rival in rivals:
+        if rival.known is not None:  # it need not be sought again
+            stands = (remeasured(rival.candidate.problem, d, whitener) for d in (rival.descent, rival.known))
+            rival.descent = min(stands, key=lambda descent: descent.cost)
     polished = _near(rivals, n)
     for evaluations in (10, 6):
         for rival in progress.over(polished, "polishing"):
@@ -193,6 +194,13 @@ def fit_candidates(
     rivals = [r for r in rivals if r.log_likelihood + price(r, white.size) >= base - LACK]
     rivals.sort(key=lambda r: -r.log_likelihood)
     return CandidateFits(fitted, rivals, ratio, whitener, base, left) if rivals else None
+
+
+def _entered(fitted: FittedModel, rival: CandidateFit, ratio: float) -> CandidateFit:
+    """A rival of an earlier race: its free run is known, unless another force or other steps were allowed."""
+    if ratio or rival.free_run is None or rival.raced is not rival.candidate:
+        return CandidateFit(rival.candidate, continued(fitted, rival, ratio, None, 4))
+    return CandidateFit(rival.candidate, rival.free_run, known=rival.descent)
 
 
 def _best_of_each(rivals: Sequence[CandidateFit]) -> list[CandidateFit]:
@@ -219,7 +227,8 @@ def _settle(
     while open_:
         for rival in open_:
             rival.log_likelihood = log_likelihood(rival, whitener)
-            rival.lack = lacking(rival.candidate.problem, rival.descent, whitener)
+            rival.descent = remeasured(rival.candidate.problem, rival.descent, whitener)
+            rival.lack = rival.descent.lack
         top = max(r.log_likelihood for r in rivals)
         for rival in rivals:
             rival.settled = rival.lack <= max(LACK, _LACK_SHARE * (top - rival.log_likelihood))

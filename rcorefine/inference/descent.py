@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from ..systems.linear import Array
 from .problem import Problem
 from .whitening import Whitener
 
-__all__ = ["Descent", "descend", "lacking"]
+__all__ = ["Descent", "descend", "remeasured"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,10 +105,11 @@ def descend(
     return Descent(problem.from_box(run.point), run.cost, plain.residual, plain.jacobian, run.converged, lack)
 
 
-def lacking(problem: Problem, run: Descent, whitener: Whitener) -> float:
-    """What a run lacks in the metric of a filter: the log-likelihood that the next full step would gain."""
+def remeasured(problem: Problem, run: Descent, whitener: Whitener) -> Descent:
+    """A run as it is, with its cost and what it lacks (log-likelihood) in the metric of a filter."""
     r, J = _whitened(problem, run.residual, problem.columns_in_box(run.slopes), whitener)
-    return promised(Rows(r, J), problem.to_box(run.point), *problem.box(), problem.sizes)
+    lack = promised(Rows(r, J), problem.to_box(run.point), *problem.box(), problem.sizes)
+    return replace(run, cost=0.5 * float(r @ r), lack=lack)
 
 
 def _whitened(problem: Problem, r: Array, J: Array, whitener: Whitener) -> tuple[Array, Array]:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
-from scipy.signal import lfilter
 
 from ..exceptions import DataError
 from ..systems.linear import Array
@@ -38,10 +37,10 @@ def innovations(a: Array, signal: Array) -> Array:
     if a.size == 1:
         return signal
     if signal.ndim == 1:
-        return np.convolve(signal, a)[: signal.size]  # a third of the time that lfilter takes to begin
-    left, felt = np.zeros_like(signal), signal.any(axis=0)  # an initial state is felt in its own window only
-    if felt.any():
-        left[:, felt] = lfilter(a, [1.0], signal[:, felt], axis=0)
+        return np.convolve(signal, a)[: signal.size]
+    left = np.zeros_like(signal)
+    for j in np.flatnonzero(signal.any(axis=0)):  # an initial state is felt in its own window only
+        left[:, j] = np.convolve(signal[:, j], a)[: len(signal)]  # a third of lfilter's time in windows
     return left
 
 
