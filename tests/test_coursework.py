@@ -29,6 +29,7 @@ def test_every_lab_has_a_solution():
     assert sorted(path.stem for path in (COURSE / "solutions").glob("*.py")) == LABS
 
 
+@pytest.mark.notebook
 @pytest.mark.parametrize("lab", LABS)
 @pytest.mark.filterwarnings("ignore::rcorefine.RCOWarning")  # lab 2 and 4 have them read
 @pytest.mark.usefixtures("bench", "without_pictures")
@@ -40,6 +41,7 @@ def test_a_lab_is_solved_from_its_text(lab):
     exec(compile(solution.read_text(encoding="utf-8"), str(solution), "exec"), scope)
 
 
+@pytest.mark.notebook
 @pytest.mark.parametrize("page", ["index", "lecturer"])
 @pytest.mark.usefixtures("bench")
 def test_code_of_the_other_pages_runs(page, tmp_path, monkeypatch):

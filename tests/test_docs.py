@@ -43,6 +43,7 @@ RUN = (
 )  # fmt: skip
 
 
+@pytest.mark.notebook
 @pytest.mark.parametrize("page", RUN)
 def test_code_of_a_page_runs(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -257,6 +257,7 @@ def test_examples_is_a_module_of_examples():
 ROOT = Path(__file__).resolve().parent.parent
 
 
+@pytest.mark.notebook
 @pytest.mark.usefixtures("without_pictures")
 def test_readme_example_runs(tmp_path, monkeypatch, capsys):
     """The first example of the README, line by line as it stands."""
