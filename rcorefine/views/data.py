@@ -103,13 +103,12 @@ def _any(result: Data) -> dict[str, Any]:
 
 @_dict(FrequencyResponse)
 def _response(measured: FrequencyResponse) -> dict[str, Any]:
-    names = ("omega", "coherence", "std", "n_averages", "dt", "hold")
     return {
         "name": measured.name,
         "inputs": measured.input_labels,
         "outputs": measured.output_labels,
         "response": measured.frdata,
-        **{name: getattr(measured, name, None) for name in names},
+        **_fields(measured, "omega", "coherence", "std", "amplitude", "n_averages", "dt", "hold"),
     }
 
 
