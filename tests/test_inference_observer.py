@@ -43,6 +43,27 @@ def test_a_state_that_no_output_sees_leaves_the_others_alone():
     assert steady_filter(np.zeros((0, 0)), np.zeros((2, 0)), np.zeros((0, 0)), np.eye(2)).gain.shape == (0, 2)
 
 
+def test_where_no_filter_exists_the_gain_is_no_number():
+    """A mode that outgrows in 300 steps what a covariance can hold, and outputs that all see it alike."""
+    F, H = np.diag([2.0, 3.0, 1.0]), np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    F[0, 1] = 1e200
+    assert not np.isfinite(steady_filter(F, H, 1e200 * np.eye(3), 1e-9 * np.eye(2)).gain).all()
+
+
+def test_a_model_that_no_observer_leads_is_said_to_be_one():
+    """A second mass, seen by nothing, that a negative damper drives away."""
+    A = [[0.0, 1.0, 0.0, 0.0], [-40.0, -0.5, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], [0.0, 0.0, -9.0, 300.0]]
+    model = ct.ss(
+        A, [[0], [1], [0], [1]], [[0, 1, 0, 0]], 0, states=["q1", "q2", "v1", "v2"], inputs="f", outputs="v"
+    )
+    rng = np.random.default_rng(0)
+    data = rco.Measurement(
+        rng.standard_normal(500), rng.standard_normal(500), dt=0.1, input_labels="f", output_labels="v"
+    )
+    with pytest.raises(rco.ModelError, match="no observer leads the model"):
+        rco.diagnose(model, data)
+
+
 def gaussian(F, H, Q, R, P, N):
     """Covariances of all states and outputs of N samples whose first state has covariance P."""
     n = F.shape[0]

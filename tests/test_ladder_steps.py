@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import control as ct
 import numpy as np
 import pytest
@@ -135,6 +137,15 @@ def test_what_was_taken_on_trust_goes_wherever_it_stands(ladder: StepwiseSelecti
     return_trust(ladder)
     assert held(ladder) == ["stiffness"]
     assert [step.action for step in ladder.steps[-2:]] == ["drop", "drop"]
+
+
+def test_a_trial_that_runs_away_within_a_sample_ends_no_ladder(ladder: StepwiseSelection) -> None:
+    """Nobody gave that model: it has no place, and nothing is said of signs and units."""
+    trial = rco.refine(ladder.current, ladder.parts.fit, [rco.Effect("damping", "link1")])
+    is_damper = np.array([row.kind == "damping" for row in trial.parameters])
+    wild = replace(trial, theta=np.where(is_damper, -1e6, trial.theta))
+    found, race = ladder.investigate(wild, [rco.Effect("coulomb_friction", "link1")])
+    assert (found.verdict, found.ranking, race) == ("unexplained", (), None)
 
 
 def test_no_set_of_effects_is_walked_to_twice(ladder: StepwiseSelection) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import control as ct
 import numpy as np
 import pytest
@@ -10,9 +12,12 @@ from scipy.stats import chi2, norm
 
 import rcorefine as rco
 from rcorefine.diagnosis.absorbed import numbers_that_moved
+from rcorefine.diagnosis.case import Case
+from rcorefine.diagnosis.floating import explaining_numbers, floating
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
 from rcorefine.inference.refinement import EstimatedParameter
+from rcorefine.progress import Progress
 
 M, C, K = (1.0, 0.6), (0.4, 0.3), (120.0, 90.0)  # two masses on the ground and on each other
 FACTORS = {"m2": 0.97, "k1": 1.03, "k2": 0.98, "c1": 1.04}
@@ -85,6 +90,19 @@ def test_numbers_beyond_their_prior_are_found_and_not_pulled_back(factors: dict[
             z.append((row.value / row.initial - factors.get(name, 1.0)) / (row.std / row.initial))
     assert np.max(np.abs(z)) < norm.isf(0.005 / 24)
     assert np.sum(np.square(z)) < chi2.isf(0.005, len(z))
+
+
+@pytest.mark.parametrize("damping", [-1e3, -1e6])
+def test_numbers_that_floated_to_no_model_at_all_are_no_answer(damping: float) -> None:
+    """A damper of the second mass that drives it: past following by an observer, or within one sample."""
+    data = record(6, c2=1.3)
+    asked = {"free": (), "tolerance": 0.0, "offset": True, "noise": None, "horizon": None}
+    case = Case.prepare(rco.refine(BUILT, data), [data], None, asked, 0.01, Progress(), False)
+    floated = floating(case)
+    assert explaining_numbers(case, floated) is not None
+    theta = floated.theta.copy()
+    theta[[row.kind == "damping" and row.place == "link2" for row in floated.parameters]] = damping
+    assert explaining_numbers(case, replace(floated, theta=theta)) is None
 
 
 def test_masses_of_a_plain_model_float_as_far_as_nothing_rescales_them() -> None:

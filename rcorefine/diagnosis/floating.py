@@ -10,7 +10,7 @@ import numpy as np
 
 from ..effects.bodies import Mass
 from ..effects.effect import Effect
-from ..exceptions import IdentifiabilityWarning
+from ..exceptions import IdentifiabilityWarning, ModelError
 from ..inference.assembly import nominal_size
 from ..inference.fitted import FittedModel, fitted_from
 from ..inference.refinement import Refinement
@@ -114,6 +114,13 @@ def _fit(case: Case, numbers: list[Effect], by: Callable[..., Refinement] = base
 
 def _tested(case: Case, refined: Refinement) -> tuple[FittedModel, TestedResidual, list[FTest]] | None:
     """A model whose numbers float on its records, if it passes every test."""
+    try:
+        return _passing(case, refined)
+    except ModelError:  # floated to where no observer leads it, or it runs away within a sample
+        return None
+
+
+def _passing(case: Case, refined: Refinement) -> tuple[FittedModel, TestedResidual, list[FTest]] | None:
     problem = case.fitted.problem
     noise = 1.0 / problem.weights  # in the units of the noise that the candidates are compared in
     fitted = fitted_from(refined, problem.records, tolerance=case.options["tolerance"], noise=noise)

@@ -72,15 +72,15 @@ def _tested(case: Case, race: CandidateFits) -> Judged:
     if fitted.problem.dwells:
         # the free stiffness stands for the other laws: a balance of two of them is slow
         rest = [e for e in rest if e.spec.linear or e.spec.delays]
-    moved = [estimated_motion(fitted.structure, fitted.theta, motion.data) for motion in case.motions]
     try:
+        moved = [estimated_motion(fitted.structure, fitted.theta, motion.data) for motion in case.motions]
         near = in_race(fitted, rest, (race.ratio,))
         scored = candidate_columns(fitted, near, moved[0], (race.ratio,))
         battery = TestedResidual(fitted, race.ratio)
         tests = run_tests(battery, scored, moved, len(rest) - len(near))
         free = (Beside if case.in_time else FreeStiffness)(battery, race.rivals[0].effect.place)
         tests += free.tests()
-    except ModelError:  # its linear model runs away within one sample: what cannot be tested has not passed
+    except ModelError:  # it runs away within one sample, or no observer leads it: untested is not passed
         return Judged(race, [], False)
     if isinstance(free, FreeStiffness):
         odds = free.odds(race.fitted)
@@ -101,7 +101,7 @@ def outweighs(judged: Judged, forced: TestedResidual, price: float) -> bool:
 def beside_force(case: Case, first: Judged) -> Judged | None:
     """The candidates with an unmeasured force beside them, where the winner then passes."""
     race, levels = first.race, case.levels
-    if not case.in_time:  # to a response, a force that nobody measured is noise
+    if not case.in_time or not first.tests:  # to a response, a force that nobody measured is noise
         return None
     winner = race.model()
     if case.excess(winner) > levels.noise_excess:
@@ -185,7 +185,7 @@ def pair_hint(case: Case, judged: Judged, scored: Sequence[Candidate]) -> list[s
     """Whether the winner and one effect more would pass: flexible, so a hint and no verdict."""
     race = judged.race
     fitted = race.model()
-    if fitted.problem.dwells:  # a pair of laws under harmonic balance takes too long for a hint
+    if fitted.problem.dwells or not judged.tests:  # a pair under harmonic balance takes too long for a hint
         return []
     first = race.rivals[0].effect
     rest = not_held([c.effect for c in scored], [first])

@@ -8,13 +8,14 @@ import numpy as np
 from scipy.linalg import LinAlgError, solve_discrete_are
 
 from ..data.measurement import Measurement
+from ..exceptions import ModelError
 from ..systems.balance import balance
 from ..systems.exponential import exponential
 from ..systems.linear import Array
 from .controlled import open_loop, own_states
 from .structure import Structure
 
-__all__ = ["SteadyFilter", "observer_gain", "steady_filter"]
+__all__ = ["SteadyFilter", "existing_gain", "observer_gain", "steady_filter"]
 
 _ROUNDS = 100
 
@@ -49,7 +50,7 @@ def observer_gain(
     Returns
     -------
     ndarray, shape (n, n_y)
-        Gain K of ``x = x + K (y - y_model)`` at each sample.
+        Gain K of ``x = x + K (y - y_model)`` at each sample; not finite where there is no observer.
     """
     if structure.model.controller is not None:
         # what it predicts has the inputs as they were: a controller takes no part
@@ -119,6 +120,25 @@ def _units(A: Array, G: Array, C: Array) -> Array:
         if np.abs(change - 1.0).max() < 1e-8:
             break
     return np.asarray(units[:-1] / units[-1])
+
+
+def existing_gain(
+    structure: Structure, theta: Array, data: Measurement, ratio: float, *, at: str = "everywhere"
+) -> Array:
+    """The gain of `observer_gain`, where there is nothing to be said without one.
+
+    Raises
+    ------
+    ModelError
+        If no observer leads the model along the record.
+    """
+    gain = observer_gain(structure, theta, data, ratio, at=at)
+    if not np.isfinite(gain).all():
+        raise ModelError(
+            f"no observer leads the model along a record sampled every {data.dt:g} s: a motion grows beyond "
+            "floating point that the outputs do not tell from others; check the signs and units of A"
+        )
+    return gain
 
 
 class SteadyFilter(NamedTuple):

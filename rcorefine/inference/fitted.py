@@ -11,7 +11,7 @@ import numpy as np
 from ..data.measurement import Measurement
 from ..data.response_record import in_frequency
 from ..effects.effect import Effect
-from ..engine.observer import observer_gain
+from ..engine.observer import existing_gain
 from ..engine.structure import Structure
 from ..models.operating_point import ordered_record, sensed
 from ..systems.linear import Array
@@ -68,7 +68,7 @@ class FittedModel:
             lead: Array | None = self.problem.engines[0].lead
             return lead
         if ratio not in self._gains:
-            self._gains[ratio] = observer_gain(
+            self._gains[ratio] = existing_gain(
                 self.structure, self.theta, self.problem.records[0], ratio, at=self.force_at
             )
         return self._gains[ratio]

@@ -13,7 +13,7 @@ from scipy.signal import find_peaks, welch
 from ..data.measurement import Measurement
 from ..data.response_record import ResponseRecord
 from ..engine.engine import Engine
-from ..engine.observer import observer_gain
+from ..engine.observer import existing_gain
 from ..engine.response_engine import channel_signal, engine_on, port_phasors, sampled
 from ..engine.structure import Structure
 from ..models.operating_point import sensed
@@ -31,7 +31,7 @@ class Motion:
 
     def __init__(self, structure: Structure, theta: Array, data: Measurement, ratio: float = 1.0) -> None:
         engine = Engine(structure, data)
-        gain = observer_gain(structure, theta, data, ratio)
+        gain = existing_gain(structure, theta, data, ratio)
         run = engine.run(theta, sensitivity=False, gain=gain, histories=True, check=False)
         self.data: Any = data
         self.states = np.nan_to_num(run.states)

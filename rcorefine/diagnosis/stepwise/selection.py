@@ -14,7 +14,7 @@ from ...data.measurement import Measurement
 from ...data.response_record import in_frequency
 from ...effects.effect import Effect
 from ...engine.response_engine import engine_on
-from ...exceptions import DataError, DivergenceError
+from ...exceptions import DataError, DivergenceError, ModelError
 from ...inference.fitted import fitted_from
 from ...inference.levels import levels
 from ...inference.refinement import Refinement
@@ -121,17 +121,26 @@ class StepwiseSelection:
         return _key(effects) not in self._visited
 
     def investigate(self, model: Refinement, library: list[Effect]) -> tuple[Diagnosis, CandidateFits | None]:
-        """Diagnosis of a model on the first part."""
-        return investigate(
-            model,
-            self.parts.fit,
-            asked=library,
-            validation=None,
-            settings={"free": self.free, **self.settings},
-            significance=self.significance,
-            progress=self.progress,
-            thorough=False,
-        )
+        """Diagnosis of a model on the first part: "unexplained" of a trial that cannot be tested."""
+        about: dict[str, Any] = {
+            "settings": {"free": self.free, **self.settings},
+            "significance": self.significance,
+        }
+        try:
+            return investigate(
+                model,
+                self.parts.fit,
+                asked=library,
+                validation=None,
+                progress=self.progress,
+                thorough=False,
+                **about,
+            )
+        except ModelError:  # it runs away within one sample, or no observer leads it
+            if model is self.steps[0].refinement:  # as it was given
+                raise
+        about |= {"base": model, "records": tuple(self.parts.fit)}
+        return Diagnosis("unexplained", (), (), (), (), (), force_ratio=0.0, **about), None
 
     def verdict(self, library: Iterable[Effect]) -> str:
         """Verdict on the present set of effects, asked for only where it is not known."""
