@@ -103,7 +103,7 @@ def under_another_hold(case: Case, rival: Floated | None) -> Diagnosis | None:
 def _likelihood(battery: TestedResidual) -> float:
     """Log-likelihood in the units of the record: two fits need not share those of their noise."""
     n = sum(r.shape[1] for r in battery.fitted.residuals(battery.ratio))
-    return battery.log_likelihood + n * float(np.sum(np.log(battery.fitted.problem.weights)))
+    return float(battery.log_likelihood + n * np.sum(np.log(battery.fitted.problem.weights)))
 
 
 def about_hold(case: Case) -> list[str]:
