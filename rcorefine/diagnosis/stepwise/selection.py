@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from ...comparison.compare import compare
-from ...data.channels import match_channels, record_for
 from ...data.measurement import Measurement
 from ...data.response_record import in_frequency
 from ...effects.effect import Effect
-from ...engine.response_engine import engine_on
-from ...exceptions import DataError, DivergenceError, ModelError
+from ...exceptions import DataError, ModelError
 from ...inference.fitted import fitted_from
 from ...inference.levels import levels
 from ...inference.refinement import Refinement
@@ -22,12 +19,12 @@ from ...inference.windows import windows
 from ...models.operating_point import ordered_record
 from ...progress import Progress
 from ...refinement.refine import refine, refit
-from ...systems.linear import Array
 from ..candidate_fits import CandidateFits
 from ..diagnose import investigate
 from ..excitation import no_motion
 from ..holds import best_hold
 from ..result import Diagnosis
+from .errors import rmse_on
 from .improvement import Step
 from .parts import Parts
 
@@ -158,7 +155,7 @@ class StepwiseSelection:
     def log_error(self, refinement: Refinement, *parts: list[Measurement]) -> float:
         """Mean over the outputs of the log error of the free run."""
         records = [record for part in parts for record in part]
-        return float(np.mean(np.log(_rmse(refinement, records, self.settings["horizon"]) + 1e-300)))
+        return float(np.mean(np.log(rmse_on(refinement, records, self.settings["horizon"]) + 1e-300)))
 
     def rise(self, refinement: Refinement, *parts: list[Measurement]) -> float:
         """By how much a model's log error is above that of the present one."""
@@ -297,9 +294,9 @@ class StepwiseSelection:
         horizon, effect = self.settings["horizon"], step.effect
         return replace(
             step,
-            train_rmse=refinement.rmse.copy() if self.in_time else _rmse(refinement, self.parts.fit, None),
-            choice_rmse=_rmse(refinement, self.parts.choose, horizon),
-            validation_rmse=_rmse(refinement, self.parts.judge, horizon),
+            train_rmse=refinement.rmse.copy() if self.in_time else rmse_on(refinement, self.parts.fit, None),
+            choice_rmse=rmse_on(refinement, self.parts.choose, horizon),
+            validation_rmse=rmse_on(refinement, self.parts.judge, horizon),
             coefficients={} if effect is None else coefficients_of(effect, refinement),
             std={} if effect is None else coefficients_of(effect, refinement, "std"),
             refinement=refinement,
@@ -325,33 +322,3 @@ def determined(effects: Iterable[Effect], refinement: Refinement) -> bool:
 
 def _key(effects: Iterable[Effect]) -> Key:
     return frozenset((effect.kind, effect.place) for effect in effects)
-
-
-def _rmse(refinement: Refinement, records: Sequence[Measurement], horizon: float | None) -> Array:
-    """Root mean square of the free run's residual, (n_y,), in the windows that `compare` chooses.
-
-    Of frequency responses that of the points, over their noise.
-    """
-    linear = refinement.physical_model.linear
-    if in_frequency(records):
-        return _rms_of_points(refinement, records)
-    found = []
-    for record in records:
-        ordered = record_for(record, match_channels(linear, record))
-        try:
-            found.append(np.atleast_2d(compare(refinement, ordered, horizon=horizon).residual))
-        except DivergenceError:
-            return np.full(linear.n_outputs, np.inf)
-    return np.asarray(np.sqrt(np.mean(np.concatenate(found, axis=1) ** 2, axis=1)))
-
-
-def _rms_of_points(refinement: Refinement, responses: Sequence[Any]) -> Array:
-    structure, theta, _ = refinement.simulation_structure()
-    found = []
-    for response in responses:
-        record = ordered_record(refinement.physical_model, response)
-        run = engine_on(structure, record).run(theta, sensitivity=False)
-        if run.blew_up >= 0:
-            return np.full(structure.n_outputs, np.inf)
-        found.append(record.outputs - run.outputs)
-    return np.asarray(np.sqrt(np.mean(np.concatenate(found, axis=1) ** 2, axis=1)))
