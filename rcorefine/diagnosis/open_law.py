@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.signal import lfilter
 
 from ..effects.along_motion import unit_forces
 from ..effects.effect import Effect
@@ -63,7 +64,7 @@ class FreeForces:
     log_likelihoods : dict
         By place, the freedom paid, in the metric of the candidates.
     law : OpenLaw or None
-        At the likeliest place; None where a candidate that is no force at a port is likelier.
+        At the likeliest place; None where that is no port, or where the free run is worse with it.
     """
 
     log_likelihoods: dict[str, float]
@@ -89,16 +90,14 @@ def open_law(race: CandidateFits) -> FreeForces:
         curve = curve_at(race.fitted, place, led)
         if curve is not None:
             found[place] = fit_free_form(race.fitted, curve, race.whitener, race.ratio, rounds=_FIRST)
-    if found:
-        best = max(found, key=lambda place: found[place].log_likelihood(race.whitener, race.ratio))
+    free = {place: form.log_likelihood(race.whitener, race.ratio) for place, form in found.items()}
+    named = {rival.effect.place: rival.log_likelihood for rival in reversed(race.rivals)}
+    best = max({**named, **free}, key=lambda place: max(named.get(place, -np.inf), free.get(place, -np.inf)))
+    if best in found:
         first = found[best]
         found[best] = fit_free_form(race.fitted, first.curve, first.whitener, race.ratio, start=first)
-    free = {place: form.log_likelihood(race.whitener, race.ratio) for place, form in found.items()}
-    best = max(free, key=lambda place: free[place], default="")
-    ahead = [
-        r for r in race.rivals if r.effect.place not in free and r.log_likelihood > free.get(best, -np.inf)
-    ]
-    return FreeForces(free, _tabulated(race, found[best]) if found and not ahead else None)
+        free[best] = found[best].log_likelihood(race.whitener, race.ratio)
+    return FreeForces(free, _tabulated(race, found[best]) if best in found else None)
 
 
 def probabilities(
@@ -139,7 +138,8 @@ def probabilities(
     return weights[:n], float(weights[n:].sum()), ordered
 
 
-def _tabulated(race: CandidateFits, form: FreeForm) -> OpenLaw:
+def _tabulated(race: CandidateFits, form: FreeForm) -> OpenLaw | None:
+    """The curve as a law; none if the free run is worse with it."""
     fitted, place = form.fitted, form.curve.place
     table = form.table
     if "offset" in race.fitted.refinement.roles:  # which holds any constant: the force is 0 at rest
@@ -150,6 +150,8 @@ def _tabulated(race: CandidateFits, form: FreeForm) -> OpenLaw:
     measured = np.concatenate([r.outputs for r in fitted.problem.records], axis=1)
     spread = np.linalg.norm(measured - measured.mean(axis=1, keepdims=True), axis=1)
     fit = 100.0 * (1.0 - np.linalg.norm(errors, axis=1) / np.where(spread > 0, spread, np.inf))
+    if fit.mean() <= np.mean(race.fitted.refinement.fit):
+        return None
     rmse = np.sqrt(np.mean(errors**2, axis=1))
     return OpenLaw(effect, float(np.mean(fit)), _nearest(race, form), _beyond(form, race.ratio), rmse)
 
@@ -181,7 +183,7 @@ def _beyond(form: FreeForm, ratio: float) -> str:
     fitted, place = form.fitted, form.curve.place
     battery = TestedResidual(fitted, ratio)
     said = {
-        "it remembers": _played,
+        "it remembers": _remembered,
         "it changes with time": _slow,
     }
     best: tuple[float, str] = (_SPEAKS, "")
@@ -194,9 +196,13 @@ def _beyond(form: FreeForm, ratio: float) -> str:
     return f"The force at {place} is no function of position and velocity: {best[1]}." if best[1] else ""
 
 
-def _played(d: Array, v: Array) -> list[Array]:
-    """Stops of several radii."""
-    return list(stops(d, float(np.std(d))).T)
+def _remembered(d: Array, v: Array) -> list[Array]:
+    """Stops of several radii, and what relaxes within a share of a swing, or some of them."""
+    moved = d if np.any(d) else v
+    steps = np.diff(moved, prepend=moved[0])
+    swing = float(np.std(moved)) / (float(np.std(steps)) or 1.0)  # samples
+    relaxed = [lfilter([1.0], [1.0, -np.exp(-1.0 / (k * swing))], steps) for k in (0.3, 1.0, 3.0)]
+    return [*stops(moved, float(np.std(moved))).T, *relaxed]
 
 
 def _slow(d: Array, v: Array) -> list[Array]:

@@ -173,14 +173,17 @@ class Diagnosis(Reported):
         Raises
         ------
         ModelError
-            If there is none: the law has a name, nothing is missing, or it is no force at a port.
+            If there is none: the law has a name, nothing is missing, it is no force at a port, or no curve
+            of position and velocity makes the error of the free run fall.
         """
         if self.open_law is None:
             if self.verdict != "unexplained":
                 raise ModelError(
                     f"the verdict is {self.verdict!r}: no law is open; refine() takes what was found"
                 )
-            raise ModelError("what is missing is no force at a port that a table could hold")
+            raise ModelError(
+                "what is missing is no force at a port that a table over position and velocity could hold"
+            )
         return self.open_law.effect
 
     @property
