@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import control as ct
 import numpy as np
 import pytest
 from hidden.wider import Wider, wider_record
@@ -51,3 +52,22 @@ def test_a_resonance_hides_no_law(seed: int) -> None:
     found = rco.diagnose(record.plant.model, record.data)
     assert found.verdict in ("effect", "ambiguous")
     assert record.kind in [effect.kind for effect in (found.best.effect, *found.ambiguous)]
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_a_swinging_stiffness_is_no_color_of_the_noise(seed: int) -> None:
+    """A free run that explains nothing leaves a residual that any filter whitens: no adequate model."""
+    rng, dt, sub = np.random.default_rng(seed), 0.01, 50
+    w = 3 * np.repeat(rng.standard_normal(400), 5)
+    x = v = 0.0
+    y = np.empty(w.size)
+    for k, force in enumerate(w):
+        y[k] = x
+        for i in range(sub):  # symplectic Euler, 0.2 ms
+            swing = 25 * np.sin(3 * np.pi * (k + i / sub) / w.size)
+            v += dt / sub * (force - (60 + swing) * x - 0.8 * v)
+            x += dt / sub * v
+    model = ct.ss([[0, 1], [-60, -0.8]], [[0], [1]], [[1, 0]], 0, states=["q", "v"])
+    found = rco.diagnose(model, rco.Measurement(w, y + 0.01 * y.std() * rng.standard_normal(w.size), dt=dt))
+    assert found.verdict == "unexplained"
+    assert found.place == "q"

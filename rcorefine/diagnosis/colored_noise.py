@@ -12,7 +12,7 @@ from ..inference.whitening import Whitener, in_own_units, project
 from ..systems.linear import Array
 from .residual_tests import TestedResidual
 
-__all__ = ["gain_over_color", "left_to_noise", "takes_error_for_color"]
+__all__ = ["gain_over_color", "is_drowned", "left_to_noise", "takes_error_for_color"]
 
 _LEFT = 0.5  # share of what the color of the residual gains, above which a candidate has not explained it
 
@@ -77,20 +77,30 @@ def left_to_noise(battery: TestedResidual, levels: Levels) -> list[str]:
     list of str
         One sentence, or none.
     """
-    refined, orders = battery.fitted.refinement, battery.whitener.orders
-    if not any(orders):
+    fit, memory = _fit_and_memory(battery)
+    if memory == 0.0 or (fit >= levels.colored_fit and memory < levels.colored_size):
         return []
-    whole = np.hstack(battery.fitted.residuals(battery.ratio)).std(axis=1)
-    memory = float(np.max(whole / battery.whitener.scales, where=np.array(orders) > 0, initial=0.0))
-    fit = float(refined.fit[np.isfinite(refined.fit)].min(initial=100.0))
-    if fit >= levels.colored_fit and memory < levels.colored_size:
-        return []
-    run = "the prediction" if refined.led else "the free run"
+    run = "the prediction" if battery.fitted.refinement.led else "the free run"
+    order = max(battery.whitener.orders)
     return [
         f"But {run} explains only {fit:.3g} % of the record; the rest passes for noise with a memory "
-        f"(order {max(orders)}), {memory:.2g} times as large as what is new in each sample. If the sensor "
+        f"(order {order}), {memory:.2g} times as large as what is new in each sample. If the sensor "
         "has no such noise, the model is wrong there: give a record with another input, steps or a sweep."
     ]
+
+
+def is_drowned(battery: TestedResidual, levels: Levels) -> bool:
+    """Whether a residual that passes for noise with a memory leaves too little of the record explained."""
+    fit, memory = _fit_and_memory(battery)
+    return fit < levels.drowned and memory >= levels.colored_size
+
+
+def _fit_and_memory(battery: TestedResidual) -> tuple[float, float]:
+    """The worst fit in percent, and a residual with a memory over what is new in it, 0 where none has one."""
+    refined, orders = battery.fitted.refinement, np.array(battery.whitener.orders)
+    whole = np.hstack(battery.fitted.residuals(battery.ratio)).std(axis=1)
+    memory = float(np.max(whole / battery.whitener.scales, where=orders > 0, initial=0.0))
+    return float(refined.fit[np.isfinite(refined.fit)].min(initial=100.0)), memory
 
 
 def _likelihood(stacked: Array, like: Sequence[Array]) -> tuple[float, float]:

@@ -27,7 +27,7 @@ from ..refinement.base_fit import base_fit
 from .candidate_fits import CandidateFits, fit_candidates, shortlist
 from .case import Case
 from .checks.check import looks
-from .colored_noise import takes_error_for_color
+from .colored_noise import is_drowned, left_to_noise, takes_error_for_color
 from .excitation import no_motion, not_excited
 from .families import hosts, said_of_families
 from .floating import floating, outdone, rivals_of_numbers
@@ -204,11 +204,8 @@ def investigate(
         a fault that few samples alone would show.
     """
     case = Case.prepare(base, records, asked, settings, significance, progress, thorough)
-    still = case.in_time and (no_motion(case.ordered) or not_excited(base, case.ordered))
-    if still:
-        unknown = Diagnosis(
-            "ambiguous", (), tuple(case.library), (), (), (), force_ratio=0.0, notes=(still,), **case.about
-        )
+    unknown = _unseen(case, base)
+    if unknown is not None:
         return unknown, None
     with progress.step("tests"):
         near = in_race(case.fitted, case.library, (0.0, *case.observers))
@@ -240,7 +237,10 @@ def investigate(
     with progress.step("tests"):
         judged = judge(case, race)
     if doubtful and not outdone(judged.race, free_run, case.levels.color):
-        return adequate(case, Explained(free_run, scored, tests)), None
+        if force is not None or numbers is not None or not is_drowned(free_run, case.levels):
+            return adequate(case, Explained(free_run, scored, tests)), None
+        lost = Judged(judged.race, [], False)  # it passes as the model does: that says nothing
+        return replace(_named(case, lost, scored, scores, batteries, validation), tests=tuple(tests)), race
     if force is not None:
         earned = earned_beside(case, force, judged)
         if earned is None:
@@ -253,6 +253,15 @@ def investigate(
         judged = second_chance(case, judged, scored, chosen)
     found = _named(case, judged, scored, scores, batteries, validation)
     return replace(found, tests=tuple(tests)), judged.race
+
+
+def _unseen(case: Case, base: Refinement) -> Diagnosis | None:
+    """The verdict on records in which nothing moves."""
+    still = case.in_time and (no_motion(case.ordered) or not_excited(base, case.ordered))
+    if not still:
+        return None
+    alike = tuple(case.library)
+    return Diagnosis("ambiguous", (), alike, (), (), (), force_ratio=0.0, notes=(still,), **case.about)
 
 
 def _named(
@@ -287,6 +296,7 @@ def _named(
     notes = [*about_hold(case), *fit_remarks(race), *remarks(race, scored, batteries)]
     notes += said_of_families(race.rivals, held)
     notes += [sentence] if sentence else []
+    notes += [] if judged.tests else left_to_noise(batteries[0], case.levels)
     if case.thorough and word == "unexplained":
         with case.progress.step("pairs"):
             notes += pair_hint(case, judged, scored)

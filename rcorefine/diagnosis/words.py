@@ -46,7 +46,9 @@ def sentences(found: Diagnosis) -> list[str]:
         lines = [f"{lines[0]} {what_was_absorbed(found.base)}".rstrip(), *_shown(found)]
     elif worst is not None:  # without motion nothing could be tested
         lines += _open_law(found)
-        lines.append(f"The model as it is fails: {worst.name}, p = {worst.p_value:.2g}.")
+        fails = f"The model as it is fails: {worst.name}, p = {worst.p_value:.2g}."
+        told = found.verdict != "unexplained" or overall(found.tests) < found.significance
+        lines.append(fails if told else no_test_fires(found))
         if found.verdict == "unexplained" and found.winner_tests:
             left = min(found.winner_tests, key=lambda t: t.p_value)
             lines.append(

@@ -59,6 +59,9 @@ class Levels:
     colored_size : float
         Standard deviation of such a residual over that of its innovations, 1 for white noise. Above it
         likewise.
+    drowned : float
+        Fit of the free run in percent, 100 without noise. Below it such a residual is more than noise may
+        be: unexplained, where neither candidate, numbers nor force explain it.
     swap : float
         Log-likelihood by which a candidate must win to take another one's place in a model;
         4.6 are odds of 100 to 1.
@@ -100,6 +103,7 @@ class Levels:
     color: float = 60.0
     colored_fit: float = 75.0
     colored_size: float = 3.0
+    drowned: float = 50.0
     swap: float = 4.6
     earned: float = 0.05
     spoiled: float = 0.02
