@@ -45,14 +45,14 @@ def compare(example: Any, n_samples: int, repeats: int) -> tuple[float, float, f
     s = example.settings
     ours, theirs = [], []
     for _ in range(repeats):
-        begin = time.perf_counter()
+        begin = time.process_time()
         first = literal(plant, w, y, 1, s["order"], s["window"], s["markov"], s["learning_rate"])
         literal(plant, w, y, 1, 0, s["window"], s["markov"], s["static_learning_rate"], states=first.x)
-        theirs.append((time.perf_counter() - begin) / n_samples)
+        theirs.append((time.process_time() - begin) / n_samples)
         refiner.reset()
-        begin = time.perf_counter()
+        begin = time.process_time()
         refiner.update(record.inputs, record.outputs)
-        ours.append((time.perf_counter() - begin) / n_samples)
+        ours.append((time.process_time() - begin) / n_samples)
     theta = refiner._estimator.memory.stages[0].theta[: first.theta[-1].size]
     difference = np.abs(theta - first.theta[-1].ravel()).max() / np.abs(theta).max()
     ratio = float(np.median(np.array(theirs) / np.array(ours)))
