@@ -27,6 +27,7 @@ from .exceptions import (
     RCOError,
     RCOWarning,
 )
+from .explorer.serving import explore
 from .fleet import Survey, survey
 from .localization import DamageMap, localize_damage
 from .models.builders import (
@@ -91,6 +92,7 @@ __all__ = [
     "effect_library",
     "examples",
     "exercises",
+    "explore",
     "frequency_response_at",
     "improve",
     "localize_damage",

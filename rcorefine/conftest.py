@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 from collections.abc import Iterator
 from typing import Any
@@ -14,6 +15,10 @@ import pytest
 import rcorefine as rco
 
 os.environ.setdefault("MPLBACKEND", "Agg")
+
+#: modules that import Panel, where the extra explore is not installed
+PAGE = [f"explorer/{name}.py" for name in ("background", "figures", "page", "parts")]
+collect_ignore = [] if importlib.util.find_spec("panel") else PAGE
 
 
 @pytest.fixture(autouse=True)

@@ -80,8 +80,8 @@ class Browser:
             self.messages.append(json.dumps(about))
         return event
 
-    def show(self, path: Path, *, width: int, scheme: str) -> None:
-        """Open a file in a window of some width, in "light" or "dark"."""
+    def show(self, page: Path | str, *, width: int, scheme: str) -> None:
+        """Open a file, or an address, in a window of some width, in "light" or "dark"."""
         self.call(
             "Emulation.setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=False
         )
@@ -89,13 +89,13 @@ class Browser:
         self.requests.clear()
         self.messages.clear()
         self._seen.clear()
-        self.call("Page.navigate", url=path.absolute().as_uri())
+        self.call("Page.navigate", url=page if isinstance(page, str) else page.absolute().as_uri())
         while "Page.loadEventFired" not in self._seen:
             self._read()
 
     def evaluate(self, expression: str) -> Any:
-        """Value of an expression in the page."""
-        return self.call("Runtime.evaluate", expression=expression, returnByValue=True)["result"]["value"]
+        """Value of an expression in the page, None where it is undefined."""
+        return self.call("Runtime.evaluate", expression=expression, returnByValue=True)["result"].get("value")
 
     def pdf(self) -> bytes:
         """The page as it prints."""

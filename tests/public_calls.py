@@ -803,6 +803,7 @@ CALLS: dict[str, Call] = {
         },
     ),
     "compare": Call(lambda: rco.compare, lambda: {"model": model(), "data": record()}, FIT),
+    "explore": Call(lambda: rco.explore, lambda: {"model": model(), "data": record()}, FIT),
     "Comparison.plot": _plot(comparison, kind=is_text, measured=is_nothing, omega=is_numbers),
     "Comparison.report": _report(comparison),
     "Comparison.select": Call(

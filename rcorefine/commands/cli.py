@@ -82,6 +82,10 @@ def _run(arguments: Namespace) -> int:
         from .example import run_example
 
         return run_example(arguments)
+    if arguments.command == "explore":
+        from .explore import run_explore
+
+        return run_explore(arguments)
     from . import analysis, questions, survey
 
     run = {

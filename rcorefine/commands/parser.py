@@ -74,7 +74,7 @@ def build_parser() -> argparse.ArgumentParser:
     Returns
     -------
     ArgumentParser
-        Subcommands demo, check, compare, diagnose, improve, refine, localize, bode, survey, example.
+        Subcommands demo, check, compare, diagnose, improve, refine, localize, bode, survey, explore, example.
     """
     parser = argparse.ArgumentParser(
         prog="rcorefine",
@@ -92,6 +92,7 @@ def build_parser() -> argparse.ArgumentParser:
     _localize(commands)
     _bode(commands)
     _survey(commands)
+    _explore(commands)
     _example(commands)
     return parser
 
@@ -284,6 +285,28 @@ def _command(commands: Any, name: str, summary: str, description: str) -> argpar
     )
     parser.set_defaults(free=None, picture=None, csv=None, report=None)
     return parser
+
+
+def _explore(commands: Any) -> None:
+    parser = commands.add_parser(
+        "explore",
+        help="try effects by hand on an interactive page, and watch the error fall",
+        description=textwrap.fill(
+            "Serve an interactive page of a model and a record at 127.0.0.1, to this machine alone, until "
+            "Ctrl-C. Needs the extra explore.",
+            79,
+        ),
+        epilog="exit codes: 0 ended by Ctrl-C; 2 wrong usage, or a file or port that cannot be used",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("model", type=Path, metavar="MODEL", help=_MODEL)
+    parser.add_argument("data", type=Path, metavar="DATA", help=_DATA)
+    columns_options(parser)
+    horizon_option(parser)
+    parser.add_argument(
+        "--port", type=count, default=0, metavar="N", help="port of the page (default: any that is free)"
+    )
+    parser.add_argument("--no-browser", dest="browser", action="store_false", help="do not open the browser")
 
 
 def _reading(

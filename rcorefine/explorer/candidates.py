@@ -20,6 +20,7 @@ from ..systems.linear import Array
 
 __all__ = ["Candidate", "at_channel", "candidates_at", "lacking_force", "laid_over"]
 
+_STEPS = 20
 _EDGE = 50  # part of a record at each end where a force is only half known
 
 
@@ -72,7 +73,13 @@ def candidates_at(
     elif force is not None:
         library = [effect for effect in library if effect.place == force.place]
     found = [laid_over(effect, physical, motion, inputs, force) for effect in library]
-    return sorted(found, key=lambda c: -np.nan_to_num(c.share, nan=-np.inf))
+    best = max((one.share for one in found if one.share > 0), default=0.0)
+    return sorted(found, key=lambda one: (_rank(one, best), len(one.coefficients)))
+
+
+def _rank(one: Candidate, best: float) -> int:
+    """By steps of what the best one explains: of those that explain alike the simplest comes first."""
+    return 1 + _STEPS if one.curve is None else round(_STEPS * (1.0 - max(one.share, 0.0) / (best or 1.0)))
 
 
 def laid_over(

@@ -122,26 +122,22 @@ class Exploration:
                 "an exploration shows one record in time"
             )
         self.model, self.data, self.horizon = as_model(model), data, checked_horizon(horizon)
-        self.initial: Comparison = compare(self.model, data, horizon=horizon)
         self.physical = as_physical(self.model)
         #: the record in the order of the model's channels, above its operating point
         self.record: Measurement = ordered_record(self.physical, data)
         self._pieces, self.note = windows(self.physical, [self.record], horizon)
-        self._maps: dict[int, Comparison] = {}
-
-    # ------------------------------------------------------------------ where it stands
-    @cached_property
-    def _steps(self) -> list[Step]:
         with own_arithmetic():
-            records, horizon = [self.data], self.horizon
+            records = [data]
             base = base_fit(
                 self.model, records, free=(), tolerance=0.0, offset=True, noise=None, horizon=horizon
             )
-        return [self._step("start", "initial model", (), base)]
+        self._steps = [self._step("start", "initial model", (), base)]
+        self._compared: tuple[Step, Comparison] | None = None
 
+    # ------------------------------------------------------------------ where it stands
     @property
     def steps(self) -> tuple[Step, ...]:
-        """All steps that count, the initial model first; they are worked out when first asked for."""
+        """All steps that count, the initial model first."""
         return tuple(self._steps)
 
     @property
@@ -162,26 +158,27 @@ class Exploration:
     @property
     def comparison(self) -> Comparison:
         """The present model beside the record, as `compare` has it; its `failures` say where it fails."""
-        key = id(self._steps[-1])
-        if key not in self._maps:
-            self._maps = {key: compare(self.refinement, self.data, horizon=self.horizon)}
-        return self._maps[key]
+        now = self._steps[-1]
+        if self._compared is None or self._compared[0] is not now:
+            self._compared = now, compare(now.refinement, self.data, horizon=self.horizon)
+        return self._compared[1]
 
     def coefficients(self, effect: Effect) -> dict[str, float]:
         """Present values of an added effect, in the model's units."""
         return values_of(self.refinement, self._index(effect))
 
-    def reach(self, effect: Effect, name: str) -> tuple[float, float, str]:
-        """Range in which a coefficient is worth moving, about its present value and inside its bounds.
+    def units(self, effect: Effect) -> dict[str, str]:
+        """Unit of each coefficient of an effect, "" where unknown."""
+        structure = Structure(self.physical, [effect.replace(fixed={}, start={}, prior={})])
+        return {q.name: structure.unit(q) for q in structure.parameters}
 
-        Lower and upper end, and the unit, "" where unknown.
-        """
+    def reach(self, effect: Effect, name: str) -> tuple[float, float]:
+        """Range in which a coefficient is worth moving, about its present value and inside its bounds."""
         structure = Structure(self.physical, [effect.replace(fixed={}, start={}, prior={})])
         at = [q.name for q in structure.parameters].index(name)
         bound = structure.parameters[at]
         size = abs(self.coefficients(effect)[name]) or float(natural_sizes(structure, [self.record])[at])
-        lower, upper = max(bound.lower, -_REACH * size), min(bound.upper, _REACH * size)
-        return lower, upper, structure.unit(bound)
+        return max(bound.lower, -_REACH * size), min(bound.upper, _REACH * size)
 
     # ------------------------------------------------------------------ what could be missing
     @cached_property

@@ -1,0 +1,28 @@
+"""`rcorefine explore`: the interactive page, served until it is interrupted."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from argparse import Namespace
+
+from ..explorer.serving import explore
+from ..models.reading import read_model
+from .records import read_record
+
+__all__ = ["run_explore"]
+
+
+def run_explore(arguments: Namespace) -> int:
+    """Serve the page until Ctrl-C; 0."""
+    model = read_model(arguments.model)
+    data = read_record(arguments.data, model, arguments)
+    page = explore(model, data, horizon=arguments.horizon)
+    address = page.show(arguments.port, browser=arguments.browser)
+    sys.stdout.write(f"Explorer at {address} (Ctrl-C ends it)\n")
+    sys.stdout.flush()
+    try:
+        threading.Event().wait()
+    except KeyboardInterrupt:
+        page.close()
+    return 0

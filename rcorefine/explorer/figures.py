@@ -1,0 +1,289 @@
+"""The pictures of the explorer: record and models in time, Bode, lacking force, staircase.
+
+Names from files stand in `PlainText` or not at all: bokeh reads formulas in other texts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from bokeh.models import ColumnDataSource, PlainText, Range1d
+from bokeh.plotting import figure
+
+from ..comparison.failure_map.residual_force import ResidualForce
+from ..data.frequency_response import FrequencyResponse
+from ..data.measurement import Measurement
+from ..exceptions import DataError
+from ..inference.refinement import Refinement
+from ..systems.linear import Array, LinearModel
+from ..systems.response import as_sampled, frequency_response
+from .candidates import Candidate
+from .exploration import Exploration, Step
+from .look import PICTURE
+
+__all__ = ["BodePicture", "ForcePicture", "Staircase", "TimePicture", "thinned"]
+
+_RECORD, _INITIAL, _PRESENT = "#8a8f96", "#1f4e9c", "#b5400a"
+_LAWS = ("#b5400a", "#1b7837", "#7b3294")
+_MOST_DRAWN = 20_000  # points of a curve
+_SHOWN = 600  # samples of the stretch that is shown first
+_DOTS = 1500  # of the force against the motion
+_CELLS = 25
+
+
+def thinned(t: Array, y: Array, most: int = _MOST_DRAWN) -> tuple[Array, Array]:
+    """A curve of at most so many points: of each stretch its least and its largest value, where they are.
+
+    Examples
+    --------
+    >>> t = np.arange(100.0)
+    >>> few, values = thinned(t, np.where(t == 57, 5.0, 0.0), 10)
+    >>> few.size <= 10, values.max()
+    (True, np.float64(5.0))
+    """
+    if y.size <= most:
+        return t, y
+    cells = np.array_split(np.arange(y.size), most // 2)
+    kept = np.unique([i for c in cells for i in (c[np.argmin(y[c])], c[np.argmax(y[c])])])
+    return t[kept], y[kept]
+
+
+def _figure(height: int, x: str, y: str, **options: Any) -> Any:
+    made = figure(
+        height=height,
+        sizing_mode="stretch_width",
+        tools="pan,box_zoom,wheel_zoom,reset",
+        toolbar_location="right",
+        x_axis_label=x,
+        min_border_right=12,
+        **options,
+    )
+    made.yaxis.axis_label = PlainText(text=y)
+    for axis in (*made.xaxis, *made.yaxis):
+        axis.axis_label_text_font_style = "normal"
+        axis.axis_label_text_font_size = axis.major_label_text_font_size = "13px"
+    made.stylesheets = [PICTURE]
+    made.toolbar.logo = None
+    made.toolbar.autohide = True
+    return made
+
+
+def _legend(made: Any, place: str = "top_right") -> None:
+    made.legend.location = place
+    made.legend.orientation = "horizontal"
+    made.legend.background_fill_alpha = 0.8
+    made.legend.label_text_font_size = "13px"
+    made.legend.padding = made.legend.margin = 4
+
+
+def _unit(name: str, unit: str) -> str:
+    return f"{name} [{unit}]" if unit else name
+
+
+class TimePicture:
+    """Record, initial and present model over a stretch of time, and below what the present one leaves."""
+
+    def __init__(self, explored: Exploration) -> None:
+        self._explored, data = explored, explored.record
+        self.output = 0
+        names = ("record", "initial", "present", "left")
+        self.sources = {name: ColumnDataSource({"t": [], "y": []}) for name in names}
+        last = float(data.timepts[min(_SHOWN, data.n_samples) - 1])
+        self.x_range = Range1d(float(data.timepts[0]), last)
+        self.upper = _figure(300, "time [s]", "", x_range=self.x_range)
+        self.lower = _figure(160, "time [s]", "", x_range=self.x_range)
+        for name, color, width, dash, where in (
+            ("record", _RECORD, 3.5, "solid", self.upper),
+            ("initial", _INITIAL, 1.5, "dashed", self.upper),
+            ("present", _PRESENT, 1.5, "solid", self.upper),
+            ("left", _PRESENT, 1.0, "solid", self.lower),
+        ):
+            look = {"color": color, "line_width": width, "line_dash": dash}
+            text = {} if name == "left" else {"legend_label": name if name == "record" else f"{name} model"}
+            where.line("t", "y", source=self.sources[name], **look, **text)
+        for made in (self.upper, self.lower):
+            made.y_range.only_visible = True
+        _legend(self.upper)
+        self.show_output(0)
+
+    @property
+    def stretch(self) -> float:
+        """Length in s of the stretch that is shown first."""
+        return float(self.x_range.end - self.x_range.start)
+
+    def begin_at(self, time: float) -> None:
+        """Show as long a stretch from another time on."""
+        length = self.stretch
+        self.x_range.start, self.x_range.end = time, time + length
+
+    def show_output(self, output: int) -> None:
+        """Draw another output."""
+        self.output, data = output, self._explored.record
+        name, unit = data.output_labels[output], data.output_units[output]
+        self.upper.yaxis.axis_label = PlainText(text=_unit(name, unit))
+        self.lower.yaxis.axis_label = PlainText(text=_unit("left over", unit))
+        self._put("record", data.outputs[output])
+        self._put("initial", self._explored.steps[0].runs[output])
+        self.show(self._explored.steps[-1].runs)
+
+    def show(self, runs: Array) -> None:
+        """Draw a run (n_y, N) as that of the present model."""
+        self._put("present", runs[self.output])
+        self._put("left", self._explored.record.outputs[self.output] - runs[self.output])
+
+    def _put(self, name: str, y: Array) -> None:
+        t, y = thinned(self._explored.record.timepts, y)
+        self.sources[name].data = {"t": t, "y": y}
+
+
+class BodePicture:
+    """Measured response with its band, and those of the models."""
+
+    def __init__(self, explored: Exploration) -> None:
+        self._explored = explored
+        self.output = self.input = 0
+        log = {"x_axis_type": "log"}
+        self.upper = _figure(240, "frequency [rad/s]", "magnitude", y_axis_type="log", **log)
+        self.lower = _figure(
+            170,
+            "frequency [rad/s]",
+            "phase [deg]",
+            x_range=self.upper.x_range,
+            y_range=Range1d(-190.0, 190.0),
+            **log,
+        )
+        self.lower.yaxis.ticker = [-180, -90, 0, 90, 180]
+        keys = ("w", "size", "phase", "low", "high")
+        self.sources = {
+            n: ColumnDataSource({k: [] for k in keys}) for n in ("measured", "initial", "present")
+        }
+        measured = self.sources["measured"]
+        self.upper.varea("w", "low", "high", source=measured, color=_RECORD, fill_alpha=0.4)
+        for made, y in ((self.upper, "size"), (self.lower, "phase")):
+            named = {n: {"legend_label": t} if y == "size" else {} for n, t in _BODE_WORDS.items()}
+            made.scatter("w", y, source=measured, color=_RECORD, size=4, **named["measured"])
+            for name, color, dash in (("initial", _INITIAL, "dashed"), ("present", _PRESENT, "solid")):
+                look = {"color": color, "line_width": 1.6, "line_dash": dash}
+                made.line("w", y, source=self.sources[name], **look, **named[name])
+        _legend(self.upper, "bottom_left")
+        self.measured: FrequencyResponse | None = None
+        self.why = ""
+        try:
+            self.measured = explored.record.frequency_response()
+        except DataError as error:
+            self.why = f"No measured response: {error}"
+        self.show()
+
+    def show(self) -> None:
+        """Draw the present model, and the others where another channel is asked for."""
+        if self.measured is None:
+            return
+        w, i, j = self.measured.omega, self.output, self.input
+        G, std = self.measured.response[i, j], self.measured.std
+        spread = 2.0 * std[i, j] if std is not None else np.zeros(w.size)
+        self._put("measured", w, G, spread)
+        for name, step in (("initial", self._explored.steps[0]), ("present", self._explored.steps[-1])):
+            self._put(name, *_response(self._explored.record, step, self.measured, i, j))
+
+    def _put(self, name: str, w: Array, G: Any, spread: Any = 0.0) -> None:
+        size = np.abs(G)
+        low = np.maximum(size - spread, 0.05 * size)
+        phase = np.degrees(np.angle(G))
+        self.sources[name].data = {
+            "w": w, "size": size, "phase": phase, "low": low, "high": size + spread
+        }  # fmt: skip
+
+
+_BODE_WORDS = {"measured": "measured, 2 std", "initial": "initial model", "present": "present model"}
+
+
+def _response(
+    record: Measurement, step: Step, measured: FrequencyResponse, i: int, j: int
+) -> tuple[Array, Any]:
+    """Of a linear model its own; else that of its run, estimated as that of the record is."""
+    model: Refinement = step.refinement
+    if model.simulation_structure()[0].is_linear or len(model.initial_states) > 1:
+        linear = as_sampled(LinearModel.from_statespace(model.system), measured.dt, measured.hold)
+        w = np.geomspace(measured.omega[0], min(measured.omega[-1], np.pi / record.dt), 600)
+        return w, frequency_response(linear, w)[i, j]
+    run = Measurement(record.inputs, step.runs, dt=record.dt, hold=record.hold).frequency_response()
+    return run.omega, run.response[i, j]
+
+
+class ForcePicture:
+    """Force that the present model lacks at a place, against the motion there, with laws laid over it."""
+
+    def __init__(self) -> None:
+        empty = {"x_range": Range1d(-1.0, 1.0), "y_range": Range1d(-1.0, 1.0)}
+        self.figure = _figure(300, "", "force that the model lacks", **empty)
+        self.dots = ColumnDataSource({"x": [], "f": []})
+        self.means = ColumnDataSource({"x": [], "f": []})
+        self.laws = [ColumnDataSource({"x": [], "f": []}) for _ in _LAWS]
+        self.figure.scatter("x", "f", source=self.dots, color=_RECORD, size=3, alpha=0.6)
+        self.figure.scatter("x", "f", source=self.means, color="#1b1e22", size=7)
+        self.lines = [
+            self.figure.line("x", "f", source=source, color=color, line_width=2.2)
+            for source, color in zip(self.laws, _LAWS, strict=True)
+        ]
+
+    def show(self, force: ResidualForce, unit: str, found: Sequence[Candidate]) -> None:
+        """Draw the force over the signal that the best law goes by."""
+        drawn = [one for one in found if one.curve is not None][: len(_LAWS)]
+        over_d = bool(np.ptp(force.position)) and (
+            not np.ptp(force.velocity) or bool(drawn and "position" in drawn[0].effect.spec.needs)
+        )
+        x = force.position if over_d else force.velocity
+        what = ("displacement" if over_d else "velocity") if force.mechanical else "state"
+        units = force.position_unit if over_d else force.velocity_unit
+        self.figure.xaxis.axis_label = PlainText(text=_unit(f"{what} at {force.place}", units))
+        self.figure.yaxis.axis_label = PlainText(text=_unit("force that the model lacks", unit))
+        edge = x.size // 50
+        order = edge + np.argsort(x[edge : x.size - edge], kind="stable")
+        few = order[:: max(order.size // _DOTS, 1)]
+        level = float(force.force[order].mean())  # a constant force passes for the offset
+        self.dots.data = {"x": x[few], "f": force.force[few] - level}
+        for scale, values in ((self.figure.x_range, x[few]), (self.figure.y_range, force.force[few] - level)):
+            low, high = np.quantile(values, [0.002, 0.998])
+            scale.update(start=low - 0.1 * (high - low), end=high + 0.1 * (high - low) or 1.0)
+        cells = np.array_split(order, _CELLS)
+        self.means.data = {
+            "x": [x[c].mean() for c in cells], "f": [np.median(force.force[c]) - level for c in cells]
+        }  # fmt: skip
+        for k, source in enumerate(self.laws):
+            curve = drawn[k].curve if k < len(drawn) else None
+            source.data = {"x": [], "f": []} if curve is None else _along(x, curve, order)
+
+
+def _along(x: Array, curve: Array, order: Any) -> dict[str, Any]:
+    """A law as its mean over narrow cells of the motion: one line, also where it remembers."""
+    cells = np.array_split(order, min(200, order.size))
+    level = float(curve[order].mean())
+    return {"x": [x[c].mean() for c in cells], "f": [curve[c].mean() - level for c in cells]}
+
+
+class Staircase:
+    """The error after each step."""
+
+    def __init__(self) -> None:
+        self.source = ColumnDataSource({"x": [], "error": [], "text": []})
+        self.figure = _figure(
+            210, "step", "error [%]", x_range=Range1d(-0.6, 3.6), y_range=Range1d(0.0, 100.0)
+        )
+        self.figure.vbar("x", width=0.8, top="error", source=self.source, color=_INITIAL, fill_alpha=0.75)
+        self.figure.text(
+            "x", "error", text="text", source=self.source, text_align="center", text_font_size="13px",
+            y_offset=-2,
+        )  # fmt: skip
+        self.figure.xaxis.ticker = [0]
+
+    def show(self, steps: Sequence[Step]) -> None:
+        """Draw the steps."""
+        errors = [step.error for step in steps]
+        self.figure.xaxis.ticker = list(range(len(steps)))
+        self.figure.x_range.update(start=-0.6, end=max(len(steps), 4) - 0.4)
+        self.figure.y_range.end = 1.25 * (max(errors) or 1.0)
+        self.source.data = {
+            "x": list(range(len(steps))), "error": errors, "text": [f"{e:.3g} %" for e in errors]
+        }  # fmt: skip

@@ -1,0 +1,345 @@
+"""The page of one visitor: a thin view of an `Exploration`."""
+
+from __future__ import annotations
+
+import io
+import tempfile
+from collections.abc import Sequence
+from functools import partial
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import panel as pn
+
+from ..comparison.failure_map.search import Failure, FailureMap
+from ..diagnosis.checks.result import Check
+from ..diagnosis.result import Diagnosis
+from ..effects.effect import Effect
+from ..views.failure_map import ROLES
+from ..views.tables import html_table, number
+from .background import EXPECTED, LOOKING, Background
+from .candidates import Candidate
+from .exploration import Exploration, Step
+from .figures import BodePicture, ForcePicture, Staircase, TimePicture
+from .look import GRID
+from .parts import button, column, download, folded, paragraphs, picture, select, slider, text, title
+
+__all__ = ["ExplorerPage"]
+
+_BUTTONS = 6  # candidates that have a button of their own
+_PAUSE = 30  # ms in which moves of a slider are taken together
+
+
+def _values(values: dict[str, float], units: dict[str, str]) -> str:
+    return ", ".join(f"{n} {number(v, 3)} {units[n].removeprefix('1')}".rstrip() for n, v in values.items())
+
+
+class ExplorerPage:
+    """What one visitor sees and does.
+
+    Parameters
+    ----------
+    explored : Exploration
+        State of this visitor, and of nobody else.
+
+    Attributes
+    ----------
+    root : panel.viewable.Viewable
+        The page.
+    """
+
+    def __init__(self, explored: Exploration) -> None:
+        self.explored = explored
+        self._work = Background()
+        self._row: Failure | None = None
+        self._map: FailureMap | None = None
+        self._searched: Step | None = None
+        self._moving: tuple[Effect, str, float] | None = None
+        self._make()
+        self._show_step()
+        self._work.begin(self._begin)
+
+    def _begin(self) -> None:
+        self._search()
+        self._work.later(LOOKING, "checking the record", self.explored.check, self._show_check)
+
+    # ------------------------------------------------------------------ what there is
+    def _make(self) -> None:
+        explored, data = self.explored, self.explored.record
+        self._time, self._bode = TimePicture(explored), BodePicture(explored)
+        self._force, self._stairs = ForcePicture(), Staircase()
+        size = f"{data.n_samples} samples, {number(data.duration, 3)} s, dt = {number(data.dt, 4)} s"
+        heading = text(
+            f"<h1>Model {escape(explored.physical.name)} beside record {escape(data.name)}</h1>"
+            f'<p class="soft">{size}. {escape(explored.note)}</p>'
+        )
+        self._error = text("")
+        self._fit = button("Fit all added effects", self._do_fit, wide=False)
+        self._undo = button("Undo", self._do_undo, wide=False)
+        self._effects, self._steps = column(), text("")
+        self._rows, self._about_row = column(), text('<p class="soft">is being searched …</p>')
+        self._found = column()
+        self._verdict, self._checked, self._files = text(""), text(""), column()
+        curves = column(*self._curves(), *self._added(), *self._frequencies())
+        styles = (("curves", curves), ("causes", self._causes()), ("answers", self._answers()))
+        for area, part in styles:
+            part.styles = {"grid-area": area, "min-width": "0"}
+        body = pn.Column(*(part for _, part in styles), stylesheets=[GRID], margin=0)
+        body.sizing_mode = "stretch_width"
+        self.root = pn.Column(
+            heading, self._error, self._work.status, body, sizing_mode="stretch_width", margin=10
+        )
+
+    def _curves(self) -> list[Any]:
+        first, last = (float(self.explored.record.timepts[k]) for k in (0, -1))
+        last = max(last - self._time.stretch, first + self.explored.record.dt)
+        begin = slider("shown from [s]", first, last, first)
+        begin.param.watch(lambda event: self._time.begin_at(event.new), "value")
+        pictures = [picture(self._time.upper), picture(self._time.lower)]
+        return [title("Record and model in time"), *self._channels(), *pictures, begin]
+
+    def _added(self) -> list[Any]:
+        return [title("Effects added"), self._effects, pn.Row(self._fit, self._undo, margin=0)]
+
+    def _frequencies(self) -> list[Any]:
+        note = text(f'<p class="soft">{escape(self._bode.why or _BODE_NOTE)}</p>')
+        if self._bode.measured is None:
+            return [title("Frequency response"), note]
+        pictures = [picture(self._bode.upper), picture(self._bode.lower)]
+        return [title("Frequency response"), *pictures, note]
+
+    def _causes(self) -> Any:
+        return column(
+            title("Error after each step"),
+            picture(self._stairs.figure),
+            self._steps,
+            title("Where the model fails"),
+            self._about_row,
+            self._rows,
+            button("Search again with the present model", self._search, wide=False),
+            title("Force that is missing there, and laws laid over it"),
+            picture(self._force.figure),
+            self._found,
+        )
+
+    def _answers(self) -> Any:
+        explored = self.explored
+        return column(
+            title("Is anything still missing?"),
+            button("Diagnose the present model (some seconds)", self._do_diagnose, wide=False),
+            self._verdict,
+            title("Is anything odd about the record?"),
+            self._checked,
+            title("Take it with you"),
+            pn.Row(
+                button("Make the report", self._do_report, wide=False),
+                download("exploration.py", "Python script", lambda: io.StringIO(explored.script())),
+                margin=0,
+            ),
+            self._files,
+        )
+
+    def _channels(self) -> list[Any]:
+        """Which output, and for the frequency response which input, where there are several."""
+        data, parts = self.explored.record, []
+        for what, labels, choose in (
+            ("output", data.output_labels, self._choose_output),
+            ("input of the frequency response", data.input_labels, self._choose_input),
+        ):
+            if len(labels) > 1:
+                parts.append(select(what, labels, choose))
+        return parts
+
+    def _choose_output(self, index: int) -> None:
+        self._bode.output = index
+        self._time.show_output(index)
+        self._bode.show()
+
+    def _choose_input(self, index: int) -> None:
+        self._bode.input = index
+        self._bode.show()
+
+    # ------------------------------------------------------------------ steps
+    def _show_step(self, rebuild: bool = True) -> None:
+        """The present step everywhere; sliders stay where one of them was moved."""
+        steps = self.explored.steps
+        self._time.show(steps[-1].runs)
+        self._bode.show()
+        self._stairs.show(steps)
+        self._say_error(steps[-1].error)
+        names = [[str(k), step.name, f"{step.error:.3g} %"] for k, step in enumerate(steps)]
+        self._steps.object = (
+            f'<div class="scroll">{html_table(["step", "what", "error"], names, left=2)}</div>'
+        )
+        self._fit.disabled, self._undo.disabled = not self.explored.effects, len(steps) == 1
+        if rebuild:
+            self._build_sliders()
+
+    def _say_error(self, error: float, words: str = "") -> None:
+        first = self.explored.steps[0].error
+        verb = "falls" if error < first else "rises"
+        if len(self.explored.steps) == 1:
+            words = "Error of the initial model:"
+        said = f"{words or f'The error {verb} from {first:.3g} % to'} <b>{error:.3g} %</b>"
+        self._error.object = f'<p class="error">{said}</p><p class="soft">{_ERROR_NOTE}</p>'
+
+    def _build_sliders(self) -> None:
+        parts = []
+        for effect in self.explored.effects:
+            parts.append(text(f"<p><b>{escape(effect.label)}</b> {escape(effect.explanation)}</p>"))
+            units = self.explored.units(effect)
+            for name, value in self.explored.coefficients(effect).items():
+                words = name if units[name] in ("", "1") else f"{name} [{units[name]}]"
+                made = slider(words, *self.explored.reach(effect, name), value)
+                made.param.watch(partial(self._moved, effect, name), "value")
+                made.param.watch(partial(self._let_go, effect, name, made), "value_throttled")
+                parts.append(made)
+        self._effects.objects = parts
+
+    def _moved(self, effect: Effect, name: str, event: Any) -> None:
+        """Follow a slider: of the moves within a moment the last one counts."""
+        waiting, self._moving = self._moving is not None, (effect, name, float(event.new))
+        if not waiting:
+            self._work.soon(self._preview, _PAUSE)
+
+    def _preview(self) -> None:
+        if self._moving is None:
+            return
+        effect, name, value = self._moving
+        self._moving = None
+        try:
+            runs, error = self.explored.preview(effect, **{name: value})
+        except EXPECTED as wrong:
+            self._work.say(str(wrong))
+            return
+        self._time.show(runs)
+        self._say_error(error, f"{self.explored.error:.3g} % before; moved there, the error is")
+
+    def _let_go(self, effect: Effect, name: str, made: Any, event: Any) -> None:
+        value = float(event.new)
+        if self.explored.coefficients(effect).get(name) == value:
+            return
+        move = partial(self.explored.move, effect, **{name: value})
+
+        def then(_: Step) -> None:
+            made.start, made.end = self.explored.reach(effect, name)
+            self._stepped(rebuild=False)
+
+        self._work.later(self._work.doing, "settling offset and initial state", move, then)
+
+    def _stepped(self, rebuild: bool = True) -> None:
+        self._show_step(rebuild)
+        self._look_at(self._row)
+
+    def _add(self, one: Candidate) -> None:
+        work = partial(self.explored.add, one.effect, **one.coefficients)
+        self._work.later(self._work.doing, f"adding {one.effect.label}", work, lambda _: self._stepped())
+
+    def _do_fit(self) -> None:
+        self._work.later(self._work.doing, "fitting all added effects", self.explored.fit, self._show_fit)
+
+    def _show_fit(self, step: Step) -> None:
+        self._stepped()
+        self._work.say(" ".join(step.refinement.warnings))
+
+    def _do_undo(self) -> None:
+        self._work.later(self._work.doing, "undo", self.explored.undo, lambda _: self._stepped())
+
+    # ------------------------------------------------------------------ where it fails
+    def _search(self) -> None:
+        step, number_of = self.explored.steps[-1], len(self.explored.steps) - 1
+        words = f"searching where the model of step {number_of} fails"
+        search = lambda: self.explored.comparison.failures  # noqa: E731
+        self._work.later(LOOKING, words, search, partial(self._show_map, step))
+
+    def _show_map(self, step: Step, found: FailureMap) -> None:
+        self._map, self._searched, rows = found, step, list(found)
+        self._look_at(rows[0] if rows else None)
+
+    def _show_rows(self) -> None:
+        rows = list(self._map or ())
+        self._rows.objects = [
+            button(
+                f"{ROLES[row.role]} {row.dimension}: {row.where} ({row.measure}), "
+                f"{100 * row.share:.0f} % of the error",
+                partial(self._look_at, row),
+                chosen=row is self._row,
+            )
+            for row in rows
+        ]
+        said = self._row.sentence if self._row is not None else "Nothing stands out beside noise."
+        stale = self._searched is not self.explored.steps[-1]
+        older = ["Found before the last step; the force below is that of the present model."] if stale else []
+        self._about_row.object = paragraphs([said, *older])
+
+    def _look_at(self, row: Failure | None) -> None:
+        """Show the force and the candidates of a row."""
+        self._row = row
+        if self._map is not None:
+            self._show_rows()
+
+        def look() -> tuple[Any, Sequence[Candidate], Sequence[Candidate]]:
+            force = self.explored.force(row)
+            return force, self.explored.candidates(row, force), self.explored.candidates()
+
+        self._work.later(self._work.doing, "laying laws over the missing force", look, self._show_candidates)
+
+    def _show_candidates(self, found: tuple[Any, Sequence[Candidate], Sequence[Candidate]]) -> None:
+        force, here, every = found
+        if force is None:
+            said = "At an input or an output no force acts: no picture, but these effects could be there."
+        else:
+            port = self.explored.physical.port(force.place)
+            self._force.show(force, port.force_unit, here)
+            said = "Small dots: force estimated from the record, smoothed by what sensors can tell; large: "
+            said += (
+                "its median. The share is part of what is drawn: diagnose, not this picture, names the law."
+            )
+        buttons = []
+        for k, one in enumerate(here[:_BUTTONS]):
+            share = "" if one.curve is None else f": {100 * one.share:.0f} % of this force"
+            where = "" if one.curve is None or k > 2 else f" ({_COLORS[k]} line)"
+            values = _values(one.coefficients, self.explored.units(one.effect))
+            words = f"Add {one.effect.label}{share}{where}, {values}"
+            buttons.append(button(words, partial(self._add, one)))
+        other = select("any other effect", [one.effect.label for one in every])
+        add = button("Add it", lambda: self._add(every[other.value]), wide=False)
+        rest = [pn.Row(other, add, margin=0)] if every else []
+        self._found.objects = [text(f'<p class="soft">{said}</p>'), *buttons, *rest]
+
+    # ------------------------------------------------------------------ verdict, check, files
+    def _do_diagnose(self) -> None:
+        self._verdict.object = '<p class="busy">testing the residual and refitting candidates …</p>'
+        self._work.later(LOOKING, "diagnosing", self.explored.diagnose, self._show_verdict)
+
+    def _show_verdict(self, found: Diagnosis) -> None:
+        table = folded("Ranking and tests", found._repr_html_())
+        said = paragraphs(found.sentences())
+        self._verdict.object = f"<p><b>{found.verdict.upper()}</b></p>{said}{table}"
+
+    def _show_check(self, found: Check) -> None:
+        odd = [f"{row.status.upper()}: {row.sentence}" for row in found.looks] or ["Nothing odd was found."]
+        self._checked.object = paragraphs(odd) + folded("All that was looked at", found._repr_html_())
+
+    def _do_report(self) -> None:
+        def make() -> bytes:
+            with tempfile.TemporaryDirectory() as folder:
+                return self.explored.report(Path(folder, "report.html")).read_bytes()
+
+        self._work.later(LOOKING, "making the report", make, self._show_report)
+
+    def _show_report(self, content: bytes) -> None:
+        name = f"Download the report of step {len(self.explored.steps) - 1}"
+        self._files.objects = [download("report.html", name, lambda: io.BytesIO(content))]
+
+
+_ERROR_NOTE = (
+    "Of the free run, over the spread of the outputs: 100 % less the fit. Offset and initial state "
+    "are estimated."
+)
+_COLORS = ("orange", "green", "violet")
+_BODE_NOTE = (
+    "With effects that are not linear the present model's response is estimated from its run, as that of the "
+    "record is."
+)

@@ -1,0 +1,358 @@
+"""The explorer's page in a browser: what is shown, clicked, typed and dragged."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from chromium_pipe import CHROMIUM, Browser
+
+import rcorefine as rco
+
+pytest.importorskip("panel", reason="the extra explore is not installed")
+
+WAIT = 90.0  # s, on a busy machine
+EVIL = "<img src=x onerror=alert(1)><script>alert(2)</script>\n$$\\frac{a}{b}$$"
+
+
+def chain(stiffness=100.0, **options):
+    return rco.mass_spring_damper([1.0], [0.4], [stiffness], sensors="displacement", **options)
+
+
+def record(n=800, stiffness=90.0, seed=0, **names):
+    rng = np.random.default_rng(seed)
+    force = 10 * rng.standard_normal(n)
+    y = rco.simulate(chain(stiffness), rco.Measurement(force, np.zeros(n), dt=0.02), "zero").outputs[0]
+    given = {"input_labels": "force", "output_labels": "q1", "output_units": "m"} | names
+    return rco.Measurement(force, y + 0.02 * y.std() * rng.standard_normal(n), dt=0.02, **given)
+
+
+# ------------------------------------------------------------------ served by the command
+MODEL = (
+    '[mass_spring_damper]\nm = [1.0]\nc = [0.4]\nk = [100.0]\nsensors = "displacement"\noutputs = ["q1"]\n'
+)
+
+
+class Served:
+    """The command in a process of its own."""
+
+    def __init__(self, folder: Path, data: rco.Measurement) -> None:
+        (folder / "model.toml").write_text(MODEL)
+        np.savez(folder / "record.npz", force=data.inputs[0], q1=data.outputs[0])
+        words = [sys.executable, "-m", "rcorefine", "explore", "model.toml", "record.npz", "--dt", "0.02"]
+        words += ["--input", "force", "--output", "q1", "--no-browser"]
+        self.process = subprocess.Popen(
+            words, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=dict(os.environ)
+        )
+        line = self.process.stdout.readline()
+        if not line.startswith("Explorer at "):
+            raise AssertionError(line + self.process.communicate()[1])
+        self.address = line.split()[2]
+        self.port = int(re.search(r":(\d+)/", self.address)[1])
+
+    def close(self) -> int:
+        self.process.send_signal(signal.SIGINT)
+        self.process.communicate(timeout=WAIT)
+        return self.process.returncode
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory) -> Iterator[Served]:
+    one = Served(tmp_path_factory.mktemp("explorer"), record())
+    yield one
+    one.process.kill()
+    one.process.communicate()
+
+
+# ------------------------------------------------------------------ a visitor
+ALL = """const all = (s, r = document) => [...r.querySelectorAll(s),
+  ...[...r.querySelectorAll('*')].flatMap(e => e.shadowRoot ? all(s, e.shadowRoot) : [])];
+const shown = e => e.getClientRects().length > 0;
+const text = s => all(s).filter(shown).map(e => e.innerText.trim());
+"""
+
+
+class Visitor(Browser):
+    """A browser with the page open."""
+
+    def open(self, address: str, *, width: int = 1400, scheme: str = "light") -> None:
+        self.show(address, width=width, scheme=scheme)
+        self.until("text('.error').length", "the page")
+
+    def js(self, expression: str):
+        return self.evaluate(f"(() => {{ {ALL} return {expression}; }})()")
+
+    def until(self, expression: str, what: str = ""):
+        end = time.monotonic() + WAIT
+        while not (value := self.js(expression)):
+            assert time.monotonic() < end, f"{what or expression} does not come: {self.js('text(`p`)')}"
+            time.sleep(0.05)
+        return value
+
+    def settled(self) -> None:
+        """Until nothing is being worked at."""
+        self.until("!text('.busy').length", "rest")
+
+    def press(self, start: str) -> None:
+        """Click the button whose text begins so."""
+        named = f"b.innerText.trim().startsWith({json.dumps(start)})"
+        find = f"all('button').find(b => shown(b) && !b.disabled && {named})"
+        self.until(f"(b => b ? (b.click(), true) : false)({find})", f"button {start!r}")
+
+    def key(self, name: str) -> None:
+        codes = {"Tab": 9, "Enter": 13, "ArrowRight": 39}
+        more = {"text": "\r"} if name == "Enter" else {}
+        for kind in ("keyDown", "keyUp"):
+            self.call(
+                "Input.dispatchKeyEvent",
+                type=kind, key=name, code=name, windowsVirtualKeyCode=codes[name],
+                **(more if kind == "keyDown" else {}),
+            )  # fmt: skip
+
+    def focused(self) -> str:
+        """Text of what has the focus, looked for in all shadow roots."""
+        deep = (
+            "(() => {let e = document.activeElement; while (e && e.shadowRoot && e.shadowRoot.activeElement)"
+        )
+        return self.evaluate(
+            deep + " e = e.shadowRoot.activeElement; return e ? e.innerText || e.tagName : '';})()"
+        )
+
+    @property
+    def error(self) -> float:
+        """Percentage in the headline."""
+        return float(re.search(r"([\d.]+) %$", self.js("text('.error')")[0])[1])
+
+    @property
+    def complaints(self) -> list[str]:
+        """Errors and warnings of the console; that this machine has no graphics card is none."""
+        found = [json.loads(message) for message in self.messages]
+        found = [one for one in found if one.get("entry", {}).get("source") != "rendering"]
+        return [str(one) for one in found if one.get("type") not in ("log", "info", "debug")]
+
+    @property
+    def outside(self) -> list[str]:
+        """What was asked of anybody but the server."""
+        return [
+            url
+            for url in self.requests
+            if not re.match(r"(http://127\.0\.0\.1:\d+/|data:|blob:http://127)", url)
+        ]
+
+
+@pytest.fixture(scope="module")
+def visitor() -> Iterator[Visitor]:
+    if CHROMIUM is None:
+        pytest.skip("no chromium here (Debian: apt-get install chromium)")
+    opened = Visitor()
+    yield opened
+    opened.close()
+
+
+@pytest.mark.browser
+def test_add_fit_move_undo(served, visitor):
+    """What a user does: the shown error falls to what refine says, and comes back."""
+    visitor.open(served.address)
+    visitor.settled()
+    model, data = chain(), record()
+    start = 100.0 - rco.refine(model, data).fit[0]
+    assert visitor.error == pytest.approx(start, rel=0.01)
+    visitor.press("Add stiffness at link1")
+    visitor.until("text('.error')[0].startsWith('The error ')")
+    added = visitor.error
+    visitor.press("Fit all added effects")
+    fitted = 100.0 - rco.refine(model, data, [rco.Effect("stiffness", "link1")]).fit[0]
+    visitor.until(f"text('.error')[0].endsWith('to {fitted:.3g} %')", f"the error {fitted:.3g} %")
+    visitor.settled()
+    # a slider, by the keyboard: the curve's error follows, then a step of its own
+    visitor.js("all('.noUi-handle').filter(shown).slice(-1)[0].focus() || 0")
+    handles = visitor.js("all('.noUi-handle').filter(shown).length")
+    assert handles == 2  # the stretch that is shown, and the coefficient
+    for _ in range(10):
+        visitor.key("ArrowRight")
+    visitor.until("text('td').some(t => t === 'move stiffness at link1')", "a step by hand")
+    visitor.settled()
+    assert visitor.error > 1.5 * fitted
+    for expected in (fitted, added, start):
+        visitor.press("Undo")
+        visitor.until(f"text('.error')[0].endsWith('{expected:.3g} %')", f"the error {expected:.3g} %")
+    visitor.settled()
+    assert visitor.js("text('td').includes('initial model')")
+    assert visitor.complaints == []
+    assert visitor.outside == []
+
+
+@pytest.mark.browser
+def test_verdict_and_files(served, visitor):
+    visitor.open(served.address)
+    visitor.settled()
+    visitor.press("Diagnose the present model")
+    said = visitor.until("text('p').find(t => ['PARAMETERS', 'EFFECT', 'AMBIGUOUS'].includes(t))")
+    assert said == rco.diagnose(chain(), record()).verdict.upper()
+    assert visitor.js("text('summary').includes('All that was looked at')")
+    visitor.press("Make the report")
+    visitor.until("all('a').some(a => shown(a) && a.innerText.includes('report of step 0'))", "the report")
+    visitor.settled()
+    assert visitor.complaints == []
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [700, 1400])
+def test_fits_the_window_and_the_theme(served, visitor, width, scheme):
+    visitor.open(served.address, width=width, scheme=scheme)
+    visitor.settled()
+    reach = visitor.js("document.documentElement.scrollWidth")
+    assert reach <= width, "the page scrolls sideways"
+    pictures = visitor.js("all('.bk-Figure').filter(shown).map(e => e.clientWidth)")
+    assert len(pictures) == 6
+    assert all(300 < size <= width for size in pictures)
+    ground = visitor.js("getComputedStyle(document.body).backgroundColor")
+    assert (ground == "rgb(255, 255, 255)") == (scheme == "light")
+    inverted = visitor.js("all('.bk-Figure').map(e => getComputedStyle(e).filter !== 'none')")
+    assert inverted
+    assert set(inverted) == {scheme == "dark"}
+    assert visitor.complaints == []
+    assert visitor.outside == []
+
+
+@pytest.mark.browser
+def test_by_keyboard_alone(served, visitor):
+    """Tab reaches a candidate, Enter adds it."""
+    visitor.open(served.address)
+    visitor.settled()
+    for _ in range(80):
+        visitor.key("Tab")
+        if visitor.focused().startswith("Add "):
+            break
+    assert visitor.focused().startswith("Add ")
+    visitor.key("Enter")
+    visitor.until("text('td').some(t => t.startsWith('add '))", "a step")
+    visitor.settled()
+
+
+@pytest.mark.browser
+def test_a_second_visitor_has_a_state_of_his_own(served, visitor):
+    visitor.open(served.address)
+    visitor.settled()
+    visitor.press("Add stiffness at link1")
+    visitor.until("text('td').some(t => t.startsWith('add '))", "a step")
+    other = Visitor()
+    try:
+        other.open(served.address)
+        assert not other.js("text('td').some(t => t.startsWith('add '))")
+        assert other.js("text('.error')[0].startsWith('Error of the initial model')")
+    finally:
+        other.close()
+    assert visitor.js("text('td').some(t => t.startsWith('add '))")
+
+
+#: what panel and bokeh warn of in this process is theirs
+THEIRS = pytest.mark.filterwarnings("ignore")
+
+
+@pytest.mark.browser
+@THEIRS
+def test_names_from_strangers_are_text(visitor):
+    """Names of model, record, signals, with markup, formulas and line breaks."""
+    data = record(400, name=EVIL, input_labels=EVIL + "u", output_labels=EVIL + "y", output_units=EVIL[:28])
+    model = chain(name=EVIL, inputs=EVIL + "u", outputs=EVIL + "y")
+    page = rco.explore(model, data)
+    try:
+        visitor.open(page.show(browser=False))
+        visitor.settled()
+        assert "<img src=x" in visitor.js("text('h1')")[0]
+        assert visitor.js("all('img').length") == 0
+        assert "x" not in {url.rsplit("/", 1)[-1] for url in visitor.requests}
+        place = visitor.js("all('select').flatMap(s => [...s.options].map(o => o.text))")
+        assert any("<img src=x" in option for option in place)
+        assert visitor.complaints == []
+        assert visitor.outside == []
+    finally:
+        page.close()
+
+
+@pytest.mark.browser
+@THEIRS
+def test_twenty_thousand_samples(visitor):
+    """Shown and clickable; how fast is measured, and said with -s."""
+    page = rco.explore(chain(), record(20_000))
+    try:
+        address = page.show(browser=False)
+        start = time.monotonic()
+        visitor.open(address)
+        visitor.until("all('.bk-Figure').filter(shown).length === 6", "the pictures")
+        print(f"20,000 samples shown after {time.monotonic() - start:.2f} s")
+        assert visitor.error > 10
+    finally:
+        page.close()
+
+
+# ------------------------------------------------------------------ without a browser
+def upgrade(port: int, origin: str) -> int:
+    """Status of a request for a websocket from a page of another origin."""
+    token = socket.create_connection(("127.0.0.1", port), timeout=WAIT)
+    lines = [
+        "GET /ws HTTP/1.1", f"Host: 127.0.0.1:{port}", "Upgrade: websocket", "Connection: Upgrade",
+        "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Version: 13", f"Origin: {origin}",
+    ]  # fmt: skip
+    token.sendall(("\r\n".join(lines) + "\r\n\r\n").encode())
+    answer = token.recv(200).decode(errors="replace")
+    token.close()
+    return int(answer.split()[1])
+
+
+def test_no_other_origin_is_served(served):
+    for origin in ("http://example.org", "http://127.0.0.1:1", f"http://example.org:{served.port}", "null"):
+        assert upgrade(served.port, origin) == 403
+    for host in ("127.0.0.1", "localhost"):  # no session token: refused later, and not for its origin
+        assert upgrade(served.port, f"http://{host}:{served.port}") != 403
+
+
+def test_serves_this_machine_and_no_files(served):
+    outside = {info[4][0] for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)}
+    for host in outside - {"127.0.0.1"}:
+        with socket.socket() as probe:
+            probe.settimeout(2.0)
+            assert probe.connect_ex((host, served.port)) != 0 or host.startswith("127.")
+    for path in (
+        "/../model.toml",
+        "/static/../../../../../../etc/passwd",
+        "/static/%2e%2e/%2e%2e/setup.py",
+        "/x",
+    ):
+        ask = http.client.HTTPConnection("127.0.0.1", served.port, timeout=WAIT)
+        ask.request("GET", path)
+        assert ask.getresponse().status in (403, 404), path
+        ask.close()
+
+
+def test_a_taken_port_is_said(served):
+    with pytest.raises(OSError, match="in use"):
+        rco.explore(chain(), record(200)).show(served.port, browser=False)
+
+
+def test_ends_by_interruption(tmp_path):
+    assert Served(tmp_path, record(200)).close() == 0
+
+
+def test_shows_itself_in_a_notebook():
+    page = rco.explore(chain(), record(200))
+    assert "missed after 0 step(s)" in repr(page)
+
+
+def test_the_extra_is_named_where_it_is_missing(monkeypatch):
+    monkeypatch.setitem(sys.modules, "panel", None)
+    with pytest.raises(rco.MissingExtraError, match=r"rcorefine\[explore\]"):
+        rco.explore(chain(), record(200)).show(browser=False)
