@@ -12,6 +12,7 @@ from hidden.wider import wider_record
 
 import rcorefine as rco
 from rcorefine.commands.cli import main
+from rcorefine.diagnosis.checks.row import warned
 
 DT, N = 0.02, 2000
 MODEL = ct.ss([[0, 1], [-40, -2]], [[0], [40]], [[1, 0]], [[0]], inputs=["u"], outputs=["y"])
@@ -224,6 +225,16 @@ def test_information_says_what_would_be_seen():
     assert 4 * std < smallest < 8 * std
     assert found.to_dict()["rows"][0]["status"] == "ok"
     assert "Would show" in str(found)
+
+
+def test_what_is_odd_takes_three_lines_above_an_answer():
+    rows = [rco.CheckRow("look", f"thing {i}", "y", f"{i}", "word " * (5 + 40 * (i == 0))) for i in range(9)]
+    assert warned([]) == []
+    said = warned(rows)
+    assert len(said) == 2
+    assert sum(map(len, said)) < 240
+    assert "thing 0" in said[0]
+    assert "thing 4 y and 4 more (.checks)" in said[1]
 
 
 def test_bad_arguments():

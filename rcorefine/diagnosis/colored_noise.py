@@ -11,9 +11,11 @@ from ..inference.sensitivities import Candidate
 from ..inference.whitening import Whitener, in_own_units, project
 from ..systems.linear import Array
 from .residual_tests import TestedResidual
+from .spectral_line import spectral_line
 
-__all__ = ["gain_over_color", "is_drowned", "left_to_noise", "takes_error_for_color"]
+__all__ = ["BUT", "gain_over_color", "is_drowned", "left_to_noise", "takes_error_for_color"]
 
+BUT = "But "  # with which what is left to noise begins: it belongs to the verdict
 _LEFT = 0.5  # share of what the color of the residual gains, above which a candidate has not explained it
 
 
@@ -81,11 +83,22 @@ def left_to_noise(battery: TestedResidual, levels: Levels) -> list[str]:
     if memory == 0.0 or (fit >= levels.colored_fit and memory < levels.colored_size):
         return []
     run = "the prediction" if battery.fitted.refinement.led else "the free run"
-    order = max(battery.whitener.orders)
+    order, problem = max(battery.whitener.orders), battery.fitted.problem
+    residuals = battery.fitted.residuals(battery.ratio)
+    line = spectral_line(residuals, problem.records[0].dt) if problem.in_time else None
+    pure = (
+        ""
+        if line is None
+        else (
+            f" {100 * line[1]:.0f} % of that rest is a line at {line[0]:.4g} Hz: an unmeasured force or a "
+            "disturbance of that frequency."
+        )
+    )
     return [
-        f"But {run} explains only {fit:.3g} % of the record; the rest passes for noise with a memory "
-        f"(order {order}), {memory:.2g} times as large as what is new in each sample. If the sensor "
-        "has no such noise, the model is wrong there: give a record with another input, steps or a sweep."
+        f"{BUT}{run} explains only {fit:.3g} % of the record; the rest passes for noise with a memory "
+        f"(order {order}), {memory:.2g} times as large as what is new in each sample.{pure} If the "
+        "sensor has no such noise, the model is wrong there: give a record with another input, steps "
+        "or a sweep."
     ]
 
 

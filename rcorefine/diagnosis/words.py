@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from .absorbed import far_numbers, numbers_that_moved, what_was_absorbed
+from .colored_noise import BUT
 from .verdict import overall
 
 if TYPE_CHECKING:
@@ -43,7 +44,9 @@ def sentences(found: Diagnosis) -> list[str]:
         lines = ["The numbers of the model explain the record, moved so far that they may hide a law."]
     worst = min(found.tests, key=lambda t: t.p_value) if found.tests else None
     if found.verdict == "adequate":
-        lines = [f"{lines[0]} {what_was_absorbed(found.base)}".rstrip(), *_shown(found)]
+        rest = [note.removeprefix(BUT) for note in found.notes if note.startswith(BUT)]
+        head = f"{rest[0][0].upper()}{rest[0][1:]}" if rest else lines[0]
+        lines = [f"{head} {what_was_absorbed(found.base)}".rstrip(), *_shown(found)]
     elif worst is not None:  # without motion nothing could be tested
         lines += _open_law(found)
         fails = f"The model as it is fails: {worst.name}, p = {worst.p_value:.2g}."
@@ -86,7 +89,7 @@ def sentences(found: Diagnosis) -> list[str]:
             if found.base.of_responses
             else "suggest_experiment() names the record that would tell them apart."
         )
-    return [*lines, *found.notes]
+    return [*lines, *(note for note in found.notes if not note.startswith(BUT))]
 
 
 def _place(found: Diagnosis) -> str:

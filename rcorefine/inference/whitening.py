@@ -100,7 +100,8 @@ class Whitener:
         rows = []
         for block in blocks:
             for i, a in enumerate(self.filters):
-                rows.append(innovations(a, block[i])[a.size - 1 :] / self.scales[i])
+                with np.errstate(over="ignore"):  # the column of an enormous unit is as enormous
+                    rows.append(innovations(a, block[i])[a.size - 1 :] / self.scales[i])
         white = np.concatenate(rows, axis=0)
         if not len(white):
             raise DataError(

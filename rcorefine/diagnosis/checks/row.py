@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 __all__ = ["LOOK", "OK", "STOP", "CheckRow", "warned"]
 
-_MOST = 4  # rows that stand above another result
+_MOST, _LONG = 4, 150  # rows that are named above another result; letters of the first one there
 
 OK, LOOK, STOP = "ok", "look", "stop"
 
@@ -46,7 +46,19 @@ def warned(rows: Sequence[CheckRow]) -> list[str]:
     Returns
     -------
     list of str
-        A line each; of many the first ones, and how many are left out.
+        The first one in a sentence, the others by name: the answer is what was asked for.
     """
-    said = [f"{row.status.upper()}: {row.sentence}" for row in rows[:_MOST]]
-    return said if len(rows) <= _MOST else [*said, f"LOOK: {len(rows) - _MOST} more rows in .checks."]
+    if not rows:
+        return []
+    first, *others = rows
+    sentence = first.sentence if len(first.sentence) <= _LONG or first.status == STOP else _short(first)
+    said = [f"{first.status.upper()}: {sentence}"]
+    named = [f"{row.what} {row.where}".strip() for row in others]
+    if named:
+        more = f" and {len(named) - _MOST} more" if len(named) > _MOST else ""
+        said.append(f"{others[0].status.upper()}: also {', '.join(named[:_MOST])}{more} (.checks).")
+    return said
+
+
+def _short(row: CheckRow) -> str:
+    return f"{row.what} {row.where}: {row.figure} (.checks)."
