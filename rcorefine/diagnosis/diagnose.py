@@ -49,6 +49,7 @@ from .without_a_law import (
     under_another_hold,
     without_a_law,
 )
+from .zeros import gains_by_zeros, zeros_sought
 
 __all__ = ["diagnose", "investigate"]
 
@@ -240,7 +241,7 @@ def investigate(
         if force is not None or numbers is not None or not is_drowned(free_run, case.levels):
             return adequate(case, Explained(free_run, scored, tests)), None
         lost = Judged(judged.race, [], False)  # it passes as the model does: that says nothing
-        return replace(_named(case, lost, scored, scores, batteries, validation), tests=tuple(tests)), race
+        return _named(case, lost, scored, scores, batteries, validation, tests), race
     if force is not None:
         earned = earned_beside(case, force, judged)
         if earned is None:
@@ -249,10 +250,10 @@ def investigate(
     plainer = numbers_instead(case, numbers, floated, judged)
     if plainer is not None:
         return parameters(case, plainer, tests), None
-    if not judged.passed:
-        judged = second_chance(case, judged, scored, chosen)
-    found = _named(case, judged, scored, scores, batteries, validation)
-    return replace(found, tests=tuple(tests)), judged.race
+    other = None if judged.passed else _with_zeros_sought(case, judged, validation)
+    if other is None:
+        judged = judged if judged.passed else second_chance(case, judged, scored, chosen)
+    return other or (_named(case, judged, scored, scores, batteries, validation, tests), judged.race)
 
 
 def _unseen(case: Case, base: Refinement) -> Diagnosis | None:
@@ -264,6 +265,27 @@ def _unseen(case: Case, base: Refinement) -> Diagnosis | None:
     return Diagnosis("ambiguous", (), alike, (), (), (), force_ratio=0.0, notes=(still,), **case.about)
 
 
+def _with_zeros_sought(
+    case: Case, judged: Judged, validation: Measurement | None
+) -> tuple[Diagnosis, CandidateFits | None] | None:
+    """The diagnosis with offsets wherever laws want them, where that says more."""
+    base = zeros_sought(case, judged)
+    if base is None:
+        return None
+    found, race = investigate(
+        base,
+        case.records,
+        asked=case.library,
+        validation=validation,
+        settings=case.settings,
+        significance=case.significance,
+        progress=case.progress,
+        thorough=case.thorough,
+    )
+    named = found.verdict in ("effect", "ambiguous")
+    return (found, race) if named or gains_by_zeros(case, judged, race) else None
+
+
 def _named(
     case: Case,
     judged: Judged,
@@ -271,6 +293,7 @@ def _named(
     scores: Sequence[FTest],
     batteries: Sequence[TestedResidual],
     validation: Measurement | None,
+    tests: Sequence[FTest],
 ) -> Diagnosis:
     """The ranking, who is tied, and what the tests of the winner make of it."""
     race = judged.race
@@ -301,5 +324,5 @@ def _named(
         with case.progress.step("pairs"):
             notes += pair_hint(case, judged, scored)
     own = {"force_ratio": race.ratio, "notes": tuple(notes), **case.about}
-    found = Diagnosis(word, rows, alike, (), tuple(judged.tests), (), **own)
+    found = Diagnosis(word, rows, alike, tuple(tests), tuple(judged.tests), (), **own)
     return replace(found, none_of_these=none, places=places, open_law=None if law is None else law.law)

@@ -24,6 +24,7 @@ __all__ = [
     "about_hold",
     "adequate",
     "earned_beside",
+    "likelihood",
     "numbers_instead",
     "parameters",
     "under_another_hold",
@@ -89,18 +90,18 @@ def under_another_hold(case: Case, rival: Floated | None) -> Diagnosis | None:
     scored = candidate_columns(other.fitted, other.library, other.motions[0], (0.0,))
     free_run = TestedResidual(other.fitted)
     tests = run_tests(free_run, scored, other.motions)
-    least = -np.inf if rival is None else _likelihood(rival.battery) - 0.5 * case.levels.rival
-    as_it_is = _likelihood(free_run) >= least and other.passes(tests, other.fitted)
+    least = -np.inf if rival is None else likelihood(rival.battery) - 0.5 * case.levels.rival
+    as_it_is = likelihood(free_run) >= least and other.passes(tests, other.fitted)
     if as_it_is and gain_over_color(free_run, scored) < case.levels.color:
         found = adequate(other, Explained(free_run, scored, tests))
         return replace(found, notes=(sentence, *found.notes))
     numbers = explaining_numbers(other, floating(other))
-    if numbers is None or _likelihood(numbers.battery) < least:
+    if numbers is None or likelihood(numbers.battery) < least:
         return None
     return replace(parameters(other, numbers, tests), notes=(sentence,))
 
 
-def _likelihood(battery: TestedResidual) -> float:
+def likelihood(battery: TestedResidual) -> float:
     """Log-likelihood in the units of the record: two fits need not share those of their noise."""
     n = sum(r.shape[1] for r in battery.fitted.residuals(battery.ratio))
     return float(battery.log_likelihood + n * np.sum(np.log(battery.fitted.problem.weights)))

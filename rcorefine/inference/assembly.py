@@ -23,8 +23,17 @@ from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array, LinearModel
 from .refinement import Refinement
 
-__all__ = ["assemble", "check_settings", "nominal_size", "offset_variants", "priors", "unfold"]
+__all__ = [
+    "assemble",
+    "check_settings",
+    "nominal_size",
+    "offset_variants",
+    "offsets_everywhere",
+    "priors",
+    "unfold",
+]
 
+_OFF = {"inputs": 1.0, "outputs": 10.0}  # sd of an offset over the rms of the signal: sensors are off by more
 _LOOSE = 30.0  # relative sd of a linear parameter that floats freely
 
 
@@ -150,6 +159,20 @@ def offset_variants(physical: PhysicalModel, record: Measurement, offset: bool) 
     taken = set(seen[: linear.n_inputs])
     rest = [effect for i, effect in enumerate(at_outputs) if i not in taken]
     return [at_inputs + rest, at_outputs]
+
+
+def offsets_everywhere(physical: PhysicalModel, record: Measurement) -> list[Effect]:
+    """A constant offset at every input and output; what a linear model cannot tell, priors settle."""
+    linear = physical.linear
+    found = []
+    for law, labels, signals, wide in (
+        (InputOffset, linear.input_labels, record.inputs, _OFF["inputs"]),
+        (OutputOffset, linear.output_labels, record.outputs, _OFF["outputs"]),
+    ):
+        for label, signal in zip(labels, signals, strict=True):
+            size = float(np.sqrt(np.mean(signal**2)))
+            found.append(Effect(law.name, label, prior={"offset": wide * (size or 1.0)}))
+    return found
 
 
 def _own_levels(linear: LinearModel) -> list[int]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 from scipy.signal import lfilter
 
@@ -180,7 +181,11 @@ def parameter_uncertainty(
 
 
 def unseen_combinations(
-    uncertainty: Uncertainty, theta: Array, names: Sequence[str], spread: Array
+    uncertainty: Uncertainty,
+    theta: Array,
+    names: Sequence[str],
+    spread: Array,
+    settled: NDArray[np.bool_] | None = None,
 ) -> list[str]:
     """Sentences that name what the record cannot tell apart.
 
@@ -194,6 +199,8 @@ def unseen_combinations(
         Their names.
     spread : ndarray, shape (p,)
         Their standard deviations.
+    settled : ndarray of bool, shape (p,), optional
+        Nuisances that have priors: which of them it is settles nothing else.
 
     Returns
     -------
@@ -219,6 +226,8 @@ def unseen_combinations(
     sd = standard_deviations(C)
     for i in range(p):
         for j in range(i):
+            if settled is not None and settled[i] and settled[j]:
+                continue
             if not (np.isfinite(sd[i]) and np.isfinite(sd[j]) and sd[i] > 0 and sd[j] > 0):
                 continue
             rho = C[i, j] / (sd[i] * sd[j])

@@ -190,6 +190,7 @@ def refit(
     data: Measurement | Sequence[Measurement],
     *,
     without: Effect | None = None,
+    offsets: Sequence[Effect] | None = None,
     elsewhere: bool = True,
     tolerance: float = 0.0,
     offset: bool = True,
@@ -206,6 +207,8 @@ def refit(
         Record, or several.
     without : Effect, optional
         An effect of the model to leave out.
+    offsets : sequence of Effect, optional
+        Constant offsets in place of its own.
     elsewhere : bool
         Whether the offset of a nonlinear model tries its other place too.
     tolerance, offset, noise, horizon
@@ -221,6 +224,8 @@ def refit(
     widths = {(e.kind, e.place): model.constants.get(i) for i, (e, _) in enumerate(kept)}
     if without is not None:
         kept = [(e, role) for e, role in kept if (e.kind, e.place) != (without.kind, without.place)]
+    if offsets is not None:
+        kept = [(e, role) for e, role in kept if role != "offset"] + [(e, "offset") for e in offsets]
     best: Fit | None = None
     for chosen in [kept, *(_other_offsets(kept, physical, records[0], offset) if elsewhere else [])]:
         effects = [e for e, _ in chosen]
