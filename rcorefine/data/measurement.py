@@ -16,7 +16,7 @@ from ..results import Options, Result, picture, show
 from ..systems.linear import Array
 from .parts import FIELDS, RecordParts
 from .reading import RecordReaders
-from .signals import HOLDS, as_signals, as_time_grid, check_finite, default_labels
+from .signals import HOLDS, as_signals, as_time_grid, check_finite, check_sizes, default_labels
 
 if TYPE_CHECKING:
     from .frequency_response import FrequencyResponse
@@ -142,6 +142,8 @@ class Measurement(Result, RecordReaders, RecordParts):
         step, times = as_time_grid(dt, timepts, n_samples)
         check_finite(w, w_labels, times, "input")
         check_finite(y, y_labels, times, "output")
+        check_sizes(w, w_labels, "input")
+        check_sizes(y, y_labels, "output")
         count = w.shape[0] + y.shape[0]
         taken = np.zeros(count) if origin is None else as_vector(origin, "origin", count).copy()
         for array in (w, y, times, taken):

@@ -12,7 +12,7 @@ from ..arguments import as_array, as_number
 from ..exceptions import DataError
 from ..systems.linear import Array
 
-__all__ = ["HOLDS", "as_signals", "as_time_grid", "check_finite", "default_labels"]
+__all__ = ["HOLDS", "as_signals", "as_time_grid", "check_finite", "check_sizes", "default_labels"]
 
 HOLDS = ("zoh", "foh", "bandlimited")
 
@@ -73,6 +73,19 @@ def as_signals(values: Any, what: str) -> Array:
 def default_labels(prefix: str, count: int) -> tuple[str, ...]:
     """Labels that python-control itself would give: u[0], u[1], ..."""
     return tuple(f"{prefix}[{index}]" for index in range(count))
+
+
+#: Sizes of signals between which squares, and their ratios, are numbers.
+SMALLEST, LARGEST = 1e-100, 1e100
+
+
+def check_sizes(signals: Array, labels: Sequence[str], what: str, smallest: float = SMALLEST) -> None:
+    """Refuse a signal whose square is no number."""
+    for label, size in zip(labels, np.abs(signals).max(axis=1, initial=0.0), strict=True):
+        if size and not smallest <= size < LARGEST:
+            raise DataError(
+                f"{what} {label!r} reaches {size:.3g}, whose square is no number; give it in another unit"
+            )
 
 
 def check_finite(signals: Array, labels: Sequence[str], times: Array | None, what: str) -> None:

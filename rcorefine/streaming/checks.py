@@ -9,6 +9,7 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_array, as_number, as_whole
+from ..data.signals import check_sizes
 from ..exceptions import DataError, ModelError
 from ..systems.linear import Array, LinearModel
 
@@ -85,9 +86,10 @@ def as_block(model: LinearModel, w: Any, y: Any) -> tuple[Array, Array]:
 
 
 def check_samples(signals: Array, labels: Sequence[str], what: str, first: int, dt: float | None) -> None:
-    """Refuse NaN and Inf; samples are counted from the start of the stream."""
+    """Refuse NaN and Inf, and what has no square; samples are counted from the start of the stream."""
     bad = ~np.isfinite(signals)
     if not bad.any():
+        check_sizes(signals, labels, what, smallest=0.0)  # a sample may be as small as it likes
         return
     sample = int(np.argmax(bad.any(axis=0)))
     row = int(np.argmax(bad[:, sample]))

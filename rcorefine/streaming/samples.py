@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import control as ct
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..data.measurement import Measurement
+from ..data.signals import LARGEST, SMALLEST
 from ..exceptions import DataError
 from ..systems.conversion import to_discrete
 from ..systems.linear import Array, LinearModel
@@ -41,12 +41,14 @@ def checked_block(
         and w.shape == (model.n_inputs,)
         and y.shape == (model.n_outputs,)
         and w.dtype == y.dtype == np.float64
-        and math.isfinite(sum(w.tolist()) + sum(y.tolist()))
+        and sum(map(abs, w.tolist())) + sum(map(abs, y.tolist())) < LARGEST  # and no NaN
     ):
         return w[None].copy(), y[None].copy()
     inputs, outputs = as_block(model, w, y)
     check_samples(inputs, model.input_labels, "input", first, step)
     check_samples(outputs, model.output_labels, "output", first, step)
+    # what is too small to have a square counts as nothing
+    inputs, outputs = (np.where(np.abs(one) < SMALLEST, 0.0, one) for one in (inputs, outputs))
     return np.ascontiguousarray(inputs.T), np.ascontiguousarray(outputs.T)
 
 

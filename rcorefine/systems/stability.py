@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import linalg
 
+from .balance import balance
 from .linear import LinearModel
 
 __all__ = ["growth", "stabilized"]
@@ -53,10 +54,15 @@ def stabilized(model: LinearModel, limit: float) -> LinearModel:
     def wild(real: float, imaginary: float) -> bool:
         return (real if continuous else abs(complex(real, imaginary))) > bound
 
-    triangle, basis, count = linalg.schur(model.A, output="real", sort=wild)
+    units = balance(model.A)  # those of the user may be far apart
+    A = model.A * units / units[:, None]
+    try:
+        triangle, basis, count = linalg.schur(A, output="real", sort=wild)
+    except linalg.LinAlgError:  # modes that rounding moves across the bound: all are slowed down
+        triangle, basis, count = A.copy(), np.eye(len(A)), len(A)
     block = triangle[:count, :count]
     if continuous:
         block -= (growth(model) - limit) * np.eye(count)
     else:
         block *= bound / np.exp(growth(model))
-    return model.with_arrays(A=basis @ triangle @ basis.T)
+    return model.with_arrays(A=(basis @ triangle @ basis.T) * units[:, None] / units)
