@@ -117,6 +117,10 @@ class Improvement(ReportedModel):
                 if before > 0
                 else f"{label} had no error."
             )
+        for i, step in enumerate(self.steps):
+            if step.effect is not None and step.rivals and step.action != "drop":
+                others = ", ".join(effect.label for effect in step.rivals)
+                lines.append(f"Step {i}: the record cannot tell {step.effect.label} from {others}.")
         lines.append(self.message)
         home = self._homecoming()
         return lines + ([home] if home else []) + list(self.notes)
