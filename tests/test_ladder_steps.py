@@ -90,7 +90,8 @@ def test_a_tied_effect_that_the_choosing_part_contradicts_is_not_taken() -> None
     ladder = rco.improve(mass(), data, candidates=laws)
     assert ladder.effects == ()
     assert ladder.verdict != "adequate"
-    assert "No effect" in ladder.message
+    # refused by the part that chooses, or taken back by the one that judges
+    assert "No effect" in ladder.message or "Taken back" in ladder.message
     assert ladder.refinement.rmse == pytest.approx(ladder.steps[0].train_rmse)
 
 

@@ -18,7 +18,8 @@ from .structure import Structure
 __all__ = ["brief_modes", "estimate_initial_state"]
 
 _BRIEF = 0.63  # what is left of a mode after a sample, if a hundredth is left after ten
-_WIDE = 30.0  # standard deviations of how a brief mode starts, over the largest motion that it shows
+_TELLS = 0.5  # of the spread of an output that the free run from rest may leave, if the model's modes count
+_WIDE = 1000.0  # standard deviations of how a brief mode starts, over the largest motion that it shows
 
 
 def brief_modes(engine: Engine) -> Array:
@@ -35,7 +36,8 @@ def brief_modes(engine: Engine) -> Array:
     Returns
     -------
     ndarray, shape (k, n)
-        Rows whose products with the initial state have standard deviation 1; none where no mode is brief.
+        Rows whose products with the initial state have standard deviation 1; none where no mode is brief, or
+        where the model explains too little for its modes to count.
     """
     structure, theta, data = Structure(engine.structure.model), np.zeros(0), engine.data
     n, added = structure.n_states, engine.structure.n_states - structure.n_states
@@ -48,13 +50,14 @@ def brief_modes(engine: Engine) -> Array:
     alone = Engine(structure, data, substeps=engine.substeps)
     gain = observer_gain(structure, theta, data, 1.0)
     with np.errstate(all="ignore"):
-        runs = [
-            alone.run(theta, sensitivity=False, gain=g, histories=True, check=False).states
+        free, led = (
+            alone.run(theta, sensitivity=False, gain=g, histories=True, check=False)
             for g in (np.zeros_like(gain), gain)
-        ]
-    sound = [states for states in runs if np.isfinite(states).all()]
-    if not sound:
+        )
+        left = (data.outputs - free.outputs).std(axis=1)
+    if not np.all(left < _TELLS * data.outputs.std(axis=1)):  # a model so far off has other modes
         return none
+    sound = [run.states for run in (free, led) if np.isfinite(run.states).all()]
     sizes = np.max([np.abs(states).max(axis=1) for states in sound], axis=0)
     sizes = np.where(sizes > 0, sizes, 1.0)
     # a left invariant subspace: what it takes of the state depends on the past by brief modes alone

@@ -59,7 +59,8 @@ def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
     covariance = unsure.covariance[:p, :p]
     spread = standard_deviations(covariance)
     names = [q.label for q in structure.parameters]
-    settled = np.isfinite(problem.prior_sd) & [roles[q.effect] == "offset" for q in structure.parameters]
+    offsets = np.array([roles[q.effect] == "offset" for q in structure.parameters], dtype=bool)
+    settled = np.isfinite(problem.prior_sd) & offsets
     found = tuple(unseen_combinations(unsure, theta, names, spread, settled))
     for sentence in found:
         warnings.warn(sentence, IdentifiabilityWarning, stacklevel=4)

@@ -54,6 +54,9 @@ class Problem:
         Substeps per sampling interval.
     initial : ndarray of shape (n,), or None
         Known initial state; estimated per record where None, and of no meaning for frequency responses.
+    hold_brief : bool
+        Whether brief modes start as they move (`brief_modes`), to a prior in units of the noise: not where
+        the weights are no noise levels.
 
     Attributes
     ----------
@@ -71,6 +74,7 @@ class Problem:
         prior_sd: Array,
         substeps: int = 1,
         initial: Array | None = None,
+        hold_brief: bool = True,
     ) -> None:
         self.structure, self.weights = structure, weights
         self.records: list[Any] = list(records)
@@ -84,6 +88,7 @@ class Problem:
         ]
         self.n_theta, self.n_states = structure.n_parameters, structure.n_states
         self.free_start = initial is None
+        self._hold_brief = hold_brief
         self.gain: Array | None = None
         self._cache: tuple[Array, Evaluation] | None = None
         rest = np.zeros(self.size - self.n_theta)
@@ -167,7 +172,10 @@ class Problem:
     def _prior(self) -> Array:
         """Rows of the priors: of the coefficients that have one, then of how brief modes start."""
         held = np.flatnonzero(np.isfinite(self.prior_sd))
-        starts = [brief_modes(engine) for engine in self.engines] if self.free_start else []
+        starts = []
+        if self.free_start:
+            none = np.zeros((0, self.n_states))
+            starts = [brief_modes(engine) if self._hold_brief else none for engine in self.engines]
         return np.asarray(block_diag(np.eye(self.n_theta)[held] / self.prior_sd[held, None], *starts))
 
     @cached_property

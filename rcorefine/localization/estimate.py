@@ -114,6 +114,7 @@ class Joint:
             prior_sd=self.prior_sd,
             substeps=substeps or self.substeps,
             initial=self.initial,
+            hold_brief=False,
         )
 
     @property
