@@ -157,12 +157,8 @@ class Measurement(Result, RecordReaders, RecordParts):
         for field, value in zip(FIELDS, values, strict=True):
             object.__setattr__(self, field, value)
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {field: getattr(self, field) for field in FIELDS}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        # neither pickle nor deepcopy keeps the read-only flag of an array
-        for field in FIELDS:
+    def _restore(self, state: dict[str, Any]) -> None:
+        for field in FIELDS:  # neither pickle nor deepcopy keeps the read-only flag of an array
             if field in _ARRAYS:
                 state[field].setflags(write=False)
             object.__setattr__(self, field, state[field])
@@ -348,3 +344,7 @@ def as_records(data: Any, name: str = "data") -> list[Measurement]:
 
 def _units(values: Any, what: str, count: int) -> tuple[str, ...]:
     return ("",) * count if values is None else as_texts(values, what, count)
+
+
+Measurement.__getstate__ = lambda self: {f: getattr(self, f) for f in FIELDS}  # type: ignore
+Measurement.__setstate__ = Measurement._restore  # type: ignore  # Python < 3.11.4 takes none from the body

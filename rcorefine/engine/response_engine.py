@@ -15,6 +15,7 @@ from ..data.measurement import Measurement
 from ..data.response_record import ResponseRecord, coded
 from ..exceptions import DivergenceError, ModelError
 from ..models.operating_point import refuse_point
+from ..models.ports import felt
 from ..systems.linear import Array, LinearModel
 from .engine import Engine, Trajectory
 from .leading import leading_gain
@@ -138,7 +139,7 @@ class ResponseEngine:
         seen = "position" if port.has_position else "velocity"
         sense, direct = getattr(port, seen), getattr(port, f"{seen}_input")
         row, act = np.pad(sense, (0, n - n0))[None], np.pad(port.act, (0, n - n0))[:, None]
-        out = port.felt(s.model.output_rate)
+        out = felt(port, s.model.output_rate)
         points = 1j * self.data.omega
         to, _ = _transfer([(m.A, m.B[:, :nw], row, direct[None])], points)
         back, _ = _transfer([(m.A, act, m.C, out[:, None])], points)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..data.measurement import Measurement
 from ..engine.smoother import Smoothed, smooth
-from ..models.ports import Port
+from ..models.ports import Port, felt
 from ..systems.discretization import discretize
 from ..systems.linear import Array, LinearModel
 from .refinement import Refinement
@@ -53,7 +53,7 @@ def estimated_force(
     act = np.zeros(n)
     act[: port.act.size] = port.act
     B = np.vstack([linear.B, np.zeros((1, linear.n_inputs))])
-    C = np.column_stack([linear.C, port.felt(model.physical_model.output_rate)])
+    C = np.column_stack([linear.C, felt(port, model.physical_model.output_rate)])
     hold = "zoh" if record.hold == "zoh" else "foh"
     w = record.inputs
     R = np.diag(np.maximum(noise, 1e-6 * record.outputs.std(axis=1)) ** 2)

@@ -15,6 +15,7 @@ from ..engine.linear_response import linear_responses
 from ..engine.point import resting
 from ..engine.response_engine import ResponseEngine, engine_on
 from ..engine.structure import Structure
+from ..models.ports import felt
 from ..systems.discretization import discretize
 from ..systems.linear import Array
 from .fitted import FittedModel
@@ -307,7 +308,7 @@ def force_responses(
     names = list(dict.fromkeys(name for name, _ in forces))
     ports = [structure.model.port(name) for name in names]
     unique = np.column_stack([np.pad(port.act, (0, n - n0)) for port in ports])
-    through = np.column_stack([port.felt(structure.model.output_rate) for port in ports])
+    through = np.column_stack([felt(port, structure.model.output_rate) for port in ports])
     Phi, G0, G1 = discretize(A, unique, data.dt, "foh")
     jumps = sample_jumps(structure, data.dt)
     Phi = jumps @ Phi if jumps.size else Phi

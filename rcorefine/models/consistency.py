@@ -61,11 +61,6 @@ def check_sizes(model: PhysicalModel) -> None:
             raise ct.ControlDimension(f"{key} has {len(units)} entries for {size} {what}")
         store(model, key, units)
     store(model, "ports", tuple(as_list(model.ports, "ports", "Port objects")))
-    for port in model.ports:
-        if port.output.size not in (0, linear.n_outputs):
-            raise ct.ControlDimension(
-                f"output of port {port.name!r} has {port.output.size} entries for {linear.n_outputs} outputs"
-            )
     store(model, "parameters", tuple(as_list(model.parameters, "parameters", "nominal parameters")))
 
 
@@ -120,6 +115,10 @@ def check_places(model: PhysicalModel) -> None:
         if port.act.size != linear.n_states:
             raise ct.ControlDimension(
                 f"port {port.name!r} is for {port.act.size} states, the model has {linear.n_states}"
+            )
+        if port.output.size not in (0, linear.n_outputs):
+            raise ct.ControlDimension(
+                f"output of port {port.name!r} has {port.output.size} entries for {linear.n_outputs} outputs"
             )
         if port.velocity_input.size != linear.n_inputs:
             if port.velocity_input.any() or port.position_input.any() or port.acceleration_input.any():

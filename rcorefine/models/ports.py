@@ -13,7 +13,7 @@ from ..effects.domains import domain_of
 from ..exceptions import ModelError
 from ..systems.linear import Array
 
-__all__ = ["Port"]
+__all__ = ["Port", "felt"]
 
 _TEXTS = ("kind", "position_unit", "velocity_unit", "force_unit", "description")
 _ARRAYS = ("act", "position", "position_input", "velocity", "velocity_input", "acceleration_input")
@@ -123,30 +123,15 @@ class Port:
         output.setflags(write=False)
         object.__setattr__(self, "output", output)
 
-    def __setstate__(self, state: tuple[Any, ...]) -> None:
+    def _restore(self, state: tuple[Any, ...]) -> None:
         # numpy forgets the write protection when it pickles
         for key, value in zip(self.__slots__, state, strict=True):
             if isinstance(value, np.ndarray):
                 value.setflags(write=False)
             object.__setattr__(self, key, value)
 
-    def __getstate__(self) -> tuple[Any, ...]:
+    def _state(self) -> tuple[Any, ...]:
         return tuple(getattr(self, key) for key in self.__slots__)
-
-    def felt(self, output_rate: Array) -> Array:
-        """What sensors read at once of a unit resisting force here, shape (n_y,).
-
-        Parameters
-        ----------
-        output_rate : ndarray of shape (n_y, n)
-            What they read of the rates of the states, as in `PhysicalModel`.
-
-        Returns
-        -------
-        ndarray
-        """
-        at_once = output_rate @ self.act
-        return np.asarray(at_once + self.output if self.output.size else at_once)
 
     @property
     def has_position(self) -> bool:
@@ -179,3 +164,26 @@ class Port:
 
     def __str__(self) -> str:
         return f"{self.name} ({self.kind.replace('_', ' ')}): {self.description}"
+
+
+# before Python 3.11.4 a frozen dataclass with slots takes no such methods from its body
+Port.__getstate__ = Port._state  # type: ignore[method-assign, assignment]
+Port.__setstate__ = Port._restore  # type: ignore[attr-defined]
+
+
+def felt(port: Port, output_rate: Array) -> Array:
+    """What sensors read at once of a unit resisting force at a port.
+
+    Parameters
+    ----------
+    port : Port
+        Where the force acts.
+    output_rate : ndarray of shape (n_y, n)
+        What they read of the rates of the states, as in `PhysicalModel`.
+
+    Returns
+    -------
+    ndarray, shape (n_y,)
+    """
+    at_once = output_rate @ port.act
+    return np.asarray(at_once + port.output if port.output.size else at_once)

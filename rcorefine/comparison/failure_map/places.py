@@ -12,6 +12,7 @@ import numpy as np
 from ...data.channels import Channels
 from ...exceptions import RCOError, RCOWarning
 from ...models.physical_model import PhysicalModel
+from ...models.ports import felt
 from ...systems.linear import Array, LinearModel
 
 __all__ = ["Place", "Places", "found_places", "given_places"]
@@ -129,7 +130,7 @@ def _places(
             Place(
                 port.name, port.kind, states(port.act), states(port.position), states(port.velocity),
                 inputs(port.position_input), inputs(port.velocity_input),
-                port.felt(physical.output_rate)[rows], port.position_unit, port.velocity_unit,
+                felt(port, physical.output_rate)[rows], port.position_unit, port.velocity_unit,
             )
             for port in physical.ports
         ),

@@ -18,6 +18,7 @@ from ...exceptions import ModelError
 from ...inference.linearized import linearized
 from ...inference.starts import Motion, law_widths, shape_starts
 from ...models.library import effect_library
+from ...models.ports import felt
 from ...systems.discretization import discretize
 from ...systems.linear import Array
 from .forces import CODES, forces
@@ -291,7 +292,7 @@ def _columns(
     port = structure.model.port(effect.place)
     pad = n - port.act.size
     act = np.pad(port.act, (0, pad))
-    place = act, port.felt(structure.model.output_rate)
+    place = act, felt(port, structure.model.output_rate)
     d = np.concatenate([port.position, np.zeros(pad), port.position_input])
     v = np.concatenate([port.velocity, np.zeros(pad), port.velocity_input])
     if law.inertial:
