@@ -27,6 +27,7 @@ source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 html_theme = "pydata_sphinx_theme"
 html_title = f"rcorefine {__version__}"
 html_static_path = ["_static"]
+html_sidebars = {name: [] for name in ("start", "howto", "paper", "readme", "changelog")}  # no pages below
 html_css_files = ["site.css"]
 html_show_sourcelink = False
 html_theme_options = {
@@ -88,14 +89,14 @@ def _pages(app):
 
 #: Links between files of the repository, as they stand there, and where they lead on the site.
 _MOVED = [
-    (r"\]\((?:\.\./)*notebooks/(0[123]_\w+)\.py\)", r"](notebooks/\1.md)"),
+    (r"\]\((?:\.\./)*notebooks/(\d\d_\w+)\.(?:py|ipynb)\)", r"](notebooks/\1.md)"),
     (r"\]\(((?:\.\./)*)\.\./README\.md", r"](\1readme.md"),
 ]
 _MOVED_OF_README = [
     (r"\]\(docs/", "]("),
     (r"\]\(CHANGELOG\.md", "](changelog.md"),
     (r"\[CONTRIBUTING\.md\]\(CONTRIBUTING\.md\)", "`CONTRIBUTING.md`"),
-    (r"\]\((notebooks/(?!0[123]_)|LICENSE)", r"](../\1"),
+    (r"\]\((notebooks/(?!\d\d_)|LICENSE)", r"](../\1"),
 ]
 
 

@@ -133,7 +133,8 @@ def draw(kind, sort, path):
     part = slice(0, 400)
     axes[0].plot(blank.timepts[part], outputs[0, part], color=GRAY, lw=3, label="plant with it")
     axes[0].plot(blank.timepts[part], plain[0, part], color=RED, lw=1, ls="--", label="model")
-    axes[0].set(xlabel="time [s]", ylabel=blank.output_labels[0], title="In time")
+    output = f"[{model.output_units[0]}]"
+    axes[0].set(xlabel="time [s]", ylabel=f"{blank.output_labels[0]} {output}", title="In time")
     axes[0].legend(fontsize="small")
     rng = np.random.default_rng(1)
     for factor, color in ((0.25, BLUE), (1.0, "k")):
@@ -153,7 +154,8 @@ def draw(kind, sort, path):
     axes[1].legend(fontsize="small")
     if sort in ("input", "output"):
         axes[2].plot(plain[0], outputs[0], ".", ms=2, color=BLUE)
-        axes[2].set(xlabel="output of the model", ylabel="output of the plant", title="One against the other")
+        axes[2].set(title="One against the other")
+        axes[2].set(xlabel=f"output of the model {output}", ylabel=f"output of the plant {output}")
     else:
         fixed = {**effect.fixed, **dict(zip(effect.coefficients, found, strict=True))}
         held = rco.Effect(kind, effect.place, fixed=fixed)
@@ -163,12 +165,14 @@ def draw(kind, sort, path):
         motion = port.position @ states if "position" in effect.spec.needs else port.velocity @ states
         if run.forces.size:
             axes[2].plot(motion, run.forces[0], ".", ms=2, color=BLUE)
-            axes[2].set_ylabel("its force")
+            axes[2].set_ylabel(f"its {'flow' if sort == 'first_order' else 'force'} [{port.force_unit}]")
         else:
             axes[2].plot(motion, outputs[0] - plain[0], ".", ms=2, color=BLUE)
-            axes[2].set_ylabel("change of the output")
-        what = "displacement" if "position" in effect.spec.needs else "velocity"
-        axes[2].set(xlabel="state" if sort == "first_order" else what, title="Against the motion")
+            axes[2].set_ylabel(f"change of the output {output}")
+        moved = "position" in effect.spec.needs
+        what = "state" if sort == "first_order" else "displacement" if moved else "velocity"
+        unit = port.position_unit if moved else port.velocity_unit
+        axes[2].set(xlabel=f"{what} [{unit}]", title="Against the motion")
     for ax in axes:
         ax.grid(alpha=0.3)
     figure.savefig(path, dpi=90)
@@ -195,13 +199,13 @@ def page(kind, sort, folder):
     effect, found, _ = shown(sort)[kind]
     draw(kind, sort, folder / f"{kind}.png")
     rows = "".join(
-        f"| `{c.name}` | {c.unit_rule} | {c.explanation} | {value:.3g} |\n"
+        f"| `{c.name}` | {model.unit(effect, c.name)} | {c.explanation} | {value:.3g} |\n"
         for c, value in zip(law.coefficients, found, strict=True)
     )
     verdict, said = diagnosed(kind, sort)
     near = "".join(f"| [{k}]({k}.md) | {like:.2f} |\n" for k, like in confused(kind, sort))
     sentences = "\n".join(f"> {sentence}\n>" for sentence in said).rstrip(">").rstrip()
-    formula = f"`{law.formula}`\n\n" if law.formula else ""
+    formula = "`" + law.formula.replace("`", "") + "`\n\n" if law.formula else ""
     return f"""# {kind}
 
 {law.__doc__.strip().splitlines()[0]} {effect.explanation}

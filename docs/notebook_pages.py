@@ -1,47 +1,37 @@
-"""Percent scripts as pages: their text, their code, what it prints and draws."""
+"""Notebooks as pages: their text, their code, what it printed and drew when `run_notebooks.py` ran them."""
 
-import contextlib
-import io
-import re
+import base64
+import json
+from itertools import chain
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
-
 NOTEBOOKS = Path(__file__).resolve().parent.parent / "notebooks"
-NAMES = ("01_rlc_circuit", "02_one_dof_transmissibility", "03_two_dof_structure")
 
 
 def write(folder):
-    """Run the notebooks of the paper, unless their pages are newer."""
+    """A page for each notebook, its pictures beside it."""
     folder.mkdir(exist_ok=True)
-    for name in NAMES:
-        source, target = NOTEBOOKS / f"{name}.py", folder / f"{name}.md"
-        if not target.exists() or target.stat().st_mtime < source.stat().st_mtime:
-            target.write_text(page(source, folder), encoding="utf-8")
+    for source in sorted(NOTEBOOKS.glob("*.ipynb")):
+        cells = json.loads(source.read_text(encoding="utf-8"))["cells"]
+        parts = [shown(cell, folder, f"{source.stem}_{number}") for number, cell in enumerate(cells)]
+        text = "\n\n".join(chain.from_iterable(parts)) + "\n"
+        target = folder / f"{source.stem}.md"
+        if not target.exists() or target.read_text(encoding="utf-8") != text:
+            target.write_text(text, encoding="utf-8")
 
 
-def page(source, folder):
-    """Markdown of one script; its pictures are written beside."""
-    cells = re.split(r"^# %%", source.read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]
-    parts, scope, before = [], {}, plt.rcParams.copy()
-    for number, cell in enumerate(cells):
-        head, _, body = cell.partition("\n")
-        if "[markdown]" in head:
-            parts.append(re.sub(r"^# ?", "", body, flags=re.MULTILINE).strip())
-            continue
-        parts.append(f"```python\n{body.strip()}\n```")
-        said = io.StringIO()
-        with contextlib.redirect_stdout(said):
-            exec(compile(body, source.name, "exec"), scope)
-        if said.getvalue().strip():
-            parts.append(f"```text\n{said.getvalue().rstrip()}\n```")
-        for figure in plt.get_fignums():
-            name = f"{source.stem}_{number}_{figure}.png"
-            plt.figure(figure).savefig(folder / name, dpi=90)
-            parts.append(f"![{source.stem}, figure {figure} of cell {number}]({name})")
-        plt.close("all")
-    plt.rcParams.update(before)
-    return "\n\n".join(parts) + "\n"
+def shown(cell, folder, name):
+    """Markdown of one cell."""
+    source = "".join(cell["source"])
+    if cell["cell_type"] == "markdown":
+        return [source]
+    parts = [f"```python\n{source}\n```"]
+    for number, output in enumerate(cell["outputs"]):
+        data = output.get("data", {"text/plain": output.get("text", "")})
+        if "image/png" in data:
+            picture = folder / f"{name}_{number}.png"
+            picture.write_bytes(base64.b64decode(data["image/png"]))
+            parts.append(f"![What this code draws]({picture.name})")
+        elif text := "".join(data["text/plain"]).strip("\n"):
+            parts.append(f"```text\n{text}\n```")
+    return parts

@@ -169,7 +169,7 @@ ax.barh(at + 0.2, [row[2] for row in rows], 0.4, color=REFINED, label="refined")
 ax.plot([row[3] for row in rows], at, "|", color=MEASURED, ms=14, label="true model: what the noise allows")
 ax.set(yticks=at, yticklabels=[row[0] for row in rows], xlabel="fit on data not seen [%] (below 0 not drawn)")
 ax.invert_yaxis()
-ax.legend(loc="lower left")
+fig.legend(loc="outside lower center", ncols=3)
 plt.show()
 
 # %% [markdown]

@@ -9,7 +9,6 @@ import importlib as _importlib
 from pathlib import Path as _Path
 from typing import Any as _Any
 
-from .results import loaders as _loaders
 from .version import __version__ as __version__
 
 # A name is imported when it is first asked for (as SPEC 1 of Scientific Python has it): what a session or a
@@ -38,10 +37,3 @@ def __getattr__(name: str) -> _Any:
 
 def __dir__() -> list[str]:
     return [*__all__, "__version__"]
-
-
-def _views() -> None:
-    from . import views  # noqa: F401
-
-
-_loaders.append(_views)

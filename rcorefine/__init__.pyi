@@ -12,7 +12,8 @@ from .diagnosis.confirm import confirm
 from .diagnosis.confirmation import Confirmation
 from .diagnosis.stepwise.improve import improve
 from .diagnosis.stepwise.improvement import Improvement
-from .effects.effect import Effect, describe_effects
+from .effects.effect import Effect
+from .effects.several import describe_effects
 from .effects.tabulated import Table
 from .engine.amplitude_response import AmplitudeResponse, frequency_response_at
 from .engine.simulation import Simulation, simulate

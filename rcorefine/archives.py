@@ -15,8 +15,8 @@ from .exceptions import DataError
 
 __all__ = ["array_of", "arrays_of", "most_bytes", "read_archive"]
 
-_ROOM = 1 << 31  # bytes that any file may unfold to ...
-_TIMES = 100  # ... and how many times its own size beyond that
+_ROOM = 50 << 20  # bytes that any file may unfold to ...
+_TIMES = 8  # ... and how many times its own size beyond that: records seldom, bombs a thousand times
 _HEADERS = {
     (1, 0): np.lib.format.read_array_header_1_0,
     (2, 0): np.lib.format.read_array_header_2_0,
@@ -24,7 +24,7 @@ _HEADERS = {
 
 
 def most_bytes(size: int) -> int:
-    """Bytes that a compressed file of some size may unfold to."""
+    """Bytes that a file of some size may unfold to, compressed."""
     return _ROOM + _TIMES * size
 
 
@@ -75,7 +75,10 @@ def arrays_of(raw: bytes) -> dict[str, np.ndarray[Any, Any]]:
         members = [item for item in archive.infolist() if item.filename.endswith(".npy")]
         claimed = sum(item.file_size for item in members)
         if claimed > most_bytes(len(raw)):
-            raise ValueError(f"its arrays claim {claimed} bytes, {most_bytes(len(raw))} are allowed")
+            raise ValueError(
+                f"its arrays claim {claimed} bytes, {most_bytes(len(raw))} are allowed; save what packs "
+                "so well without compression"
+            )
         for item in members:
             name = item.filename.removesuffix(".npy")
             if name in found:
@@ -93,11 +96,10 @@ def array_of(content: bytes, name: str) -> np.ndarray[Any, Any]:
     shape, fortran, dtype = _HEADERS[version](stream)
     if dtype.hasobject:
         raise ValueError(f"array {name!r} holds Python objects, which are never opened")
-    body = content[stream.tell() :]
-    claimed = math.prod(shape) * dtype.itemsize
-    if min(shape, default=0) < 0 or claimed != len(body):
-        raise ValueError(f"array {name!r} of shape {shape} needs {claimed} bytes, {len(body)} are there")
+    claimed, there = math.prod(shape) * dtype.itemsize, len(content) - stream.tell()
+    if min(shape, default=0) < 0 or claimed != there:
+        raise ValueError(f"array {name!r} of shape {shape} needs {claimed} bytes, {there} are there")
     flat: np.ndarray[Any, Any] = np.empty(math.prod(shape), dtype)
     if claimed:
-        flat[:] = np.frombuffer(body, dtype)
+        flat[:] = np.frombuffer(content, dtype, offset=stream.tell())
     return flat.reshape(shape, order="F" if fortran else "C")

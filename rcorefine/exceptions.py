@@ -16,6 +16,11 @@ Sizes that do not fit raise `control.ControlDimension` and wrong types
 `control.ControlArgument`, as python-control itself does.
 """
 
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
 __all__ = [
     "ConversionWarning",
     "DataError",
@@ -26,6 +31,8 @@ __all__ = [
     "ModelError",
     "RCOError",
     "RCOWarning",
+    "unheard",
+    "warn",
 ]
 
 
@@ -63,3 +70,26 @@ class ExcitationWarning(RCOWarning):
 
 class IdentifiabilityWarning(RCOWarning):
     """The data cannot see a combination of the parameters."""
+
+
+_UNHEARD: ContextVar[tuple[type[RCOWarning], ...]] = ContextVar("unheard", default=())
+
+
+@contextmanager
+def unheard(category: type[RCOWarning] = RCOWarning) -> Iterator[None]:
+    """Warnings of a category are not heard here: what they say stands in the result.
+
+    They are in this thread alone; `warnings.catch_warnings` changes the filters of all threads, and leaves
+    them changed where two of them overlap.
+    """
+    before = _UNHEARD.set((*_UNHEARD.get(), category))
+    try:
+        yield
+    finally:
+        _UNHEARD.reset(before)
+
+
+def warn(message: str, category: type[RCOWarning], stacklevel: int = 1) -> None:
+    """Warn as `warnings.warn` does, if that is to be heard."""
+    if not issubclass(category, _UNHEARD.get()):
+        warnings.warn(message, category, stacklevel=stacklevel + 1)

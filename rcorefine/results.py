@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypedDict, TypeVar
@@ -33,8 +34,6 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 _views: dict[tuple[type, str], Callable[..., Any]] = {}
-#: How the views are loaded; the package's face says it.
-loaders: list[Callable[[], None]] = []
 
 
 def shows(kind: type, what: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
@@ -73,9 +72,9 @@ def show(result: object, what: str, *args: Any, **options: Any) -> Any:
 
 def _view(kind: type, what: str) -> Callable[..., Any]:
     """View of a class or of one that it extends; the views are loaded where there is none yet."""
-    for load in (None, *loaders):
-        if load is not None:
-            load()
+    for loaded in (False, True):
+        if loaded:
+            import_module(f"{__package__}.views")
         for base in kind.__mro__:
             if (base, what) in _views:
                 return _views[base, what]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
+import sys
 import zlib
 from collections import Counter
 from collections.abc import Iterator
@@ -29,6 +30,15 @@ def _close_figures() -> Iterator[None]:
     """Close what a test has drawn, also where it failed."""
     yield
     plt.close("all")
+
+
+@pytest.fixture(autouse=True)
+def _no_thread_goes_on() -> Iterator[None]:
+    """What an explorer still works on ends with its test: pictures are those of all threads."""
+    yield
+    begun = sys.modules.get("rcorefine.explorer.background")
+    if begun is not None:
+        begun.LOOKING.submit(int).result()
 
 
 @pytest.fixture(autouse=True)

@@ -165,6 +165,24 @@ def test_delay_and_lead():
     assert "ahead" in look(w, np.roll(noisy(w), -7))["delay"].sentence
 
 
+def test_a_level_that_the_model_does_not_explain():
+    """Its standard error is that of a mean: white noise of 2 %, so a colored one may only be larger."""
+    w = drive()
+    y = noisy(w)
+    row = look(w, y + 1.25 * y.std())["level"]
+    value, error = map(float, row.figure.split(" +/- "))
+    assert abs(value - 1.25 * y.std()) < 4 * error
+    assert error == pytest.approx(0.02 * y.std() / np.sqrt(N), rel=0.25)
+    assert "level" not in look(w, y)
+    stands = rco.check(
+        MODEL,
+        rco.Measurement(w + 2.0, noisy(w + 2.0), dt=DT, input_labels="u", output_labels="y"),
+        information=False,
+    )
+    (level,) = [row for row in stands.rows if row.what == "level"]
+    assert (level.status, level.figure) == ("ok", "by the model")
+
+
 def test_offset_drift_spikes_dropouts_clipping_steps():
     w, rng = drive(), np.random.default_rng(3)
     y = noisy(w)
@@ -234,7 +252,7 @@ def test_what_is_odd_takes_three_lines_above_an_answer():
     assert len(said) == 2
     assert sum(map(len, said)) < 240
     assert "thing 0" in said[0]
-    assert "thing 4 y and 4 more (.checks)" in said[1]
+    assert "thing 4 of y and 4 more (see .checks)" in said[1]
 
 
 def test_bad_arguments():

@@ -128,13 +128,29 @@ def test_localize_names_the_spring(files, tmp_path, capsys):
 
 def test_pictures_of_the_other_questions(files, tmp_path, capsys):
     record = files / "comma.csv"  # as spreadsheets of half of Europe write it
-    for number, words in enumerate((["compare"], ["improve", "--candidates", "stiffness@link1"])):
+    asked = (["compare"], ["check"], ["improve", "--candidates", "stiffness@link1"])
+    for number, words in enumerate(asked):
         picture = tmp_path / f"{number}.png"
         more = [*words[1:], "--decimal", ",", "--picture", picture]
         code, out = run(capsys, words[0], files / "model.toml", record, *more)
         assert code in (0, 1)
         assert str(picture) in out
         assert picture.read_bytes().startswith(SIGNATURES[".png"])
+
+
+def test_picture_of_a_survey(files, tmp_path, capsys):
+    fleet, picture = tmp_path / "fleet", tmp_path / "fleet.svg"
+    fleet.mkdir()
+    for name in ("a", "b"):
+        (fleet / f"{name}.csv").write_bytes((files / "comma.csv").read_bytes())
+    words = ("survey", fleet, "--model", files / "model.toml", "--task", "refine", "--decimal", ",")
+    words += ("--candidates", "stiffness@link1", "--picture")
+    code, out = run(capsys, *words, picture)
+    assert code == 0
+    assert str(picture) in out
+    assert picture.read_bytes().startswith(SIGNATURES[".svg"])
+    assert main([*map(str, words), str(tmp_path / "absent" / "fleet.png")]) == 2
+    assert "make it first" in capsys.readouterr().err
 
 
 def test_a_decimal_mark_is_for_text(files, capsys, tmp_path):

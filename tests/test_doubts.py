@@ -7,6 +7,7 @@ import warnings
 import control as ct
 import numpy as np
 import pytest
+from hidden.generator import Law, held_motion
 from scipy.signal import butter, sosfilt
 
 import rcorefine as rco
@@ -133,3 +134,30 @@ def test_a_free_decay_is_excitation_enough():
     with pytest.warns(rco.ExcitationWarning):
         found = rco.diagnose(model, Measurement(np.zeros(900), y, dt=0.04), candidates=[SPRING])
     assert found.verdict == "adequate"
+
+
+def free_drive(seed):
+    """A drive without a place of rest, a one-sided spring at its load, the motor's and the load's angle."""
+    Jm, Jl, N, k, c, bm, bl, dt = 5e-4, 0.03, 5.0, 14.0, 0.02, 2e-3, 0.03, 0.005
+    g, inverse = np.array([1 / N, -1.0]), np.diag([1 / Jm, 1 / Jl])
+    K, C = k * np.outer(g, g), c * np.outer(g, g) + np.diag([bm, bl])
+    A = np.block([[np.zeros((2, 2)), np.eye(2)], [-inverse @ K, -inverse @ C]])
+    B = np.array([0, 0, 1 / Jm, 0])
+    rng = np.random.default_rng(seed)
+    w = 0.05 * np.repeat(rng.choice([-1.0, 1.0], 12), 40)
+    spring = Law("bilinear_stiffness", np.array([1.2, 0.0, 0.0]))
+    at = [np.array([0, 0, 0, -1 / Jl]), np.array([0, 1.0, 0, 0]), np.array([0, 0, 0, 1.0])]
+    y = held_motion(A, np.outer(w, B), dt, [(spring, *at)])[:, :2].T
+    names = {"inputs": ["torque"], "outputs": ["motor", "load"]}
+    model = ct.ss(A, B[:, None], np.eye(2, 4), 0, states=["thm", "thl", "wm", "wl"], **names)
+    noisy = y + 0.003 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
+    return model, rco.Measurement(w, noisy, dt=dt, input_labels=["torque"], output_labels=["motor", "load"])
+
+
+@pytest.mark.parametrize("seed", [1, 7])
+def test_a_law_whose_size_the_record_does_not_tell_is_not_named(seed):
+    model, data = free_drive(seed)
+    laws = [rco.Effect(kind, "thl") for kind in ("hidden_mode", "damping", "coulomb_friction")]
+    found = rco.diagnose(model, data, candidates=laws)  # the truth is none of them
+    assert found.verdict == "unexplained"
+    assert any("does not determine it" in note for note in found.notes)

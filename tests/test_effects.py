@@ -7,8 +7,9 @@ import pickle
 import control as ct
 import pytest
 
-from rcorefine.effects.effect import Effect, describe_effects
+from rcorefine.effects.effect import Effect
 from rcorefine.effects.law import KINDS
+from rcorefine.effects.several import describe_effects
 from rcorefine.effects.tabulated import Table
 from rcorefine.exceptions import ModelError
 from rcorefine.models.builders import dc_motor, mass_spring_damper, series_rlc, thermal_network, two_tanks
@@ -62,6 +63,7 @@ TABLE = {
     "output_saturation": ("output", ("limit",)),
     "output_rectification": ("output", ("fraction",)),
     "clock": ("input", ("slow",)),
+    "clocks_apart": ("input", ("apart", "slow")),
     "model_parameter": ("parameter", ("value",)),
     "custom": ("mechanical first_order any", ("scale",)),
     "tabulated": ("mechanical first_order", ("scale",)),

@@ -22,10 +22,10 @@ from rcorefine.effects.law import KINDS
 PACKAGE = Path(rco.__file__).parent
 #: Each may import those before it, and none after it.
 ORDER = (
-    "version", "exceptions", "arithmetic", "jit", "arguments", "progress", "writing", "archives", "results",
-    "systems", "gauss_newton", "data", "effects", "models", "engine", "export", "inference", "comparison",
-    "refinement", "diagnosis", "localization", "fleet", "streaming", "examples", "exercises", "views",
-    "explorer", "commands", "__main__",
+    "version", "exceptions", "extras", "arithmetic", "jit", "arguments", "progress", "writing", "archives",
+    "results", "systems", "gauss_newton", "data", "effects", "models", "engine", "export", "inference",
+    "comparison", "refinement", "diagnosis", "localization", "fleet", "streaming", "examples", "exercises",
+    "views", "explorer", "commands", "__main__",
 )  # fmt: skip
 
 
@@ -33,11 +33,7 @@ ORDER = (
 MOST_LINES = 350
 #: Files that are longer, and why.
 LONGER = {
-    "effects/effect.py": "the public class of an effect, with its arguments",
-    "effects/law.py": "the base class that a user's law derives from, and its coefficients",
     "engine/kernels.py": "the march: one compiled loop",
-    "streaming/rcmr/kernels.py": "the paper's equations, compiled",
-    "streaming/refiner.py": "one public class: most of it says what its arguments and results are",
 }
 
 #: A function says one thing: at most so many lines of code, and so many ways through it.

@@ -432,3 +432,28 @@ def test_a_law_without_a_force_is_refused(law, said):
 
 def test_a_law_may_have_a_pole_where_nothing_moves():
     assert rco.Effect("custom", "link1", law=lambda d, v: 1.0 / d).kind == "custom"
+
+
+@pytest.mark.parametrize(("size", "power"), [(400.0, 4.0), (2e-4, 1.5)])
+def test_a_power_is_found_at_any_usual_motion(size, power):
+    """The force at unit speed hangs on the power where the speed is far from one."""
+    rng = np.random.default_rng(3)
+    push = 0.2 * size * np.repeat(rng.standard_normal(50), 30) + 2.0 * size
+    x, seen, h = size, np.empty(1500), 0.1 / 8
+
+    def rate(x, u):  # half the push is lost at the usual motion
+        return 0.2 * (u - x - size * np.sign(x) * np.abs(x / size) ** power)
+
+    for k, u in enumerate(push):
+        seen[k] = x
+        for _ in range(8):  # Runge and Kutta
+            a = rate(x, u)
+            b = rate(x + h / 2 * a, u)
+            c = rate(x + h / 2 * b, u)
+            x += h / 6 * (a + 2 * b + 2 * c + rate(x + h * c, u))
+    model = ct.ss([[-0.2]], [[0.2]], [[1.0]], 0, states=["x"])
+    data = rco.Measurement(push, seen + 1e-3 * seen.std() * rng.standard_normal(1500), dt=0.1)
+    kinds = ("damping", "quadratic_damping", "power_damping")
+    found = rco.diagnose(model, data, candidates=[rco.Effect(kind, "x") for kind in kinds])
+    assert found.best.effect.kind == "power_damping"
+    assert abs(found.best.coefficients["power"] - power) < 4 * found.best.std["power"]

@@ -317,3 +317,40 @@ def test_a_chaotic_motion_is_judged_one_sample_ahead():
     assert better.led
     assert "chaotic" in better.message
     assert abs(better.parameters[0].value - 0.05) < 4 * better.parameters[0].std < 0.02
+
+
+def duffing(t, x, u, params):
+    spring = params["k"] * x[0] + params["k3"] * x[0] ** 3
+    return np.array([x[1], (u[0] - params["c"] * x[1] - spring) / params["m"]])
+
+
+def test_a_better_observer_is_no_fault_of_the_model():
+    """A chaotic motion is led by an observer, which a gain of the output would sharpen."""
+    true = {"m": 2.06, "c": 0.84, "k": 78.0, "k3": 930.0}
+    rng = np.random.default_rng(1)
+    force = 9.0 * np.repeat(rng.standard_normal(223), 9)[:2000]
+    x, z, h = np.zeros(2), np.empty(2000), DT / 20
+    for k, u in enumerate(force):
+        z[k] = x[0]
+        for _ in range(20):  # Runge and Kutta
+            a = duffing(0, x, [u], true)
+            b = duffing(0, x + h / 2 * a, [u], true)
+            c = duffing(0, x + h / 2 * b, [u], true)
+            x = x + h / 6 * (a + 2 * b + 2 * c + duffing(0, x + h * c, [u], true))
+    model = ct.nlsys(
+        duffing, angle, params={"m": 2.0, "c": 0.8, "k": 80.0, "k3": 900.0},
+        states=["d", "v"], inputs=["F"], outputs=["z"],
+    )  # fmt: skip
+    seen = z + 0.01 * z.std() * rng.standard_normal(2000)
+    data = rco.Measurement(force, seen, dt=DT, input_labels="F", output_labels="z")
+    found = rco.diagnose(model, data, candidates=[rco.Effect("output_gain", "z"), rco.Effect("clock", "F")])
+    assert found.verdict == "parameters"
+    for number in found.parameters:
+        value = true["m"] if number.kind == "mass" else true[number.place]
+        assert abs(number.value - value) < 4 * number.std
+
+
+def test_the_params_of_a_model_are_candidates():
+    """Nothing says whether the winding pulls harder or its current is larger."""
+    library = rco.effect_library(pendulum())
+    assert {e.place for e in library if e.kind == "model_parameter"} == {"m", "c", "l"}

@@ -297,5 +297,5 @@ def test_readme_names_what_exists():
             for part in name.split("."):
                 assert hasattr(obj, part), f"README names {name}, which does not exist"
                 obj = getattr(obj, part)
-    listed = {Path(target).name for target in re.findall(r"\]\((notebooks/[^)]+\.py)\)", text)}
-    assert listed == {path.name for path in (ROOT / "notebooks").glob("*.py")}
+    listed = {Path(target).name for target in re.findall(r"\]\((notebooks/[^)]+\.ipynb)\)", text)}
+    assert listed == {path.name for path in (ROOT / "notebooks").glob("*.ipynb")}

@@ -304,6 +304,21 @@ def test_stage_one_runs_beside():
     refiner.history.plot()
 
 
+def test_stage_one_that_follows_single_samples_is_that_of_the_block():
+    """It learns from several at once: as from a block, wherever it is read, in gaps and where it diverges."""
+    w, y, _ = sampled(chain((10, 5.6, 6)), 0.02, 500, 0.05, 4)
+    y[:, 207] = np.nan
+    one, block = (RCORefiner(chain(), dt=0.02, effects=STIFFNESS, missing="hold-out") for _ in range(2))
+    for k in range(w.shape[1]):
+        one.update(w[:, k], y[:, k])
+        if k in (40, 90, 250):
+            block.update(w[:, block.n_samples : k + 1], y[:, block.n_samples : k + 1])
+            np.testing.assert_array_equal(one.theta, block.theta)
+    block.update(w[:, 251:], y[:, 251:])
+    assert "Stage 1 stopped: stage 1 diverged at sample" in " ".join(str(block).split())
+    assert str(one) == str(block)
+
+
 def test_results_are_there_before_and_after():
     w, y, _ = sampled(chain((10, 5.6, 6)), 0.02, 600, 0.01, 4)
     refiner = only_effects(chain(), 0.02, STIFFNESS)

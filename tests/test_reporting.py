@@ -45,13 +45,14 @@ def test_text_table_is_never_wider_than_asked():
     assert "..." in table
 
 
-def test_text_that_stands_in_every_row_is_told_once_before_names_are_cut():
+def test_text_that_stands_in_every_row_is_told_once_before_names_are_cut(monkeypatch):
     names = ["a name of twenty-four letters", "another of some more letters"]
     rows = [[name, "resistor_voltage", "V", "1.25"] for name in names]
-    lines = text_table(["model", "output", "unit", "fit"], rows, title="two", left=3, width=50).splitlines()
+    wide = text_table(["model", "output", "unit", "fit"], rows, left=3)
+    monkeypatch.setattr("rcorefine.views.tables.WIDTH", 50)
+    lines = text_table(["model", "output", "unit", "fit"], rows, title="two", left=3).splitlines()
     assert lines[:2] == ["two", "output: resistor_voltage, unit: V"]
     assert [line.split("  ")[0] for line in lines[4:]] == names
-    wide = text_table(["model", "output", "unit", "fit"], rows, left=3, width=80)
     assert "output:" not in wide
 
 
@@ -256,6 +257,33 @@ def test_time_plot_shows_fit_and_residual():
     np.testing.assert_array_equal(cplt.lines[1, 0][0].get_ydata(), result.residual[0, 0])
     with pytest.raises(ct.ControlArgument, match="belongs to kind='bode'"):
         result.plot(omega=[1, 2])
+
+
+def test_a_long_record_is_shown_where_models_differ_most():
+    noise = np.random.default_rng(0).standard_normal(6000)
+    plant, late = lag(), np.where(np.arange(6000) < 4000, 0.0, 1.0)
+    y = ct.forced_response(plant.sample(0.01), inputs=noise).outputs
+    data = Measurement(noise, y - np.convolve(late * noise, [0.5, -0.5])[:6000], dt=0.01)
+    cplt = compare(plant, data).plot()
+    first, last = cplt.axes[-1, 0].get_xlim()
+    assert 40.0 <= first < last <= 60.0
+    assert last - first < 20.0
+    assert "where they differ most" in cplt.figure.get_suptitle()
+    assert all(line.get_xdata().size == 6000 for line in cplt.lines[0, 0])  # the rest is there to be shown
+    assert compare(lag(), record(resonant())).plot().axes[-1, 0].get_xlim()[0] < 0.0  # room for all
+
+
+def test_a_hairball_is_drawn_as_the_band_that_holds_it():
+    noise = np.random.default_rng(1).standard_normal(4000)
+    cplt = Measurement(noise, noise, dt=0.01).plot()
+    (line,), (band,) = cplt.lines[0, 0], cplt.axes[0, 0].collections
+    assert not line.get_visible()
+    np.testing.assert_array_equal(line.get_ydata(), noise)
+    edges = band.get_paths()[0].vertices
+    assert edges[:, 1].max() == noise.max()
+    assert edges[:, 1].min() == noise.min()
+    assert edges[:, 0].min() == 0.0
+    assert edges[:, 0].max() == pytest.approx(39.99)
 
 
 def test_time_plot_keeps_the_record_readable_beside_a_model_that_runs_away():

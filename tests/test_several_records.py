@@ -8,12 +8,13 @@ import control as ct
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from hidden.generator import _with, hidden_record, linear_states
+from hidden.generator import Law, _with, held_motion, hidden_record, linear_states
 from scipy import stats
 from scipy.optimize import least_squares
 from scipy.signal import StateSpace, dlsim, lsim
 
 import rcorefine as rco
+from rcorefine.inference.evaluation import Evaluation
 
 M, C, K = 1.0, 0.4, 100.0
 SPRING = rco.Effect("stiffness", "link1")
@@ -44,6 +45,28 @@ def mixed(rng):
         record(rng, 400, dt=0.035, hold="foh", amplitude=25.0, x0=(0.2, -1.0)),
         record(rng, 450, dt=0.01, amplitude=4.0),
     ]
+
+
+def test_condensed_rows_have_the_same_sums_of_squares():
+    """An orthogonal transform per record: r'r, J'r and J'J are those of all rows."""
+    rng = np.random.default_rng(5)
+    blocks = [rng.standard_normal((n, 3)) * [1.0, 1e6, 1e-6] for n in (400, 2, 50, 60)]
+    blocks[2][:, 1] = 0.0  # not felt
+    blocks[3][:, 2] = blocks[3][:, 0]  # not told apart
+    columns = [np.array([0, 1 + 2 * i, 2 + 2 * i]) for i in range(4)]
+    prior = rng.standard_normal((2, 9))
+    residual = rng.standard_normal(sum(len(b) for b in blocks) + 2)
+    whole = Evaluation(residual, blocks, columns, prior, True)
+    r, J = whole.condensed
+    assert r.size == len(J) == 4 + 2 + 4 + 4 + 2
+    size = np.linalg.norm(whole.jacobian, axis=0)
+    np.testing.assert_allclose(r @ r, residual @ residual, rtol=1e-12)
+    np.testing.assert_allclose(
+        J.T @ r / size, whole.jacobian.T @ residual / size, atol=1e-12 * np.linalg.norm(residual)
+    )
+    np.testing.assert_allclose(
+        J.T @ J / np.outer(size, size), whole.jacobian.T @ whole.jacobian / np.outer(size, size), atol=1e-12
+    )
 
 
 def test_list_is_one_joint_least_squares(rng):
@@ -264,3 +287,21 @@ def test_impostors_are_refuted_and_true_laws_kept(kind):
             continue
     assert refuted >= stats.binom.ppf(1e-3, passed, 0.9)
     assert kept >= stats.binom.ppf(1e-3, true, 0.95)
+
+
+@pytest.mark.parametrize(("warmer", "word"), [(1.002, "effect"), (1.1, "unexplained")])
+def test_amplitudes_that_differ_by_less_than_a_percent_take_no_name(warmer, word, rng):
+    """Errors of 0.02 % tell 0.2 % apart, which warmth or a kink within a step makes: no other law."""
+    A, B = np.array([[0.0, 1.0], [-K / M, -C / M]]), np.array([0.0, 1.0 / M])
+    data = []
+    for amplitude, c in ((4.0, 2.0), (12.0, 2.0 * warmer)):
+        w = amplitude * np.repeat(rng.uniform(-1, 1, 40), 15)
+        drag = Law("quadratic_damping", np.array([c, 0.0, 0.0]))
+        y = held_motion(A, np.outer(w, B), 0.02, [(drag, [0.0, -1.0 / M], [1.0, 0.0], [0.0, 1.0])])[:, 0]
+        data.append(rco.Measurement(w, y + 0.001 * y.std() * rng.standard_normal(y.size), dt=0.02))
+    laws = rco.effect_library(model(), kinds=["stiffness", "damping", "quadratic_damping"])
+    found = rco.diagnose(model(), data, candidates=laws)
+    assert found.verdict == word
+    if word == "effect":
+        assert found.best.effect == rco.Effect("quadratic_damping", "link1")
+        assert found.best.probability > 0.5 > found.none_of_these

@@ -63,8 +63,10 @@ def test_one_effect_keeps_its_name_where_all_numbers_together_are_not_a_hundred_
 
 def test_a_law_that_passes_stands_beside_a_force_of_no_law_that_is_likelier() -> None:
     assert verdict(True, 1.0, 1, Levels()) == "effect"
-    assert verdict(True, 1.0, 1, Levels(), beside=np.log(2.9)) == "effect"
-    assert verdict(True, 1.0, 1, Levels(), beside=np.log(3.1)) == "ambiguous"
+    assert verdict(True, 1.0, 1, Levels(), beside=np.log(0.9)) == "effect"
+    assert verdict(True, 1.0, 1, Levels(), beside=np.log(1.1)) == "ambiguous"  # less than even: no name
+    assert verdict(True, 1.0, 1, Levels(), beside=np.log(99.0)) == "ambiguous"
+    assert verdict(True, 1.0, 1, Levels(), beside=np.log(101.0)) == "unexplained"  # as a rival is excluded
     assert verdict(False, 1.0, 1, Levels(), beside=np.log(3.1)) == "unexplained"
 
 

@@ -98,7 +98,7 @@ def as_vector(
     return array
 
 
-def as_state(value: Any, size: int | None = None, name: str = "x0") -> Array | None:
+def as_state(value: Any, size: int | None = None) -> Array | None:
     """How a free run starts: None for "estimate", zeros for "zero", or the state given.
 
     Raises
@@ -113,21 +113,21 @@ def as_state(value: Any, size: int | None = None, name: str = "x0") -> Array | N
     if isinstance(value, str) and value in ("estimate", "zero"):
         return None if value == "estimate" else np.zeros(size or 0)
     if value is None or isinstance(value, str | bool | np.bool_ | Mapping):
-        raise ct.ControlArgument(f"{name} must be 'estimate', 'zero' or an array, not {shown(value)}")
-    state = as_array(value, name)
+        raise ct.ControlArgument(f"x0 must be 'estimate', 'zero' or an array, not {shown(value)}")
+    state = as_array(value, "x0")
     if state.ndim != 1 or state.size != (state.size if size is None else size):
-        raise ct.ControlDimension(f"{name} has shape {state.shape}; the model has {size or 'other'} states")
+        raise ct.ControlDimension(f"x0 has shape {state.shape}; the model has {size or 'other'} states")
     return state
 
 
-def as_noise(value: Any, n_outputs: int, name: str = "noise") -> Array | None:
+def as_noise(value: Any, n_outputs: int) -> Array | None:
     """Standard deviations of the sensor noise, one per output; None where they are not known."""
     if value is None:
         return None
-    level = as_vector(value, f"{name} (standard deviations)", above=0.0, error=ct.ControlArgument)
+    level = as_vector(value, "noise (standard deviations)", above=0.0, error=ct.ControlArgument)
     if level.size not in (1, n_outputs):
         raise ct.ControlDimension(
-            f"{name} has {level.size} entries; give one standard deviation, or one for each of the "
+            f"noise has {level.size} entries; give one standard deviation, or one for each of the "
             f"{n_outputs} outputs"
         )
     return np.broadcast_to(level, (n_outputs,))

@@ -38,16 +38,15 @@ def as_path(value: Any, name: str = "path") -> Path:
     return Path(text)
 
 
-def as_generator(value: Any, name: str = "rng") -> np.random.Generator:
+def as_generator(value: Any) -> np.random.Generator:
     """Generator of random numbers, or a new one from a seed."""
     if isinstance(value, np.random.Generator):
         return value
     try:
-        return np.random.default_rng(as_whole(value, name))
+        return np.random.default_rng(as_whole(value, "rng"))
     except ct.ControlArgument as reason:
-        raise ct.ControlArgument(
-            f"{name} must be a numpy.random.Generator or a seed from 0, not {shown(value)}"
-        ) from reason
+        said = f"rng must be a numpy.random.Generator or a seed from 0, not {shown(value)}"
+        raise ct.ControlArgument(said) from reason
 
 
 def as_mapper(executor: Any) -> Callable[..., Any]:

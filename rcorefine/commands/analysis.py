@@ -7,6 +7,7 @@ import shlex
 import sys
 from argparse import Namespace
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +26,13 @@ from ..version import __version__
 from ..views.pages.answers import comparison_answer, diagnosis_answer, improvement_answer
 from ..views.pages.code import comment
 from ..views.pages.page import check_target
+from ..views.tables import wrapped
 from ..writing import replacing
 from .machine import json_text, record_object
 from .records import fitted_and_held_out
 
 __all__ = [
+    "check_folders",
     "check_targets",
     "finish",
     "fit_options",
@@ -70,7 +73,9 @@ def run_check(arguments: Namespace) -> int:
     """Look over a record and a model beside it; 1 where something must be mended first."""
     model, data, _ = opened(arguments)
     found = check(model, data)
-    return finish(arguments, found.stops, [row.sentence for row in found.looks], found, data)
+    title = [f"{row.status.upper()}: {row.sentence}" for row in found.looks[:3]] or ["Nothing odd"]
+    draw = partial(data.plot, title="\n".join(wrapped(title)))
+    return finish(arguments, found.stops, [row.sentence for row in found.looks], found, data, draw=draw)
 
 
 def run_diagnose(arguments: Namespace) -> int:
@@ -169,6 +174,11 @@ def check_targets(arguments: Namespace) -> None:
     """Whether report, picture and table can be written is known before the work, not after it."""
     if arguments.report is not None:
         check_target(arguments.report, overwrite=arguments.overwrite)
+    check_folders(arguments)
+
+
+def check_folders(arguments: Namespace) -> None:
+    """Whether the folders of picture and table are there is known before the work."""
     for path in (arguments.picture, arguments.csv):
         if path is not None and not path.absolute().parent.is_dir():
             raise FileNotFoundError(f"the folder {path.absolute().parent} does not exist; make it first")

@@ -10,16 +10,10 @@ from argparse import Namespace
 from collections.abc import Sequence
 from typing import Any
 
-import control as ct
-
-from ..exceptions import RCOError
-from .parser import build_parser
-
 __all__ = ["main"]
 
-_FAULT = 3
-# what a wrong file, record or model raises; anything else is a fault of the program and shows where
-_EXPECTED = (RCOError, OSError, ct.ControlDimension, ct.ControlArgument)
+# Nothing is imported before main, where Ctrl-C is understood: python-control takes a second.
+_FAULT, _INTERRUPTED = 3, 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -37,7 +31,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         0 where nothing was found, 1 where something was (for ``demo``: where
         the work failed), 2 where a file or the record cannot be used; the
         message is on standard error. Wrong usage ends the process with 2; 3 is a
-        fault of the program itself, with its traceback on standard error.
+        fault of the program itself, with its traceback on standard error; 130 is Ctrl-C.
 
     Examples
     --------
@@ -47,10 +41,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     SystemExit: 0
     """
     words = list(sys.argv[1:] if argv is None else argv)
-    arguments = build_parser().parse_args(words)
-    arguments.words = words
-    failed = 1 if arguments.command == "demo" else 2
+    said, failed = "rcorefine", 2
     try:
+        from .parser import build_parser
+
+        arguments = build_parser().parse_args(words)
+        arguments.words = words
+        said = f"rcorefine {arguments.command}"
+        failed = 1 if arguments.command == "demo" else 2
         with warnings.catch_warnings():
             if argv is None:  # in a process of its own: a warning is a line, not a place in the source
                 warnings.showwarning = _say_warning
@@ -60,15 +58,24 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return failed
     except KeyboardInterrupt:
-        sys.stderr.write(f"rcorefine {arguments.command}: interrupted\n")
-        return 130
-    except _EXPECTED as error:
-        sys.stderr.write(f"rcorefine {arguments.command}: {_message(error)}\n")
+        sys.stderr.write(f"{said}: interrupted\n")
+        return _INTERRUPTED
+    except _expected() as error:
+        sys.stderr.write(f"{said}: {_message(error)}\n")
         return failed
     except Exception:
         # a fault of the program must not pass for an answer: Python would end with 1
         traceback.print_exc()
         return _FAULT
+
+
+def _expected() -> tuple[type[Exception], ...]:
+    """What a wrong file, record or model raises; anything else is a fault of the program and shows where."""
+    import control as ct
+
+    from ..exceptions import RCOError
+
+    return RCOError, OSError, ct.ControlDimension, ct.ControlArgument
 
 
 def _run(arguments: Namespace) -> int:

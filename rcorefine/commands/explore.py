@@ -18,11 +18,13 @@ def run_explore(arguments: Namespace) -> int:
     model = read_model(arguments.model)
     data = read_record(arguments.data, model, arguments)
     page = explore(model, data, horizon=arguments.horizon)
-    address = page.show(arguments.port, browser=arguments.browser)
-    sys.stdout.write(f"Explorer at {address} (Ctrl-C ends it)\n")
-    sys.stdout.flush()
-    try:
+    try:  # from the first thread on: one that serves would outlive this one
+        address = page.show(arguments.port, browser=arguments.browser)
+        sys.stdout.write(f"Explorer at {address} (Ctrl-C ends it)\n")
+        sys.stdout.flush()
         threading.Event().wait()
     except KeyboardInterrupt:
+        pass
+    finally:
         page.close()
     return 0

@@ -19,6 +19,7 @@ __all__ = [
     "horizon_option",
     "json_option",
     "output_options",
+    "picture_option",
     "record_options",
     "search_options",
     "seed_option",
@@ -61,7 +62,8 @@ def columns_options(parser: argparse.ArgumentParser) -> Any:
         "--hold",
         choices=HOLDS,
         default="zoh",
-        help="how the input runs between samples (default: %(default)s)",
+        help="how the input runs between samples: constant, in straight lines, or smoothly (default: "
+        "%(default)s)",
     )
     return group
 
@@ -102,7 +104,10 @@ def search_options(parser: argparse.ArgumentParser, *, places: bool = False) -> 
 def free_option(group: Any) -> None:
     """What of the model floats."""
     group.add_argument(
-        "--free", action=Names, metavar="NAME", help="parameters that float: linear for all, or names"
+        "--free",
+        action=Names,
+        metavar="NAME",
+        help="numbers of the model that are estimated as well: linear for all of them, or their names",
     )
 
 
@@ -113,9 +118,14 @@ def fit_options(group: Any) -> None:
         type=_not_negative,
         default=0.0,
         metavar="SHARE",
-        help="relative uncertainty of the linear parameters, e.g. 0.02 (default: exact)",
+        help="by how much the numbers of the model may be off, such as 0.02 (default: they are exact)",
     )
-    group.add_argument("--no-offset", dest="offset", action="store_false", help="no nuisance offset")
+    group.add_argument(
+        "--no-offset",
+        dest="offset",
+        action="store_false",
+        help="the sensors have no constant offset to be estimated",
+    )
     group.add_argument(
         "--noise",
         type=_positive,
@@ -129,14 +139,19 @@ def fit_options(group: Any) -> None:
 def output_options(parser: argparse.ArgumentParser, *, report: bool = True) -> Any:
     """Report, picture and JSON."""
     group = parser.add_argument_group("what comes out")
-    group.add_argument(
-        "--picture", type=_picture, metavar="FILE", help="draw what was found (.png, .svg or .pdf)"
-    )
+    picture_option(group)
     json_option(group)
     if report:
         group.add_argument("--report", type=Path, metavar="FILE", help="write an HTML report")
         group.add_argument("--overwrite", action="store_true", help="replace FILE even where it is no report")
     return group
+
+
+def picture_option(parser: Any) -> None:
+    """Where what was found is drawn."""
+    parser.add_argument(
+        "--picture", type=_picture, metavar="FILE", help="draw what was found (.png, .svg or .pdf)"
+    )
 
 
 def json_option(parser: Any) -> None:

@@ -17,6 +17,7 @@ from .options import (
     horizon_option,
     json_option,
     output_options,
+    picture_option,
     record_options,
     search_options,
     seed_option,
@@ -35,13 +36,11 @@ _MODEL = (
 _DATA = "record: .csv, .tsv, .txt, .lvm, .log (with a header line), .mat, .npz, .h5 or .tdms"
 _KEYS = "Keys of --json: command, rcorefine, exit_code, answer"
 _JSON = {
-    "check": " (a sentence for each row that is not "
-    "ok), record, rows (status, what, where, figure, sentence), detectable (effect, coefficient, "
-    "smallest, unit).",
-    "compare": " (3 sentences), record (name, "
-    "samples, dt, hold, inputs, outputs, sha256_inputs, sha256_outputs), models (name; "
-    "outputs: name, unit, fit, rmse, bias; failures: role, dimension, where, measure, "
-    "statistic, p_value, share, sentence), report.",
+    "check": " (a sentence for each row that is not ok), record, rows (status, what, where, figure, "
+    "sentence), detectable (effect, coefficient, smallest, unit).",
+    "compare": " (3 sentences), record (name, samples, dt, hold, inputs, outputs, sha256_inputs, "
+    "sha256_outputs), models (name; outputs: name, unit, fit, rmse, bias; failures: role, dimension, "
+    "where, measure, statistic, p_value, share, sentence), report.",
     "diagnose": " (3 sentences), record, verdict, "
     "ranking (effect: kind and place; coefficients, std, fit_before, fit_after, p_value, "
     "probability), none_of_these, places, ambiguous, parameters (as in improve), tests and "
@@ -100,11 +99,11 @@ def build_parser() -> argparse.ArgumentParser:
 def _demo(commands: Any) -> None:
     demo = commands.add_parser(
         "demo",
-        help="run the loop on an example: compare, refine, compare again",
+        help="run the loop on an example: compare, diagnose, refine, improve",
         description=(
-            "Run the loop on a circuit whose model is wrong: compare the model with a noisy record, "
-            "refine it sample by sample, and compare again on data that the refinement has not seen. "
-            "Takes up to a minute."
+            "Run the loop on a structure with friction that its model lacks: compare the model with a noisy "
+            "record, diagnose, refine, and compare again on data that the refinement has not seen; then the "
+            "same with two effects, step by step. Takes up to a minute."
         ),
         epilog=_DEMO_CODES,
     )
@@ -141,9 +140,10 @@ def _check(commands: Any) -> None:
         "check",
         "what is odd about a record, before anything else",
         "Look over the record and the model beside it: units, sign and gain, delay, offset, drift, "
-        "clipping, sampling, closed loop, and the smallest effects that the record could show.",
+        "clipping, sampling, closed loop, and the smallest effects that the record could show. The "
+        "picture shows its signals.",
     )
-    json_option(parser)
+    output_options(parser, report=False)
 
 
 def _diagnose(commands: Any) -> None:
@@ -271,6 +271,7 @@ def _survey(commands: Any) -> None:
     group = parser.add_argument_group("what comes out")
     group.add_argument("--report", type=Path, metavar="DIR", help="write an index page and one per machine")
     group.add_argument("--overwrite", action="store_true", help="replace files in DIR that are no reports")
+    picture_option(group)
     json_option(group)
 
 

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import inspect
-import multiprocessing
+import signal
 import sys
 from argparse import Namespace
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict
+from multiprocessing import resource_tracker
+from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any
 
-from ..exceptions import DataError, MissingExtraError
+from ..exceptions import DataError
+from ..extras import needed
 from ..fleet.pieces import model_for
 from ..fleet.result import Survey
 from ..fleet.survey import ASKED, survey
-from .analysis import finish, fit_options, wanted_candidates
+from .analysis import check_folders, finish, fit_options, wanted_candidates
 from .records import reading
 
 __all__ = ["run_survey"]
@@ -36,8 +39,9 @@ def run_survey(arguments: Namespace) -> int:
         With conditions 1 where one is not kept; without, 1 where anything was found or failed. Interrupted,
         what was done is printed, and 130 returned.
     """
-    with _workers(arguments) as executor:
-        try:
+    check_folders(arguments)
+    try:
+        with _workers(arguments) as executor:
             found = survey(
                 arguments.model,
                 arguments.folder,
@@ -49,10 +53,10 @@ def run_survey(arguments: Namespace) -> int:
                 significance=arguments.significance,
                 progress=sys.stderr.isatty() and not arguments.json,
             )
-        except KeyboardInterrupt as stop:
-            if not getattr(stop, "survey", None):
-                raise
-            return _say(arguments, stop.survey, 130)  # type: ignore[attr-defined]
+    except KeyboardInterrupt as stop:
+        if not getattr(stop, "survey", None):
+            raise
+        return _say(arguments, stop.survey, 130)  # type: ignore[attr-defined]
     if len(found.failed) == len(found.rows):
         first = found.failed[0]
         raise DataError(
@@ -85,16 +89,34 @@ def _options(arguments: Namespace) -> dict[str, Any]:
 def _workers(arguments: Namespace) -> Iterator[Any]:
     """A client of the scheduler, a pool of processes, or None."""
     if arguments.scheduler is not None:
-        try:
-            from distributed import Client
-        except ImportError as error:
-            raise MissingExtraError(
-                '--scheduler needs dask; install the extra: pip install "rcorefine[distributed]"'
-            ) from error
+        Client = needed("distributed", "distributed", "--scheduler").Client
         with Client(arguments.scheduler, set_as_default=False) as client:
             yield client
     elif arguments.jobs > 1:
-        with ProcessPoolExecutor(arguments.jobs, multiprocessing.get_context("spawn")) as pool:
-            yield pool
+        resource_tracker.ensure_running()  # where it is started later, signals are let through again
+        with ProcessPoolExecutor(arguments.jobs, _Quiet()) as pool:
+            try:
+                yield pool
+            except KeyboardInterrupt:
+                for worker in list((pool._processes or {}).values()):  # nobody waits for what they do
+                    worker.terminate()
+                raise
     else:
         yield None
+
+
+class _Worker(SpawnProcess):
+    """A process that Ctrl-C does not reach, though it goes to all of a terminal: who started it ends it."""
+
+    def start(self) -> None:
+        if not hasattr(signal, "pthread_sigmask"):
+            return super().start()
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # which the new process inherits
+        try:
+            super().start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class _Quiet(SpawnContext):
+    Process = _Worker

@@ -12,6 +12,7 @@ from ..arguments import as_state
 from ..data.channels import Channels, aligned, match_channels, record_for, with_outputs
 from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement
+from ..data.records import as_record
 from ..data.response_record import in_frequency
 from ..effects.tabulated import Table, share_beyond
 from ..engine.free_runs import checked_horizon, free_runs
@@ -133,11 +134,7 @@ def _checked(data: Any, responses: bool, x0: Any, horizon: float | None, control
     """The horizon; whether it and the initial state belong to such data."""
     if responses and as_data(data, x0=x0, horizon=horizon, controller=controller):
         return None
-    if not isinstance(data, Measurement):
-        raise ct.ControlArgument(
-            f"data must be a rcorefine.Measurement, not {type(data).__name__}; build one with "
-            "Measurement(inputs, outputs, dt=...) or Measurement.from_response(...)"
-        )
+    as_record(data)
     return checked_horizon(horizon, known_start=as_state(x0) is not None)
 
 

@@ -106,12 +106,12 @@ def signal_rows(values: ArrayLike, what: str) -> Array:
     return array
 
 
-def lag_count(lags: int, n_samples: int, least: int = 8) -> int:
+def lag_count(lags: int, n_samples: int) -> int:
     """Number of lags, where the signals are long enough for them."""
     if isinstance(lags, (bool, np.bool_)) or not isinstance(lags, (int, np.integer)) or lags < 1:
         raise ct.ControlArgument(f"lags must be a whole number from 1 on, not {lags!r}")
-    if n_samples < 2 * lags + least:
-        raise DataError(f"{n_samples} samples are too few for {lags} lags; give at least {2 * lags + least}")
+    if n_samples < 2 * lags + 8:
+        raise DataError(f"{n_samples} samples are too few for {lags} lags; give at least {2 * lags + 8}")
     return int(lags)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..engine.observer import steady_filter
+from ..exceptions import DataError
 from ..jit import compiled
 from ..systems.linear import Array
 from .failure_map.record import ModelOnRecord
@@ -74,8 +74,6 @@ def horizon_error(comparison: Comparison, steps: Any = None) -> HorizonError:
         steps = np.unique(np.geomspace(1, max(longest // 4, 1), 12).round().astype(int))
     ahead = np.atleast_1d(np.asarray(steps, dtype=np.int64))
     if ahead.ndim != 1 or ahead.size == 0 or (ahead < 1).any() or (ahead >= data.n_samples).any():
-        from ..exceptions import DataError
-
         raise DataError(f"steps must be whole numbers of samples from 1 to {data.n_samples - 1}, not {steps}")
     rmse = np.array([_errors(comparison, i, ahead) for i in range(len(comparison.names))])
     free = np.sqrt(np.mean((data.outputs[None] - comparison.runs) ** 2, axis=2))
@@ -97,8 +95,7 @@ def _errors(comparison: Comparison, index: int, ahead: NDArray[np.int64]) -> Arr
     total, count = np.zeros((ahead.size, C.shape[0])), np.zeros(ahead.size)
     # the error is carried on by the linear part: what a correction takes off now fades as it does
     predict(Phi, C, gain, residual, scene.reset, np.ascontiguousarray(powers), ahead, total, count)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)
+    with np.errstate(all="ignore"):
         error = np.sqrt(total / np.maximum(count, 1)[:, None])
     error[count == 0] = np.nan
     return np.asarray((error * scene.scale[:, 0]).T)

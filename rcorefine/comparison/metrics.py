@@ -38,13 +38,13 @@ def fit_percent(measured: ArrayLike, simulated: ArrayLike) -> Array:
     >>> print(round(float(fit_percent([0.0, 2.0], [0.0, 1.0])), 2))
     29.29
     """
-    y, yh = np.asarray(measured, dtype=float), np.asarray(simulated, dtype=float)
+    y, yh = np.asarray(measured) + 0.0, np.asarray(simulated) + 0.0
     if y.ndim == 0 or y.shape[-1:] != yh.shape[-1:]:
         raise ct.ControlDimension(f"measured has shape {y.shape} and simulated {yh.shape}; time comes last")
     spread = np.linalg.norm(y - y.mean(axis=-1, keepdims=True), axis=-1)
     error = np.linalg.norm(y - yh, axis=-1)
     spread = np.broadcast_to(spread, error.shape)
-    constant = np.broadcast_to(np.ptp(y, axis=-1) == 0.0, error.shape)
+    constant = np.broadcast_to((y == y[..., :1]).all(axis=-1), error.shape)
     ratio = np.divide(error, spread, out=np.full(error.shape, np.nan), where=~constant)
     return np.asarray(100.0 * (1.0 - ratio))
 

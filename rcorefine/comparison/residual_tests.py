@@ -315,8 +315,9 @@ def _mean(name: str, e: Array) -> ResidualTest:
     return ResidualTest("mean", name, z**2, 1, float(stats.chi2.sf(z**2, 1)))
 
 
-def _steadiness(name: str, e: Array, blocks: int = 8) -> ResidualTest:
+def _steadiness(name: str, e: Array) -> ResidualTest:
     """Levels of the innovations in equal blocks (Levene's test, about the median)."""
+    blocks = 8
     parts = np.array_split(whitened(e), blocks)
     f, p = stats.levene(*parts, center="median")
     return ResidualTest("steadiness", name, float(f * (blocks - 1)), blocks - 1, float(p))

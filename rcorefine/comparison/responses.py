@@ -17,6 +17,7 @@ from ..engine.simulation import structure_of
 from ..results import Options, Reported, Result, picture, show
 from ..systems.linear import Array, LinearModel
 from ..systems.response import as_sampled, frequency_response
+from .metrics import fit_percent
 
 __all__ = ["FrequencyComparison", "LevelComparison", "compare_responses"]
 
@@ -65,12 +66,7 @@ class FrequencyComparison(Reported):
 
         100 (1 - norm(G - Gh) / norm(G - mean(G))) of the complex responses.
         """
-        mean = self.measured.response.mean(axis=-1, keepdims=True)
-        spread = np.linalg.norm(self.measured.response - mean, axis=-1)
-        error = np.linalg.norm(self.measured.response[None] - self.responses, axis=-1)
-        spread = np.broadcast_to(spread, error.shape)
-        ratio = np.divide(error, spread, out=np.full(error.shape, np.nan), where=spread > 0)
-        return np.asarray(self._shaped(100.0 * (1.0 - ratio)))
+        return np.asarray(self._shaped(fit_percent(self.measured.response[None], self.responses)))
 
     @property
     def over_noise(self) -> Array:

@@ -224,10 +224,12 @@ class Comparison(Reported):
         ----------
         kind : {"time", "bode", "residual", "horizon", "map"}
             "time": measured and simulated outputs, fit % in the legend, and a
-            row of residuals. "bode": frequency responses of the models'
-            linear parts as the record sees them (its dt and hold), measured
-            points with a band of two standard deviations, and a row with the
-            relative error. "residual": correlation of the residuals with
+            row of residuals; of a record too long to be read, where models
+            and record differ most (``set_xlim`` of the axes shows the rest).
+            "bode": frequency responses of the models' linear parts as the
+            record sees them (its dt and hold), measured points with a band of
+            two standard deviations, and a row with the relative error.
+            "residual": correlation of the residuals with
             themselves and with each input, negative lags included.
             "horizon": error against how far ahead is predicted, from one
             step to the free run. "map": `failures` as a picture.

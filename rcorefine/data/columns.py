@@ -10,7 +10,8 @@ import numpy as np
 
 from ..archives import read_archive
 from ..arguments import as_choice, as_number, as_text, as_texts
-from ..exceptions import DataError, MissingExtraError
+from ..exceptions import DataError
+from ..extras import needed
 from .matlab import Other, read_matlab
 from .signals import HOLDS
 
@@ -175,12 +176,7 @@ def read_frame(frame: Any, names: Sequence[str]) -> Columns:
         If a column is not there or holds missing values.
     """
     if not hasattr(frame, "columns"):
-        try:
-            import pandas as pd
-        except ImportError as error:
-            raise MissingExtraError(
-                'from_frame needs a data frame; install the extra "pandas": pip install "rcorefine[pandas]"'
-            ) from error
+        pd = needed("pandas", "pandas", "from_frame, where it is handed no data frame,")
         if not isinstance(frame, (dict, pd.Series)):
             raise ct.ControlArgument(
                 f"from_frame takes a pandas.DataFrame (or a dict of columns), not {type(frame).__name__}"

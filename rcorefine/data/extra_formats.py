@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import importlib
+import os
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from ..archives import most_bytes
 from ..arguments import as_number
 from ..exceptions import DataError, MissingExtraError
+from ..extras import needed
 from .columns import Columns, vectors
 from .columns import read_mat as read_old_mat
 from .matlab import Other
@@ -17,25 +19,9 @@ from .matlab import Other
 __all__ = ["read_hdf5", "read_mat", "read_tdms", "read_uff", "read_uff_responses"]
 
 
-def _needs(module: str, reader: str) -> Any:
-    """A module of the extra "formats".
-
-    Raises
-    ------
-    MissingExtraError
-        If it is not installed.
-    """
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        raise MissingExtraError(
-            f'{reader} needs {module}; install the extra "formats": pip install "rcorefine[formats]"'
-        ) from error
-
-
 def read_hdf5(path: Any, names: Sequence[str], reader: str = "from_hdf5") -> Columns:
     """Named data sets of an HDF5 file: "group/name", or "group.name"."""
-    h5py = _needs("h5py", reader)
+    h5py = needed("h5py", "formats", reader)
     with open(path, "rb"):  # whether it is there is the system's message
         pass
     try:
@@ -50,12 +36,28 @@ def read_hdf5(path: Any, names: Sequence[str], reader: str = "from_hdf5") -> Col
             places = {name: name.replace(".", "/").strip("/") for name in names}
             texts = {k for k, item in found.items() if item.attrs.get("MATLAB_class", b"") == b"char"}
             shown = {k: Other("text" if k in texts else str(item.dtype)) for k, item in found.items()}
-            read = {n: np.asarray(found[k]) for n, k in places.items() if k in found and k not in texts}
+            asked = {n: found[k] for n, k in places.items() if k in found and k not in texts}
+            _check_source(path, asked)
+            read = {n: np.asarray(item) for n, item in asked.items()}
         return vectors(path, shown | read, names)
-    except OSError as error:
+    except DataError:
+        raise
+    except Exception as error:  # h5py fails in a dozen ways on what is damaged
         raise DataError(
             f"{path} is not an HDF5 file that h5py can read, or it is damaged: {error}"
         ) from error
+
+
+def _check_source(path: Any, asked: dict[str, Any]) -> None:
+    """What is asked for stands in this file, and is no larger than a file of its size may hold."""
+    for name, item in asked.items():
+        if item.external or item.is_virtual:
+            raise DataError(f"{path}: the data set {name!r} lies in another file; copy its values here")
+    claimed, room = sum(item.size * 8 for item in asked.values()), most_bytes(os.path.getsize(path))
+    if claimed > room:
+        raise DataError(
+            f"{path}: {', '.join(asked)} claim {claimed} bytes, {room} are allowed in a file of its size"
+        )
 
 
 def read_mat(path: Any, names: Sequence[str]) -> Columns:
@@ -76,7 +78,7 @@ def read_mat(path: Any, names: Sequence[str]) -> Columns:
 
 def read_tdms(path: Any, names: Sequence[str]) -> Columns:
     """Named channels of a TDMS file: "group/channel", or the channel alone where only one group has it."""
-    nptdms = _needs("nptdms", "from_tdms")
+    nptdms = needed("nptdms", "formats", "from_tdms")
     with open(path, "rb"):
         pass
     try:
@@ -130,7 +132,7 @@ def read_uff(
 
 def _sets_of(path: Any, sets: Sequence[int] | None) -> tuple[list[int], list[dict[str, Any] | None]]:
     """Types of all data sets of a universal file, and those asked for (all for None) that are of type 58."""
-    pyuff = _needs("pyuff", "from_uff")
+    pyuff = needed("pyuff", "formats", "from_uff")
     with open(path, "rb"):
         pass
     try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Unpack
@@ -10,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Unpack
 import control as ct
 import numpy as np
 
-from ..arguments import as_choice, as_labels, as_list, as_text, as_texts, as_vector, as_whole
-from ..exceptions import DataError, ExcitationWarning
+from ..arguments import as_choice, as_labels, as_text, as_texts, as_vector, as_whole
+from ..exceptions import ExcitationWarning, warn
 from ..results import Options, Result, picture, show
 from ..systems.linear import Array
 from .parts import FIELDS, RecordParts
@@ -21,7 +20,7 @@ from .signals import HOLDS, as_signals, as_time_grid, check_finite, check_sizes,
 if TYPE_CHECKING:
     from .frequency_response import FrequencyResponse
 
-__all__ = ["HOLDS", "Measurement", "as_records"]
+__all__ = ["HOLDS", "Measurement"]
 
 _ARRAYS = ("inputs", "outputs", "timepts", "origin")
 
@@ -215,7 +214,7 @@ class Measurement(Result, RecordReaders, RecordParts):
             values = ", ".join(
                 f"{label!r} = {self.inputs[self.input_labels.index(label), 0]:g}" for label in still
             )
-            warnings.warn(
+            warn(
                 f"{purpose}: constant over all {self.n_samples} samples: {values}. The record shows how the "
                 "system settles (a free decay), not what this input drives; vary the input to learn that",
                 ExcitationWarning,
@@ -313,33 +312,6 @@ class Measurement(Result, RecordReaders, RecordParts):
             f"<Measurement {self.name!r}: {self.n_inputs} input(s), {self.n_outputs} output(s), "
             f"{self.n_samples} samples, dt={self.dt:g}, hold={self.hold!r}>"
         )
-
-
-def as_records(data: Any, name: str = "data") -> list[Measurement]:
-    """One record or several, as a list.
-
-    Raises
-    ------
-    control.ControlArgument
-        If it is something else.
-    DataError
-        If the list is empty.
-    """
-    first = data[0] if isinstance(data, list | tuple) and data else data
-    if isinstance(first, ct.FrequencyResponseData):
-        raise ct.ControlArgument(
-            f"{name} is a frequency response, and this needs a record in time; compare, refine, "
-            "diagnose and improve take responses"
-        )
-    records = [data] if isinstance(data, Measurement) else as_list(data, name, "Measurement objects")
-    for i, record in enumerate(records):
-        if not isinstance(record, Measurement):
-            raise ct.ControlArgument(
-                f"{name}[{i}] is a {type(record).__name__}; {name} must be a Measurement or a list of them"
-            )
-    if not records:
-        raise DataError(f"{name} is an empty list; give at least one Measurement")
-    return records
 
 
 def _units(values: Any, what: str, count: int) -> tuple[str, ...]:

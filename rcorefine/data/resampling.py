@@ -224,7 +224,7 @@ def _step(times: Array) -> float:
 def _check_gaps(times: Array, name: str, longest: float | None) -> None:
     steps, usual = np.diff(times), _step(times)
     most = _GAP * usual if longest is None else longest
-    gaps = np.flatnonzero(steps > most)
+    gaps = np.flatnonzero(steps > most * (1 + 1e-9))
     if gaps.size:
         listed = ", ".join(f"{times[k]:.6g} ... {times[k + 1]:.6g} s" for k in gaps[:5])
         raise DataError(

@@ -167,7 +167,7 @@ def noise_is_known(records: Sequence[Any]) -> bool:
     return in_frequency(records) and all(record.known for record in records)
 
 
-def as_responses(data: Any, name: str = "data") -> list[FrequencyResponse]:
+def as_responses(data: Any) -> list[FrequencyResponse]:
     """One frequency response or several, as a list.
 
     Raises
@@ -178,12 +178,12 @@ def as_responses(data: Any, name: str = "data") -> list[FrequencyResponse]:
     given = (
         [data]
         if isinstance(data, ct.FrequencyResponseData)
-        else as_list(data, name, "FrequencyResponse objects")
+        else as_list(data, "data", "FrequencyResponse objects")
     )
     for i, one in enumerate(given):
         if isinstance(one, Measurement):
             raise ct.ControlArgument(
-                f"{name}[{i}] is a Measurement among frequency responses; give records in time, or responses "
+                f"data[{i}] is a Measurement among frequency responses; give records in time, or responses "
                 "alone (data.frequency_response())"
             )
     return [one if isinstance(one, FrequencyResponse) else FrequencyResponse.from_frd(one) for one in given]

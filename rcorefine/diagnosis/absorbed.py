@@ -6,13 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..inference.levels import levels
 from ..inference.refinement import EstimatedParameter, Refinement
 
 __all__ = ["far_numbers", "numbers_that_moved", "what_was_absorbed"]
 
-_SURE = 3.0  # standard deviations from which on a number has moved
 _MOST = 6  # numbers that are listed
-_FAR = 0.3  # of a number: more than people are off who know their plant
 
 
 def what_was_absorbed(base: Refinement) -> str:
@@ -73,11 +72,12 @@ def numbers_that_moved(rows: Sequence[EstimatedParameter]) -> str:
 
 def far_numbers(rows: Sequence[EstimatedParameter]) -> list[str]:
     """Names of numbers that moved, for certain, further than people are off who know their plant."""
-    return [row.name for row in rows if abs(row.coefficient) - _SURE * row.std > _FAR * abs(row.initial)]
+    sure, far = levels().moved, levels().moved_far
+    return [row.name for row in rows if abs(row.coefficient) - sure * row.std > far * abs(row.initial)]
 
 
 def _moved(row: EstimatedParameter) -> bool:
-    return abs(row.coefficient) > _SURE * row.std
+    return abs(row.coefficient) > levels().moved * row.std
 
 
 def _one(row: EstimatedParameter) -> str:

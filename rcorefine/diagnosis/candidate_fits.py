@@ -100,6 +100,7 @@ def shortlist(
         chosen += sorted(order, key=lambda i: tests[i].p_equal)[: _SHORT // 2]  # what acts on few samples
         place = candidates[order[0]].effect.place
         chosen += [i for i, c in enumerate(candidates) if c.effect.place == place]
+    chosen += [i for i, c in enumerate(candidates) if c.effect.spec.of_record]
     if not batteries[0].fitted.problem.in_time:  # no score is right for a peak that moved by its width
         chosen += [i for i, c in enumerate(candidates) if c.effect.spec.linear or c.effect.spec.delays]
     return list(dict.fromkeys(chosen)), scores[0]
@@ -156,7 +157,7 @@ def fit_candidates(
     n = fitted.problem.n_points
     _run_laps(fitted, rivals, ratio, progress)
     leading = {r.effect.place for r in _near(rivals, n)}
-    left = tuple(c for c in general if c.effect.place not in leading)
+    left = tuple(c for c in general if c.effect.place not in leading and not c.effect.spec.of_record)
     tasks = []
     for c in [c for c in general if c not in left]:
         inside = [r for r in rivals if contains(c.effect, r.effect)]

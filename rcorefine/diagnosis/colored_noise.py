@@ -6,17 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..inference.levels import Levels
+from ..inference.levels import Levels, levels
 from ..inference.sensitivities import Candidate
 from ..inference.whitening import Whitener, in_own_units, project
 from ..systems.linear import Array
 from .residual_tests import TestedResidual
 from .spectral_line import spectral_line
 
-__all__ = ["BUT", "gain_over_color", "is_drowned", "left_to_noise", "takes_error_for_color"]
-
-BUT = "But "  # with which what is left to noise begins: it belongs to the verdict
-_LEFT = 0.5  # share of what the color of the residual gains, above which a candidate has not explained it
+__all__ = ["gain_over_color", "is_drowned", "left_to_noise", "takes_error_for_color"]
 
 
 def gain_over_color(battery: TestedResidual, candidates: Sequence[Candidate]) -> float:
@@ -54,17 +51,17 @@ def gain_over_color(battery: TestedResidual, candidates: Sequence[Candidate]) ->
         columns = project(in_own_units(plain.whiten(candidate.columns[battery.ratio])), plain.basis)
         x, _, rank, _ = np.linalg.lstsq(columns, plain.left, rcond=1e-7)
         reached, left = _likelihood(plain.left - columns @ x, residuals)
-        if left < _LEFT * color:
+        if left < levels().color_left * color:
             best = max(best, reached - 0.5 * int(rank) * float(np.log(n)) - none)
     return best
 
 
 def takes_error_for_color(battery: TestedResidual, candidates: Sequence[Candidate], levels: Levels) -> bool:
     """Whether a residual that passes may be a model error: much of it is color, or a candidate fits it."""
-    return bool(left_to_noise(battery, levels)) or gain_over_color(battery, candidates) >= levels.color
+    return left_to_noise(battery, levels) != "" or gain_over_color(battery, candidates) >= levels.color
 
 
-def left_to_noise(battery: TestedResidual, levels: Levels) -> list[str]:
+def left_to_noise(battery: TestedResidual, levels: Levels) -> str:
     """Where much of a residual passes for noise with a memory: the error of a model may look like that.
 
     Parameters
@@ -76,30 +73,29 @@ def left_to_noise(battery: TestedResidual, levels: Levels) -> list[str]:
 
     Returns
     -------
-    list of str
-        One sentence, or none.
+    str
+        What that is in words, empty where little does.
     """
     fit, memory = _fit_and_memory(battery)
     if memory == 0.0 or (fit >= levels.colored_fit and memory < levels.colored_size):
-        return []
-    run = "the prediction" if battery.fitted.refinement.led else "the free run"
+        return ""
+    run = "The prediction" if battery.fitted.refinement.led else "The free run"
     order, problem = max(battery.whitener.orders), battery.fitted.problem
     residuals = battery.fitted.residuals(battery.ratio)
     line = spectral_line(residuals, problem.records[0].dt) if problem.in_time else None
-    pure = (
-        ""
-        if line is None
-        else (
-            f" {100 * line[1]:.0f} % of that rest is a line at {line[0]:.4g} Hz: an unmeasured force or a "
+    pure = ""
+    if line is not None:
+        frequency, share = line
+        pure = (
+            f" {100 * share:.0f} % of that rest is a line at {frequency:.4g} Hz: an unmeasured force or a "
             "disturbance of that frequency."
         )
-    )
-    return [
-        f"{BUT}{run} explains only {fit:.3g} % of the record; the rest passes for noise with a memory "
+    return (
+        f"{run} explains only {fit:.3g} % of the record; the rest passes for noise with a memory "
         f"(order {order}), {memory:.2g} times as large as what is new in each sample.{pure} If the "
         "sensor has no such noise, the model is wrong there: give a record with another input, steps "
         "or a sweep."
-    ]
+    )
 
 
 def is_drowned(battery: TestedResidual, levels: Levels) -> bool:

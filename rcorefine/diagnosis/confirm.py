@@ -10,8 +10,10 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_number, as_share
-from ..data.measurement import Measurement, as_records
-from ..effects.effect import Effect, as_effects
+from ..data.measurement import Measurement
+from ..data.records import as_records
+from ..effects.effect import Effect
+from ..effects.several import as_effects
 from ..engine.observer import observer_gain
 from ..engine.simulation import check_channels
 from ..inference.assembly import check_settings, priors

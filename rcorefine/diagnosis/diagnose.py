@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -14,8 +13,9 @@ from ..arguments import as_share
 from ..arithmetic import own_arithmetic
 from ..data.measurement import Measurement
 from ..data.response_record import in_frequency
-from ..effects.effect import Effect, as_effects
-from ..exceptions import IdentifiabilityWarning
+from ..effects.effect import Effect
+from ..effects.several import as_effects
+from ..exceptions import IdentifiabilityWarning, unheard
 from ..inference.assembly import check_settings
 from ..inference.refinement import Refinement
 from ..inference.sensitivities import Candidate, candidate_columns
@@ -28,6 +28,7 @@ from .candidate_fits import CandidateFits, fit_candidates, shortlist
 from .case import Case
 from .checks.check import looks
 from .colored_noise import is_drowned, left_to_noise, takes_error_for_color
+from .dead_sensors import without_dead_sensors
 from .excitation import no_motion, not_excited
 from .families import hosts, said_of_families
 from .floating import floating, outdone, rivals_of_numbers
@@ -35,7 +36,7 @@ from .judging import Judged, judge, pair_hint, second_chance, with_special_cases
 from .open_law import open_law, probabilities
 from .places import in_race
 from .ranking import in_free_run, ranking
-from .remarks import amplitude_test, fit_remarks, remarks
+from .remarks import amplitude_test, fit_remarks, not_known, remarks
 from .residual_tests import TestedResidual, run_tests
 from .result import Diagnosis
 from .unmeasured_force import Explained
@@ -144,18 +145,19 @@ def diagnose(
     records = as_data(data, horizon=horizon, noise=noise, controller=controller)
     model = under_control(model, controller, data)
     candidates = None if candidates is None else as_effects(candidates, "candidates")
+    watched, live, candidates, silent = without_dead_sensors(model, records, candidates)
     options: dict[str, Any] = {"free": free, "tolerance": tolerance, "offset": offset}
     options |= {"noise": noise, "horizon": horizon}
     check_settings(as_physical(model), **options)
     if validation is not None:
         check_validation(model, validation)
-    given, records = records, spread_lines(records)
-    with own_arithmetic(), Progress(progress, executor) as steps:
-        with warnings.catch_warnings(), steps.step("model as it is"):
-            warnings.simplefilter("ignore", IdentifiabilityWarning)
+    given, seen, records = records, model, spread_lines(live)
+    model = watched
+    with own_arithmetic(), unheard(IdentifiabilityWarning), Progress(progress, executor) as steps:
+        with steps.step("model as it is"):
             base = base_fit(model, records, **options)
         with steps.step("what is odd"):
-            odd = () if in_frequency(records) else looks(model, records, horizon)
+            odd = () if in_frequency(records) else looks(seen, given, horizon)
         found, _ = investigate(
             base,
             records,
@@ -165,8 +167,8 @@ def diagnose(
             significance=significance,
             progress=steps,
         )
-        said = about_noise(base.physical_model, records, given)
-        return replace(found, checks=odd, records=tuple(given), notes=(*found.notes, *said))
+        said = about_noise(base.physical_model, records, live)
+        return replace(found, checks=odd, records=tuple(given), notes=(*silent, *found.notes, *said))
 
 
 def investigate(
@@ -304,8 +306,10 @@ def _named(
     held = hosts(race.rivals, ties, case.levels)
     alike = tuple(race.rivals[i].effect for i in ties if i not in held)
     several = judged.passed and len(case.records) > 1
-    agreement, sentence = amplitude_test(race, case.levels.disagree) if several else (1.0, "")
-    word = verdict(judged.passed, agreement, len(alike), case.levels, judged.beside)
+    agreement, sentence = amplitude_test(race, case.levels) if several else (1.0, "")
+    unknown = not_known(race, case.levels) if judged.passed else ""
+    passed = judged.passed and not unknown
+    word = verdict(passed, agreement, len(alike), case.levels, judged.beside)
     with case.progress.step("free forces"):
         law = open_law(race) if word == "unexplained" and case.thorough and case.in_time else None
     shares, none, places = probabilities(race, judged.beside if judged.passed else -np.inf, law)
@@ -318,11 +322,17 @@ def _named(
     rows = ranking(shown, p_values, shares, case.base, validation, case.settings["horizon"])
     notes = [*about_hold(case), *fit_remarks(race), *remarks(race, scored, batteries)]
     notes += said_of_families(race.rivals, held)
-    notes += [sentence] if sentence else []
-    notes += [] if judged.tests else left_to_noise(batteries[0], case.levels)
+    notes += [said for said in (sentence, unknown) if said]
+    if judged.passed and 2 * judged.beside > case.levels.rival:
+        best = race.rivals[0].effect
+        notes.append(
+            f"{best.label} passes every test, but a force at {best.place} that departs from it is more than "
+            f"{np.exp(case.levels.rival / 2):.0f} times as likely."
+        )
     if case.thorough and word == "unexplained":
         with case.progress.step("pairs"):
             notes += pair_hint(case, judged, scored)
     own = {"force_ratio": race.ratio, "notes": tuple(notes), **case.about}
+    own["left_to_noise"] = "" if judged.tests else left_to_noise(batteries[0], case.levels)
     found = Diagnosis(word, rows, alike, tuple(tests), tuple(judged.tests), (), **own)
     return replace(found, none_of_these=none, places=places, open_law=None if law is None else law.law)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from ..effects.bodies import Mass
 from ..effects.effect import Effect
-from ..exceptions import IdentifiabilityWarning, ModelError
+from ..exceptions import ModelError
 from ..inference.assembly import nominal_size
 from ..inference.fitted import FittedModel, fitted_from
 from ..inference.refinement import Refinement
@@ -107,8 +106,7 @@ def explaining_numbers(case: Case, refined: Refinement | None, *, far: bool = Fa
 
 
 def _fit(case: Case, numbers: list[Effect], by: Callable[..., Refinement] = base_fit) -> Refinement:
-    with warnings.catch_warnings(), case.progress.step("parameters"):
-        warnings.simplefilter("ignore", IdentifiabilityWarning)  # the priors settle what the record cannot
+    with case.progress.step("parameters"):
         return by(case.base, case.records, free=numbers, **case.options)
 
 

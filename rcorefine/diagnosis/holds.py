@@ -15,6 +15,7 @@ from ..engine.structure import Structure
 from ..exceptions import DivergenceError
 from ..inference.assembly import assemble, unfold
 from ..inference.fit import Fit
+from ..inference.levels import levels
 from ..inference.outcome import output_weights
 from ..inference.refinement import Refinement
 from ..inference.search import starting_states
@@ -23,10 +24,7 @@ from ..refinement.refine import refit
 
 __all__ = ["best_hold", "hold_errors"]
 
-_MATTERS = 0.05  # log of the error by which another hold must be better
-_LEVEL = 0.01  # the same, within which two explanations are as good
 _ROUNDS = 3
-_TRUST = 0.05  # relative sd of parameters that are not declared to float
 _DELAY, _LAG = 0.2, 0.1  # of a sample, where the search for a late or slow channel begins
 _NAMES = {"zoh": "zero-order hold", "foh": "first-order hold", "bandlimited": "band-limited input"}
 
@@ -85,7 +83,7 @@ def floating_error(
     float
     """
     physical, kept = unfold(model)
-    dt, tolerance = records[0].dt, settings.get("tolerance", 0.0) or _TRUST
+    dt, tolerance = records[0].dt, settings.get("tolerance", 0.0) or levels().off
     slow = [
         Effect(law.name, place, start={law.coefficients[0].name: share * dt})
         for place in physical.linear.input_labels
@@ -130,13 +128,13 @@ def best_hold(model: Refinement, records: Sequence[Measurement], settings: dict[
         return declared, ""  # several holds were declared on purpose
     errors = hold_errors(model, records, settings)
     best = min(errors, key=lambda hold: errors[hold], default=declared)
-    if declared in errors and errors[declared] - errors[best] < _MATTERS:
+    if declared in errors and errors[declared] - errors[best] < levels().hold:
         return declared, ""
     if declared in errors:
         found, given = (floating_error(model, records, settings, hold) for hold in (best, declared))
-        if given - found < _MATTERS:
+        if given - found < levels().hold:
             return declared, ""
-        if floating_error(model, records, settings, declared, late=True) < errors[best] - _LEVEL:
+        if floating_error(model, records, settings, declared, late=True) < errors[best] - levels().hold_alike:
             return declared, ""
     figures = ", ".join(f"{hold} {np.exp(value):.4g}" for hold, value in errors.items())
     said = "the record declares" if model.hold is None else "the model was fitted with"

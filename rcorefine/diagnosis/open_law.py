@@ -12,6 +12,7 @@ from ..effects.along_motion import unit_forces
 from ..effects.effect import Effect
 from ..effects.tabulated import Table, Tabulated
 from ..inference.free_form import FreeForm, fit_free_form
+from ..inference.levels import levels
 from ..inference.sensitivities import force_responses
 from ..systems.linear import Array
 from .beside import curve_at, motion_at, stops
@@ -26,7 +27,6 @@ __all__ = ["FreeForces", "OpenLaw", "open_law", "probabilities"]
 _NAME = "law open, tabulated"
 _PLACES = 3  # at which a curve is fitted
 _FIRST = 2  # descents at each of them; the best one goes on
-_SPEAKS = 1e-4  # p-value below which memory, or time, is said to act
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -186,7 +186,7 @@ def _beyond(form: FreeForm, ratio: float) -> str:
         "it remembers": _remembered,
         "it changes with time": _slow,
     }
-    best: tuple[float, str] = (_SPEAKS, "")
+    best: tuple[float, str] = (levels().no_function, "")
     for words, make in said.items():
         blocks = []
         for i in range(len(fitted.problem.records)):

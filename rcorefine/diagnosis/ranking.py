@@ -11,8 +11,9 @@ from scipy import stats
 
 from ..comparison.compare import compare
 from ..data.measurement import Measurement
+from ..effects.effect import Effect
 from ..inference.levels import Levels
-from ..inference.refinement import Refinement
+from ..inference.refinement import EstimatedParameter, Refinement
 from ..inference.sensitivities import Candidate
 from ..inference.whitening import project
 from .candidate_fit import log_likelihood, prior_cost, whitener_of
@@ -20,7 +21,7 @@ from .candidate_fits import CandidateFits
 from .residual_tests import TestedResidual
 from .result import Detectable, RankedEffect
 
-__all__ = ["detectable", "in_free_run", "ranking"]
+__all__ = ["detectable", "estimates", "in_free_run", "ranking"]
 
 
 def in_free_run(race: CandidateFits) -> CandidateFits:
@@ -52,17 +53,12 @@ def ranking(
     rows = []
     for i, (rival, p, probability) in enumerate(zip(race.rivals, p_values, probabilities, strict=True)):
         refinement = race.model(i).refinement
-        own = [
-            row
-            for row in refinement.parameters
-            if row.kind == rival.effect.kind and row.place == rival.effect.place
-        ]
-        names = [name for name in rival.effect.coefficients if name not in rival.effect.fixed]
+        own = estimates(refinement, rival.effect)
         rows.append(
             RankedEffect(
                 effect=rival.effect,
-                coefficients={n: row.coefficient for n, row in zip(names, own, strict=True)},
-                std={n: row.std for n, row in zip(names, own, strict=True)},
+                coefficients={name: row.coefficient for name, row in own.items()},
+                std={name: row.std for name, row in own.items()},
                 fit_before=before,
                 fit_after=_validated(refinement, validation if i < 8 else None, horizon),
                 p_value=float(p),
@@ -72,6 +68,13 @@ def ranking(
             )
         )
     return tuple(rows)
+
+
+def estimates(refinement: Refinement, effect: Effect) -> dict[str, EstimatedParameter]:
+    """Rows of the free coefficients of an effect, by their names."""
+    rows = [row for row in refinement.parameters if (row.kind, row.place) == (effect.kind, effect.place)]
+    names = [name for name in effect.coefficients if name not in effect.fixed]
+    return dict(zip(names, rows, strict=True))
 
 
 def _validated(refinement: Refinement, validation: Measurement | None, horizon: float | None) -> float:

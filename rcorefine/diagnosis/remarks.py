@@ -9,19 +9,20 @@ import numpy as np
 from ..inference.covariance import covariance, wald
 from ..inference.descent import descend
 from ..inference.fitted import FittedModel
-from ..inference.problem import Problem
+from ..inference.levels import Levels
 from ..inference.sensitivities import Candidate
 from ..systems.linear import Array
 from .candidate_fits import CandidateFits
+from .ranking import estimates
 from .residual_tests import TestedResidual
 
-__all__ = ["amplitude_test", "fit_remarks", "remarks"]
+__all__ = ["amplitude_test", "fit_remarks", "not_known", "remarks"]
 
 _SHOWN = 8  # rows of the ranking that are printed
 _OTHER_AMPLITUDE = 1.3  # rms of the inputs over that of another record
 
 
-def amplitude_test(race: CandidateFits, level: float) -> tuple[float, str]:
+def amplitude_test(race: CandidateFits, levels: Levels) -> tuple[float, str]:
     """Whether records of different amplitude agree on the coefficients of the winner.
 
     A law that only mimics the true one needs other coefficients at another amplitude.
@@ -30,8 +31,8 @@ def amplitude_test(race: CandidateFits, level: float) -> tuple[float, str]:
     ----------
     race : CandidateFits
         CandidateFits on several records.
-    level : float
-        p-value below which they are said to disagree.
+    levels : Levels
+        Of the agreement.
 
     Returns
     -------
@@ -41,21 +42,22 @@ def amplitude_test(race: CandidateFits, level: float) -> tuple[float, str]:
         What was compared, empty where nothing was.
     """
     problem = race.rivals[0].candidate.problem
-    levels = [float(np.sqrt(np.mean(r.inputs**2))) for r in problem.records]
-    low, high = int(np.argmin(levels)), int(np.argmax(levels))
-    if levels[high] <= _OTHER_AMPLITUDE * max(levels[low], 1e-300):
+    sizes = [float(np.sqrt(np.mean(r.inputs**2))) for r in problem.records]
+    low, high = int(np.argmin(sizes)), int(np.argmax(sizes))
+    if sizes[high] <= _OTHER_AMPLITUDE * max(sizes[low], 1e-300):
         return 1.0, ""
     fitted = race.model()
     p = race.fitted.structure.n_parameters
     estimates = [_alone(fitted, i) for i in (low, high)]
     own = slice(p, fitted.structure.n_parameters)
     difference = estimates[0][0][own] - estimates[1][0][own]
-    p_value = wald(difference, estimates[0][1][own, own] + estimates[1][1][own, own])
+    spread = np.diag((levels.same_value * fitted.theta[own]) ** 2)
+    p_value = wald(difference, estimates[0][1][own, own] + estimates[1][1][own, own] + spread)
     values = " and ".join(f"{e[0][p]:.4g} +/- {np.sqrt(e[1][p, p]):.2g}" for e in estimates)
     name = race.rivals[0].effect.label
     sentence = (
         f"Fitted alone at the smallest and the largest amplitude, {name} is {values} "
-        f"({'they disagree' if p_value < level else 'they agree'}, p = {p_value:.2g})."
+        f"({'they disagree' if p_value < levels.disagree else 'they agree'}, p = {p_value:.2g})."
     )
     return p_value, sentence
 
@@ -64,15 +66,7 @@ def _alone(fitted: FittedModel, record: int) -> tuple[Array, Array]:
     """Coefficients and covariance from one record only."""
     whole = fitted.problem
     theta, starts = whole.unpack(fitted.point)
-    problem = Problem(
-        whole.structure,
-        [whole.records[record]],
-        whole.weights,
-        prior_mean=whole.prior_mean,
-        prior_sd=whole.prior_sd,
-        substeps=whole.engines[0].substeps,
-        initial=whole.initial,
-    )
+    problem = whole.like(records=[whole.records[record]])
     whitener = whole.whitener([fitted.residuals()[record]])
     run = descend(
         problem,
@@ -87,15 +81,40 @@ def _alone(fitted: FittedModel, record: int) -> tuple[Array, Array]:
     return problem.unpack(run.point)[0].copy(), C[:p, :p]
 
 
+def not_known(race: CandidateFits, levels: Levels) -> str:
+    """Why the first candidate gives no estimate though it may pass; empty where it does.
+
+    Parameters
+    ----------
+    race : CandidateFits
+        Fits.
+    levels : Levels
+        Of what is known.
+    """
+    effect = race.rivals[0].effect
+    refinement = race.model().refinement
+    rows = estimates(refinement, effect)
+    sizes = [row for name, row in rows.items() if name not in effect.spec.shaping] or list(rows.values())
+    at = [refinement.parameters.index(row) for row in sizes]
+    values = np.array([row.coefficient for row in sizes])
+    if not at or wald(values, refinement.covariance[np.ix_(at, at)]) <= levels.known:
+        return ""
+    found = ", ".join(f"{row.coefficient:.4g} +/- {row.std:.2g}" for row in sizes)
+    return f"{effect.label} would pass, but the record does not determine it ({found}): it is not named."
+
+
 def fit_remarks(race: CandidateFits) -> list[str]:
     """Sentences on fits of the ranking that stand at a bound, or did not reach a minimum."""
     bound, loose = [], []
     for rival in race.rivals[:_SHOWN]:
         run = rival.descent
         bound += rival.candidate.problem.at_bound(run.point, run.slopes)
-        if not rival.settled:
+        if not rival.settled and rival is not race.rivals[0]:
             loose.append(rival.effect.label)
     said = [f"At its bound, so no estimate: {', '.join(dict.fromkeys(bound))}."] if bound else []
+    best = race.rivals[0]
+    if not best.settled:  # it would only win by more
+        said.append(f"Not converged, so its numbers are not final: {best.effect.label}.")
     if loose:
         said.append(f"Not converged, so neither named nor excluded for certain: {', '.join(loose)}.")
     return said

@@ -59,7 +59,9 @@ class TestedResidual:
         self.whitener = whitener or fitted.problem.whitener([r for r, _ in blocks])
         self.residual = self.whitener.apply([r for r, _ in blocks])
         self._judged = fitted.problem.judged(fitted.theta)
-        self.basis = rank_basis(self.whitener.apply([j * fitted.problem.sizes for _, j in blocks]))
+        fits = self.whitener.apply([j * fitted.problem.sizes for _, j in blocks])
+        lead = [] if ratio else [self.whiten(fitted.lead_columns())]
+        self.basis = rank_basis(np.hstack([fits, *lead]))
         self.left = project(self.residual, self.basis)
         self._weights = self._weighted = None
         outputs = self.whitener.outputs([r for r, _ in blocks])

@@ -117,6 +117,9 @@ class Diagnosis(Reported):
         tried there have together. Sums to one; empty where nothing was ranked.
     open_law : OpenLaw or None
         Where the verdict is "unexplained": the force as a table, and the laws nearest to it.
+    left_to_noise : str
+        Where no test fires on the model as it is, though much of the record is left to noise with a
+        memory: how much, and what that may hide. Else empty.
     checks : tuple of CheckRow
         What `check` finds odd about the records, or the model beside them, before anything is tested.
     """
@@ -143,6 +146,7 @@ class Diagnosis(Reported):
     none_of_these: float = np.nan
     places: dict[str, float] = field(default_factory=dict)
     open_law: OpenLaw | None = None
+    left_to_noise: str = ""
     checks: tuple[CheckRow, ...] = ()
 
     @property

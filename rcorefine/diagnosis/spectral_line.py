@@ -6,17 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..inference.levels import levels
 from ..systems.linear import Array
 
 __all__ = ["spectral_line"]
 
 _LOBE, _BESIDE = 2, 12  # bins of a Hann window's line on either side, and of what is compared with it
-_OVER = 30.0  # power of a bin of the line over the mean one beside it
-_SHARE = 0.2  # of the residual's power that a line makes up at least
-_PARTS, _STEADY = (
-    8,
-    0.2,
-)  # most that a part of the record departs from the whole: noise at a resonance wanders
+_PARTS = 8  # of the record, in each of which the line stands
 _SHORTEST = 200  # samples
 
 
@@ -49,12 +45,13 @@ def _line(row: Array, dt: float) -> tuple[float, float] | None:
     k = int(np.argmax(power[_LOBE + 1 : -_BESIDE])) + _LOBE + 1
     near = slice(k - _LOBE, k + _LOBE + 1)
     beside = np.concatenate([power[max(k - _BESIDE, 1) : near.start], power[near.stop : k + _BESIDE + 1]])
-    if power[k] < _OVER * beside.mean() or power[near].sum() < _SHARE * power.sum():
+    level = levels()
+    if power[k] < level.line * beside.mean() or power[near].sum() < level.line_share * power.sum():
         return None
     bins = k + np.linspace(-1.0, 1.0, 81)
     waves = np.exp(-2j * np.pi * np.outer(bins, np.arange(n)) / n)
     best = int(np.argmax(np.abs(waves @ (window * row))))
     parts = np.array([part.mean() for part in np.array_split(waves[best] * row, _PARTS)])
-    if np.abs(parts - parts.mean()).max() > _STEADY * abs(parts.mean()):
+    if np.abs(parts - parts.mean()).max() > level.line_drift * abs(parts.mean()):
         return None
     return float(bins[best] / (n * dt)), float(power[near].sum() / power.sum())

@@ -120,6 +120,6 @@ def verdict(passed: bool, agreement: float, ties: int, levels: Levels, beside: f
     str
         "unexplained", "effect" or "ambiguous".
     """
-    if not passed or agreement < levels.disagree:
+    if not passed or agreement < levels.disagree or 2 * beside > levels.rival:
         return "unexplained"
     return "effect" if ties == 1 and beside <= levels.departs else "ambiguous"

@@ -64,12 +64,14 @@ def numbers_instead(
     """The numbers of the model, where they explain the records no worse than the best law.
 
     A law with room for it mimics a spring and a damper, and numbers, be they far off, are the plainer
-    words. A single effect that explains as much as all the numbers keeps its name.
+    words. A single effect that explains as much as all the numbers keeps its name, and so does a fault of
+    the record, which is plainer still.
     """
     if numbers is not None:
         as_much = judged.passed and as_good(case, judged.race, numbers)
         return None if as_much or outdone(judged.race, numbers.battery, case.levels.force) else numbers
-    if judged.passed and is_number(judged.race.rivals[0].effect):
+    best = judged.race.rivals[0].effect
+    if judged.passed and (is_number(best) or best.spec.of_record):
         return None
     far = explaining_numbers(case, floated, far=True)
     return None if far is None or outdone(judged.race, far.battery, case.levels.force) else far
@@ -130,6 +132,5 @@ def adequate(case: Case, explained: Explained) -> Diagnosis:
     far = [e for e in case.library if e not in known and len(e.coefficients) == 1]
     scored = [*explained.scored, *candidate_columns(battery.fitted, far, case.motions[0], (battery.ratio,))]
     shown = detectable(battery, scored, count, case.significance, case.levels)
-    tests, ratio = tuple(explained.tests), explained.battery.ratio
-    notes = tuple(left_to_noise(battery, case.levels))
-    return Diagnosis("adequate", (), (), tests, (), shown, force_ratio=ratio, notes=notes, **case.about)
+    own = {"force_ratio": battery.ratio, "left_to_noise": left_to_noise(battery, case.levels), **case.about}
+    return Diagnosis("adequate", (), (), tuple(explained.tests), (), shown, **own)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from ..inference.levels import levels
 from .absorbed import far_numbers, numbers_that_moved, what_was_absorbed
-from .colored_noise import BUT
 from .verdict import overall
 
 if TYPE_CHECKING:
@@ -13,7 +13,6 @@ if TYPE_CHECKING:
 
 __all__ = ["no_test_fires", "sentences"]
 
-_OPEN = 0.05  # probability of none of these from which on it is said
 _VERDICTS = {
     "adequate": "Nothing is missing that this record could show.",
     "parameters": "The numbers of the model are off; mended, no law is missing that this record could show.",
@@ -44,15 +43,15 @@ def sentences(found: Diagnosis) -> list[str]:
         lines = ["The numbers of the model explain the record, moved so far that they may hide a law."]
     worst = min(found.tests, key=lambda t: t.p_value) if found.tests else None
     if found.verdict == "adequate":
-        rest = [note.removeprefix(BUT) for note in found.notes if note.startswith(BUT)]
-        head = f"{rest[0][0].upper()}{rest[0][1:]}" if rest else lines[0]
+        head = found.left_to_noise or lines[0]
         lines = [f"{head} {what_was_absorbed(found.base)}".rstrip(), *_shown(found)]
     elif worst is not None:  # without motion nothing could be tested
         lines += _open_law(found)
         fails = f"The model as it is fails: {worst.name}, p = {worst.p_value:.2g}."
         told = found.verdict != "unexplained" or overall(found.tests) < found.significance
-        lines.append(fails if told else no_test_fires(found))
-        if found.verdict == "unexplained" and found.winner_tests:
+        lines.append(fails if told else f"{no_test_fires(found)} {found.left_to_noise}".rstrip())
+        failed = found.winner_tests and overall(found.winner_tests) < found.significance
+        if found.verdict == "unexplained" and failed:
             left = min(found.winner_tests, key=lambda t: t.p_value)
             lines.append(
                 f"With the best candidate the residual still fails: {left.name}, p = {left.p_value:.2g}."
@@ -60,14 +59,18 @@ def sentences(found: Diagnosis) -> list[str]:
         if found.verdict == "parameters":
             lines.append(numbers_that_moved(found.parameters))
         if found.best is not None and found.best.effect.spec.of_record:
-            (share,) = found.best.coefficients.values()
+            shares = " and ".join(f"{100 * v:.3g} % {k}" for k, v in found.best.coefficients.items())
+            said = found.best.effect.explanation
+            sure = found.verdict == "effect"
             lines.append(
-                f"{found.best.effect.explanation} Here that are {100 * share:.3g} %: correct the record, not "
-                "the model."
+                f"{said} Here that are {shares}: correct the record, not the model."
+                if sure
+                else f"{said} Here that were {shares}. A clock that is off and numbers that scale all rates "
+                "alike look the same to a record: time the clock itself before a number is changed."
             )
         lines += _columns(found)
     place = None if found.best is None or found.verdict == "unexplained" else found.best.effect.place
-    hidden = place is not None and found.none_of_these > _OPEN
+    hidden = place is not None and found.none_of_these > levels().no_law
     if hidden and not found.force_ratio:
         lines.append(
             f"A force at {place} that follows none of the laws, though this record hardly "
@@ -81,7 +84,7 @@ def sentences(found: Diagnosis) -> list[str]:
     if hidden and found.force_ratio:
         lines.append(
             f"If nobody shook the plant, that force is a law which is no candidate: probability "
-            f"{found.none_of_these:.2f}, the share of the error that is left to it."
+            f"{found.none_of_these:.2f}, from the share of the error that is left to it."
         )
     if found.verdict == "ambiguous" and len(found.ambiguous) > 1:
         lines.append(
@@ -89,7 +92,7 @@ def sentences(found: Diagnosis) -> list[str]:
             if found.base.of_responses
             else "suggest_experiment() names the record that would tell them apart."
         )
-    return [*lines, *(note for note in found.notes if not note.startswith(BUT))]
+    return [*lines, *found.notes]
 
 
 def _place(found: Diagnosis) -> str:

@@ -15,8 +15,6 @@ from .without_a_law import likelihood
 
 __all__ = ["gains_by_zeros", "zeros_sought"]
 
-_LEVEL = 0.1  # mean of an output over its standard deviation that makes the zero of a sensor doubtful
-
 
 def zeros_sought(case: Case, judged: Judged) -> Refinement | None:
     """The model with a constant offset at every input and output, where zero is doubtful.
@@ -40,7 +38,7 @@ def zeros_sought(case: Case, judged: Judged) -> Refinement | None:
     if not (case.in_time and judged.tests and nuisances) or any(e.prior for e in nuisances):
         return None
     y = np.concatenate([record.outputs for record in case.ordered], axis=1)
-    if not np.any(np.abs(y.mean(axis=1)) > _LEVEL * y.std(axis=1)):
+    if not np.any(np.abs(y.mean(axis=1)) > case.levels.zero * y.std(axis=1)):
         return None  # a zero that is off by as little is not what the laws fail by
     offsets = offsets_everywhere(case.base.physical_model, case.ordered[0])
     with case.progress.step("offsets elsewhere"):

@@ -10,13 +10,12 @@ from __future__ import annotations
 import ctypes
 import math
 import sys
-import warnings
 from collections.abc import Callable, Collection, Sequence
 from typing import Any, Final
 
 import numpy as np
 
-from ..exceptions import RCOWarning
+from ..exceptions import RCOWarning, warn
 from ..jit import NUMBA, address_of, call_at, compiled, compiled_law
 
 __all__ = [
@@ -127,7 +126,7 @@ def address(
         names = {"law": compiled_law(law), "slopes": None if slopes is None else compiled_law(slopes)}
         return code_of(plain, _defined(source, {**names, "carray": None}, law), cache=_importable(law))
     except TypeError as error:
-        warnings.warn(
+        warn(
             f"{label} cannot be compiled and is called in Python, which is some hundred times slower: "
             f"{str(error).strip().splitlines()[0]}",
             RCOWarning,

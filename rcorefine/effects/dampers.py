@@ -135,7 +135,7 @@ class PowerDamping(PortLaw):
     where = frozenset(["first_order", "mechanical"])
     coefficients = (
         Coefficient("damping", "force", explanation="force at unit speed"),
-        positive("power", "1", "exponent of the speed", lower=0.3, upper=3.5, shapes=True),
+        positive("power", "1", "exponent of the speed", lower=0.3, upper=5.0, shapes=True),
     )
     constants = MappingProxyType({"width": None})
     formula = "f = t |v|^p sgn(v)"
@@ -145,6 +145,7 @@ class PowerDamping(PortLaw):
     words = ("power-law {loss}", "The {loss} at {place} has a part that grows with a power of the {state}.")
     needs = frozenset(["velocity"])
     width_share = ROOT_WIDTH
+    powers = (("damping", "power"),)
     contains = MappingProxyType(
         {
             "damping": {"power": 1.0},

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import control as ct
 
-from ..arguments import as_choice, as_list, as_mapping, as_number, as_text, shown
+from ..arguments import as_choice, as_mapping, as_number, as_text
 from ..exceptions import ModelError
 from .custom import Custom
 from .domains import DOMAINS, worded
 from .law import KINDS, Law, instance_of
 
-__all__ = ["Effect", "as_effects", "describe_effects"]
+__all__ = ["ARGUMENTS", "Effect"]
+
+ARGUMENTS = ("kind", "place", "start", "fixed", "prior", "law", "name")
 
 
 class Effect:
@@ -53,6 +55,8 @@ class Effect:
         Coefficients to estimate.
     explanation : str
         A sentence for people.
+    spec : Law
+        The law, with all that is known of it.
 
     Raises
     ------
@@ -75,13 +79,13 @@ class Effect:
     Dry friction acts at link2: a force of constant size that opposes the motion.
     """
 
-    __slots__ = ("_domain", "_fixed", "_law", "_name", "_prior", "_spec", "_start", "kind", "place")
+    __slots__ = ("_domain", "_fixed", "_prior", "_start", "kind", "law", "name", "place", "spec")
     kind: str
     place: str
+    law: Callable[..., Any] | None
+    name: str | None
+    spec: Law
     _domain: str
-    _law: Callable[..., Any] | None
-    _name: str | None
-    _spec: Law
     _start: dict[str, float]
     _fixed: dict[str, float]
     _prior: dict[str, float]
@@ -108,18 +112,20 @@ class Effect:
             )
         if name is not None:
             as_text(name, f"name of {kind} at {place}")
-        given_class = isinstance(law, type) and issubclass(law, Law)
-        if law is not None and not given_class and not KINDS[kind].needs_law:
+        own: Any = law if isinstance(law, type) and issubclass(law, Law) else None
+        if law is not None and own is None and not KINDS[kind].needs_law:
             raise ct.ControlArgument(f"law= is for kind 'custom' only (and 'tabulated'), not for {kind!r}")
         store = object.__setattr__
         store(self, "kind", kind)
         store(self, "place", place)
         store(self, "_domain", "mechanical")
-        store(self, "_law", law)
-        store(self, "_name", name)
+        store(self, "law", law)
+        store(self, "name", name)
         for key, values in (("start", start), ("fixed", fixed), ("prior", prior)):
             store(self, f"_{key}", as_mapping(values, f"{key} of {kind} at {place}", "numbers"))
-        store(self, "_spec", self._found(law))
+        label = f"{kind} effect at {place}"
+        spec = instance_of(own) if own else KINDS[kind].of(law, tuple(self._start), label)
+        store(self, "spec", spec)
         self._check_values()
 
     def _check_values(self) -> None:
@@ -156,17 +162,6 @@ class Effect:
             )
 
     @property
-    def spec(self) -> Law:
-        """The law, with all that is known of it."""
-        return self._spec
-
-    def _found(self, law: Any) -> Law:
-        given_class = isinstance(law, type) and issubclass(law, Law)
-        if given_class:
-            return instance_of(law)
-        return KINDS[self.kind].of(law, tuple(self._start), f"{self.kind} effect at {self.place}")
-
-    @property
     def start(self) -> dict[str, float]:
         """Start values that were given."""
         return dict(self._start)
@@ -182,19 +177,9 @@ class Effect:
         return dict(self._prior)
 
     @property
-    def law(self) -> Callable[..., Any] | None:
-        """Law that was given: a function, or a class that is in no catalogue."""
-        return self._law
-
-    @property
-    def name(self) -> str | None:
-        """Name that was given, if any."""
-        return self._name
-
-    @property
     def label(self) -> str:
         """Name to show: ``"kind at place"``, in the words of the place's domain, unless one was given."""
-        return self._name or f"{worded(self.spec.words[0], self._domain) or self.kind} at {self.place}"
+        return self.name or f"{worded(self.spec.words[0], self._domain) or self.kind} at {self.place}"
 
     @property
     def coefficients(self) -> tuple[str, ...]:
@@ -243,9 +228,7 @@ class Effect:
         'series resistance at iL'
         """
         as_choice(port_kind, "port_kind", tuple(DOMAINS))
-        copy = self.replace()
-        object.__setattr__(copy, "_domain", port_kind)
-        return copy
+        return _restore({name: getattr(self, name) for name in ARGUMENTS}, port_kind)
 
     def bounds(self, coefficient: str) -> tuple[float, float]:
         """Lower and upper bound that physics sets.
@@ -297,21 +280,11 @@ class Effect:
         Effect
             New effect.
         """
-        arguments = {
-            "kind": self.kind,
-            "place": self.place,
-            "start": self.start,
-            "fixed": self.fixed,
-            "prior": self.prior,
-            "law": self.law,
-            "name": self.name,
-        }
-        copy = Effect(**{**arguments, **changes})
-        object.__setattr__(copy, "_domain", self._domain)
-        return copy
+        given = {name: getattr(self, name) for name in ARGUMENTS}
+        return _restore(given | changes, self._domain)
 
     def _key(self) -> tuple[Any, ...]:
-        return (self.kind, self.place, tuple(sorted(self._fixed.items())), self._law, self._name)
+        return (self.kind, self.place, tuple(sorted(self._fixed.items())), self.law, self.name)
 
     def __eq__(self, other: object) -> bool:
         return self._key() == other._key() if isinstance(other, Effect) else NotImplemented
@@ -326,21 +299,21 @@ class Effect:
         raise AttributeError("an Effect cannot be changed")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        own = type(self._spec)
+        own = type(self.spec)
         # a class brings itself along, where the other side may not know it yet
-        law = self._law if self._law is not None or own.__module__.startswith(__package__) else own
-        state = (self.kind, self.place, self._start, self._fixed, self._prior, law, self._name)
-        return (_restore, (*state, self._domain))
+        law = self.law if self.law is not None or own.__module__.startswith(__package__) else own
+        given = {name: getattr(self, name) for name in ARGUMENTS} | {"law": law}
+        return (_restore, (given, self._domain))
 
     def __repr__(self) -> str:
         given = [repr(self.kind), repr(self.place)]
         given += [
             f"{key}={getattr(self, key)!r}" for key in ("start", "fixed", "prior") if getattr(self, key)
         ]
-        if self._law is not None:
-            given.append(f"law={getattr(self._law, '__name__', repr(self._law))}")
-        if self._name is not None:
-            given.append(f"name={self._name!r}")
+        if self.law is not None:
+            given.append(f"law={getattr(self.law, '__name__', repr(self.law))}")
+        if self.name is not None:
+            given.append(f"name={self.name!r}")
         return f"Effect({', '.join(given)})"
 
     def __str__(self) -> str:
@@ -359,62 +332,8 @@ def _own_kind(kind: Any, law: type[Law]) -> tuple[str, type[Law] | None]:
     return law.name, law if held is None else None
 
 
-def _restore(
-    kind: str,
-    place: str,
-    start: dict[str, float],
-    fixed: dict[str, float],
-    prior: dict[str, float],
-    law: Callable[..., Any] | None,
-    name: str | None,
-    port_kind: str,
-) -> Effect:
-    effect = Effect(kind, place, start=start, fixed=fixed, prior=prior, law=law, name=name)
-    return effect.at_port(port_kind)
-
-
-def as_effects(values: Any, name: str) -> list[Effect]:
-    """Effects from one or a list of them.
-
-    Raises
-    ------
-    control.ControlArgument
-        If an entry is something else.
-    """
-    effects = [values] if isinstance(values, Effect) else as_list(values, name, "Effect objects")
-    for effect in effects:
-        if not isinstance(effect, Effect):
-            raise ct.ControlArgument(f"{name} must hold Effect objects, not {shown(effect)}")
-    return effects
-
-
-def describe_effects(effects: Sequence[Effect]) -> str:
-    """Effects as a table of at most 80 columns.
-
-    Parameters
-    ----------
-    effects : sequence of Effect
-        For example what `effect_library` returns.
-
-    Returns
-    -------
-    str
-        One effect per line with its law, grouped by place.
-
-    Examples
-    --------
-    >>> print(describe_effects([Effect("damping", "link1"), Effect("input_gain", "force")]))
-    link1
-      damping               f = t v
-    force
-      input_gain            w -> (1 + t) w
-    """
-    effects = as_effects(effects, "effects")
-    lines: list[str] = []
-    for place in dict.fromkeys(effect.place for effect in effects):
-        lines.append(place[:80])
-        for effect in effects:
-            if effect.place == place:
-                name = effect.name or effect.kind
-                lines.append(f"  {name[:26]:<21} {effect.spec.formula}"[:80].rstrip())
-    return "\n".join(lines)
+def _restore(given: dict[str, Any], domain: str) -> Effect:
+    """Effect of arguments, in the words of a domain."""
+    effect = Effect(**given)
+    object.__setattr__(effect, "_domain", domain)
+    return effect

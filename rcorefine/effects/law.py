@@ -1,8 +1,7 @@
 """What a law is: its words, its coefficients, and all that the rest of the package asks of it.
 
-Sign convention at a port: f is the resisting force, so a positive
-coefficient means more resistance (stiffness, damping, friction), and damage is
-negative.
+Sign convention at a port: f is the resisting force, so a positive coefficient means more resistance
+(stiffness, damping, friction), and damage is negative.
 """
 
 from __future__ import annotations
@@ -29,14 +28,12 @@ class Coefficient:
     name : str
         Name, as in ``start={"stiffness": 10.0}``.
     unit_rule : str
-        Unit in terms of ``force``, ``position``, ``velocity`` (of the port),
-        ``signal`` (of the channel) and ``s``; see `combine_units`.
+        Unit in ``force``, ``position``, ``velocity`` (port), ``signal`` (channel), ``s``: `combine_units`.
     lower, upper : float
         Bounds that physics sets, infinite where it sets none.
     default_start : float or None
-        Value to start an estimate from; None where it must be found from data,
-        because the error does not feel the coefficient there or has
-        several valleys.
+        Value to start an estimate from; None where it must be found from data, because the error
+        does not feel the coefficient there or has several valleys.
     explanation : str
         What the number means.
     shapes : bool
@@ -82,6 +79,10 @@ class Seen(Protocol):
         """Frequencies in rad/s of the highest peaks of what the model leaves of the outputs."""
 
     @property
+    def drifts(self) -> Sequence[float]:
+        """Share of the time by which the lag of the outputs behind the free run grows, where it is seen."""
+
+    @property
     def pull(self) -> float:
         """Rms force that accelerates the port, 1 where it moves nothing."""
 
@@ -122,6 +123,8 @@ class Law:
         What it feels of the port, if that is more: ``"acceleration"`` too.
     inner_states : int
         Number of states that the effect itself has.
+    powers : tuple of (str, str)
+        Pairs (size, power) of a motion to a power. Fits take the size at the motion that `width_share` is of.
     order : tuple of (str, str)
         Pairs of coefficients of which the first is never below the second.
     belongs_to : str
@@ -158,12 +161,14 @@ class Law:
         Whether it is a force (or a change of a signal) along a known motion.
     delays : bool
         Whether it shifts its signal in time.
+    drifts : tuple of str
+        Coefficients that are shares by which the inputs' clock runs ahead of the record's.
     of_record : bool
         Whether it is a fault of the record as a whole, which `diagnose` asks for itself.
     signal : str
         What its coefficient multiplies, where the law is linear in it: ``"displacement"``,
-        ``"velocity"``, ``"acceleration"``, ``"value"``, ``"constant"``, ``"rate"``; or what it takes
-        from a signal: ``"deadzone"``, ``"saturation"``, ``"rectification"``.
+        ``"velocity"``, ``"acceleration"``, ``"value"``, ``"constant"``, ``"rate"``; or what it takes from
+        a signal: ``"deadzone"``, ``"saturation"``, ``"rectification"``.
     """
 
     name: ClassVar[str]
@@ -179,6 +184,7 @@ class Law:
     senses: ClassVar[frozenset[str]] = frozenset()
     inner_states: ClassVar[int] = 0
     order: ClassVar[tuple[tuple[str, str], ...]] = ()
+    powers: ClassVar[tuple[tuple[str, str], ...]] = ()
     belongs_to: ClassVar[str] = "damping"
     is_parameter: ClassVar[bool] = False
     may_wear: ClassVar[bool] = False
@@ -196,6 +202,7 @@ class Law:
     needs_law: ClassVar[bool] = False
     along_motion: ClassVar[bool] = True
     delays: ClassVar[bool] = False
+    drifts: ClassVar[tuple[str, ...]] = ()
     of_record: ClassVar[bool] = False
     signal: ClassVar[str] = ""
 
@@ -241,10 +248,7 @@ class Law:
 
     def coefficient(self, name: str) -> Coefficient:
         """Coefficient of the given name (KeyError if there is none)."""
-        for coefficient in self.coefficients:
-            if coefficient.name == name:
-                return coefficient
-        raise KeyError(f"kind {self.name!r} has no coefficient {name!r}, only {self.coefficient_names}")
+        return {coefficient.name: coefficient for coefficient in self.coefficients}[name]
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Values worth trying for what the record alone tells, the likeliest first.
@@ -328,13 +332,9 @@ def register(law: _Class) -> _Class:
     ValueError
         If another law has the name.
     """
-    held = _LAWS.get(law.name)
-    if held is not None and f"{type(held).__module__}.{type(held).__qualname__}" != (
-        f"{law.__module__}.{law.__qualname__}"
-    ):
-        raise ValueError(
-            f"there is a law {law.name!r} already: {type(held).__module__}; give it another name"
-        )
+    held = type(_LAWS.get(law.name, law))
+    if law.name in _LAWS and (held.__module__, held.__qualname__) != (law.__module__, law.__qualname__):
+        raise ValueError(f"there is a law {law.name!r} already: {held.__module__}; give it another name")
     _LAWS[law.name] = instance_of(cast(Any, law))
     return law
 

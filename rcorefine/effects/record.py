@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from types import MappingProxyType
 from typing import Any
 
 from .absorbed import AbsorbedLaw, Assembly, Site
-from .law import Coefficient, register
+from .law import Coefficient, Seen, register
 
 
 @register
@@ -27,3 +29,30 @@ class Clock(AbsorbedLaw):
     def absorb(self, into: Assembly, site: Site, *values: Any) -> None:
         """Speed up all states."""
         into.pace = into.pace + values[0]
+
+
+@register
+class ClocksApart(AbsorbedLaw):
+    """Inputs and outputs by two clocks: what acts comes ever earlier, or later, than the record says."""
+
+    where = frozenset(["input"])
+    coefficients = (
+        Coefficient("apart", "1", lower=-0.05, upper=0.05, explanation="share that the outputs' clock lags"),
+        Coefficient("slow", "1", lower=-0.05, upper=0.05, explanation="share of the time that it misses"),
+    )
+    formula = "dx/dt = (1 + slow) (A x + B w((1 + apart) t))"
+    explanation = "The outputs follow another clock than {place}: the lag between them grows, or falls."
+    along_motion = False
+    on_request = True
+    of_record = True
+    secant = True
+    drifts = ("apart",)
+    contains = MappingProxyType({"clock": {}})
+
+    def absorb(self, into: Assembly, site: Site, *values: Any) -> None:
+        """Speed up all states; what the inputs' clock does is no matter of matrices."""
+        into.pace = into.pace + values[1]
+
+    def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
+        """Either clock may be the right one."""
+        return [{"apart": a, "slow": slow} for a in seen.drifts for slow in (a, 0.0)]

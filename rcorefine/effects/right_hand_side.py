@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ..exceptions import RCOWarning
+from ..exceptions import RCOWarning, warn
 from ..jit import NUMBA, compiled_law
 from ..systems.linear import Array
 from .absorbed import nominal_is_left
@@ -167,7 +166,7 @@ class Field:
                 exec(_ENTRY.format(q=q, z=z, rows=shape[0], columns=shape[1]), scope)
                 found = code_of(plain, scope["evaluate"])
             except (TypeError, ValueError) as error:
-                warnings.warn(
+                warn(
                     f"the functions of {self.functions.label} cannot be compiled and are called in Python, "
                     f"which is some hundred times slower: {str(error).strip().splitlines()[0]}",
                     RCOWarning,

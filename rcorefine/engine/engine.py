@@ -21,7 +21,7 @@ from ..gauss_newton import own_sizes
 from ..systems.linear import Array
 from . import kernels
 from .controlled import sample_jumps, start_columns
-from .inputs import BAND_LIMITED_FACTOR, InputSignal
+from .inputs import BAND_LIMITED_FACTOR, InputSignal, clock_drift
 from .point import field_numbers
 from .structure import Structure
 from .substep import Discrete
@@ -33,7 +33,7 @@ _RUNS_AWAY = 100.0  # times: from there on the motion tells of the growth only
 _BEYOND = 1e100  # nor any state here, whatever its unit
 _PIECES = 16  # of a substep in which a friction force jumps
 _WHOLE = 0.05  # of a sample by which an estimated delay may exceed a whole number and count as one
-_NODES_FOR_DELAY = 8  # output nodes per sample where an output delay must be interpolated
+_NODES_FOR_DELAY = 8  # nodes per sample where an output is interpolated, or edges of inputs fall between them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,13 +96,13 @@ class Engine:
         self._known_start = initial is not None
         self.lead = lead
         self._resets = sample_jumps(structure, data.dt)
-        if structure.output_delays:
+        if structure.output_delays or clock_drift(structure, structure.start())[1]:
             substeps = max(substeps, _NODES_FOR_DELAY)
         if data.hold == "bandlimited":
             substeps = BAND_LIMITED_FACTOR * -(-substeps // BAND_LIMITED_FACTOR)
         self.substeps = substeps
         at_rest = initial is not None and not initial.any()
-        self._signal = InputSignal(data.inputs, data.dt, data.hold, substeps, at_rest)
+        self._signal = InputSignal(data.inputs, data.dt, data.hold, substeps, at_rest, float(data.timepts[0]))
         # a copy: a read-only view would have the march compiled once more
         self._measured = np.array(data.outputs.T, order="C")
         point = structure.model.operating_point  # sensors are absolute
@@ -217,27 +217,26 @@ class Engine:
         flags = np.ones(shape, dtype=np.uint8) if use is None else use.astype(np.uint8)
         return flags, np.ascontiguousarray(gain, dtype=float)
 
-    def unjudged(self, theta: Array) -> NDArray[np.int64]:
-        """First samples of each output that say nothing about the model, shape (n_y,).
+    def judged(self, theta: Array) -> NDArray[np.bool_]:
+        """Samples of each output that say something about the model, shape (n_y, N).
 
-        Over one delay they hang on inputs, or on motion, from before the record, which nobody
-        knows. With an initial state that is free nothing else is lost there.
+        Others hang on inputs, or on motion, that nobody knows: over one delay on those from before the
+        record, under a clock of its own on those after its end. With an initial state that is free
+        nothing else is lost there.
         """
-        s = self.structure
-        lost = np.zeros(s.n_outputs, dtype=np.int64)
-        if self._known_start:
-            return lost
+        s, at = self.structure, np.arange(self.data.n_samples)
+        read = at + clock_drift(s, theta)[0] * self.data.timepts / self.data.dt  # sample of the inputs
+        found = np.tile((read > -1.0 + _WHOLE) & (read < at.size - 1 + _WHOLE), (s.n_outputs, 1))
+        if found.mean() < 0.5:
+            found[:] = True
         for index, effect in enumerate(s.effects):
-            if not effect.spec.delays:
-                continue
-            delay = float(s.value(theta, index, "delay")) / self.data.dt
-            here = int(np.ceil(np.clip(delay - _WHOLE, 0.0, self.data.n_samples // 2)))
-            if isinstance(effect.spec, InputLaw):
-                lost = np.maximum(lost, here)
-            else:
-                channel = s.linear_model.output_labels.index(effect.place)
-                lost[channel] = max(lost[channel], here)
-        return lost
+            if effect.spec.delays and not self._known_start:
+                delay = float(s.value(theta, index, "delay")) / self.data.dt
+                hidden = at < np.ceil(np.clip(delay - _WHOLE, 0.0, at.size // 2))
+                labels = s.linear_model.output_labels
+                everywhere = isinstance(effect.spec, InputLaw)
+                found[slice(None) if everywhere else labels.index(effect.place)] &= ~hidden
+        return found
 
     def _beyond(self, Y: Array, times: float) -> int:
         """First sample at which an output (N, n_y) is so many times as large as any in the record, or -1."""

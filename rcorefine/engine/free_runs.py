@@ -96,12 +96,13 @@ def free_runs(
     seconds, note, least = checked_horizon(horizon, known_start), "", 1
     n_states = max(model.n_states for model in models)
     if seconds is None:
-        if any(runs_away(m, r) for m in models if m.is_continuous for r in records):
+        kinds = {(record.dt, record.n_samples): record for record in records}.values()
+        if any(runs_away(m, r) for m in models if m.is_continuous for r in kinds):
             return [[slice(0, record.n_samples)] for record in records], (
                 "The model is unstable and has no free run: it is judged by what it predicts one sample "
                 "ahead, led by an observer (horizon= gives short free runs)."
             )
-        if known_start or not any(integrates(m, r) for m in models for r in records):
+        if known_start or not any(integrates(m, r) for m in models for r in kinds):
             return [[slice(0, record.n_samples)] for record in records], note
         seconds = max(record.n_samples * record.dt for record in records) / _WINDOWS
         least = 4 * n_states + 4

@@ -101,7 +101,7 @@ def estimate_initial_state(
     if weights is None:
         weights = 1.0 / np.maximum(y.std(axis=1), 1e-300 + 1e-12 * np.abs(y).max(axis=1))
         weights = np.where(np.isfinite(weights), weights, 1.0)
-    judged = np.arange(y.shape[1]) >= engine.unjudged(theta)[:, None]
+    judged = engine.judged(theta)
     weights = weights[:, None] * (judged if use is None else judged & use.T)
     calm = theta.copy()
     if not engine.structure.is_linear:

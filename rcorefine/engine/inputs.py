@@ -1,4 +1,4 @@
-"""The input between the samples: hold, static laws and delay at the input channels."""
+"""The input between the samples: hold, static laws and delay at the input channels, a clock of its own."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..systems.linear import Array
 if TYPE_CHECKING:
     from .structure import Structure
 
-__all__ = ["BAND_LIMITED_FACTOR", "Drive", "InputSignal", "interpolate_band_limited"]
+__all__ = ["BAND_LIMITED_FACTOR", "Drive", "InputSignal", "clock_drift", "interpolate_band_limited"]
 
 BAND_LIMITED_FACTOR = 4
 _HALF_LENGTH = 48  # taps of the sinc, in samples each side
@@ -78,10 +78,15 @@ class InputSignal:
     at_rest : bool
         Whether the input was zero before the first sample; else a delay brings in its
         first value, for want of a better one.
+    begin : float
+        Time of the first sample in seconds: where clocks run apart, they agree at 0.
     """
 
-    def __init__(self, inputs: Array, dt: float, hold: str, substeps: int, at_rest: bool = False) -> None:
+    def __init__(
+        self, inputs: Array, dt: float, hold: str, substeps: int, at_rest: bool = False, begin: float = 0.0
+    ) -> None:
         self.inputs, self.dt, self.hold, self.substeps = inputs, dt, hold, substeps
+        self.begin = begin
         self._before = 0.0 if at_rest else 1.0  # over the first value
         n = inputs.shape[1]
         self._fine: Array | None = None
@@ -100,7 +105,8 @@ class InputSignal:
     def drive(self, structure: Structure, theta: Array) -> Drive:
         """Input nodes with the structure's dead zones, saturations and delays."""
         statics = structure.input_statics
-        if not statics:
+        drift, drifts = clock_drift(structure, theta)
+        if not statics and not drifts:
             rows, nw = self._base.shape
             empty = np.zeros((0, rows, nw))
             none = np.zeros((0, self._base_out.shape[0], nw))
@@ -110,21 +116,22 @@ class InputSignal:
         driven: list[int] = []
         dW: list[Array] = []
         dWout: list[Array] = []
-        for channel in sorted({c for _, c in statics}):
+        channels = range(len(self.inputs)) if drifts else sorted({c for _, c in statics})
+        for channel in channels:
             here = [index for index, c in statics if c == channel]
             samples = self.inputs[channel] if self._fine is None else self._fine[channel]
-            signal, slopes = self._statics(structure, theta, here, samples)
+            signal, slopes = self._statics(structure, theta, here, channel, samples)
             delay, column = _delay(structure, theta, here)
             signals = [signal, *slopes.values()]
-            at_nodes, at_samples, rate, rate_out = self._delayed(np.array(signals), delay)
+            at_nodes, at_samples, by_time = self._shifted(np.array(signals), delay, drift)
             W[:, channel], Wout[:, channel] = at_nodes[0], at_samples[0]
             derivatives = list(zip(slopes, at_nodes[1:], at_samples[1:], strict=True))
-            if column >= 0:
-                derivatives.append((column, -rate, -rate_out))
+            derivatives += [(which, *rates) for which, rates in zip((column, *drifts), by_time, strict=False)]
             for which, fine, coarse in derivatives:
-                driven.append(which)
-                dW.append(_place(fine, channel, W.shape))
-                dWout.append(_place(coarse, channel, Wout.shape))
+                if which >= 0:
+                    driven.append(which)
+                    dW.append(_place(fine, channel, W.shape))
+                    dWout.append(_place(coarse, channel, Wout.shape))
         shape, shape_out = (0, *W.shape), (0, *Wout.shape)
         return Drive(
             W,
@@ -136,7 +143,7 @@ class InputSignal:
         )
 
     def _statics(
-        self, structure: Structure, theta: Array, effects: list[int], signal: Array
+        self, structure: Structure, theta: Array, effects: list[int], channel: int, signal: Array
     ) -> tuple[Array, dict[int, Array]]:
         """The laws in turn, and the derivative by each free coefficient."""
         columns: list[int] = []
@@ -149,9 +156,7 @@ class InputSignal:
             "settled": (point is not None) + (self._before > 0),
         }
         if point is not None:  # laws see absolute values; before the record the input stood at the point
-            level = point.inputs[
-                structure.linear_model.input_labels.index(structure.effects[effects[0]].place)
-            ]
+            level = point.inputs[channel]
             value = np.concatenate([[level], signal + level])
         slopes = np.zeros((0, value.size))
         for index in effects:
@@ -170,33 +175,48 @@ class InputSignal:
             slopes = slopes[:, 1:] - (slopes[:, :1] if structure.balanced else 0.0)
         return value, dict(zip(columns, slopes, strict=True))
 
-    def _delayed(self, signals: Array, delay: float) -> tuple[Array, Array, Array, Array]:
-        """Signals (k, points) at the nodes and samples, shifted; and the rate of the first."""
+    def _shifted(
+        self, signals: Array, delay: float, drift: float
+    ) -> tuple[Array, Array, list[tuple[Array, Array]]]:
+        """Signals (k, points) at the nodes and samples, taken at other times, and what these do to the first.
+
+        At time t of the record they are what they were at t - delay + drift t. The derivatives are those by
+        the delay and by the drift, at the nodes and at the samples.
+        """
         n = self.inputs.shape[1]
-        samples = np.arange(n) * self.dt - delay
+
+        def times(grid: NDArray[Any]) -> Array:
+            return np.asarray(grid - delay + drift * (self.begin + grid))
+
+        samples = times(np.arange(n) * self.dt)
         if self._fine is None:
             # Held input: the mean over each substep, so that no impulse is lost where
             # the delayed edge falls inside a substep.
-            edges = np.arange((n - 1) * self.substeps + 1) * (self.dt / self.substeps) - delay
-            knots = np.arange(n + 1) * self.dt
-            width = self.dt / self.substeps
+            grid: NDArray[Any] = np.arange((n - 1) * self.substeps + 1) * (self.dt / self.substeps)
+            edges, knots = times(grid), np.arange(n + 1) * self.dt
+            width = self.dt / self.substeps * (1.0 + drift)
             means = []
             for signal in signals:
                 area = np.concatenate([[0.0], np.cumsum(signal) * self.dt])
                 integral = np.interp(edges, knots, area)
                 integral += np.minimum(edges, 0.0) * self._before * signal[0]
+                integral += np.maximum(edges - knots[-1], 0.0) * signal[-1]
                 means.append(np.diff(integral) / width)
             levels = np.hstack([self._before * signals[:, :1], signals])  # before, then of each sample
             held = levels[:, np.clip(np.floor(samples / self.dt + 1e-9).astype(int), -1, n - 1) + 1]
             at_edges = levels[0][np.clip(np.floor(edges / self.dt + 1e-9).astype(int), -1, n - 1) + 1]
-            return np.array(means), held, np.diff(at_edges) / width, np.zeros(n)
+            by_delay = -np.diff(at_edges) / width
+            by_drift = np.diff(at_edges * (self.begin + grid)) / width - means[0] / (1.0 + drift)
+            return np.array(means), held, [(by_delay, np.zeros(n)), (by_drift, np.zeros(n))]
         step = self.dt / self.substeps
         grid = np.arange(signals.shape[1]) * step
-        shifted = grid - delay
+        shifted = times(grid)
         at_nodes = np.array([np.interp(shifted, grid, s, left=self._before * s[0]) for s in signals])
         cell = np.clip(np.floor(shifted / step + 1e-9).astype(int), 0, len(grid) - 2)
-        rate = np.where(shifted < 0, 0.0, np.diff(signals[0])[cell] / step)
-        return at_nodes, at_nodes[:, :: self.substeps], rate, rate[:: self.substeps]
+        known = (shifted >= 0) & (shifted <= grid[-1])
+        rate = np.where(known, np.diff(signals[0])[cell] / step, 0.0)
+        rates = -rate, rate * (self.begin + grid)
+        return at_nodes, at_nodes[:, :: self.substeps], [(r, r[:: self.substeps]) for r in rates]
 
 
 def _refine(w: Array, factor: int) -> Array:
@@ -213,6 +233,21 @@ def _delay(structure: Structure, theta: Array, effects: list[int]) -> tuple[floa
             (name,) = law.coefficient_names
             return float(structure.value(theta, index, name)), structure.position(index, name)
     return 0.0, -1
+
+
+def clock_drift(structure: Structure, theta: Array) -> tuple[float, list[int]]:
+    """Share by which the clock of the inputs runs ahead of the record's, and its columns in theta.
+
+    Parameters
+    ----------
+    structure : Structure
+        Model with effects.
+    theta : ndarray, shape (p,)
+        Coefficients.
+    """
+    places = [(index, name) for index, effect in enumerate(structure.effects) for name in effect.spec.drifts]
+    value = sum(float(structure.value(theta, index, name)) for index, name in places)
+    return value, [structure.position(index, name) for index, name in places]
 
 
 def _place(values: Array, channel: int, shape: tuple[int, ...]) -> Array:

@@ -1,9 +1,7 @@
 """The one loop over samples: a linear part in feedback with port laws.
 
 Pure array functions, no objects and no checks. numba compiles them where it is
-installed; without it the same source runs as plain Python. Only the small
-products and copies below have two bodies, because scalar loops are the fast form in
-compiled code and the slow one in Python.
+installed; without it the same source runs as plain Python (`products.py` has two bodies).
 """
 
 from __future__ import annotations
@@ -11,122 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from ..effects.compiled import COUNT, evaluate
-from ..jit import NUMBA, compiled, put, put_rows
+from ..jit import compiled, put, put_rows
+from .products import add, add_forcing, add_rows, apply, clear, multiply, solve_in_place, take
 
-__all__ = ["march", "solve_in_place"]
-
-if NUMBA:
-
-    @compiled
-    def _apply(out, M, z):
-        for i in range(M.shape[0]):
-            total = 0.0
-            for j in range(M.shape[1]):
-                total += M[i, j] * z[j]
-            out[i] = total
-
-    @compiled
-    def _add(out, M, z):
-        for i in range(M.shape[0]):
-            total = 0.0
-            for j in range(M.shape[1]):
-                total += M[i, j] * z[j]
-            out[i] += total
-
-    @compiled
-    def _add_rows(out, S, M):
-        for p in range(S.shape[0]):
-            for i in range(M.shape[0]):
-                total = 0.0
-                for j in range(M.shape[1]):
-                    total += M[i, j] * S[p, j]
-                out[p, i] += total
-
-    @compiled
-    def _add_forcing(out, index, dM, z):
-        for q in range(dM.shape[0]):
-            p = index[q]
-            for i in range(dM.shape[1]):
-                total = 0.0
-                for j in range(dM.shape[2]):
-                    total += dM[q, i, j] * z[j]
-                out[p, i] += total
-
-    @compiled
-    def _clear(out):
-        for i in range(out.shape[0]):
-            for j in range(out.shape[1]):
-                out[i, j] = 0.0
-
-    @compiled
-    def _take(out, M, at):
-        for i in range(out.shape[0]):
-            for j in range(out.shape[1]):
-                out[i, j] = M[i, at + j]
-
-    @compiled
-    def _multiply(out, L, R):
-        for i in range(out.shape[0]):
-            for j in range(out.shape[1]):
-                total = 0.0
-                for k in range(R.shape[0]):
-                    total += L[i, k] * R[k, j]
-                out[i, j] = total
-
-else:
-
-    def _apply(out, M, z):
-        out[:] = M @ z
-
-    def _add(out, M, z):
-        out += M @ z
-
-    def _add_rows(out, S, M):
-        out += S @ M.T
-
-    def _add_forcing(out, index, dM, z):
-        if dM.shape[0]:  # none where no parameter reaches this matrix
-            out[index] += dM @ z
-
-    def _clear(out):
-        out[:] = 0.0
-
-    def _take(out, M, at):
-        out[:] = M[:, at : at + out.shape[1]]
-
-    def _multiply(out, L, R):
-        out[:] = L @ R
-
-
-@compiled
-def solve_in_place(J, R):
-    """Gaussian elimination with pivoting; rows of R (k, m) are the right-hand sides."""
-    m = J.shape[0]
-    for c in range(m):
-        pivot = c
-        for r in range(c + 1, m):
-            if abs(J[r, c]) > abs(J[pivot, c]):
-                pivot = r
-        if pivot != c:
-            for j in range(m):
-                J[c, j], J[pivot, j] = J[pivot, j], J[c, j]
-            for q in range(R.shape[0]):
-                R[q, c], R[q, pivot] = R[q, pivot], R[q, c]
-        if J[c, c] == 0.0:
-            J[c, c] = 1e-300
-        for r in range(c + 1, m):
-            factor = J[r, c] / J[c, c]
-            if factor != 0.0:
-                for j in range(c, m):
-                    J[r, j] -= factor * J[c, j]
-                for q in range(R.shape[0]):
-                    R[q, r] -= factor * R[q, c]
-    for c in range(m - 1, -1, -1):
-        for q in range(R.shape[0]):
-            total = R[q, c]
-            for j in range(c + 1, m):
-                total -= J[c, j] * R[q, j]
-            R[q, c] = total / J[c, c]
+__all__ = ["march"]
 
 
 @compiled
@@ -227,21 +113,21 @@ def march(
     Gamma0s, Gamma1s = np.zeros((2, n, nw)), np.zeros((2, n, nw))
     Psi0s, Psi1s = np.zeros((2, n, m + nf)), np.zeros((2, n, m + nf))
     for grade in range(2):
-        _take(Phis[grade], Ms[grade], 0)
-        _take(Gamma0s[grade], Ms[grade], n)
-        _take(Gamma1s[grade], Ms[grade], n + nw)
-        _take(Psi0s[grade], Ms[grade], n + 2 * nw)
-        _take(Psi1s[grade], Ms[grade], ends)
+        take(Phis[grade], Ms[grade], 0)
+        take(Gamma0s[grade], Ms[grade], n)
+        take(Gamma1s[grade], Ms[grade], n + nw)
+        take(Psi0s[grade], Ms[grade], n + 2 * nw)
+        take(Psi1s[grade], Ms[grade], ends)
     Px, Pw = np.zeros((P.shape[0], n)), np.zeros((P.shape[0], nw))
-    _take(Px, P, 0)
-    _take(Pw, P, n)
+    take(Px, P, 0)
+    take(Pw, P, n)
     Qs = np.zeros((2, P.shape[0], m + nf))
     for grade in range(2):
-        _multiply(Qs[grade], Px, Psi1s[grade])
+        multiply(Qs[grade], Px, Psi1s[grade])
     Cx, Dw, Gf = np.zeros((ny, n)), np.zeros((ny, nw)), np.zeros((ny, m + nf))
-    _take(Cx, O, 0)
-    _take(Dw, O, n)
-    _take(Gf, O, n + nw)
+    take(Cx, O, 0)
+    take(Dw, O, n)
+    take(Gf, O, n + nw)
 
     step = np.zeros(nz)
     out = np.zeros(n + nw + m + nf)
@@ -288,26 +174,26 @@ def march(
     for k in range(samples):
         if J.shape[0] > 0:
             put(x_before, 0, x)
-            _apply(x, J, x_before)
-            _clear(Snew)
-            _add_rows(Snew, S, J)
+            apply(x, J, x_before)
+            clear(Snew)
+            add_rows(Snew, S, J)
             put_rows(S, Snew)
         # forces at the sample: new where the state was corrected or the port senses the input
         for attempt in range(2):
             if m + nf > 0 and (stale or senses_input):
                 put(xw, 0, x)
                 put(xw, n, Wout[k])
-                _apply(sense, P, xw)
+                apply(sense, P, xw)
                 if p > 0:
-                    _clear(ssense)
-                    _add_rows(ssense, S, Px)
-                    _clear(dw_a)
+                    clear(ssense)
+                    add_rows(ssense, S, Px)
+                    clear(dw_a)
                     if senses_input and driven.shape[0] > 0:
                         for r in range(driven.shape[0]):
                             for j in range(nw):
                                 dw_a[driven[r], j] += dWout[r, k, j]
-                        _add_rows(ssense, dw_a, Pw)
-                    _add_forcing(ssense, linear, dP, xw)
+                        add_rows(ssense, dw_a, Pw)
+                    add_forcing(ssense, linear, dP, xw)
                 for i in range(m):
                     if first:
                         d_last[i] = sense[i]
@@ -351,13 +237,13 @@ def march(
             put(out, 0, x)
             put(out, n, Wout[k])
             put(out, n + nw, f)
-            _apply(y, O, out)
+            apply(y, O, out)
             if p > 0:
-                _clear(sy)
-                _add_rows(sy, S, Cx)
+                clear(sy)
+                add_rows(sy, S, Cx)
                 if m + nf > 0:
-                    _add_rows(sy, sf, Gf)
-                _add_forcing(sy, linear, dO, out)
+                    add_rows(sy, sf, Gf)
+                add_forcing(sy, linear, dO, out)
                 for r in range(driven.shape[0]):
                     for i in range(ny):
                         total = 0.0
@@ -431,11 +317,11 @@ def march(
                 put(step, n + 2 * nw, f)
                 for j in range(ends, nz):
                     step[j] = 0.0
-                _apply(x, M, step)
+                apply(x, M, step)
                 if m + nf > 0:
                     put(xw, 0, x)
                     put(xw, n, step[n + nw : n + 2 * nw])
-                    _apply(free, P, xw)
+                    apply(free, P, xw)
                     # forces at the end of the step: damped Newton, start from the last ones
                     put(f_start, 0, f)
                     put(trial, 0, f)
@@ -504,31 +390,31 @@ def march(
                             put(f, 0, f_start)
                             grade, count = 1, pieces
                             continue
-                    _add(x, Psi1, f)
+                    add(x, Psi1, f)
                 if p > 0:
-                    _clear(Snew)
-                    _add_rows(Snew, S, Phis[grade])
+                    clear(Snew)
+                    add_rows(Snew, S, Phis[grade])
                     if m + nf > 0:
-                        _add_rows(Snew, sf, Psi0s[grade])
-                    _add_forcing(Snew, linear, dMs[grade], step)
+                        add_rows(Snew, sf, Psi0s[grade])
+                    add_forcing(Snew, linear, dMs[grade], step)
                     if driven.shape[0] > 0:
-                        _clear(dw_a)
-                        _clear(dw_b)
+                        clear(dw_a)
+                        clear(dw_b)
                         for r in range(driven.shape[0]):
                             for j in range(nw):
                                 rise = dW[r, after, j] - dW[r, row, j]
                                 dw_a[driven[r], j] += dW[r, row, j] + early * rise
                                 dw_b[driven[r], j] += dW[r, row, j] + late * rise
-                        _add_rows(Snew, dw_a, Gamma0s[grade])
-                        _add_rows(Snew, dw_b, Gamma1s[grade])
+                        add_rows(Snew, dw_a, Gamma0s[grade])
+                        add_rows(Snew, dw_b, Gamma1s[grade])
                     if m + nf > 0:
-                        _clear(ssense)
-                        _add_rows(ssense, Snew, Px)
+                        clear(ssense)
+                        add_rows(ssense, Snew, Px)
                         if senses_input and driven.shape[0] > 0:
-                            _add_rows(ssense, dw_b, Pw)
+                            add_rows(ssense, dw_b, Pw)
                         if dP.shape[0] > 0:
                             put(xw, 0, x)
-                            _add_forcing(ssense, linear, dP, xw)
+                            add_forcing(ssense, linear, dP, xw)
                         for i in range(m):
                             for q in range(p):
                                 sf[q, i] = (
@@ -548,7 +434,7 @@ def march(
                             _field_sensitivity(sf[:, m:], slopes, ssense[:, 2 * m :], fcolumns)
                         _force_jacobian(Jn, parts, Q, slopes, m)
                         solve_in_place(Jn, sf)
-                        _add_rows(Snew, sf, Psi1)
+                        add_rows(Snew, sf, Psi1)
                         for i in range(m):
                             for q in range(p):
                                 sd = ssense[q, i]

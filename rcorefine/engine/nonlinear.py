@@ -127,7 +127,7 @@ def _refuse_without_equation(structure: Structure) -> None:
     """A delay has no finite state; a law whose inner state is updated sample by sample has no rate."""
     for effect in structure.effects:
         law = effect.spec
-        if law.delays:
+        if law.delays or law.drifts:
             raise ModelError(
                 f"{effect.label} has no state equation; simulate with Refinement.simulate, or replace the "
                 "delay by control.pade"

@@ -18,6 +18,7 @@ from .structure import Structure
 __all__ = ["SteadyFilter", "existing_gain", "observer_gain", "steady_filter"]
 
 _ROUNDS = 100
+_HORIZON = 300  # samples, where no steady solution exists
 
 
 def observer_gain(
@@ -203,10 +204,10 @@ def _gain(P: Array, H: Array, S: Array) -> Array:
         return np.full((len(P), len(H)), np.nan)
 
 
-def _finite_horizon(F: Array, H: Array, Q: Array, R: Array, steps: int = 300) -> Array:
+def _finite_horizon(F: Array, H: Array, Q: Array, R: Array) -> Array:
     P = Q.copy()
     with np.errstate(over="ignore", invalid="ignore"):
-        for _ in range(steps):
+        for _ in range(_HORIZON):
             K = _gain(P, H, H @ P @ H.T + R)
             P = F @ (P - K @ H @ P) @ F.T + Q
             P = 0.5 * (P + P.T)

@@ -81,6 +81,9 @@ class ResponseEngine:
                 "a frequency response is that of the model alone; leave the controller out, or close the "
                 "loop with control.feedback"
             )
+        drifting = [effect.label for effect in structure.effects if effect.spec.drifts]
+        if drifting:
+            raise ModelError(f"{drifting[0]} shows in records in time, and in no response; leave it out")
         self._balance = None if is_linear(structure) else _balanced(structure, data)
 
     def run(self, theta: Array, x0: Array | None = None, *, sensitivity: bool = True, **_: Any) -> Trajectory:
@@ -114,9 +117,9 @@ class ResponseEngine:
         if self._balance is not None:
             self._balance.begin(other._balance)
 
-    def unjudged(self, theta: Array) -> NDArray[np.int64]:
+    def judged(self, theta: Array) -> NDArray[np.bool_]:
         """No point is hidden."""
-        return np.zeros(self.structure.n_outputs, dtype=np.int64)
+        return np.ones(self.data.outputs.shape, dtype=bool)
 
     def push(self, theta: Array, place: str) -> Complex | None:
         """What a unit of complex stiffness at a place changes of the response (n_y, n_w, n_omega).

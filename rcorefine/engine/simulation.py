@@ -9,9 +9,10 @@ from typing import Any
 import control as ct
 import numpy as np
 
-from ..arguments import as_state, shown
+from ..arguments import as_state
 from ..data.channels import match_channels, record_for
 from ..data.measurement import Measurement
+from ..data.records import as_record
 from ..exceptions import DivergenceError, ModelError
 from ..gauss_newton import Rows, gauss_newton, own_sizes
 from ..models.controller import completed
@@ -121,9 +122,7 @@ def simulate(
     >>> bool(np.allclose(simulate(lag, data, "zero").outputs, data.outputs))
     True
     """
-    if not isinstance(data, Measurement):
-        raise ct.ControlArgument(f"data must be a Measurement, not {shown(data)}")
-    return simulated(under_control(model, controller, data), data, x0)
+    return simulated(under_control(model, controller, as_record(data)), data, x0)
 
 
 def simulated(model: Any, data: Measurement, x0: str | Array, *, led: bool = False) -> Simulation:
@@ -196,7 +195,7 @@ def unjudged_samples(model: Any, data: Measurement) -> int:
     if known is None:  # a delay is an effect: linear models hold none
         return 0
     structure, theta, _ = known()
-    return int(Engine(structure, data).unjudged(theta).max(initial=0))
+    return int(Engine(structure, data).judged(theta).argmax(axis=1).max(initial=0))
 
 
 def check_channels(model: LinearModel, data: Measurement) -> None:

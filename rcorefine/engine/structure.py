@@ -137,16 +137,6 @@ class Structure:
         label = effect.label if single else f"{effect.label}: {name}"
         self.parameters.append(Parameter(index, name, label, low, high))
 
-    @property
-    def ordered(self) -> list[tuple[int, int]]:
-        """Pairs of columns of theta of which the first is never below the second."""
-        pairs = [
-            (self.position(index, larger), self.position(index, smaller))
-            for index, effect in enumerate(self.effects)
-            for larger, smaller in effect.spec.order
-        ]
-        return [pair for pair in pairs if min(pair) >= 0]
-
     # ------------------------------------------------------------------- values
     @property
     def n_parameters(self) -> int:
@@ -326,7 +316,7 @@ class Structure:
     def is_linear(self) -> bool:
         """Whether every effect is absorbed into A, B, C, D."""
         others = self._port_effects + self._input_statics + self._output_statics + self._delayed_outputs
-        return not others and self.field is None
+        return not others and self.field is None and not any(e.spec.drifts for e in self.effects)
 
     def state_labels(self) -> list[str]:
         """State names, those that effects add included and those of a controller left out."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -13,7 +12,7 @@ from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis
 from ..effects.effect import Effect
 from ..engine.simulation import simulate
-from ..exceptions import DivergenceError, ModelError, RCOWarning
+from ..exceptions import DivergenceError, ModelError, unheard
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 from .plants import Plant
@@ -104,8 +103,7 @@ def hide(
     for offer in [alone[i] for i in rng.permutation(len(alone))[:_TRIALS]]:
         data = record_of(model, blank.inputs, noisy(offer.outputs, noise, rng), dt=plant.dt)
         train, test = data.split(TRAINING)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RCOWarning)  # they may name it
+        with unheard():  # they may name it
             accepted = _accepted(diagnose(model, train, candidates=candidates), offer)
         if accepted:
             return Hidden(train, test, accepted)

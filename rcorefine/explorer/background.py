@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -13,7 +12,7 @@ from typing import Any
 import control as ct
 import panel as pn
 
-from ..exceptions import RCOError, RCOWarning
+from ..exceptions import RCOError, unheard
 from .parts import text
 
 __all__ = ["EXPECTED", "LOOKING", "Background"]
@@ -21,7 +20,7 @@ __all__ = ["EXPECTED", "LOOKING", "Background"]
 #: What wrong values and records raise; anything else is a fault of the program.
 EXPECTED = (RCOError, ct.ControlArgument, ct.ControlDimension, OSError)
 
-#: Searches, verdicts and reports of all visitors, one at a time: matplotlib and warnings are one for all.
+#: Searches, verdicts and reports of all visitors, one at a time: matplotlib is one for all.
 LOOKING = ThreadPoolExecutor(1, "rcorefine-explorer")
 
 
@@ -72,8 +71,7 @@ class Background:
         def run() -> None:
             result, wrong = None, ""
             try:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore", RCOWarning)  # they stand in the results, too
+                with unheard():  # they stand in the results, too
                     result = work()
             except EXPECTED as error:
                 wrong = str(error)

@@ -112,15 +112,8 @@ def settled(model: Refinement, pieces: Sequence[Measurement]) -> Refinement:
     """The model with the offsets and initial states that suit its held coefficients best."""
     free_run(model, pieces)  # a divergence is said before anything is estimated
     structure, theta, substeps = model.simulation_structure()
-    problem = Problem(
-        structure,
-        pieces,
-        output_weights(pieces, None),
-        prior_mean=np.zeros(theta.size),
-        prior_sd=np.full(theta.size, np.inf),
-        substeps=substeps,
-        hold_brief=False,
-    )
+    weights = output_weights(pieces, None)
+    problem = Problem(structure, pieces, weights, substeps=substeps, hold_brief=False)
     point = problem.minimize(problem.pack(theta, model.initial_states), max_nfev=_MOST, tol=1e-8).x
     theta, starts = problem.unpack(point)
     rows = [

@@ -9,7 +9,6 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-import control as ct
 import numpy as np
 
 from ..arguments import as_number
@@ -19,6 +18,7 @@ from ..comparison.failure_map.residual_force import ResidualForce
 from ..comparison.failure_map.search import Failure
 from ..comparison.result import Comparison
 from ..data.measurement import Measurement
+from ..data.records import as_record
 from ..diagnosis.checks.check import check
 from ..diagnosis.checks.result import Check
 from ..diagnosis.diagnose import diagnose
@@ -116,12 +116,7 @@ class Exploration:
     """
 
     def __init__(self, model: Any, data: Measurement, *, horizon: float | None = None) -> None:
-        if not isinstance(data, Measurement):
-            raise ct.ControlArgument(
-                f"data must be one rcorefine.Measurement, not {type(data).__name__}; "
-                "an exploration shows one record in time"
-            )
-        self.model, self.data, self.horizon = as_model(model), data, checked_horizon(horizon)
+        self.model, self.data, self.horizon = as_model(model), as_record(data), checked_horizon(horizon)
         self.physical = as_physical(self.model)
         #: the record in the order of the model's channels, above its operating point
         self.record: Measurement = ordered_record(self.physical, data)

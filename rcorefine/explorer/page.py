@@ -250,7 +250,11 @@ class ExplorerPage:
     def _search(self) -> None:
         step, number_of = self.explored.steps[-1], len(self.explored.steps) - 1
         words = f"searching where the model of step {number_of} fails"
-        search = lambda: self.explored.comparison.failures  # noqa: E731
+
+        def search() -> FailureMap:
+            found: FailureMap = self.explored.comparison.failures
+            return found
+
         self._work.later(LOOKING, words, search, partial(self._show_map, step))
 
     def _show_map(self, step: Step, found: FailureMap) -> None:

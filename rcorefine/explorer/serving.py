@@ -10,7 +10,7 @@ from typing import Any
 
 from ..arguments import as_flag, as_whole
 from ..data.measurement import Measurement
-from ..exceptions import MissingExtraError
+from ..extras import needed
 from .exploration import Exploration
 from .look import PAGE
 
@@ -103,7 +103,7 @@ class Explorer:
         """
         as_flag(browser, "browser")
         port = as_whole(port, "port", least=0, most=65535)
-        pn, port = _panel(), _free(port)
+        pn, port = needed("panel", "explore", "explore"), _free(port)
         from .page import ExplorerPage
 
         def visit() -> Any:
@@ -134,7 +134,7 @@ class Explorer:
         self._served = None
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> Any:
-        pn = _panel()
+        pn = needed("panel", "explore", "explore")
         from .page import ExplorerPage
 
         if self._shown is None:
@@ -147,16 +147,6 @@ class Explorer:
         return (
             f"<Explorer: {self.exploration.error:.3g} % missed after {steps} step(s); .show() opens the page>"
         )
-
-
-def _panel() -> Any:
-    try:
-        import panel
-    except ImportError as error:
-        raise MissingExtraError(
-            'explore needs Panel; install the extra: pip install "rcorefine[explore]"'
-        ) from error
-    return panel
 
 
 def _free(port: int) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,7 +132,11 @@ def wald(difference: Array, covariance: Array) -> float:
 
 
 def colored(
-    residuals: Sequence[Array], jacobians: Sequence[Array], precision: Array, order: int | None = None
+    residuals: Sequence[Array],
+    jacobians: Sequence[Array],
+    precision: Array,
+    order: int | None = None,
+    columns: Sequence[Any] | None = None,
 ) -> tuple[Array, Array]:
     """Information and covariance of the gradient of a plain sum of squares, for colored residuals.
 
@@ -145,6 +150,8 @@ def colored(
         One over the prior variance (0 for none).
     order : int, optional
         Of the model of the residuals, as of `autoregression`.
+    columns : sequence of ndarray of int, optional
+        Unknowns that each record's Jacobian is by, where it is not by all of them.
 
     Returns
     -------
@@ -157,23 +164,28 @@ def colored(
     normal, middle = np.diag(precision.astype(float)), np.diag(precision.astype(float))
     for i, row in enumerate(joined):
         a, variance = stable_model(*autoregression(row, order=order))
-        for jacobian in jacobians:
+        for k, jacobian in enumerate(jacobians):
             J = jacobian[i]
             backwards = J if a.size == 1 else lfilter([1.0], a, J[::-1], axis=0)
-            normal += J.T @ J
-            middle += variance * correction * (backwards.T @ backwards)
+            at = ... if columns is None else np.ix_(columns[k], columns[k])
+            normal[at] += J.T @ J
+            middle[at] += variance * correction * (backwards.T @ backwards)
     return normal, middle
 
 
 def parameter_uncertainty(
-    residuals: Sequence[Array], jacobians: Sequence[Array], precision: Array, order: int | None = None
+    residuals: Sequence[Array],
+    jacobians: Sequence[Array],
+    precision: Array,
+    order: int | None = None,
+    columns: Sequence[Any] | None = None,
 ) -> Uncertainty:
     """Covariance of a plain least-squares estimate whose residual may be colored.
 
     For white residuals it is the Cramer-Rao bound ``sigma^2 (J'J)^-1``. Parameters are those of
     `colored`.
     """
-    normal, middle = colored(residuals, jacobians, precision, order)
+    normal, middle = colored(residuals, jacobians, precision, order, columns)
     _, lost, condition = pseudo_inverse(normal)
     joined = np.concatenate(residuals, axis=1)
     noise = np.sqrt(np.mean(joined**2, axis=1) * joined.size / max(joined.size - precision.size, 1))

@@ -81,10 +81,10 @@ def descend(
     def rows(box: Array) -> Rows:  # where every constraint is a bound
         problem.gain, problem._cache = gain, None
         try:
-            evaluation = problem.evaluate(problem.from_box(box))
+            evaluation = problem.evaluate(here := problem.coordinates.point(box))
         finally:
             problem.gain, problem._cache = None, None
-        r, J = evaluation.residual, problem.columns_in_box(evaluation.jacobian)
+        r, J = evaluation.residual, problem.coordinates.columns(evaluation.jacobian, here)
         if not evaluation.finite:
             return Rows(np.full(1, np.inf), J, evaluation)
         if whitener is not None:
@@ -93,7 +93,7 @@ def descend(
 
     run = gauss_newton(
         rows,
-        problem.to_box(point),
+        problem.coordinates.of(point),
         lower=low,
         upper=high,
         sizes=problem.sizes,
@@ -102,13 +102,15 @@ def descend(
     )
     lack = promised(run.rows, run.point, low, high, problem.sizes) if np.isfinite(run.cost) else np.inf
     plain = run.rows.more
-    return Descent(problem.from_box(run.point), run.cost, plain.residual, plain.jacobian, run.converged, lack)
+    return Descent(
+        problem.coordinates.point(run.point), run.cost, plain.residual, plain.jacobian, run.converged, lack
+    )
 
 
 def remeasured(problem: Problem, run: Descent, whitener: Whitener) -> Descent:
     """A run as it is, with its cost and what it lacks (log-likelihood) in the metric of a filter."""
-    r, J = _whitened(problem, run.residual, problem.columns_in_box(run.slopes), whitener)
-    lack = promised(Rows(r, J), problem.to_box(run.point), *problem.box(), problem.sizes)
+    r, J = _whitened(problem, run.residual, problem.coordinates.columns(run.slopes, run.point), whitener)
+    lack = promised(Rows(r, J), problem.coordinates.of(run.point), *problem.box(), problem.sizes)
     return replace(run, cost=0.5 * float(r @ r), lack=lack)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -12,7 +11,7 @@ from scipy.linalg import eig
 
 from ..data.measurement import Measurement
 from ..engine.simulation import simulated
-from ..exceptions import IdentifiabilityWarning
+from ..exceptions import IdentifiabilityWarning, warn
 from ..systems.linear import Array, LinearModel
 from .covariance import pseudo_inverse
 from .levels import levels
@@ -85,7 +84,7 @@ def doubted(found: Refinement, fit: Any, again: Callable[[list[Measurement]], An
     if not said:
         return found
     for sentence in said:
-        warnings.warn(sentence, IdentifiabilityWarning, stacklevel=3)
+        warn(sentence, IdentifiabilityWarning, stacklevel=3)
     if worthless:
         message = f"Not to be trusted: {'; '.join(said)}. {found.message}"
         found = replace(found, success=False, message=message)
@@ -172,7 +171,7 @@ def _undetermined(found: Refinement, fit: Any) -> str:
     problem, point = fit.problem, fit.result.x
     if not fit.structure.is_linear:
         return ""
-    jacobian = problem.evaluate(point).jacobian
+    jacobian = problem.evaluate(point).condensed[1]
     bounds = problem.at_bound(point, jacobian)
     inverse, _, _ = pseudo_inverse(jacobian.T @ jacobian)
     noise = 2.0 * problem.cost(point) / problem.n_points

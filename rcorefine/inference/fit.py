@@ -14,7 +14,7 @@ from ..exceptions import DataError
 from ..systems.linear import Array
 from .assembly import priors
 from .outcome import output_weights
-from .problem import Problem, residual_blocks
+from .problem import Problem
 from .search import search, starting_states, sufficient_steps
 from .starts import Motion
 
@@ -125,8 +125,8 @@ class Fit:
     @property
     def cost(self) -> float:
         """Log of the residual power over the outputs: comparable between rivals."""
-        blocks = residual_blocks(self.problem, self.result.x)
-        residual = np.concatenate([r for r, _ in blocks], axis=1) / self.problem.weights[:, None]
+        blocks = self.problem.own_blocks(self.result.x)
+        residual = np.concatenate([r for r, _, _ in blocks], axis=1) / self.problem.weights[:, None]
         return float(np.sum(np.log(np.mean(residual**2, axis=1) + 1e-300)))
 
 

@@ -18,11 +18,14 @@ from ..systems.linear import Array
 from .assembly import priors
 from .linearized import linearized
 from .outcome import output_weights
-from .problem import Problem, residual_blocks
+from .problem import Problem
 from .refinement import Refinement
 from .starts import Motion, law_widths
 
 __all__ = ["FittedModel", "evaluated", "fitted_from"]
+
+
+_STRONGER = 1e-3  # share of a gain
 
 
 @dataclass(eq=False)
@@ -109,6 +112,25 @@ class FittedModel:
             self._states[ratio] = found
         return self._states[ratio]
 
+    def lead_columns(self) -> list[Array]:
+        """What a stronger lead of each output would do to the residual: (n_y, N, k) per record.
+
+        None where the run is free, or a controller leads it, which is known. No observer of a nonlinear
+        model is the best one, and what a better one would gain is no fault of the model.
+        """
+        K, records = self.gain(0.0), self.problem.records
+        known = self.structure.model.controller is not None
+        columns = [np.zeros((*r.outputs.shape, 0 if K is None or known else len(r.outputs))) for r in records]
+        theta, starts = self.problem.unpack(self.point)
+        for k in range(columns[0].shape[2]):
+            stronger = np.array(K)
+            stronger[:, k] *= 1.0 + _STRONGER
+            for i, (engine, start) in enumerate(zip(self.problem.engines, starts, strict=True)):
+                run = engine.run(theta, start, sensitivity=False, gain=stronger, check=False)
+                led = self.problem.weights[:, None] * (run.outputs - engine.data.outputs)
+                columns[i][:, :, k] = np.nan_to_num(led - self.residuals()[i])
+        return columns
+
     def port(self, name: str, ratio: float, record: int) -> tuple[Array, Array]:
         """Displacement and velocity (N,) at a port."""
         return sensed(
@@ -131,17 +153,7 @@ class FittedModel:
         roles = [*old.roles, *("effect" for _ in effects)]
         mean, sd = priors(structure, roles, self.tolerance)
         steps = max(old.substeps, 1 if structure.is_linear else 2)
-        problem = Problem(
-            structure,
-            self.problem.records,
-            self.problem.weights,
-            prior_mean=mean,
-            prior_sd=sd,
-            substeps=steps,
-            initial=self.problem.initial
-            if self.problem.initial is None
-            else np.pad(self.problem.initial, (0, structure.n_states - self.problem.initial.size)),
-        )
+        problem = self.problem.like(structure, prior_mean=mean, prior_sd=sd, substeps=steps)
         theta, starts = self.problem.unpack(self.point)
         full = np.concatenate([theta, structure.start()[theta.size :]])
         added = structure.n_states - starts.shape[1]
@@ -152,7 +164,7 @@ def evaluated(problem: Problem, point: Array, gain: Array | None = None) -> list
     """Residual and Jacobian blocks of a problem, led by an observer where a gain is given."""
     problem.gain, problem._cache = gain, None
     try:
-        return residual_blocks(problem, point)
+        return problem.blocks(point)
     finally:
         problem.gain, problem._cache = None, None
 

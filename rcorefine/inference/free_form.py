@@ -21,7 +21,6 @@ from ..exceptions import ModelError
 from ..gauss_newton import Rows, gauss_newton
 from ..systems.linear import Array
 from .fitted import FittedModel
-from .problem import Problem
 from .sensitivities import force_responses
 from .whitening import Whitener, project, rank_basis
 
@@ -297,13 +296,9 @@ def fit_free_form(
 def _with(fitted: FittedModel, curve: Curve, point: Array, values: Array) -> FittedModel:
     """The model with a curve of these values, at a point of the model without it."""
     effect = Effect(Tabulated.name, curve.place, law=curve.table(values), fixed={"scale": 1.0})
-    old = fitted.problem
     base = fitted.structure
     structure = Structure(base.model, [*base.effects, effect], constants=base.constants)
-    problem = Problem(
-        structure, old.records, old.weights, prior_mean=old.prior_mean, prior_sd=old.prior_sd,
-        substeps=max(fitted.refinement.substeps, 2), initial=old.initial,
-    )  # fmt: skip
+    problem = fitted.problem.like(structure, substeps=max(fitted.refinement.substeps, 2))
     return FittedModel(fitted.refinement, problem, point, fitted.tolerance, fitted.force_at)
 
 

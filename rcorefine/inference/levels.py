@@ -28,11 +28,15 @@ class Levels:
         Rms difference of two forces over their rms, within which a law that contains another one
         merely contains it: no rival.
     departs : float
-        Log of the odds of a force of no law over the best law, where that passes all tests; by
-        chance above this for 1-3 % of true laws. Beyond it the two are not told apart: ambiguous.
+        Log of the odds of a force of no law over the best law, where that passes all tests. Beyond it,
+        even odds, the two are not told apart: ambiguous. Beyond half of `rival`, odds of 100 to 1, it
+        excludes the law as it would exclude a rival: unexplained.
     disagree : float
         p-value of Wald's test that two amplitudes ask for the same coefficients, uniform by
         chance. Below it the law only mimics the true one: unexplained.
+    same_value : float
+        Standard deviation, as a share of a coefficient, that this test allows beside the errors of the fits:
+        that of kinks within a step, of a clock or a gain that differs from record to record.
     off : float
         Relative standard deviation within which all numbers of a model float before a law is
         sought. Where the residual passes with that, the numbers are off and no law is missing.
@@ -62,6 +66,38 @@ class Levels:
     drowned : float
         Fit of the free run in percent, 100 without noise. Below it such a residual is more than noise may
         be: unexplained, where neither candidate, numbers nor force explain it.
+    zero : float
+        Mean of an output over its standard deviation, about 0 by chance. Above it, and where no candidate
+        passes, offsets are tried wherever a law could want them.
+    color_left : float
+        Share of what the color of a residual gains, 1 where nothing explains it. A candidate that leaves
+        more than this has not explained the color.
+    line : float
+        Power at one frequency over the mean of its neighbors, about 1 by chance and rarely above 10. Above
+        it the residual may hold a line...
+    line_share : float
+        ... if the line is a larger share of its power than this...
+    line_drift : float
+        ... and none of eight parts of the record departs from the whole by more than this share: noise
+        at a resonance wanders.
+    no_law : float
+        Probability that none of the laws is the true one. Above it the answer says so.
+    no_function : float
+        p-value of memory, or of a change with time, where a free force is fitted; uniform by chance. Below
+        it the force is called no function of position and velocity.
+    hold : float
+        Log of the error that another hold between samples must save, 0 where it is the declared one.
+    hold_alike : float
+        The same, within which a delay explains the record as well as another hold.
+    moved : float
+        Standard deviations, normal by chance, from which on a number has moved.
+    moved_far : float
+        Share of a number. One that moved further, for certain, may stand in for a law.
+    moved_wide : float
+        Declared tolerances. A monitor whose numbers moved further does not call its model adequate.
+    known : float
+        p-value of Wald's test that the sizes of a law that passes are zero, below this by far for what the
+        scores have found. Above it the law passes by what the record does not determine: no name.
     swap : float
         Log-likelihood by which a candidate must win to take another one's place in a model;
         4.6 are odds of 100 to 1.
@@ -75,6 +111,18 @@ class Levels:
         the model fails there.
     failure_besides : float
         Share of the error's energy that a failure must explain to stand besides the first one.
+    alarm_place : float
+        Share of one place in the probability of all candidates. Above it, twice in a row, an alarm
+        names it...
+    alarm_left : float
+        ... if the mean square of what the name leaves, 1 by chance, is below this. Above it (over that of the
+        name before) a later look does not change the name.
+    alarm_worth : float
+        Log-likelihood that a name must earn over no change; below it an alarm may end.
+    alarm_gone : float
+        Standard deviations within which the coefficient of an alarm counts as zero...
+    alarm_missed : float
+        ... where the value that it had is more of them than this.
     collinear : float
         Smallest eigenvalue of the information about changes in units of their own, 1 where they
         are seen apart. Below it those in its direction are seen only together...
@@ -92,8 +140,9 @@ class Levels:
     noise_excess: float = 1.2
     rival: float = 9.2
     same_force: float = 0.1
-    departs: float = 1.1
+    departs: float = 0.0
     disagree: float = 0.005
+    same_value: float = 0.005
     off: float = 0.05
     power: float = 1.645
     force: float = 15.0
@@ -104,11 +153,29 @@ class Levels:
     colored_fit: float = 75.0
     colored_size: float = 3.0
     drowned: float = 50.0
+    zero: float = 0.1
+    color_left: float = 0.5
+    line: float = 30.0
+    line_share: float = 0.2
+    line_drift: float = 0.2
+    no_law: float = 0.05
+    no_function: float = 1e-4
+    hold: float = 0.05
+    hold_alike: float = 0.01
+    moved: float = 3.0
+    moved_far: float = 0.3
+    moved_wide: float = 2.0
+    known: float = 0.003
     swap: float = 4.6
     earned: float = 0.05
     spoiled: float = 0.02
     failure: float = 0.01
     failure_besides: float = 0.005
+    alarm_place: float = 0.99
+    alarm_left: float = 1.5
+    alarm_worth: float = 12.0
+    alarm_gone: float = 3.0
+    alarm_missed: float = 6.0
     collinear: float = 0.01
     blurred: float = 0.05
     turned_over: float = 0.5

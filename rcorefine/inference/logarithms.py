@@ -51,7 +51,7 @@ def by_logarithms(problem: Problem, point: Array) -> Array:
     chosen = engines
 
     def rows(box: Array) -> Rows:
-        theta = problem.from_box(box)  # a response has no start
+        theta = problem.coordinates.point(box)  # a response has no start
         residuals, slopes = ([part] for part in problem.prior_rows(theta))
         for engine, g, weight in zip(engines, measured, weights, strict=True):
             if engine not in chosen:
@@ -62,17 +62,20 @@ def by_logarithms(problem: Problem, point: Array) -> Array:
                 slopes.append(
                     np.array([_parts(weight * slope / model) for slope in by]).reshape(len(by), -1).T
                 )
-        r, J = np.concatenate(residuals), problem.columns_in_box(np.concatenate(slopes))
+        r, J = np.concatenate(residuals), problem.coordinates.columns(np.concatenate(slopes), theta)
         return Rows(r if np.isfinite(r).all() and np.isfinite(J).all() else np.full(1, np.inf), J)
 
-    start, count = problem.to_box(problem.inside(point)), _FEW_EVALUATIONS if nonlinear else _EVALUATIONS
+    start, count = (
+        problem.coordinates.of(problem.inside(point)),
+        _FEW_EVALUATIONS if nonlinear else _EVALUATIONS,
+    )
     # nonlinear: the quietest response first, for its peak has moved least
     for k in range(1, len(engines) + 1) if nonlinear else (len(engines),):
         chosen = [engines[i] for i in loudest[:k]]
         start = gauss_newton(
             rows, start, lower=low, upper=high, sizes=problem.sizes, evaluations=count, tolerance=1e-4
         ).point
-    return problem.from_box(start)
+    return problem.coordinates.point(start)
 
 
 def _thinned(engine: ResponseEngine, most: int) -> ResponseEngine:

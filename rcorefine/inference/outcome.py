@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,12 +14,12 @@ from ..engine.engine import Engine
 from ..engine.initial_state import estimate_initial_state
 from ..engine.response_engine import engine_on
 from ..engine.structure import Structure
-from ..exceptions import IdentifiabilityWarning
+from ..exceptions import IdentifiabilityWarning, warn
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 from .covariance import parameter_uncertainty, standard_deviations, unseen_combinations
 from .doubts import stands_still
-from .problem import Problem, residual_blocks
+from .problem import Problem
 from .refinement import EstimatedParameter, Refinement
 
 __all__ = ["fit_of", "output_weights", "package"]
@@ -40,7 +39,7 @@ def output_weights(
     spread = np.where(spread > 0, spread, 1.0)
     if problem is None or point is None:
         return 1.0 / spread
-    residuals = np.concatenate([r for r, _ in residual_blocks(problem, point)], axis=1)
+    residuals = np.concatenate([r for r, _, _ in problem.own_blocks(point)], axis=1)
     level = np.sqrt(np.mean((residuals / problem.weights[:, None]) ** 2, axis=1))
     return 1.0 / np.maximum(level, 1e-12 * spread)
 
@@ -50,11 +49,11 @@ def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
     structure, problem, result, roles = fit.structure, fit.problem, fit.result, fit.roles
     point = result.x
     theta, starts = problem.unpack(point)
-    blocks = residual_blocks(problem, point)
+    residuals, slopes, columns = zip(*problem.own_blocks(point), strict=True)
     precision = problem.precision
     precision[: problem.n_theta][fit.loose] = 0.0
     order = None if problem.in_time else 0
-    unsure = parameter_uncertainty([r for r, _ in blocks], [j for _, j in blocks], precision, order)
+    unsure = parameter_uncertainty(residuals, slopes, precision, order, columns)
     p = structure.n_parameters
     covariance = unsure.covariance[:p, :p]
     spread = standard_deviations(covariance)
@@ -63,12 +62,12 @@ def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
     settled = np.isfinite(problem.prior_sd) & offsets
     found = tuple(unseen_combinations(unsure, theta, names, spread, settled))
     for sentence in found:
-        warnings.warn(sentence, IdentifiabilityWarning, stacklevel=4)
-    fit_percent, rmse = fit_of(problem.records, [r / problem.weights[:, None] for r, _ in blocks])
+        warn(sentence, IdentifiabilityWarning, stacklevel=4)
+    fit_percent, rmse = fit_of(problem.records, [r / problem.weights[:, None] for r in residuals])
     message = str(result.message) if result.status <= 0 else "Converged."
     if result.status == 0:
         message = "Stopped at the largest number of evaluations; the minimum may not be reached."
-    at_bound = problem.at_bound(point, problem.evaluate(point).jacobian)
+    at_bound = problem.at_bound(point, problem.evaluate(point).condensed[1])
     if at_bound:
         message += f" At its bound: {', '.join(at_bound)}."
     return Refinement(
@@ -84,7 +83,7 @@ def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
         initial_fit=_initial_fit(Structure(physical), problem.records),
         initial_states=starts,
         substeps=fit.steps,
-        residual_orders=problem.whitener([r for r, _ in blocks]).orders,
+        residual_orders=problem.whitener(residuals).orders,
         led=any(engine.lead is not None for engine in problem.engines),
         success=bool(result.status > 0 and np.isfinite(result.cost)),
         message=" ".join(part for part in (message, note) if part),

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.optimize import OptimizeResult, least_squares
 
@@ -17,22 +17,15 @@ from ..engine.initial_state import brief_modes
 from ..engine.response_engine import engine_on, is_linear
 from ..engine.structure import Structure
 from ..systems.linear import Array
+from .coordinates import Coordinates
+from .evaluation import Evaluation
 from .sizes import natural_sizes
 from .whitening import Whitener
 
-__all__ = ["Evaluation", "Problem", "residual_blocks"]
+__all__ = ["Problem"]
 
 _LARGEST = 1e60
 _FAILED = 1e8  # residual level of a simulation that blew up: worse than anything, yet finite
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Evaluation:
-    """Weighted residual and Jacobian at one point."""
-
-    residual: Array
-    jacobian: Array
-    finite: bool
 
 
 class Problem:
@@ -70,33 +63,47 @@ class Problem:
         records: Sequence[Measurement] | Sequence[ResponseRecord],
         weights: Array,
         *,
-        prior_mean: Array,
-        prior_sd: Array,
+        prior_mean: Array | None = None,
+        prior_sd: Array | None = None,
         substeps: int = 1,
         initial: Array | None = None,
         hold_brief: bool = True,
     ) -> None:
         self.structure, self.weights = structure, weights
+        self.coordinates = Coordinates(structure)
         self.records: list[Any] = list(records)
         self.in_time = not in_frequency(self.records)
         if not self.in_time:  # a response has no start
             initial = np.zeros(structure.n_states)
-        self.prior_mean, self.prior_sd = prior_mean, prior_sd
+        p = structure.n_parameters
+        self.prior_mean: Array = np.zeros(p) if prior_mean is None else prior_mean
+        self.prior_sd: Array = np.full(p, np.inf) if prior_sd is None else prior_sd
         self.initial, self.substeps = initial, substeps
         self.engines: list[Any] = [
             engine_on(structure, r, substeps=substeps, initial=initial) for r in records
         ]
-        self.n_theta, self.n_states = structure.n_parameters, structure.n_states
+        self.n_theta, self.n_states = p, structure.n_states
         self.free_start = initial is None
-        self._hold_brief = hold_brief
+        self.hold_brief = hold_brief
         self.gain: Array | None = None
         self._cache: tuple[Array, Evaluation] | None = None
         rest = np.zeros(self.size - self.n_theta)
         self.sizes = np.concatenate([natural_sizes(structure, self.records), rest])
         if self.free_start:
-            theta = self.inside(np.concatenate([prior_mean, rest]))[: self.n_theta]
+            theta = self.inside(np.concatenate([self.prior_mean, rest]))[: self.n_theta]
             self.sizes[self.n_theta :] = np.concatenate([one.state_sizes(theta) for one in self.engines])
         self.n_points = sum(record.outputs.size for record in self.records)
+
+    def like(
+        self, structure: Structure | None = None, records: Sequence[Any] | None = None, **changes: Any
+    ) -> Problem:
+        """The same problem of another structure, on other records, or with other arguments."""
+        structure = structure or self.structure
+        names = ("weights", "prior_mean", "prior_sd", "substeps", "hold_brief")
+        given = {name: getattr(self, name) for name in names}
+        if self.initial is not None:
+            given["initial"] = np.pad(self.initial, (0, structure.n_states - self.initial.size))
+        return Problem(structure, records or self.records, **{**given, **changes})
 
     def whitener(self, residuals: Sequence[Array]) -> Whitener:
         """Filter of residuals: in time noise may have a memory, from frequency to frequency it has none."""
@@ -137,29 +144,27 @@ class Problem:
         if self._cache is not None and np.array_equal(self._cache[0], point):
             return self._cache[1]
         theta, starts = self.unpack(point)
-        rows, blocks, finite = [], [], True
+        rows, blocks, places, finite = [], [], [], True
+        coefficients = np.arange(self.n_theta)
         judged = self.judged(theta)
         for i, engine in enumerate(self.engines):
             run = engine.run(theta, starts[i], initial_state=self.free_start, gain=self.gain, check=False)
             ok = run.blew_up < 0 and _bounded(run.outputs) and _bounded(run.sensitivity)
             finite &= ok
             width = run.sensitivity.shape[2]
-            block = np.zeros((engine.data.outputs.size, self.size))
             if ok:
                 weights = self.weights[:, None] * judged[i]
                 error = (weights * (run.outputs - engine.data.outputs)).ravel()
-                slope = (weights[:, :, None] * run.sensitivity).reshape(error.size, width)
-                block[:, : self.n_theta] = slope[:, : self.n_theta]
-                if self.free_start:
-                    first = self.n_theta + i * self.n_states
-                    block[:, first : first + self.n_states] = slope[:, self.n_theta :]
+                block = (weights[:, :, None] * run.sensitivity).reshape(error.size, width)
             else:
                 error = np.full(engine.data.outputs.size, _FAILED)
+                block = np.zeros((error.size, width))
             rows.append(error)
             blocks.append(block)
-        for whole, part in zip((rows, blocks), self.prior_rows(point), strict=True):
-            whole.append(part)
-        result = Evaluation(np.concatenate(rows), np.vstack(blocks), finite)
+            own = np.arange(self.n_states) + self.n_theta + i * self.n_states
+            places.append(np.concatenate([coefficients, own])[:width])
+        expected, prior = self.prior_rows(point)
+        result = Evaluation(np.concatenate([*rows, expected]), blocks, places, prior, finite)
         self._cache = (point.copy(), result)
         return result
 
@@ -175,7 +180,7 @@ class Problem:
         starts = []
         if self.free_start:
             none = np.zeros((0, self.n_states))
-            starts = [brief_modes(engine) if self._hold_brief else none for engine in self.engines]
+            starts = [brief_modes(engine) if self.hold_brief else none for engine in self.engines]
         return np.asarray(block_diag(np.eye(self.n_theta)[held] / self.prior_sd[held, None], *starts))
 
     @cached_property
@@ -194,8 +199,8 @@ class Problem:
         """
         found = []
         for engine in self.engines:
-            n, lost = engine.data.n_samples, engine.unjudged(theta)[:, None]
-            found.append(np.where(np.arange(n) >= lost, np.sqrt(n / (n - lost)), 0.0))
+            seen = engine.judged(theta)
+            found.append(seen / np.sqrt(seen.mean(axis=1, keepdims=True)))
         return found
 
     def cost(self, point: Array) -> float:
@@ -203,36 +208,12 @@ class Problem:
         residual = self.evaluate(point).residual
         return 0.5 * float(residual @ residual)
 
-    def to_box(self, point: Array) -> Array:
-        """Coordinates whose constraints are bounds: a coefficient that exceeds another becomes the excess."""
-        box = point.copy()
-        for larger, smaller in self.structure.ordered:
-            box[larger] -= point[smaller]
-        return box
-
-    def from_box(self, box: Array) -> Array:
-        """The point of these coordinates."""
-        point = box.copy()
-        for larger, smaller in self.structure.ordered:
-            point[larger] += box[smaller]
-        return point
-
-    def columns_in_box(self, jacobian: Array) -> Array:
-        """Derivatives (rows, size) for the point, turned into those for `to_box` of it."""
-        pairs = self.structure.ordered
-        if not pairs:
-            return jacobian
-        turned = jacobian.copy()
-        for larger, smaller in pairs:
-            turned[:, smaller] += jacobian[:, larger]
-        return turned
-
     def bounds(self) -> tuple[Array, Array]:
-        """Bounds of `to_box` of a point; initial states are free."""
+        """Bounds of the coordinates of a point; initial states are free."""
         lower, upper = np.full(self.size, -np.inf), np.full(self.size, np.inf)
         for i, parameter in enumerate(self.structure.parameters):
             lower[i], upper[i] = parameter.lower, parameter.upper
-        for larger, _ in self.structure.ordered:
+        for larger, _ in self.coordinates.ordered:
             lower[larger] = 0.0
         return lower, upper
 
@@ -249,12 +230,12 @@ class Problem:
     def inside(self, point: Array) -> Array:
         """The point moved strictly inside its bounds."""
         low, high = self.box()
-        return self.from_box(np.clip(self.to_box(point), low, high))
+        return self.coordinates.point(np.clip(self.coordinates.of(point), low, high))
 
     def at_bound(self, point: Array, jacobian: Array) -> list[str]:
         """Labels of the coefficients that stand on a bound, judged by what the residual feels of them."""
-        felt = np.linalg.norm(self.columns_in_box(jacobian), axis=0)
-        box, found = self.to_box(point), []
+        felt = np.linalg.norm(self.coordinates.columns(jacobian, point), axis=0)
+        box, found = self.coordinates.of(point), []
         for bound, inner in zip(self.bounds(), self.box(), strict=True):
             for i, parameter in enumerate(self.structure.parameters):
                 near = 1e-6 * abs(bound[i]) if bound[i] or not felt[i] else 1e-3 / felt[i]
@@ -262,6 +243,25 @@ class Problem:
                     near, 2 * abs(inner[i] - bound[i])
                 ):
                     found.append(parameter.label)
+        return found
+
+    def blocks(self, point: Array) -> list[tuple[Array, Array]]:
+        """Residual (n_y, N) and Jacobian (n_y, N, p) of each window."""
+        found = []
+        for residual, own, columns in self.own_blocks(point):
+            whole = np.zeros((*residual.shape, self.size))
+            whole[:, :, columns] = own
+            found.append((residual, whole))
+        return found
+
+    def own_blocks(self, point: Array) -> list[tuple[Array, Array, NDArray[np.intp]]]:
+        """The same by the unknowns that a window feels alone, (n_y, N, .), and which of all these are."""
+        evaluation, found, row = self.evaluate(point), [], 0
+        for record, block, columns in zip(self.records, evaluation.blocks, evaluation.columns, strict=True):
+            shape = record.outputs.shape
+            residual = evaluation.residual[row : row + len(block)].reshape(shape)
+            found.append((residual, block.reshape(*shape, -1), columns))
+            row += len(block)
         return found
 
     def minimize(
@@ -290,33 +290,32 @@ class Problem:
             there = {"x": point, "cost": self.cost(point), "jac": self.evaluate(point).jacobian}
             return OptimizeResult(status=1, message="Nothing is free.", **there)
         scale = self._scales(point)
-        at: Callable[[Array], Evaluation] = lambda q: self.evaluate(self.from_box(q * scale))  # noqa: E731
-        fun: Callable[[Array], Array] = lambda q: at(q).residual  # noqa: E731
-        jac: Callable[[Array], Array] = lambda q: self.columns_in_box(at(q).jacobian) * scale  # noqa: E731
+        at: Callable[[Array], Evaluation] = lambda q: self.evaluate(self.coordinates.point(q * scale))  # noqa: E731
+        fun: Callable[[Array], Array] = lambda q: at(q).condensed[0]  # noqa: E731
+
+        def jac(q: Array) -> Array:
+            return self.coordinates.columns(at(q).condensed[1], self.coordinates.point(q * scale)) * scale
+
         lower, upper = self.bounds()
-        options: dict[str, Any] = {
-            "jac": jac,
-            "bounds": (lower / scale, upper / scale),
-            "max_nfev": max_nfev,
-            "ftol": tol,
-            "xtol": tol,
-            "gtol": 1e-14,
-            "x_scale": "jac",
-        }
-        start = self.to_box(self.inside(point)) / scale
+        start = self.coordinates.of(self.inside(point)) / scale
+        solve = partial(
+            least_squares, fun, start, jac=jac, bounds=(lower / scale, upper / scale), max_nfev=max_nfev,
+            ftol=tol, xtol=tol, gtol=1e-14, x_scale="jac",
+        )  # fmt: skip
         try:
-            result = least_squares(fun, start, **options)
+            result = solve()
         except np.linalg.LinAlgError:
             # LAPACK's SVD can fail on many like windows (equal singular values): iterate instead
-            result = least_squares(fun, start, tr_solver="lsmr", **options)
-        result.x = self.from_box(result.x * scale)
+            result = solve(tr_solver="lsmr")
+        result.x = self.coordinates.point(result.x * scale)
         result.jac = result.jac / scale
         self.gain, self._cache = None, None
         return result
 
     def _scales(self, point: Array) -> Array:
         """Column scales that bring the Jacobian at `point` to unit columns."""
-        columns = np.linalg.norm(self.columns_in_box(self.evaluate(self.inside(point)).jacobian), axis=0)
+        inside = self.inside(point)
+        columns = np.linalg.norm(self.coordinates.columns(self.evaluate(inside).condensed[1], inside), axis=0)
         felt = np.where(np.isfinite(columns), columns, 0.0) * self.sizes
         felt = felt > 1e-12 * felt.max(initial=0.0)
         columns = np.where(felt, columns, np.nan)
@@ -327,20 +326,3 @@ class Problem:
 def _bounded(values: Array) -> bool:
     """Whether squares of the values are numbers; False where any is NaN."""
     return not values.size or bool(np.abs(values).max() < _LARGEST)
-
-
-def residual_blocks(problem: Problem, point: Array) -> list[tuple[Array, Array]]:
-    """Residual (n_y, N) and Jacobian (n_y, N, p) of each window."""
-    evaluation = problem.evaluate(point)
-    blocks, row = [], 0
-    for record in problem.records:
-        count = record.outputs.size
-        shape = record.outputs.shape
-        blocks.append(
-            (
-                evaluation.residual[row : row + count].reshape(shape),
-                evaluation.jacobian[row : row + count].reshape(*shape, problem.size),
-            )
-        )
-        row += count
-    return blocks

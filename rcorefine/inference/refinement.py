@@ -62,6 +62,12 @@ class EstimatedParameter:
         """95 % interval."""
         return self.value - 1.96 * self.std, self.value + 1.96 * self.std
 
+    @property
+    def cells(self) -> list[str]:
+        """The row as text: name, effect, place, initial, value, std, unit."""
+        figures = (f"{self.initial:.5g}", f"{self.value:.5g}", f"{self.std:.2g}")
+        return [self.name, self.kind if self.name != self.kind else "", self.place, *figures, self.unit]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Refinement(ReportedModel, CodeExports):

@@ -16,7 +16,7 @@ from ..engine.structure import Structure
 from ..systems.linear import Array
 from .covariance import parameter_uncertainty
 from .logarithms import by_logarithms
-from .problem import Problem, residual_blocks
+from .problem import Problem
 from .starts import Motion, far_starts, shape_starts
 
 __all__ = ["search", "starting_states", "step_matters", "sufficient_steps"]
@@ -263,15 +263,17 @@ def step_matters(coarse: Problem, fine: Problem, point: Array) -> float:
     if not (evaluation.finite and finer.finite):
         return np.inf
     n = coarse.n_points
-    jacobian = evaluation.jacobian[:n]
-    scale = np.linalg.norm(jacobian, axis=0)
+    difference = finer.residual[:n] - evaluation.residual[:n]
+    turned, jacobian = evaluation.turned(difference)
+    rows = len(jacobian) - len(evaluation.prior)
+    scale = np.linalg.norm(jacobian[:rows], axis=0)
     scale[scale == 0] = 1.0
-    shift = np.linalg.lstsq(jacobian / scale, finer.residual[:n] - evaluation.residual[:n], rcond=1e-8)[0]
-    blocks = residual_blocks(coarse, point)
-    unsure = parameter_uncertainty([r for r, _ in blocks], [j for _, j in blocks], np.zeros(coarse.size))
+    shift = np.linalg.lstsq(jacobian[:rows] / scale, turned[:rows], rcond=1e-8)[0]
+    residuals, slopes, columns = zip(*coarse.own_blocks(point), strict=True)
+    unsure = parameter_uncertainty(residuals, slopes, np.zeros(coarse.size), columns=columns)
     spread = np.sqrt(np.maximum(np.diag(unsure.covariance), 1e-300)) * scale
     noise = np.sqrt(np.mean(evaluation.residual[:n] ** 2))
-    change = np.sqrt(np.mean((finer.residual[:n] - evaluation.residual[:n]) ** 2))
+    change = np.sqrt(np.mean(difference**2))
     return float(
         max(np.max(np.abs(shift / spread)[: coarse.n_theta], initial=0.0), change / max(noise, 1e-300))
     )

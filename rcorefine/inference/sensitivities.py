@@ -59,16 +59,7 @@ class Candidate:
 
     def at(self, substeps: int, structure: Structure | None = None) -> Problem:
         """The same problem at another number of substeps, or of a structure with other constants."""
-        old = self.problem
-        return Problem(
-            structure or old.structure,
-            old.records,
-            old.weights,
-            prior_mean=old.prior_mean,
-            prior_sd=old.prior_sd,
-            substeps=substeps,
-            initial=old.initial,
-        )
+        return self.problem.like(structure, substeps=substeps)
 
     def finer(self, substeps: int) -> Candidate:
         """The candidate at another number of substeps."""

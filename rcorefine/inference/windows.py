@@ -8,7 +8,8 @@ import control as ct
 import numpy as np
 
 from ..data.frequency_response import FrequencyResponse
-from ..data.measurement import Measurement, as_records
+from ..data.measurement import Measurement
+from ..data.records import as_records
 from ..data.response_record import ResponseRecord, as_responses, in_frequency, some_lines
 from ..engine.controlled import as_it_runs
 from ..engine.free_runs import free_runs

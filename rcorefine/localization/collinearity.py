@@ -10,7 +10,7 @@ from ..inference.levels import levels
 from ..systems.linear import Array
 from .estimate import Joint
 
-__all__ = ["collinear_groups", "similar_sign", "similarity"]
+__all__ = ["collinear_groups", "similarity"]
 
 _MEMBER = 0.3  # share of such a direction above which a candidate belongs to it
 
@@ -34,11 +34,6 @@ def _projected(joint: Joint, where: NDArray[np.int64]) -> Array:
 def similarity(joint: Joint, where: NDArray[np.int64]) -> Array:
     """How alike the candidates' sensitivities are, 0 to 1, shape (m, m)."""
     return np.asarray(np.abs(_projected(joint, where)))
-
-
-def similar_sign(joint: Joint, where: NDArray[np.int64], i: int, j: int) -> float:
-    """Sign of the correlation of two sensitivities."""
-    return float(joint.information().normal[where[i], where[j]])
 
 
 def collinear_groups(

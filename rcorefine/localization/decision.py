@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm
 
 from ..inference.covariance import pseudo_inverse, standard_deviations
 from ..inference.levels import levels
 from ..systems.linear import Array
 from .candidates import Candidate
-from .collinearity import collinear_groups, similar_sign, similarity
+from .collinearity import collinear_groups, similarity
 from .estimate import Joint
 
 __all__ = ["Decision", "decide", "two_sided"]
@@ -81,189 +81,146 @@ def decide(joint: Joint, candidates: list[Candidate], significance: float) -> De
     -------
     Decision
     """
-    m = len(candidates)
-    where = np.array([c.column for c in candidates], dtype=np.int64)
-    floor = np.array([c.floor for c in candidates])
-    tolerated = np.array([c.tolerated for c in candidates])
-    active = np.ones(joint.structure.n_parameters, dtype=bool)
-    joint.fit(active, reweigh=True)
+    chosen = _Selection(joint, candidates, significance)
+    joint.fit(chosen.active, reweigh=True)
     dense = joint.point.copy()
-    kept = _eliminate(joint, where, active, floor, tolerated, significance)
-    elsewhere = False
-    level = joint.problem.cost(joint.point)
-    if len(kept) > 1 and joint.sparser(active, len(kept)) is not None:
+    chosen.eliminate()
+    elsewhere, level = False, joint.problem.cost(joint.point)
+    if len(chosen.kept) > 1 and joint.sparser(chosen.active, len(chosen.kept)) is not None:
         # the same response with fewer changes: decide there
         reached = joint.problem.cost(joint.point)
         elsewhere = 2.0 * (level - reached) < levels().rival * 2.0 * reached / joint.problem.n_points
-        active[:] = True
-        joint.fit(active, reweigh=True)
+        chosen = _Selection(joint, candidates, significance)
+        joint.fit(chosen.active, reweigh=True)
         dense = joint.point.copy()
-        kept = _eliminate(joint, where, active, floor, tolerated, significance)
-    _improve(joint, where, active, kept, floor, tolerated, significance)
-    joint.fit(active, reweigh=True)
-    rivals = _swap(joint, where, active, kept)
-    joint.fit(active, reweigh=True)
+        chosen.eliminate()
+    chosen.take_back()
+    joint.fit(chosen.active, reweigh=True)
+    rivals = chosen.swap()
+    joint.fit(chosen.active, reweigh=True)
 
-    final = joint.point
-    everything = np.ones_like(active)
+    final, everything = joint.point, _Selection(joint, candidates, significance)
     joint.point = dense
-    joint.fit(everything)
-    estimate, spread, covariance = _estimates(joint, where, everything)
+    joint.fit(everything.active)
+    estimate, spread, covariance = everything.estimates()
     size = np.array([abs(c.nominal) for c in candidates])
-    groups = collinear_groups(joint, where, spread > levels().blurred * size)
+    groups = collinear_groups(joint, chosen.where, spread > levels().blurred * size)
     joint.point = final
-    joint.fit(active)
+    joint.fit(chosen.active)
 
-    change, std = np.zeros(m), np.zeros(m)
-    for i in range(m):
-        if i in kept:
-            values, spreads, _ = _estimates(joint, where[[i]], active)
-            change[i], std[i] = values[0], spreads[0]
-        else:
-            change[i], std[i] = _beside(joint, where[i], active)
+    found = [chosen.estimate(i) if i in chosen.kept else chosen.beside(i) for i in range(len(candidates))]
+    change, std = np.array(found).reshape(-1, 2).T
     return Decision(
-        tuple(sorted(kept)),
+        tuple(sorted(chosen.kept)),
         {i: tuple(others) for i, others in rivals.items() if others},
         estimate,
         spread,
         covariance,
         change,
         std,
-        two_sided(_deviate(change, std, tolerated)),
+        two_sided(_deviate(change, std, chosen.tolerated)),
         groups,
         elsewhere,
     )
 
 
-def _eliminate(
-    joint: Joint,
-    where: NDArray[np.int64],
-    active: NDArray[np.bool_],
-    floor: Array,
-    tolerated: Array,
-    significance: float,
-) -> list[int]:
-    """Drop the least significant candidate as long as it fails Holm's level."""
-    m = where.size
-    kept = list(range(m))
-    while kept:
-        value, std, _ = _estimates(joint, where[kept], active)
-        p = two_sided(_deviate(value, std, tolerated[kept]))
-        p = np.where(np.abs(value) < floor[kept], np.maximum(p, 0.5), p)
-        # where none is seen on its own, the smallest share goes first
-        order = np.lexsort((np.abs(value) / np.maximum(floor[kept], 1e-300), -p))
-        weakest = int(order[0])
-        if p[weakest] <= significance / (m - len(kept) + 1):
-            break
-        _hold(joint, where[kept.pop(weakest)], active)
-    return kept
+class _Selection:
+    """Candidates that are kept, the others held at zero; all of them to begin with."""
 
+    def __init__(self, joint: Joint, candidates: list[Candidate], significance: float) -> None:
+        self.joint, self.significance = joint, significance
+        self.where = np.array([c.column for c in candidates], dtype=np.int64)
+        self.floor = np.array([c.floor for c in candidates])
+        self.tolerated = np.array([c.tolerated for c in candidates])
+        self.active = np.ones(joint.structure.n_parameters, dtype=bool)
+        self.kept = list(range(len(candidates)))
 
-def _deviate(value: Array, std: Array, tolerated: Array) -> Array:
-    total = np.sqrt(std**2 + tolerated**2)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        z = np.where(np.isfinite(total), value / np.where(total > 0, total, 1e-300), 0.0)
-    return np.asarray(z)
+    def eliminate(self) -> None:
+        """Drop the least significant candidate as long as it fails Holm's level."""
+        while self.kept:
+            value, std, _ = self.estimates()
+            floor = self.floor[self.kept]
+            p = two_sided(_deviate(value, std, self.tolerated[self.kept]))
+            p = np.where(np.abs(value) < floor, np.maximum(p, 0.5), p)
+            # where none is seen on its own, the smallest share goes first
+            order = np.lexsort((np.abs(value) / np.maximum(floor, 1e-300), -p))
+            weakest = int(order[0])
+            if p[weakest] <= self.significance / (self.where.size - len(self.kept) + 1):
+                break
+            self._hold(self.where[self.kept.pop(weakest)])
 
+    def estimates(self) -> tuple[Array, Array, Array]:
+        """Value, standard deviation and covariance of those that are kept."""
+        where, columns = self.where[self.kept], self.joint.columns(self.active)
+        covariance = self.joint.information().covariance(columns)
+        rows = np.array([int(np.flatnonzero(columns == c)[0]) for c in where], dtype=np.int64)
+        part = covariance[np.ix_(rows, rows)]
+        return self.joint.theta[where], standard_deviations(part), part
 
-def _estimates(
-    joint: Joint, where: NDArray[np.int64], active: NDArray[np.bool_]
-) -> tuple[Array, Array, Array]:
-    """Value, standard deviation and covariance of some active columns."""
-    columns = joint.columns(active)
-    covariance = joint.information().covariance(columns)
-    rows = np.array([int(np.flatnonzero(columns == c)[0]) for c in where], dtype=np.int64)
-    part = covariance[np.ix_(rows, rows)]
-    return joint.theta[where], standard_deviations(part), part
+    def estimate(self, i: int) -> tuple[float, float]:
+        """Value and standard deviation of one that is kept."""
+        values, spreads, _ = self.estimates()
+        return values[self.kept.index(i)], spreads[self.kept.index(i)]
 
+    def beside(self, i: int) -> tuple[float, float]:
+        """What one more candidate would come to beside those that are kept: one Gauss-Newton step."""
+        wider = self.active.copy()
+        wider[self.where[i]] = True
+        columns = self.joint.columns(wider)
+        row = int(np.flatnonzero(columns == self.where[i])[0])
+        information = self.joint.information()
+        variance = information.covariance(columns)[row, row]
+        if not np.isfinite(variance):
+            return 0.0, np.inf
+        return float(information.step(columns)[row]), float(np.sqrt(variance))
 
-def _beside(joint: Joint, column: int, active: NDArray[np.bool_]) -> tuple[float, float]:
-    """What one more candidate would come to beside the active ones: one Gauss-Newton step."""
-    wider = active.copy()
-    wider[column] = True
-    columns = joint.columns(wider)
-    row = int(np.flatnonzero(columns == column)[0])
-    information = joint.information()
-    variance = information.covariance(columns)[row, row]
-    if not np.isfinite(variance):
-        return 0.0, np.inf
-    return float(information.step(columns)[row]), float(np.sqrt(variance))
+    def _hold(self, column: int) -> None:
+        """Put one candidate back to zero and fit the others."""
+        joint, point, plain = self.joint, self.joint.point.copy(), self.joint.point.copy()
+        step = -point[column]
+        # the others move along first, as their correlation says
+        self.active[column] = False
+        columns = joint.columns(self.active)
+        normal = joint.information().normal
+        inverse, _, _ = pseudo_inverse(normal[np.ix_(columns, columns)])
+        point[columns] -= inverse @ normal[columns, column] * step
+        point[column] = plain[column] = 0.0
+        guesses = [joint.problem.inside(guess) for guess in (point, plain)]
+        joint.point = min(guesses, key=joint.problem.cost)
+        joint.fit(self.active)
 
+    def take_back(self) -> None:
+        """Take back what turns out to be significant beside the survivors."""
+        for _ in range(self.where.size):
+            left = [i for i in range(self.where.size) if i not in self.kept]
+            if not left:
+                return
+            value, std = np.array([self.beside(i) for i in left]).T
+            p = two_sided(_deviate(value, std, self.tolerated[left]))
+            p = np.where(np.abs(value) < self.floor[left], 1.0, p)
+            best = int(np.argmin(p))
+            if p[best] > self.significance / len(left):
+                return
+            self.kept.append(left[best])
+            self.active[self.where[left[best]]] = True
+            self.joint.fit(self.active)
 
-def _hold(joint: Joint, column: int, active: NDArray[np.bool_]) -> float:
-    """Put one candidate back to zero and fit the others."""
-    point = joint.point.copy()
-    step = -point[column]
-    # the others move along first, as their correlation says
-    active[column] = False
-    columns = joint.columns(active)
-    normal = joint.information().normal
-    block = normal[np.ix_(columns, columns)]
-    inverse, _, _ = pseudo_inverse(block)
-    point[columns] -= inverse @ normal[columns, column] * step
-    point[column] = 0.0
-    plain = joint.point.copy()
-    plain[column] = 0.0
-    guesses = [joint.problem.inside(guess) for guess in (point, plain)]
-    joint.point = min(guesses, key=joint.problem.cost)
-    return joint.fit(active)
-
-
-def _improve(
-    joint: Joint,
-    where: NDArray[np.int64],
-    active: NDArray[np.bool_],
-    kept: list[int],
-    floor: Array,
-    tolerated: Array,
-    significance: float,
-) -> None:
-    """Take back what turns out to be significant beside the survivors."""
-    m = where.size
-    for _ in range(m):
-        left = [i for i in range(m) if i not in kept]
-        if not left:
-            return
-        found = np.array([_beside(joint, where[i], active) for i in left])
-        p = two_sided(_deviate(found[:, 0], found[:, 1], tolerated[left]))
-        p = np.where(np.abs(found[:, 0]) < floor[left], 1.0, p)
-        best = int(np.argmin(p))
-        if p[best] > significance / len(left):
-            return
-        kept.append(left[best])
-        active[where[left[best]]] = True
-        joint.fit(active)
-
-
-def _swap(
-    joint: Joint, where: NDArray[np.int64], active: NDArray[np.bool_], kept: list[int]
-) -> dict[int, list[int]]:
-    """Put each similar candidate in the place of a named one: better takes over, equal is a rival."""
-    rivals: dict[int, list[int]] = {}
-    for _ in range(where.size):
-        similar = similarity(joint, where)
-        value, std, _ = _estimates(joint, where[kept], active)
-        apart = dict(zip(kept, np.abs(_deviate(value, std, np.zeros(len(kept)))), strict=True))
-        rivals = {i: [] for i in kept}
-        level = joint.fit(active)
-        scale = 2.0 * level / joint.problem.n_points
-        reference, better = joint.point.copy(), None
-        for i in kept:
-            for j in range(where.size):
+    def swap(self) -> dict[int, list[int]]:
+        """Put each similar candidate in the place of a named one: better takes over, equal is a rival."""
+        joint, where, kept = self.joint, self.where, self.kept
+        rivals: dict[int, list[int]] = {}
+        for _ in range(where.size):
+            similar = similarity(joint, where)
+            value, std, _ = self.estimates()
+            apart = dict(zip(kept, np.abs(_deviate(value, std, np.zeros(len(kept)))), strict=True))
+            rivals = {i: [] for i in kept}
+            level = joint.fit(self.active)
+            scale = 2.0 * level / joint.problem.n_points
+            reference, better = joint.point.copy(), None
+            for i, j in product(kept, range(where.size)):
                 if j in kept or apart[i] * np.sqrt(max(1 - similar[i, j] ** 2, 0.0)) > _APART:
                     continue
-                trial = active.copy()
-                trial[where[i]], trial[where[j]] = False, True
-                ratio = np.sqrt(
-                    joint.information().normal[where[i], where[i]]
-                    / max(joint.information().normal[where[j], where[j]], 1e-300)
-                )
-                joint.point = reference.copy()
-                joint.point[where[j]] = (
-                    joint.point[where[i]] * ratio * np.sign(similar_sign(joint, where, i, j))
-                )
-                joint.point[where[i]] = 0.0
-                cost = joint.fit(trial)
+                cost = self._exchanged(i, j)
                 gain = 2.0 * (level - cost) / scale
                 if gain > -levels().rival:
                     rivals[i].append(j)
@@ -271,12 +228,30 @@ def _swap(
                     better = (gain, i, j, joint.point.copy())
                 joint.point = reference.copy()
                 joint.information()
-        joint.point = reference
-        joint.fit(active)
-        if better is None:
-            return rivals
-        _, i, j, joint.point = better
-        active[where[i]], active[where[j]] = False, True
-        kept.remove(i)
-        kept.append(j)
-    return rivals
+            joint.point = reference
+            joint.fit(self.active)
+            if better is None:
+                return rivals
+            _, i, j, joint.point = better
+            self.active[where[i]], self.active[where[j]] = False, True
+            kept.remove(i)
+            kept.append(j)
+        return rivals
+
+    def _exchanged(self, i: int, j: int) -> float:
+        """Cost with one candidate in the place of another."""
+        joint, (a, b), trial = self.joint, self.where[[i, j]], self.active.copy()
+        trial[a], trial[b] = False, True
+        normal = joint.information().normal
+        ratio = np.sqrt(normal[a, a] / max(normal[b, b], 1e-300))
+        point = joint.point.copy()
+        point[b], point[a] = point[a] * ratio * np.sign(normal[a, b]), 0.0
+        joint.point = point
+        return joint.fit(trial)
+
+
+def _deviate(value: Array, std: Array, tolerated: Array) -> Array:
+    total = np.sqrt(std**2 + tolerated**2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        z = np.where(np.isfinite(total), value / np.where(total > 0, total, 1e-300), 0.0)
+    return np.asarray(z)

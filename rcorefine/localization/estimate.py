@@ -15,7 +15,7 @@ from ..gauss_newton import Rows, gauss_newton
 from ..inference.autoregression import autoregression
 from ..inference.covariance import colored, covariance, pseudo_inverse
 from ..inference.outcome import output_weights
-from ..inference.problem import Problem, residual_blocks
+from ..inference.problem import Problem
 from ..inference.search import starting_states
 from ..inference.starts import far_starts
 from ..inference.whitening import Whitener
@@ -68,54 +68,31 @@ class Joint:
 
     Parameters
     ----------
-    structure : Structure
-        Model with every candidate and nuisance.
-    records : sequence of Measurement
-        Segments, each with an initial state of its own.
+    problem : Problem
+        Model with every candidate and nuisance on the records, each with an initial state of its own.
     noise : float or sequence of float, optional
         Declared sensor noise; estimated where None.
-    initial : ndarray of shape (n,), optional
-        Known initial state.
-    prior_mean, prior_sd : ndarray, shape (p,)
-        Gaussian priors, sd = inf for none.
-    substeps : int
-        Substeps per sample, 1 for a linear model.
     n_changes : int
         The first so many effects are candidates, the others nuisances.
     """
 
     def __init__(
-        self,
-        structure: Structure,
-        records: Sequence[Measurement],
-        *,
-        noise: float | Sequence[float] | None,
-        initial: Array | None,
-        prior_mean: Array,
-        prior_sd: Array,
-        substeps: int = 1,
-        n_changes: int = 0,
+        self, problem: Problem, noise: float | Sequence[float] | None, *, n_changes: int = 0
     ) -> None:
-        self.substeps, self.n_changes = substeps, n_changes
-        self.structure, self.records, self.noise, self.initial = structure, list(records), noise, initial
-        self.prior_mean, self.prior_sd = prior_mean, prior_sd
-        self.weights = output_weights(self.records, noise)
-        self.problem = self._build(self.records)
-        self.point = np.zeros(self.problem.size)
+        self.problem, self.noise, self.n_changes = problem, noise, n_changes
+        self.point = np.zeros(problem.size)
         self.converged = False
         self._information: Information | None = None
 
-    def _build(self, records: Sequence[Measurement], substeps: int | None = None) -> Problem:
-        return Problem(
-            self.structure,
-            records,
-            self.weights,
-            prior_mean=self.prior_mean,
-            prior_sd=self.prior_sd,
-            substeps=substeps or self.substeps,
-            initial=self.initial,
-            hold_brief=False,
-        )
+    @property
+    def structure(self) -> Structure:
+        """Model with every candidate and nuisance."""
+        return self.problem.structure
+
+    @property
+    def records(self) -> list[Measurement]:
+        """Segments."""
+        return self.problem.records
 
     @property
     def theta(self) -> Array:
@@ -136,7 +113,7 @@ class Joint:
         The first that leaves a white residual ends the search.
         """
         short = [self.records[0]._part(slice(0, _SHORT)), *self.records[1:2]]
-        trial = self._build(short)
+        trial = self.problem.like(records=short)
         level = 0.5 * sum(float(np.sum((trial.weights[:, None] * r.outputs) ** 2)) for r in short)
         columns = np.arange(trial.size)
         best: tuple[float, Array] | None = None
@@ -200,7 +177,7 @@ class Joint:
         scale = 2.0 * cost / self.problem.n_points
         start = self.structure.start()
         short = [self.records[0]._part(slice(0, _SHORT)), *self.records[1:2]]
-        trial = self._build(short)
+        trial = self.problem.like(records=short)
         for members, theta in sparse_starts(self.structure, start, self.records[0], size - 1):
             few = np.ones(active.size, dtype=bool)
             few[[i for i, q in enumerate(self.structure.parameters) if self._is_change(q.effect)]] = False
@@ -243,17 +220,19 @@ class Joint:
             self._information = None
             if not reweigh or self.noise is not None:
                 break
-            before = self.weights
-            self.weights = output_weights(self.records, None, self.problem, self.point)
-            self.problem = self._build(self.records)
-            if np.allclose(before, self.weights, rtol=0.02):
+            before, weights = (
+                self.problem.weights,
+                output_weights(self.records, None, self.problem, self.point),
+            )
+            self.problem = self.problem.like(weights=weights)
+            if np.allclose(before, weights, rtol=0.02):
                 break
         return cost
 
     def information(self) -> Information:
         """What the record knows at the present point about every coefficient."""
         if self._information is None:
-            blocks = residual_blocks(self.problem, self.point)
+            blocks = self.problem.blocks(self.point)
             normal, middle = colored([r for r, _ in blocks], [j for _, j in blocks], self.problem.precision)
             evaluation = self.problem.evaluate(self.point)
             gradient = evaluation.jacobian.T @ evaluation.residual
@@ -263,7 +242,7 @@ class Joint:
     @property
     def residual(self) -> Array:
         """Model minus record in units of the outputs, records joined, shape (n_y, N)."""
-        blocks = residual_blocks(self.problem, self.point)
+        blocks = self.problem.blocks(self.point)
         return np.concatenate([r for r, _ in blocks], axis=1) / self.problem.weights[:, None]
 
     @property
@@ -295,17 +274,18 @@ def _descend(
     problem: Problem, point: Array, columns: NDArray[np.int64], evaluations: int
 ) -> tuple[Array, float, bool]:
     """Lower the cost in some columns; the others stay where they are."""
-    box = problem.to_box(problem.inside(point))
+    box = problem.coordinates.of(problem.inside(point))
     low, high = (bound[columns] for bound in problem.box())
 
     def at(x: Array) -> Array:
         whole = box.copy()
         whole[columns] = x
-        return problem.from_box(whole)
+        return problem.coordinates.point(whole)
 
     def rows(x: Array) -> Rows:
-        found = problem.evaluate(at(x))
-        J = problem.columns_in_box(found.jacobian)[:, columns]
+        point = at(x)
+        found = problem.evaluate(point)
+        J = problem.coordinates.columns(found.jacobian, point)[:, columns]
         return Rows(found.residual if found.finite else np.full(1, np.inf), J)
 
     level = sum(float(np.sum((problem.weights[:, None] * r.outputs) ** 2)) for r in problem.records)
@@ -325,7 +305,7 @@ def _descend(
 
 def _whiteness(problem: Problem, point: Array) -> float:
     """Innovation over residual power, the least over the outputs: 1 for a white residual."""
-    blocks = residual_blocks(problem, point)
+    blocks = problem.blocks(point)
     share = 1.0
     for row in np.concatenate([r for r, _ in blocks], axis=1):
         power = float(np.mean(row**2))

@@ -16,7 +16,8 @@ from ..effects.springs import Stiffness
 from ..engine.structure import Structure
 from ..inference.covariance import standard_deviations
 from ..inference.fit import Fit
-from ..inference.problem import residual_blocks
+from ..inference.outcome import output_weights
+from ..inference.problem import Problem
 from ..inference.starts import Motion, law_widths
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
@@ -72,16 +73,12 @@ class Setting:
         """Estimate of some effects with all nuisances, not started yet."""
         structure = self.structure(effects)
         mean, sd = self.priors(structure, effects)
-        return Joint(
-            structure,
-            self.segments,
-            noise=self.noise,
+        problem = Problem(
+            structure, self.segments, output_weights(list(self.segments), self.noise), prior_mean=mean,
+            prior_sd=sd, substeps=self.substeps, hold_brief=False,
             initial=None if self.initial is None else self._start(structure),
-            prior_mean=mean,
-            prior_sd=sd,
-            substeps=self.substeps,
-            n_changes=len(effects),
-        )
+        )  # fmt: skip
+        return Joint(problem, self.noise, n_changes=len(effects))
 
     def _start(self, structure: Structure) -> Array:
         assert self.initial is not None
@@ -182,7 +179,11 @@ def _fitted(setting: Setting, name: str, effects: tuple[Effect, ...]) -> Hypothe
         joint.fit(np.ones(structure.n_parameters, dtype=bool), reweigh=True)
     else:
         fit = Fit(structure, ["effect"] * len(structure.effects), setting.segments, setting.noise, None, 0.0)
-        fit.initial, fit.mean, fit.sd = joint.initial, joint.prior_mean, joint.prior_sd
+        fit.initial, fit.mean, fit.sd = (
+            joint.problem.initial,
+            joint.problem.prior_mean,
+            joint.problem.prior_sd,
+        )
         fit.run(setting.motion, None)
         joint.problem, joint.point = fit.problem, fit.result.x
     residual = joint.residual
@@ -199,7 +200,7 @@ def _fitted(setting: Setting, name: str, effects: tuple[Effect, ...]) -> Hypothe
         size = setting.nominal.get((effect.kind, effect.place), 0.0)
         if size:
             percent[parameter.label] = 100.0 * float(theta[i]) / size
-    blocks = residual_blocks(joint.problem, joint.point)
+    blocks = joint.problem.blocks(joint.point)
     count = sum(r.size for r, _ in blocks)
     measured = np.concatenate([r.outputs for r in setting.segments], axis=1)
     size = np.linalg.norm(measured - measured.mean(axis=1, keepdims=True), axis=1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,13 +9,14 @@ import numpy as np
 
 from ..arguments import as_choice, as_number, as_share, as_state
 from ..arithmetic import own_arithmetic
-from ..data.measurement import Measurement, as_records
+from ..data.measurement import Measurement
+from ..data.records import as_records
 from ..effects.dampers import Damping
 from ..effects.effect import Effect
 from ..effects.output_path import OutputGain
 from ..engine.simulation import check_channels
 from ..engine.structure import Structure
-from ..exceptions import IdentifiabilityWarning
+from ..exceptions import IdentifiabilityWarning, warn
 from ..inference.assembly import assemble, check_settings, offset_variants
 from ..inference.refinement import Refinement
 from ..inference.starts import estimated_motion
@@ -178,9 +178,7 @@ def localize_damage(
         tests = residual_tests(joint)
         result = assessed(joint, rows, decision, tests, rule, significance, power, ranking, note)
     for group in result.groups:
-        warnings.warn(
-            f"the record sees only together: {', '.join(group)}", IdentifiabilityWarning, stacklevel=2
-        )
+        warn(f"the record sees only together: {', '.join(group)}", IdentifiabilityWarning, stacklevel=2)
     return result
 
 

@@ -12,7 +12,6 @@ from ..diagnosis.residual_tests import TestedResidual, run_tests
 from ..effects.effect import Effect
 from ..engine.structure import Structure
 from ..inference.fitted import FittedModel
-from ..inference.problem import Problem
 from ..inference.sensitivities import candidate_columns
 from ..inference.starts import Motion
 from ..inference.whitening import FTest
@@ -55,16 +54,10 @@ def residual_tests(joint: Joint) -> tuple[FTest, ...]:
         return ()
     physical, effects, theta = _plain(joint.structure, joint.theta)
     structure = Structure(physical, effects, constants=joint.structure.constants)
-    problem = Problem(
-        structure,
-        joint.records,
-        joint.weights,
-        prior_mean=joint.prior_mean[: theta.size],
-        prior_sd=joint.prior_sd[: theta.size],
-        substeps=joint.substeps,
-        initial=joint.initial,
-    )
-    held = _Held(physical, effects, dict(structure.constants), ("effect",) * len(effects), joint.substeps)
+    old, role = joint.problem, ("effect",) * len(effects)
+    mean, sd = old.prior_mean[: theta.size], old.prior_sd[: theta.size]
+    problem = old.like(structure, prior_mean=mean, prior_sd=sd, hold_brief=True)
+    held = _Held(physical, effects, dict(structure.constants), role, old.substeps)
     starts = joint.problem.unpack(joint.point)[1]
     fitted = FittedModel(cast(Any, held), problem, problem.pack(theta, starts), 0.0)
     motions = [Motion(structure, theta, record) for record in joint.records]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import control as ct
 import numpy as np
@@ -16,7 +16,7 @@ from .ports import Port
 if TYPE_CHECKING:
     from .physical_model import PhysicalModel
 
-__all__ = ["check_outputs", "check_places", "check_sizes", "check_stream_hold"]
+__all__ = ["check_outputs", "check_places", "check_sizes", "check_stream_hold", "refuse_discrete"]
 
 
 def check_sizes(model: PhysicalModel) -> None:
@@ -163,4 +163,20 @@ def check_stream_hold(model: PhysicalModel, hold: str) -> None:
             f"model {model.name!r} was found to take its inputs with hold={model.hold!r}, and the stream has "
             f"hold={hold!r}; give that hold, or a model without one of its own "
             "(dataclasses.replace(physical_model, hold=None)) that was fitted to a record of the stream"
+        )
+
+
+def refuse_discrete(model: Any) -> None:
+    """Check that a model, whatever counts as one, is none in discrete time.
+
+    Raises
+    ------
+    ModelError
+        If it is.
+    """
+    given = getattr(model, "system", model)
+    if isinstance(given, ct.StateSpace) and given.dt != 0:
+        raise ModelError(
+            f"model {given.name!r} is discrete, and physical effects live in continuous time; "
+            "give the continuous model, or convert it with rcorefine.d2c"
         )

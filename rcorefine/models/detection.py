@@ -16,6 +16,7 @@ from ..systems.linear import LinearModel
 from .displacements import Displacement, find_displacements
 from .link_ports import Declared, find_links, row_of
 from .masses import MassScale, exchanging, relative_masses
+from .meters import find_meters
 from .modes import find_modes
 from .parameters import NominalParameter
 from .ports import Port
@@ -28,7 +29,7 @@ def recognized(sys: ct.StateSpace, dt: float | None, declared: Declared | None =
     """What a `PhysicalModel` is made of, found in a plain model; see `PhysicalModel.from_statespace`."""
     linear, tolerance = _in_continuous_time(sys, dt)
     ports, parameters = find_ports(linear, tolerance, declared)
-    rate = find_rate_sensors(linear, tolerance)
+    rate, ports, parameters = find_meters(linear, find_rate_sensors(linear, tolerance), ports, parameters)
     return {
         "linear": linear,
         "output_state": linear.C - rate @ linear.A if rate.any() else linear.C,
@@ -173,7 +174,6 @@ def _state_port(linear: LinearModel, i: int, masses: MassScale, *, mechanical: b
         position=np.zeros(linear.n_states),
         position_input=nothing,
         velocity=row_of(linear.n_states, {i: 1.0}),
-        velocity_input=nothing,
         acceleration_input=masses.base_acceleration if mechanical else nothing,
         description=f"speed {label}; {origin}" if mechanical else f"state {label}; {_stored(origin)}",
     )
@@ -202,8 +202,6 @@ def _shunt_port(linear: LinearModel, item: Displacement) -> Port:
         position=np.zeros(linear.n_states),
         position_input=nothing,
         velocity=row_of(linear.n_states, {item.state: 1.0}),
-        velocity_input=nothing,
-        acceleration_input=nothing,
         description=f"current past the capacitor of {label}, capacitance {1.0 / item.scale:.4g}",
     )
 
@@ -227,7 +225,5 @@ def _exchange_port(linear: LinearModel, source: int, sink: int, masses: MassScal
         position=np.zeros(linear.n_states),
         position_input=nothing,
         velocity=row_of(linear.n_states, {source: 1.0, sink: -1.0} if both else {source: 1.0}),
-        velocity_input=nothing,
-        acceleration_input=nothing,
         description=f"{words}; {_stored(masses.origin[source])}",
     )

@@ -14,6 +14,7 @@ from ..effects.dampers import Damping
 from ..effects.effect import Effect
 from ..effects.entries import Entry
 from ..effects.law import KINDS, Law
+from ..effects.right_hand_side import ModelParameter
 from ..effects.springs import Stiffness
 from ..exceptions import ModelError
 from ..systems.linear import Array
@@ -50,8 +51,8 @@ def effect_library(
     Returns
     -------
     list of Effect
-        Port by port, then inputs, outputs and entries of A; linear effects first at
-        each. Each has an `.explanation`; `describe_effects` makes a table.
+        Port by port, then inputs, outputs, entries of A and the `params` of a nonlinear model; linear
+        effects first at each. Each has an `.explanation`; `describe_effects` makes a table.
 
     Raises
     ------
@@ -99,6 +100,8 @@ def effect_library(
     found = _at_ports(physical, asked)
     found += _at_channels(physical, asked)
     found += _at_entries(physical, asked, wanted)
+    if asked is None or ModelParameter.name in asked:
+        found += [Effect(q.kind, q.place) for q in physical.parameters if q.kind == ModelParameter.name]
     if wanted is not None:
         found = [effect for effect in found if effect.place in wanted]
     if not found:
@@ -189,9 +192,10 @@ def _opposed(row: Array) -> bool:
 
 
 def _body_elsewhere(physical: PhysicalModel, port: Port) -> bool:
-    """Whether another port is the body that this one only holds (wheel and tire)."""
+    """Whether another port is the body that this one only holds (wheel and tire, mass and load cell)."""
     return not _has_parameter(physical, port, Mass.name) and any(
-        np.array_equal(other.act, port.act) and _has_parameter(physical, other, Mass.name)
+        np.array_equal(other.act, port.act)
+        and (_has_parameter(physical, other, Mass.name) or (port.output.any() and not other.output.any()))
         for other in physical.ports
     )
 

@@ -201,8 +201,6 @@ def _link_port(
         position=row_of(n, {item.state: unit * size / item.scale for item, _, size in ends}),
         position_input=nothing,
         velocity=row_of(n, {j: unit * size for _, j, size in ends}),
-        velocity_input=nothing,
-        acceleration_input=nothing,
         description=f"{'between' if len(v) > 1 else 'at'} {where}, d = {what}; {ratio}{sources}",
     )
 

@@ -104,7 +104,6 @@ def _mode(linear: LinearModel, i: int, j: int) -> Mode:
         position_input=np.zeros(linear.n_inputs),
         velocity=row_of(n, dict(zip(pair, rate.tolist(), strict=True))),
         velocity_input=np.where(np.abs(across @ B) > 1e-12 * np.abs(B).max(initial=0.0), across @ B, 0.0),
-        acceleration_input=np.zeros(linear.n_inputs),
         description=(
             f"mode of {frequency:.4g} rad/s, damping ratio {twice / 2 / frequency:.3g}, states {labels[i]} "
             f"and {labels[j]}; forces are per modal mass"

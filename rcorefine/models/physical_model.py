@@ -10,6 +10,7 @@ import control as ct
 
 from ..arguments import as_choice, as_text, shown
 from ..data.measurement import HOLDS, Measurement
+from ..data.records import as_record
 from ..effects.effect import Effect
 from ..effects.entries import Entry
 from ..exceptions import ModelError
@@ -199,8 +200,7 @@ class PhysicalModel(Result):
         Measurement
             The record itself, unless `hold` says otherwise.
         """
-        if not isinstance(data, Measurement):
-            raise ct.ControlArgument(f"data must be a Measurement, not {shown(data)}")
+        data = as_record(data)
         return data if self.hold is None else data.with_hold(self.hold)
 
     def port(self, name: str) -> Port:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..engine.kernels import solve_in_place
+from ..engine.products import solve_in_place
 from ..jit import compiled, put, put_rows
 
 __all__ = ["free_run_cost", "state_power"]

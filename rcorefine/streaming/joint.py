@@ -24,7 +24,7 @@ from .uncertainty import response_deviation, variants
 
 __all__ = ["JointStages"]
 
-_PENDING = 32  # single samples that wait for one another in a race, until a result is asked for
+_PENDING = 32  # single samples that wait for one another (race, stage 1) until a result is asked for
 
 
 class JointStages:
@@ -58,6 +58,7 @@ class JointStages:
     def reset(self) -> None:
         """Forget all samples."""
         self._waiting: list[Block] = []
+        self._behind: list[Block] = []  # the filter has learned these, stage 1 has not
         self._static.reset()
         if self.first is not None:
             self.first.reset()
@@ -95,17 +96,41 @@ class JointStages:
             if len(self._waiting) >= _PENDING:
                 self._flush()
             self._waiting.append(block)
-        elif self.first is not None or not self._static.filter.one(block):
+        elif not self._one(block):
             self._learn(block)
+
+    def _one(self, block: Block) -> bool:
+        """Learn from a single sample on the shortest way; False, and nothing done, where that is not open."""
+        if len(self._behind) >= _PENDING:
+            self._catch_up()
+        if (self._beside and not block.whole) or not self._static.filter.one(block):
+            return False
+        if self._beside:
+            self._behind.append(block)
+        return True
+
+    @property
+    def _beside(self) -> bool:
+        """Whether stage 1 runs."""
+        return self.first is not None and not self.stopped
 
     def _flush(self) -> None:
         """Learn from the single samples that wait."""
         if self._waiting:
             self._learn(Block.joined(self._waiting))
             self._waiting = []
+        self._catch_up()
+
+    def _catch_up(self) -> None:
+        """Stage 1 on the samples that it has not seen."""
+        if self._behind:
+            block = Block.joined(self._behind)
+            self._run_beside(block, block.outputs)
+            self._behind = []
 
     def _learn(self, block: Block) -> None:
-        beside = self.first is not None and not self.stopped
+        self._catch_up()
+        beside = self._beside
         with self._static.all_or_nothing():
             expected = self._static.take(block, predict=beside and not block.whole)
             if beside:
@@ -233,6 +258,7 @@ class JointStages:
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from what `state` gave."""
         check_like(state["stopped"], "", "stopped")
+        self._waiting, self._behind = [], []
         self._static.restore(state["static"])
         self.stopped = state["stopped"]
         if self.first is not None:

@@ -5,18 +5,21 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from functools import wraps
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar, Unpack, cast
 
 import control as ct
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..exceptions import RCOError
-from ..systems.linear import Array
+from ..results import Options, Result, picture, show
+from ..systems.linear import Array, LinearModel
 from .coefficients.history import CoefficientHistory
 from .estimator import Estimator
 from .rcmr.history import History
 from .rcmr.scaling import Scales
 from .rcmr.setup import Sampled
+from .summary import Summary
 
 __all__ = ["Learned", "alone"]
 
@@ -37,13 +40,15 @@ def alone(method: _Method) -> _Method:
     return cast(_Method, locked)
 
 
-class Learned:
-    """Properties of `RCORefiner` that read what it has learned; none changes it."""
+class Learned(Result):
+    """What `RCORefiner` shows of what it has learned; none of this changes it."""
 
     _lock: threading.RLock
     _estimator: Estimator
     _sampled: Sampled
     _keep: bool
+    _latest: Array
+    model: Any
 
     @property
     @alone
@@ -175,5 +180,55 @@ class Learned:
         found: History | CoefficientHistory = self._estimator.history()
         return found
 
+    @alone
+    @picture
+    def bode_plot(
+        self,
+        measured: Any = None,
+        omega: ArrayLike | None = None,
+        **options: Unpack[Options],
+    ) -> ct.ControlPlot:
+        """Bode plot of the initial and the refined model, beside the measured response.
+
+        The band about the refined curve is two standard deviations wide, as the coefficients
+        are known; by the paper's equations there is none.
+
+        Parameters
+        ----------
+        measured : Measurement or FrequencyResponse, optional
+            Record, or its frequency response; drawn as dots with a band, and
+            a row with the relative error of both models is added.
+        omega : array_like of shape (n_omega,), optional
+            Frequencies in rad/s.
+        ax : array of Axes, optional
+            Axes to draw in, shape (2 n_y, n_w), with `measured` (3 n_y, n_w).
+        label : list of str, optional
+            Labels of the two models.
+
+        Returns
+        -------
+        ControlPlot
+            Lines, axes, figure.
+        """
+        return show(self, "bode_plot", measured, omega, **options)
+
+    @alone
+    def _summary(self) -> Summary:
+        """Cells and sentences of `str(refiner)`."""
+        return self._estimator.summary()
+
     def _name(self) -> str:
         return f"{self._sampled.initial.name}$refined"
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = dict(self.__dict__)
+        del state["_lock"]
+        if isinstance(self.model, ct.StateSpace):  # holds a lambda, which cannot be pickled
+            state["model"] = self._sampled.initial
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._lock = threading.RLock()
+        if isinstance(self.model, LinearModel):
+            self.model = self.model.to_statespace()

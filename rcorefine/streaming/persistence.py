@@ -14,7 +14,7 @@ import numpy as np
 from ..archives import read_archive
 from ..arguments import as_mapping, as_path
 from ..effects.custom import Custom
-from ..effects.effect import Effect
+from ..effects.effect import ARGUMENTS, Effect
 from ..effects.origin import import_path, imported
 from ..effects.tabulated import Table
 from ..exceptions import DataError, ModelError
@@ -26,12 +26,12 @@ from ..writing import replacing
 from .coefficients.memory import CoefficientMemory
 from .coefficients.packed import CoefficientRecord
 from .filter_bank import FilterBankMemory, Frozen
-from .rcmr.kernels import Design, Plant, Record, Stage
+from .rcmr.arrays import Design, Plant, Record, Stage
 from .rcmr.memory import Memory, Tuned
 from .rcmr.scaling import Scales
 from .restoring import damaged, fits
 
-__all__ = ["SCHEMA", "read_file", "write_file"]
+__all__ = ["SCHEMA", "read_file", "storable", "write_file"]
 
 SCHEMA = 1  # of the file; raised when an older reader could misread it
 _META = "meta"
@@ -42,7 +42,13 @@ _KINDS: dict[str, Any] = {
         Design, Plant, Record, Stage, Memory, Tuned, Scales, Frozen, FilterBankMemory, Table,
     )
 }  # fmt: skip
+_KINDS["RaceMemory"] = FilterBankMemory  # its name in files of version 0.1
 _NOT_STORED = {"kernel"}  # made anew from the other fields
+
+
+def storable(*kinds: type) -> None:
+    """Enter dataclasses, or named tuples, that files may hold."""
+    _KINDS.update({kind.__name__: kind for kind in kinds})
 
 
 def write_file(path: str | os.PathLike[str], content: Any) -> None:
@@ -121,15 +127,8 @@ def _encoded(value: Any, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
 
 
 def _arguments(effect: Effect) -> dict[str, Any]:
-    return {
-        "kind": effect.kind,
-        "place": effect.place,
-        "start": effect.start,
-        "fixed": effect.fixed,
-        "prior": effect.prior,
-        "name": effect.name,
-        "law": effect.law if isinstance(effect.law, Table) else import_path(effect),
-    }
+    given = {name: getattr(effect, name) for name in ARGUMENTS}
+    return given | {"law": effect.law if isinstance(effect.law, Table) else import_path(effect)}
 
 
 def _decoded(tree: Any, arrays: dict[str, Any], laws: Mapping[str, Callable[..., Any]]) -> Any:

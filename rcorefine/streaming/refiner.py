@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Unpack
+from typing import Any
 
-import control as ct
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import as_flag
 from ..data.measurement import Measurement
-from ..results import Options, Result, picture, show
-from ..systems.linear import Array, LinearModel
+from ..progress import Progress
+from ..systems.linear import Array
 from .assembly import assembled
 from .checks import as_samples, check_samples
 from .estimator import Estimator
@@ -24,20 +24,13 @@ from .persistence import read_file, write_file
 from .rcmr.setup import sampled_model
 from .restoring import check_like, damaged
 from .samples import checked_block, checked_record
-from .summary import Summary
 
 __all__ = ["RCORefiner"]
 
 _CHUNK = 1000
-_SETTINGS = (
-    "model", "dt", "static", "order", "window", "markov", "learning_rate", "static_order", "static_window",
-    "static_markov", "static_learning_rate", "static_average", "correction_input",
-    "correction_feedthrough", "use_estimated_states", "scale", "missing", "effects", "noise", "hold",
-    "disturbance", "forgetting", "substeps",
-)  # fmt: skip
 
 
-class RCORefiner(Result, Learned):
+class RCORefiner(Learned):
     """Refine a linear model on measured samples, in two concurrent stages.
 
     Stage 1 adapts a *dynamic* correction until the output follows; its state estimates the true one.
@@ -151,20 +144,16 @@ class RCORefiner(Result, Learned):
         self.disturbance = disturbance
         self.forgetting = forgetting
         self.substeps = substeps
-
         self._lock = threading.RLock()
-        self._latest = np.zeros(0)
         self._sampled = sampled_model(model, dt)
         self._keep = as_flag(history, "history")
         given = {name: getattr(self, name) for name in _SETTINGS}
         self._estimator: Estimator = assembled(given | {"history": history}, self._sampled)
         self.reset()
 
-    # -- streaming ---------------------------------------------------------------------------------
-
     @alone
     def update(self, w: ArrayLike, y: ArrayLike) -> None:
-        """Learn from one sample, or from a block of samples.
+        """Learn from one sample, or from a block of samples; a call that raises changes nothing.
 
         Parameters
         ----------
@@ -184,10 +173,6 @@ class RCORefiner(Result, Learned):
             Complex values or text.
         DivergenceError
             If a correction diverges: when, why, and what to change.
-
-        Notes
-        -----
-        A call that raises changes nothing.
         """
         model, step = self._sampled.initial, self._sampled.step
         if self.missing == "raise":
@@ -235,9 +220,10 @@ class RCORefiner(Result, Learned):
         learned from, however few.
         """
         inputs, outputs = checked_record(self._sampled, data, self.hold)
-        for first in _chunks(inputs.shape[0], as_flag(progress, "progress")):
-            part = slice(first, first + _CHUNK)
-            self._estimator.take(whole_block(inputs[part], outputs[part]), keep_sound=True)
+        with Progress(progress) as bar:
+            for first in bar.over(range(0, inputs.shape[0], _CHUNK), "refining"):
+                part = slice(first, first + _CHUNK)
+                self._estimator.take(whole_block(inputs[part], outputs[part]), keep_sound=True)
         self._estimator.finish()
         return self
 
@@ -352,60 +338,8 @@ class RCORefiner(Result, Learned):
             refiner._latest = content["latest"]
         return refiner
 
-    # -- results -----------------------------------------------------------------------------------
-
-    @alone
-    @picture
-    def bode_plot(
-        self,
-        measured: Any = None,
-        omega: ArrayLike | None = None,
-        **options: Unpack[Options],
-    ) -> ct.ControlPlot:
-        """Bode plot of the initial and the refined model, beside the measured response.
-
-        The band about the refined curve is two standard deviations wide, as the coefficients
-        are known; by the paper's equations there is none.
-
-        Parameters
-        ----------
-        measured : Measurement or FrequencyResponse, optional
-            Record, or its frequency response; drawn as dots with a band, and
-            a row with the relative error of both models is added.
-        omega : array_like of shape (n_omega,), optional
-            Frequencies in rad/s.
-        ax : array of Axes, optional
-            Axes to draw in, shape (2 n_y, n_w), with `measured` (3 n_y, n_w).
-        label : list of str, optional
-            Labels of the two models.
-
-        Returns
-        -------
-        ControlPlot
-            Lines, axes, figure.
-        """
-        return show(self, "bode_plot", measured, omega, **options)
-
-    @alone
-    def _summary(self) -> Summary:
-        """Cells and sentences of `str(refiner)`."""
-        return self._estimator.summary()
-
     def __repr__(self) -> str:
         return f"<RCORefiner of {self._sampled.initial.name!r}: {self.n_learned} samples learned>"
-
-    def __getstate__(self) -> dict[str, Any]:
-        state = dict(self.__dict__)
-        del state["_lock"]
-        if isinstance(self.model, ct.StateSpace):  # holds a lambda, which cannot be pickled
-            state["model"] = self._sampled.initial
-        return state
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._lock = threading.RLock()
-        if isinstance(self.model, LinearModel):
-            self.model = self.model.to_statespace()
 
 
 def _listed(items: Any) -> tuple[Any, ...]:
@@ -413,11 +347,4 @@ def _listed(items: Any) -> tuple[Any, ...]:
     return tuple(np.atleast_1d(np.array(items, dtype=object)))
 
 
-def _chunks(n_samples: int, show: bool) -> Any:
-    """First samples of the chunks of a record, with a progress bar on request."""
-    steps = range(0, n_samples, _CHUNK)
-    if not show:
-        return steps
-    from tqdm.auto import tqdm
-
-    return tqdm(steps, desc="refining", unit="ksample")
+_SETTINGS = tuple(name for name in inspect.signature(RCORefiner).parameters if name != "history")

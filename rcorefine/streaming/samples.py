@@ -8,7 +8,7 @@ import control as ct
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..data.measurement import Measurement
+from ..data.records import as_record
 from ..data.signals import LARGEST, SMALLEST
 from ..exceptions import DataError
 from ..systems.conversion import to_discrete
@@ -55,11 +55,7 @@ def checked_block(
 def checked_record(setup: Sampled, data: Any, hold: str) -> tuple[Array, Array]:
     """Inputs and outputs of a record as (N, signals), in the order of the model's channels."""
     model = setup.initial
-    if not isinstance(data, Measurement):
-        raise ct.ControlArgument(
-            f"data must be a Measurement, not {type(data).__name__}; "
-            "build one with Measurement(inputs, outputs, dt=...) or Measurement.from_response(...)"
-        )
+    data = as_record(data)
     from ..data.channels import match_channels
 
     if setup.step is not None:

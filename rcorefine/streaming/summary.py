@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..systems.linear import Array, LinearModel
+from .rcmr.arrays import Record
 from .rcmr.history import History
-from .rcmr.kernels import Record
 from .rcmr.memory import Memory, Settings
 
 if TYPE_CHECKING:

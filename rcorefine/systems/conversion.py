@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 
 import control as ct
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from ..arguments import as_choice
-from ..exceptions import ConversionWarning, ModelError
+from ..exceptions import ConversionWarning, ModelError, warn
 from .discretization import _balanced, check_sampling_time, discretize, power_of_two
 from .linear import Array, LinearModel
 
@@ -178,7 +177,7 @@ def _inverse_hold(phi: Array, gamma: Array, step: float, where: str) -> tuple[Ar
     log: Array = principal.real
     mismatch = float(np.max(np.abs(linalg.expm(log) - block))) / float(np.max(np.abs(block)))
     if not mismatch < LOG_TOLERANCE:
-        warnings.warn(
+        warn(
             f"{where} converts to continuous time with a relative error of {mismatch:.1g} only, because its "
             "A is nearly singular or far from normal; sample faster, or remove states without effect",
             ConversionWarning,
@@ -235,7 +234,7 @@ def _check_poles(phi: Array, step: float, where: str) -> None:
     doubtful = angles > DOUBTFUL_ANGLE * math.pi
     if doubtful.any():
         frequency = float(angles[doubtful].max()) / step
-        warnings.warn(
+        warn(
             f"{where} has a mode at {frequency:.4g} rad/s, close to the Nyquist frequency "
             f"{math.pi / step:.4g} rad/s; if the mode really lies above it, the continuous model "
             "is wrong (aliasing). Sample faster to be sure",

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 from scipy import linalg
 
-from ..exceptions import ConversionWarning, ModelError
+from ..exceptions import ConversionWarning, ModelError, warn
 from .balance import balance
 from .conversion import d2c
 from .linear import Array, LinearModel
@@ -55,7 +53,7 @@ def nearest_continuous(model: LinearModel) -> LinearModel:
     moved, poles = _without_bad_poles(model)
     if poles.size:
         shown = ", ".join(f"{pole:.4g}" for pole in poles[:4].real)
-        warnings.warn(
+        warn(
             f"system {model.name!r} has no continuous model of its order: pole(s) at {shown} have no real "
             f"logarithm. They were moved to z = {_FAST:g}, the static gain kept; discrete_system is exact",
             ConversionWarning,
@@ -65,7 +63,7 @@ def nearest_continuous(model: LinearModel) -> LinearModel:
         return LinearModel.from_statespace(d2c(moved.to_statespace()))
     except ModelError as error:
         if not poles.size:
-            warnings.warn(
+            warn(
                 f"{error}. The bilinear transformation was taken instead; discrete_system is exact",
                 ConversionWarning,
                 stacklevel=3,

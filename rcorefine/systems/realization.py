@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import warnings
-
 import control as ct
 import numpy as np
 
-from ..exceptions import ConversionWarning, ModelError
+from ..exceptions import ConversionWarning, ModelError, warn
 
 __all__ = ["realized"]
 
@@ -52,7 +50,7 @@ def realized(transfer: ct.TransferFunction) -> ct.StateSpace:
             "give a control.StateSpace"
         ) from error
     system = _by_output(system)
-    warnings.warn(
+    warn(
         f"a transfer function tells no states; {system.name!r} was realized with the states "
         f"{', '.join(system.state_labels)}, after which the places are named. Give a control.StateSpace in "
         "physical coordinates to find effects at other places",

@@ -133,23 +133,19 @@ def bode_error(
     return float(np.linalg.norm(frequency_response(g_hat, points) - reference)) / size
 
 
-def default_omega(dt: float, n_points: int = 200, lowest: float = 0.1) -> Array:
+def default_omega(dt: float) -> Array:
     """Spread frequencies evenly on the logarithmic axis up to the Nyquist frequency.
 
     Parameters
     ----------
     dt : float
         Sampling time in seconds.
-    n_points : int, optional
-        Number of points.
-    lowest : float, optional
-        First frequency in rad/s; a thousandth of the Nyquist frequency
-        where that is smaller.
 
     Returns
     -------
     ndarray
-        Frequencies in rad/s, shape (n_points,), the last one ``pi / dt``.
+        200 frequencies in rad/s, from 0.1 (a thousandth of the Nyquist frequency where that is smaller)
+        to ``pi / dt``.
 
     Examples
     --------
@@ -158,7 +154,7 @@ def default_omega(dt: float, n_points: int = 200, lowest: float = 0.1) -> Array:
     200 314.159
     """
     nyquist = math.pi / check_sampling_time(dt)
-    return np.geomspace(min(lowest, nyquist / 1000), nyquist, n_points)
+    return np.geomspace(min(0.1, nyquist / 1000), nyquist, 200)
 
 
 def _resolvent_times(a: Array, b: Array, z: NDArray[np.complex128]) -> NDArray[np.complex128]:

@@ -7,6 +7,7 @@ from typing import Any
 
 import control as ct
 import numpy as np
+from matplotlib.axes import Axes
 
 from ..arguments import as_choice
 from ..comparison.result import KINDS, Comparison
@@ -15,6 +16,7 @@ from .failure_map import plot_map
 from .figures import MEASURED, Frame, draws, style, unit_text
 from .residuals import plot_horizon, plot_residual
 from .tables import Table, number, tabulates
+from .traces import busiest_stretch, trace
 
 __all__ = ["comparison_table", "plot_comparison", "plot_time"]
 
@@ -112,6 +114,7 @@ def plot_time(result: Comparison, frame: Frame) -> ct.ControlPlot:
     names = frame.labels(result.names)
     fits = np.atleast_2d(result.fit)
     residual = data.outputs[None] - result.runs
+    stretch, title = busiest_stretch(data.timepts, data.outputs, residual), f"Models and record {data.name}"
     with frame.axes([1.9, 1.0] * data.n_outputs, 1) as (axes, lines):
         for i, (output, unit) in enumerate(zip(data.output_labels, data.output_units, strict=True)):
             upper, lower = axes[2 * i, 0], axes[2 * i + 1, 0]
@@ -128,7 +131,8 @@ def plot_time(result: Comparison, frame: Frame) -> ct.ControlPlot:
                 times, run = _broken(data.timepts, result.runs[m, i], result.starts)
                 lines[2 * i, 0] += upper.plot(times, run, label=name + fit, **look)
                 times, rest = _broken(data.timepts, residual[m, i], result.starts)
-                lines[2 * i + 1, 0] += lower.plot(times, rest, label=name, **look)
+                draw = trace if stretch is None else Axes.plot  # a stretch has room for lines
+                lines[2 * i + 1, 0] += draw(lower, times, rest, label=name, **look)
             _focus(upper, data.outputs[i], result.runs[:, i])
             upper.set_ylabel(unit_text(output, unit))
             lower.set_ylabel(unit_text("Residual", unit))
@@ -136,8 +140,11 @@ def plot_time(result: Comparison, frame: Frame) -> ct.ControlPlot:
                 axis.grid(True, alpha=0.3)
         axes[-1, 0].set_xlabel("Time [s]")
         axes[-1, 0].margins(x=0.01)
+        if stretch is not None:
+            axes[-1, 0].set_xlim(stretch)
+            title += ", where they differ most"
         axes[0, 0].figure.align_ylabels(axes[:, 0])
-        return frame.finish(axes, lines, axes[::2, 0], f"Models and record {data.name}")
+        return frame.finish(axes, lines, axes[::2, 0], title)
 
 
 def _percent(fit: float) -> str:

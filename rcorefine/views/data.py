@@ -21,7 +21,7 @@ from ..diagnosis.result import Diagnosis
 from ..diagnosis.stepwise.improvement import Improvement
 from ..effects.effect import Effect
 from ..engine.amplitude_response import AmplitudeResponse
-from ..exceptions import MissingExtraError
+from ..extras import needed
 from ..fleet.result import Survey
 from ..inference.refinement import Refinement
 from ..models.physical_model import PhysicalModel
@@ -214,12 +214,7 @@ def _survey(found: Survey) -> dict[str, Any]:
 
 
 def _frame(columns: Any, index: Any = None, name: str | None = None) -> Any:
-    try:
-        import pandas as pd
-    except ImportError as error:
-        raise MissingExtraError(
-            'to_dataframe needs pandas; install the extra: pip install "rcorefine[pandas]"'
-        ) from error
+    pd = needed("pandas", "pandas", "to_dataframe")
     return pd.DataFrame(columns, index=None if index is None else pd.Index(index, name=name))
 
 

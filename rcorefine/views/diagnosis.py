@@ -20,6 +20,7 @@ from .figures import MEASURED, Frame, draws, style, unit_text
 from .rankings import ranking_bars, test_bars, title_of
 from .refinement import estimates_table
 from .tables import Table, Told, tells
+from .traces import trace
 
 __all__ = ["diagnosis_told", "plot_diagnosis"]
 
@@ -41,7 +42,7 @@ def diagnosis_told(found: Diagnosis) -> Told:
         first = next(iter(row.coefficients))
         rows.append(
             [
-                row.effect.label[:38],
+                row.effect.label,
                 f"{row.coefficients[first]:.4g}",
                 f"{row.std[first]:.2g}",
                 f"{row.fit_after:.2f}",
@@ -52,7 +53,7 @@ def diagnosis_told(found: Diagnosis) -> Told:
     if rows and named:
         rows.append(["none of these", "", "", "", "", f"{found.none_of_these:.3f}"])
     if found.open_law is not None:
-        rows.append([found.open_law.effect.label[:38], "", "", f"{found.open_law.fit_after:.2f}", ""])
+        rows.append([found.open_law.effect.label, "", "", f"{found.open_law.fit_after:.2f}", ""])
     return above, Table(headers, rows, title, above[1:]), []
 
 
@@ -151,7 +152,7 @@ def _residuals(axes: Any, found: Diagnosis, record: Measurement) -> tuple[list[A
     for i, (name, model) in enumerate(models):
         error = record.outputs[main] - simulated(model, record, "estimate", led=True).outputs[main]
         look = style(i)
-        in_time += axes[0].plot(record.timepts, error, color=look.color, lw=0.7, label=name)
+        in_time += trace(axes[0], record.timepts, error, color=look.color, lw=0.7, label=name)
         f, power = welch(error, fs=1 / record.dt, nperseg=min(512, record.n_samples))
         in_frequency += axes[1].loglog(
             f[1:], np.sqrt(power[1:]), color=look.color, ls=look.linestyle, lw=1.4, label=name

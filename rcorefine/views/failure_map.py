@@ -15,6 +15,7 @@ from ..exceptions import DataError
 from .bode_axes import BodeUnits
 from .figures import BAND, MEASURED, Frame, log_labels, plain, style, unit_text
 from .tables import Table, clip, number, tabulates
+from .traces import trace
 
 __all__ = ["ROLES", "failure_table", "plot_map"]
 
@@ -114,7 +115,8 @@ def _times(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[Any
     drawn = []
     for i, name in enumerate(data.output_labels):
         look: dict[str, Any] = style(i)._asdict() | {"linewidth": 0.7, "linestyle": "-"}
-        drawn += axis.plot(data.timepts, data.outputs[i] - result.runs[m, i], label=name, zorder=2, **look)
+        residual = data.outputs[i] - result.runs[m, i]
+        drawn += trace(axis, data.timepts, residual, label=name, zorder=2, **look)
     for row in found.rows:
         if row.dimension == "time" and "start" in row.values:
             axis.axvspan(row.values["start"], row.values["stop"], color=_MARK, zorder=1)
@@ -182,7 +184,7 @@ def _motions(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[A
         return []
     over_d = np.ptp(force.position) > 0 and (lead is None or lead.values.get("axis", "d") == "d")
     motion, unit = (force.position, force.position_unit) if over_d else (force.velocity, force.velocity_unit)
-    letter = "d" if over_d else ("v" if force.mechanical else "x")
+    name = "displacement d" if over_d else ("velocity v" if force.mechanical else "x")
     drawn = axis.plot(
         motion, force.force, linestyle="none", marker=",", color="0.6", zorder=1, rasterized=True
     )
@@ -209,7 +211,7 @@ def _motions(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[A
         axis.set_ylim(-reach, reach)
         axis.set_xlim(edges[0] - 0.05 * np.ptp(edges), edges[-1] + 0.05 * np.ptp(edges))
     axis.axhline(0.0, color=MEASURED, linewidth=0.7, zorder=2)
-    axis.set_xlabel(unit_text(f"{letter} at {force.place}", unit))
-    axis.set_ylabel("Force the\nmodel lacks")
+    axis.set_xlabel(unit_text(f"{name} at {force.place}", unit))
+    axis.set_ylabel(unit_text("Force the\nmodel lacks", force.force_unit))
     axis.grid(True, alpha=0.3)
     return list(drawn)

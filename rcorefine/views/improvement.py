@@ -24,7 +24,7 @@ def improvement_told(found: Improvement) -> Told:
             key = next(iter(step.coefficients))
             value = f"{step.coefficients[key]:.3g} +/- {step.std[key]:.1g}"
         errors = (step.train_rmse, step.choice_rmse, step.validation_rmse)
-        rows.append([f"{i} {step.name}"[:40], value, *(f"{root_mean_square(e):.4g}" for e in errors)])
+        rows.append([f"{i} {step.name}", value, *(f"{root_mean_square(e):.4g}" for e in errors)])
     odd, said = warned(found.checks), found.sentences()
     above = [f"Improvement in {len(found.steps) - 1} step(s): {found.verdict.upper()}", *odd]
     return above, Table(headers, rows, f"Improvement: {found.verdict}", [*odd, *said]), said

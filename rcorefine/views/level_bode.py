@@ -13,7 +13,7 @@ from ..arguments import as_vector
 from ..data.channels import match_channels, record_for
 from ..data.frequency_response import FrequencyResponse
 from ..data.levels import MOST, stretches_by_level
-from ..data.measurement import as_records
+from ..data.records import as_records
 from ..engine.amplitude_response import AmplitudeResponse, frequency_response_at
 from ..engine.simulation import simulated, structure_of
 from ..exceptions import DivergenceError
@@ -26,6 +26,7 @@ from .figures import Frame, style
 __all__ = ["level_bode"]
 
 _POINTS = 90
+_AROUND = 3.0  # the range of the picture on both sides of the modes
 _MARKERS = (".", "x", "+")
 _GRAYS = ("0.15", "0.45", "0.65")
 
@@ -131,9 +132,11 @@ def _grid(model: LinearModel, groups: Sequence[_Group], omega: ArrayLike | None)
     if omega is not None:
         return np.sort(omega)
     full = bode_grid(model, groups[0][1] if groups else None, None)
-    even = np.geomspace(full[0], full[-1], _POINTS)
     roots = np.linalg.eigvals(model.A)
     turning = np.abs(roots[roots.imag > 0])
+    if turning.size and not groups:  # levels differ where something resonates
+        full = np.geomspace(turning.min() / _AROUND, turning.max() * _AROUND, 2)
+    even = np.geomspace(full[0], full[-1], _POINTS)
     near = [w * np.linspace(0.75, 1.35, 31) for w in turning[:6]]
     both = np.unique(np.concatenate([even, *near]))
     inside: Array = both[(both >= full[0]) & (both <= full[-1])]

@@ -12,6 +12,7 @@ from ..data.measurement import Measurement
 from .bode_axes import bode_rows, draw_measured, magnitude_limits
 from .figures import MEASURED, Frame, draws, unit_text
 from .tables import Table, number, tabulates
+from .traces import trace
 
 __all__ = ["frequency_response_table", "measurement_table", "plot_frequency_response", "plot_measurement"]
 
@@ -62,8 +63,8 @@ def plot_measurement(data: Measurement, frame: Frame) -> ct.ControlPlot:
             axis = axes[row, 0]
             steps = "steps-post" if row >= data.n_outputs and data.hold == "zoh" else "default"
             look: dict[str, Any] = {"color": MEASURED} if fresh else {}
-            lines[row, 0] = axis.plot(
-                data.timepts, signals[row], drawstyle=steps, linewidth=1.0, label=name, **look
+            lines[row, 0] = trace(
+                axis, data.timepts, signals[row], drawstyle=steps, linewidth=1.0, label=name, **look
             )
             axis.set_ylabel(unit_text(labels[row], units[row]))
             axis.grid(True, alpha=0.3)

@@ -9,7 +9,7 @@ from ..effects.effect import Effect
 from ..models.parameters import NominalParameter
 from ..models.physical_model import PhysicalModel
 from ..results import shows
-from .tables import html_table
+from .tables import WIDTH, html_table
 
 __all__ = ["model_html", "model_text"]
 
@@ -49,7 +49,7 @@ def model_text(model: PhysicalModel) -> str:
         for item in shown:
             unit = "" if item.unit == "1" else item.unit
             value = f"{item.value:.6g} {unit}".strip()
-            lines.append(f"  {item.name:<{width}} = {value:<20} {_called(model, item)}"[:80])
+            lines.append(f"  {item.name:<{width}} = {value:<20} {_called(model, item)}"[:WIDTH])
         if len(model.parameters) > len(shown):
             lines.append(f"  ... and {len(model.parameters) - len(shown)} more")
     return "\n".join(line.rstrip() for line in lines)
@@ -82,12 +82,12 @@ def model_html(model: PhysicalModel) -> str:
     return head + html_table(["parameter", "value", "unit", "kind", "place"], rows)
 
 
-def _wrap(head: str, items: Sequence[str], width: int = 80) -> list[str]:
-    """Comma-separated items in lines of at most `width` columns."""
+def _wrap(head: str, items: Sequence[str]) -> list[str]:
+    """Comma-separated items in lines of at most 80 columns."""
     lines, line = [], head
     for index, item in enumerate(items):
         piece = item + ("," if index + 1 < len(items) else "")
-        if len(line) + 1 + len(piece) > width and line.strip():
+        if len(line) + 1 + len(piece) > WIDTH and line.strip():
             lines.append(line)
             line = " " * len(head)
         line += " " + piece

@@ -50,7 +50,8 @@ def ranking_bars(ax: Any, found: Diagnosis) -> list[Any]:
 
 
 def _wrapped(label: str) -> str:
-    return plain(label.replace(" at ", "\nat ").replace("_", " "))
+    kind, at, place = label.partition(" at ")  # the name of a place stays as its owner wrote it
+    return plain(kind.replace("_", " ") + at.replace(" at", "\nat") + place)
 
 
 def test_bars(ax: Any, found: Diagnosis) -> list[Any]:

@@ -32,19 +32,7 @@ def refinement_told(found: Refinement) -> Told:
 def estimates_table(parameters: Sequence[EstimatedParameter], title: str, notes: Sequence[str]) -> Table:
     """Estimated numbers, initial and fitted."""
     headers = ["parameter", "effect", "place", "initial", "value", "std", "unit"]
-    rows = [
-        [
-            row.name,
-            row.kind if row.name != row.kind else "",
-            row.place,
-            f"{row.initial:.5g}",
-            f"{row.value:.5g}",
-            f"{row.std:.2g}",
-            row.unit,
-        ]
-        for row in parameters
-    ]
-    return Table(headers, rows, title, notes)
+    return Table(headers, [row.cells for row in parameters], title, notes)
 
 
 @draws(Refinement, "bode_plot")

@@ -15,6 +15,7 @@ from ..systems.linear import Array
 from .bode import bode
 from .figures import Frame, draws, plain, style
 from .tables import Table, tabulates
+from .traces import trace
 
 __all__ = ["plot_bode", "plot_coefficients", "plot_stages", "refiner_table"]
 
@@ -46,7 +47,7 @@ def plot_stages(history: History, frame: Frame) -> ct.ControlPlot:
             axis = axes[row, 0]
             for index, z in ((1, history.z2), (0, history.z1)):
                 look = {"color": style(index).color, "linewidth": 0.8, "label": names[index]}
-                lines[row, 0] += axis.plot(history.timepts, z[row], **look)
+                lines[row, 0] += trace(axis, history.timepts, z[row], **look)
             axis.set_ylabel(plain(f"simulated - measured\n{output}"))
             axis.grid(True, alpha=0.35)
         axis = axes[n_y, 0]
@@ -82,7 +83,7 @@ def plot_coefficients(history: CoefficientHistory, frame: Frame) -> ct.ControlPl
             for index, (z, text) in enumerate(stages):
                 if np.isfinite(z[row]).any():
                     look = {"color": style(index).color, "linewidth": 0.8, "label": text}
-                    lines[row, 0] += axis.plot(history.timepts, z[row], **look)
+                    lines[row, 0] += trace(axis, history.timepts, z[row], **look)
             # a stage 1 that diverged must not hide the rest
             usual = np.nanmax(np.abs(history.z2[row]), initial=0.0)
             if usual > 0:

@@ -64,9 +64,10 @@ def text_table(
     title: str | None = None,
     notes: Sequence[str] = (),
     left: int = 1,
-    width: int = WIDTH,
 ) -> str:
-    """Table in plain text.
+    """Table in plain text of at most 80 columns.
+
+    To fit, text that stands in every row is told above, and the widest text columns are cut.
 
     Parameters
     ----------
@@ -81,9 +82,6 @@ def text_table(
     left : int
         That many columns from the left are text, set left; the others are
         set right.
-    width : int
-        Longest line; to fit, text that stands in every row is told above, and the widest text
-        columns are cut.
 
     Returns
     -------
@@ -100,7 +98,7 @@ def text_table(
     """
     table = [list(headers), *[[str(cell) for cell in row] for row in rows]]
     alike: list[str] = []
-    if len(rows) > 1 and _width(table) > width:
+    if len(rows) > 1 and _width(table) > WIDTH:
         # what stands in every row is told once, before any name is cut
         for i in range(left - 1, 0, -1):
             if len({row[i] for row in table[1:]}) == 1:
@@ -108,7 +106,7 @@ def text_table(
                 header, cell = [row.pop(i) for row in table][:2]
                 alike.insert(0, f"{header}: {cell}")
     widths = [max(len(row[i]) for row in table) for i in range(len(table[0]))]
-    while sum(widths) + 2 * (len(widths) - 1) > width:
+    while sum(widths) + 2 * (len(widths) - 1) > WIDTH:
         # names are cut rather than figures
         widest = max(range(len(widths)), key=lambda i: (i < left, widths[i]) if widths[i] > 8 else (False, 0))
         if widths[widest] <= 8:
@@ -126,8 +124,8 @@ def text_table(
         if index == 0:
             lines.append("  ".join("-" * size for size in widths))
     titles = ([] if title is None else title.split("\n")) + ([", ".join(alike)] if alike else [])
-    above = [line for part in titles for line in textwrap.wrap(part, width)]
-    below = [line for note in notes for line in textwrap.wrap(note, width, subsequent_indent="  ")]
+    above = [line for part in titles for line in textwrap.wrap(part, WIDTH)]
+    below = [line for note in notes for line in textwrap.wrap(note, WIDTH, subsequent_indent="  ")]
     return "\n".join([*above, *lines, *below])
 
 

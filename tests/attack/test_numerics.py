@@ -26,6 +26,19 @@ def runs_of(case: Case, discrete: bool):
     return model, rco.Measurement(case.w, case.y, dt=case.dt, hold=case.hold)
 
 
+def attempted(task, case: Case, how, tally, what: str):
+    """What a task says of a case, and the warnings beside it, all ours; None where it is refused."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        try:
+            found = task(case, how)
+        except OURS as error:
+            tally[f"{what}, {type(error).__name__}"] += 1
+            return None
+    assert all(issubclass(one.category, rco.RCOWarning) for one in said), said[0].message
+    return found, said
+
+
 def simulated(case: Case, discrete: bool) -> float:
     """Distance of the simulation from the closed form, in tolerances."""
     model, data = runs_of(case, discrete)
@@ -49,17 +62,12 @@ def test_linear_plants(task, discrete, tally):
             if case.hold != "zoh" or len(case.x0) > 12:  # a step per sample and the powers of A, in Python
                 continue
             case = replace(case, w=case.w[:, :2000], y=case.y[:, :2000])
-        with warnings.catch_warnings(record=True) as said:
-            warnings.simplefilter("always")
-            try:
-                missed = task(case, discrete)
-            except OURS as error:
-                tally[f"linear plants, {type(error).__name__}"] += 1
-                continue
+        done = attempted(task, case, discrete, tally, "linear plants")
+        if done is None:
+            continue
         tally["linear plants, tried"] += 1
-        assert all(issubclass(one.category, rco.RCOWarning) for one in said), said[0].message
-        if not missed <= 1.0:
-            wrong.append(f"case {index}: {missed:.3g} times too far; {', '.join(case.words)}")
+        if not done[0] <= 1.0:
+            wrong.append(f"case {index}: {done[0]:.3g} times too far; {', '.join(case.words)}")
     tally["linear plants, wrong"] += len(wrong)
     assert not wrong, "\n".join(wrong)
 
@@ -117,15 +125,11 @@ def test_estimates(task, tally):
     for index in range(tally.cases(12)):
         rng = np.random.default_rng([SEED, 2, index])
         case = draw(rng, states=6, signals=3, samples=2000, least=300, stable=True)
-        with warnings.catch_warnings(record=True) as said:
-            warnings.simplefilter("always")
-            try:
-                fault = task(case, index)
-            except OURS as error:
-                tally[f"estimates, {type(error).__name__}"] += 1
-                continue
+        done = attempted(task, case, index, tally, "estimates")
+        if done is None:
+            continue
+        fault, said = done
         tally[f"estimates, {task.__name__}"] += 1
-        assert all(issubclass(one.category, rco.RCOWarning) for one in said), said[0].message
         if fault and said:
             tally["estimates, wrong and warned"] += 1
         elif fault:

@@ -1,20 +1,16 @@
-"""Streams that say nothing for long, in units out of this world, and processes without a home."""
+"""Streams that say nothing for long, run beyond any count, lose sensors, or have units out of this world."""
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
+import json
 import warnings
-from importlib import metadata
-from pathlib import Path
 
 import numpy as np
 import pytest
+import test_state_files as states
 
 import rcorefine as rco
 
-ROOT = Path(__file__).resolve().parent.parent.parent
 MODEL = rco.mass_spring_damper([1.0, 0.8], [0.4, 0.3], [100.0, 60.0], sensors="displacement")
 TRUE = rco.mass_spring_damper([1.0, 0.8], [0.4, 0.3], [100.0, 45.0], sensors="displacement")
 LOST = rco.Effect("stiffness", "link2")
@@ -62,45 +58,69 @@ def test_signals_without_a_square(scale):
             assert refiner.parameters[0].coefficient == 0.0
 
 
-WITHOUT_A_HOME = """
-import numpy as np, rcorefine as rco
-model = rco.mass_spring_damper(1.0, 0.4, 100.0)
-data = rco.Measurement(np.ones(50), np.ones(50), dt=0.1)
-import warnings; warnings.simplefilter("ignore")
-print(rco.simulate(model, data, "zero").outputs[0, -1])
-"""
+# ------------------------------------------------------------------ long streams, and what comes and goes
+FAR = 2**32 * 75 * 7 * 11 * 13 * 17  # a multiple of every ring and refresh, beyond 2**53 / 2
 
 
-def test_no_home_and_no_place_for_a_cache(tmp_path):
-    place = {"HOME": "/dev/null", "XDG_CACHE_HOME": "/dev/null/x", "MPLCONFIGDIR": str(tmp_path)}
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT_A_HOME],
-        env={**os.environ, **place, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr[-600:]
-    assert float(done.stdout) > 0
+def moved_on(path, samples, by):
+    """A saved object whose counts of samples stand `by` further: what a stream of that length leaves."""
+    with np.load(path) as stored:
+        arrays = dict(stored)
+    meta, found = json.loads(str(arrays["meta"])), 0
+    for place, value in states.leaves(meta):
+        if type(value) is int and value == samples:
+            meta, found = states.changed_tree(meta, place, value + by), found + 1
+    for key, array in arrays.items():
+        count = 4 if array.size == 5 else 0  # of a stage's five (the second is the age of its window)
+        if array.dtype.kind == "i" and array.size and array.flat[count] == samples:
+            arrays[key] = array.copy()
+            arrays[key].flat[count] += by
+            found += 1
+    np.savez(path, **{**arrays, "meta": np.array(json.dumps(meta))})
+    return found
 
 
-def test_what_a_wheel_holds():
-    """The package and its licence; no tests, no settings of tests; CI installs one."""
-    try:
-        installed = metadata.distribution("rcorefine")
-    except metadata.PackageNotFoundError:
-        pytest.skip("not installed")
-    if '"editable": true' in (installed.read_text("direct_url.json") or ""):
-        pytest.skip("an editable install holds no files")
-    held = [one for one in installed.files or [] if "__pycache__" not in one.parts]
-    package = {Path(one) for one in held if one.parts[0] == "rcorefine"}
-    info = {one.name for one in held if one.parts[0].endswith(".dist-info")}
-    pip = {"INSTALLER", "REQUESTED", "direct_url.json"}
-    assert info - pip == {"METADATA", "WHEEL", "RECORD", "LICENSE", "entry_points.txt"}
-    tree = {
-        one.relative_to(ROOT)
-        for one in (ROOT / "rcorefine").rglob("*")
-        if one.is_file() and "__pycache__" not in one.parts and one.name != "conftest.py"
-    }
-    assert package == tree
+@pytest.mark.parametrize(
+    "settings", [{"order": 2, "window": 40}, {}, {"effects": [LOST], "use_estimated_states": False}]
+)
+def test_counters_beyond_any_length_of_a_stream(settings, tmp_path):
+    """Half a year at 1 GHz later the same samples teach the same, to the last bit."""
+    path, n = tmp_path / "state.npz", 2211
+    states.refiner(n, **settings).save(path)
+    near = rco.RCORefiner.load(path)
+    assert moved_on(path, n, FAR)
+    far = rco.RCORefiner.load(path)
+    w, y = states.signals(300, 48.0, seed=2)
+    for one in (near, far):
+        one.update(w, y)
+    assert (near.n_samples, far.n_samples) == (n + 300, n + 300 + FAR)
+    np.testing.assert_array_equal(near.discrete_system.A, far.discrete_system.A)
+    far.save(path)
+    assert rco.RCORefiner.load(path).n_samples == n + 300 + FAR
+
+
+@pytest.mark.numba
+@pytest.mark.parametrize("settings", [{"effects": [LOST]}, {}])
+def test_sensors_that_come_and_go(settings, tally):
+    """One sensor is away for a third of the time, then the other, then both, and a quarter at random."""
+    w, y = signals(6000)
+    away = np.zeros(y.shape, dtype=bool)
+    away[0, 1000:3000] = away[1, 2500:4000] = True
+    away |= np.random.default_rng(8).random(y.shape) < 0.25
+    refiner = rco.RCORefiner(MODEL, dt=0.02, missing="hold-out", **settings)
+    refiner.update(w, np.where(away, np.nan, y))
+    k = -refiner.system.A[3, 1] * 0.8
+    assert abs(k - 45.0) < 1.5
+    tally["streams, samples that were away"] += int(away.sum())
+
+
+def test_denormal_signals_are_silence():
+    """1e-310 beside 1: they slow no kernel down and teach nothing."""
+    w, y = signals(2000)
+    refiner = rco.RCORefiner(MODEL, dt=0.02, effects=[LOST])
+    refiner.update(w, y)
+    before = refiner.parameters[0].coefficient
+    for _ in range(20):
+        refiner.update(np.full(500, 5e-324), np.full((2, 500), 1e-310))
+    assert np.isfinite(refiner.system.A).all()
+    assert abs(refiner.parameters[0].coefficient - before) < 1.0

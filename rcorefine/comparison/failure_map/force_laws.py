@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from ...models.ports import Port
 from ...systems.linear import Array
-from .places import Place
 
 __all__ = ["ForceLaw", "laws_at"]
 
@@ -69,12 +69,12 @@ class ForceLaw:
         return _MEANINGS[self.name]
 
 
-def laws_at(place: Place, d: Array, v: Array) -> list[tuple[ForceLaw, list[Array]]]:
+def laws_at(place: Port, d: Array, v: Array) -> list[tuple[ForceLaw, list[Array]]]:
     """Laws at a place and their forces along a motion, those that vary on it.
 
     Parameters
     ----------
-    place : Place
+    place : Port
         Where.
     d, v : ndarray of shape (N,)
         Displacement and velocity there.
@@ -88,7 +88,7 @@ def laws_at(place: Place, d: Array, v: Array) -> list[tuple[ForceLaw, list[Array
     ]
 
 
-def _over_velocity(place: Place, v: Array) -> Iterator[tuple[ForceLaw, list[Array]]]:
+def _over_velocity(place: Port, v: Array) -> Iterator[tuple[ForceLaw, list[Array]]]:
     first = place.kind == "first_order"
     letter = "x" if first else "v"
     axis, large, spread = {"axis": letter}, f"at large |{letter}|", float(v.std())
@@ -110,7 +110,7 @@ def _over_velocity(place: Place, v: Array) -> Iterator[tuple[ForceLaw, list[Arra
         yield ForceLaw("one side of velocity", f"one sign of {letter}", code=9, values=axis), [np.abs(v)]
 
 
-def _over_displacement(place: Place, d: Array) -> Iterator[tuple[ForceLaw, list[Array]]]:
+def _over_displacement(place: Port, d: Array) -> Iterator[tuple[ForceLaw, list[Array]]]:
     axis, spread = {"axis": "d"}, float(d.std())
     yield ForceLaw("linear displacement", "everywhere", linear=True), [d]
     odd = ForceLaw("odd displacement", "at large |d|", code=2, size=spread, values=axis)

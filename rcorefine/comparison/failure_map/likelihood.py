@@ -20,6 +20,7 @@ __all__ = ["Explanation", "ResidualLikelihood"]
 
 # Differences below this share of an output are rounding, not evidence.
 _FLOOR = 1e-7
+_STEP = 1e-3  # of a shape's unknowns, for differences
 _FAR = 2.0  # from the start of a search: shapes beyond are not trusted
 _MASKED = 0.03  # weight of samples that are set aside
 
@@ -218,7 +219,7 @@ class ResidualLikelihood:
         return self._explained(shape(best), np.array([best]))
 
     def descended(
-        self, shape: Callable[[Array], Array], start: Array, *, evaluations: int = 12, step: float = 1e-3
+        self, shape: Callable[[Array], Array], start: Array, *, evaluations: int = 12
     ) -> Explanation:
         """Best of a family of shapes with several unknowns, relative numbers or logs, near a start."""
 
@@ -227,7 +228,7 @@ class ResidualLikelihood:
 
         def rows(point: Array) -> Rows:
             here = left(point)
-            slopes = [(left(point + step * e) - here) / step for e in np.eye(point.size)]
+            slopes = [(left(point + _STEP * e) - here) / _STEP for e in np.eye(point.size)]
             return Rows(here, np.array(slopes).T)
 
         near = np.asarray(start, dtype=float)

@@ -62,7 +62,7 @@ def estimated_motion(scene: ModelOnRecord, chosen: Sequence[int] | None = None) 
     used = [places.places[i] for i in which]
     n, m, ny = places.A.shape[0], len(used), scene.n_outputs
     acts = np.array([p.act for p in used]).T
-    through = np.array([p.through for p in used]).T / scene.scale
+    through = np.array([p.output for p in used]).T / scene.scale
     C = places.C / scene.scale
     Phi, G, _ = discretize(places.A, acts, scene.dt, "zoh")
     # forces of equal effect: unit output each, over the record

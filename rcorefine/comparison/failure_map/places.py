@@ -2,52 +2,19 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ...data.channels import Channels
-from ...exceptions import RCOError, RCOWarning
+from ...exceptions import RCOError, unheard
 from ...models.physical_model import PhysicalModel
-from ...models.ports import felt
+from ...models.ports import Port, felt
 from ...systems.linear import Array, LinearModel
 
-__all__ = ["Place", "Places", "found_places", "given_places"]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Place:
-    """A port as the failure map sees it.
-
-    Attributes
-    ----------
-    name, kind : str
-        Those of the port.
-    act : ndarray of shape (n,)
-        What a unit of resisting force does to the rates of the states.
-    position, velocity : ndarray of shape (n,)
-        Rows that read displacement and velocity from the states.
-    position_input, velocity_input : ndarray of shape (n_w,)
-        The same from the inputs.
-    through : ndarray of shape (n_y,)
-        What a unit of force does to the outputs at once (accelerometers).
-    position_unit, velocity_unit : str
-        Units.
-    """
-
-    name: str
-    kind: str
-    act: Array
-    position: Array
-    velocity: Array
-    position_input: Array
-    velocity_input: Array
-    through: Array
-    position_unit: str
-    velocity_unit: str
+__all__ = ["Places", "found_places", "given_places"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,13 +25,13 @@ class Places:
     ----------
     A, C : ndarray
         State matrix in continuous time and output matrix of the compared outputs.
-    places : tuple of Place
-        Ports.
+    places : tuple of Port
+        Of that model; `output` is all that a unit of force does to the compared outputs at once.
     """
 
     A: Array
     C: Array
-    places: tuple[Place, ...]
+    places: tuple[Port, ...]
 
 
 def given_places(
@@ -99,8 +66,7 @@ def given_places(
 def found_places(linear: LinearModel, dt: float) -> Places | None:
     """Places found in the matrices of a plain system; None where none can be found."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RCOWarning)
+        with unheard():
             physical = PhysicalModel.from_statespace(linear.to_statespace(), dt=dt)
     except (RCOError, np.linalg.LinAlgError):
         return None
@@ -123,15 +89,12 @@ def _places(
         placed[columns] = row
         return placed
 
-    return Places(
-        linear.A,
-        linear.C,
-        tuple(
-            Place(
-                port.name, port.kind, states(port.act), states(port.position), states(port.velocity),
-                inputs(port.position_input), inputs(port.velocity_input),
-                felt(port, physical.output_rate)[rows], port.position_unit, port.velocity_unit,
-            )
-            for port in physical.ports
-        ),
+    places = tuple(
+        replace(
+            port, act=states(port.act), position=states(port.position), velocity=states(port.velocity),
+            position_input=inputs(port.position_input), velocity_input=inputs(port.velocity_input),
+            acceleration_input=inputs(port.acceleration_input), output=felt(port, physical.output_rate)[rows],
+        )
+        for port in physical.ports
     )  # fmt: skip
+    return Places(linear.A, linear.C, places)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -14,7 +13,7 @@ from scipy.signal import lfilter
 
 from ...data.measurement import Measurement
 from ...engine.linear_response import linear_responses
-from ...exceptions import RCOError, RCOWarning
+from ...exceptions import RCOError, unheard
 from ...systems.conversion import d2c
 from ...systems.discretization import discretize
 from ...systems.linear import Array, LinearModel
@@ -146,8 +145,7 @@ class ModelOnRecord:
         if self.model.is_continuous:
             return self.model
         try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", RCOWarning)
+            with unheard():
                 sampled = self.model.with_arrays(dt=self.dt).to_statespace()
                 return LinearModel.from_statespace(d2c(sampled))
         except (RCOError, np.linalg.LinAlgError):
@@ -213,7 +211,7 @@ class ModelOnRecord:
         found = self._marched(G0[:, back], G1[:, back], nothing, means, Phi, self.places.C)
         # accelerometers show the force of the very sample
         return [
-            column + np.outer(p.through, f[:, 0]) / self.scale
+            column + np.outer(p.output, f[:, 0]) / self.scale
             for column, p, f in zip(found, used, fine, strict=True)
         ]
 

@@ -29,7 +29,7 @@ class ResidualForce:
         Whether it has a displacement and a velocity.
     position, velocity, force : ndarray of shape (N,)
         Motion, and resisting force, in the model's units.
-    position_unit, velocity_unit : str
+    position_unit, velocity_unit, force_unit : str
         Units.
     """
 
@@ -40,6 +40,7 @@ class ResidualForce:
     force: Array
     position_unit: str
     velocity_unit: str
+    force_unit: str
 
 
 def residual_force(comparison: Comparison, index: int = 0, place: str | None = None) -> ResidualForce | None:
@@ -75,4 +76,5 @@ def residual_force(comparison: Comparison, index: int = 0, place: str | None = N
         estimate.forces[0],
         port.position_unit,
         port.velocity_unit,
+        port.force_unit,
     )

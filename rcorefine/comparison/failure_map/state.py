@@ -9,12 +9,12 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ...jit import compiled, put
+from ...models.ports import Port
 from ...systems.discretization import discretize
 from ...systems.linear import Array
 from .force_laws import ForceLaw, laws_at
 from .likelihood import Explanation
 from .motion import estimated_motion
-from .places import Place
 from .record import Finding, ModelOnRecord
 
 __all__ = ["forces_at_places"]
@@ -26,7 +26,7 @@ _SEEN = 0.1  # of a response, beside offset and initial state, from which on it 
 _UNLIKE = 0.2  # of the larger of two steps, from which on they count as different
 
 
-def _columns(scene: ModelOnRecord) -> list[tuple[int, Place, list[ForceLaw], list[Array]]]:
+def _columns(scene: ModelOnRecord) -> list[tuple[int, Port, list[ForceLaw], list[Array]]]:
     """Laws at each place along the motion that the record shows if a force acts there."""
     if scene.laws is None:
         assert scene.places is not None
@@ -52,7 +52,7 @@ def forces_at_places(scene: ModelOnRecord) -> list[Finding]:
     assert scene.places is not None
     found: list[Finding] = []
     count = len(scene.places.places)
-    leaders: list[tuple[float, int, Place, ForceLaw, Explanation, int]] = []
+    leaders: list[tuple[float, int, Port, ForceLaw, Explanation, int]] = []
     for index, place, laws, columns in _columns(scene):
         cuts = np.cumsum([law.n_forces for law in laws])[:-1]
         groups = [columns[a:b] for a, b in zip([0, *cuts], [*cuts, len(columns)], strict=True)]
@@ -136,9 +136,9 @@ def _settled(
             np.ascontiguousarray(Phi),
             G[:, 0].copy(),
             np.ascontiguousarray(places.C),
-            place.through,
-            place.position,
-            place.velocity,
+            place.output.copy(),
+            place.position.copy(),
+            place.velocity.copy(),
             fine_d,
             fine_v,
             steps,
@@ -232,7 +232,7 @@ def _between(scene: ModelOnRecord, d: Array, v: Array, factor: int = 0) -> tuple
     return found[0], found[1]
 
 
-def _finding(place: Place, law: ForceLaw, one: Explanation, tried: int) -> Finding:
+def _finding(place: Port, law: ForceLaw, one: Explanation, tried: int) -> Finding:
     return Finding(
         "state",
         f"{place.name}, {law.where}",

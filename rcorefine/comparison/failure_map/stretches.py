@@ -18,15 +18,16 @@ _STILL = 0.2  # of the usual movement, below which an output hangs
 _NEAR = 3  # samples around the edge of a stretch
 _JUMP = 4.0  # times the usual step between samples, from which on it is a jump
 _FAST = 0.3  # usual step over the spread of a signal, from which on jumps are no sign of anything
+_MOST = 3  # stretches of an output
 _LOUDER = 2.0  # times the error elsewhere, from which on a stretch is one
 
 
-def stretches(scene: ModelOnRecord, most: int = 3) -> list[Finding]:
+def stretches(scene: ModelOnRecord) -> list[Finding]:
     """Stretches in which an output is off by more than the rest explains."""
     found = []
     for i in range(scene.n_outputs):
         masked = np.zeros(scene.n_samples, dtype=bool)
-        for _ in range(most):
+        for _ in range(_MOST):
             one = _stretch(scene, i, masked)
             if one is None:
                 break

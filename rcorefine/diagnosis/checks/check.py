@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -16,7 +15,8 @@ from ...comparison.compare import compare
 from ...comparison.result import Comparison
 from ...data.channels import match_channels
 from ...data.measurement import Measurement
-from ...exceptions import DataError, DivergenceError, RCOWarning
+from ...data.records import as_record
+from ...exceptions import DataError, DivergenceError, unheard
 from ...inference.levels import levels
 from ...inference.sensitivities import candidate_columns
 from ...models.conversion import as_model, as_physical, known_physical, under_control
@@ -91,13 +91,10 @@ def check(
     (True, 'units')
     """
     as_flag(information, "information")
-    if isinstance(data, Measurement) and data.n_samples < _SHORTEST:
+    if as_record(data).n_samples < _SHORTEST:
         raise DataError(f"a record of {data.n_samples} samples is too short to look over; give {_SHORTEST}")
-    if not isinstance(data, Measurement):
-        raise ct.ControlArgument(f"data must be a rcorefine.Measurement, not {type(data).__name__}")
     model = under_control(model, controller, data)
-    with own_arithmetic(), warnings.catch_warnings():
-        warnings.simplefilter("ignore", RCOWarning)
+    with own_arithmetic(), unheard():
         record, rows = _looked_over(model, data, None)
         stopped = any(row.status == STOP for row in rows)
         shown = _shown(model, record) if information and not stopped else ()
@@ -123,8 +120,7 @@ def looks(model: Any, records: Sequence[Measurement], horizon: float | None) -> 
         Those that say stop first.
     """
     rows = []
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RCOWarning)
+    with unheard():
         for i, data in enumerate(records):
             if data.n_samples >= _SHORTEST:
                 about = f"record {i + 1}" if len(records) > 1 else ""
@@ -151,7 +147,7 @@ def _looked_over(model: Any, data: Measurement, horizon: float | None) -> tuple[
     else:
         compared = _compared(model, data, horizon)
     record = data if compared is None or about else compared.data
-    rows = [*signal_rows(record), *(level_rows(data, point) if straight else ())]
+    rows = [*signal_rows(record), *(level_rows(data, point, compared) if straight else ())]
     linear = LinearModel.from_statespace(getattr(model, "system", model))
     rows += sampling_rows(linear, record, controller is not None)
     if compared is not None and controller is not None:

@@ -18,7 +18,7 @@ from ...systems.linear import Array, LinearModel
 from .row import LOOK, OK, STOP, CheckRow
 from .units import between, likely
 
-__all__ = ["gain_rows"]
+__all__ = ["gain_rows", "settling"]
 
 _BLOCKS = 12
 _SURE = 4.0  # standard deviations
@@ -58,26 +58,26 @@ def gain_rows(compared: Comparison, units: Sequence[str] = ()) -> Iterator[Check
     """
     data, linear = compared.data, compared.models[0]
     edges = [*compared.starts, data.n_samples]
-    settling = _settling(linear, data.dt, edges)
+    free = settling(linear, data.dt, edges)
     for i, (label, y) in enumerate(zip(data.output_labels, data.outputs, strict=True)):
         # what an initial state adds is fitted beside the gain: with a wrong gain its estimate is wrong too
         run = compared.runs[0, i] - np.concatenate(
-            [part[i] @ x0 for part, x0 in zip(settling, compared.initial_states[0], strict=True)]
+            [part[i] @ x0 for part, x0 in zip(free, compared.initial_states[0], strict=True)]
         )
         if not (np.ptp(y) > 0 and np.ptp(run) > 0):
             continue
-        found = _gain(y, run, [np.column_stack([part[i], np.ones(len(part[i]))]) for part in settling])
+        found = _gain(y, run, [np.column_stack([part[i], np.ones(len(part[i]))]) for part in free])
         yield from _delay_row(label, found, data.dt)
         declared = (data.output_units[i], units[i] if units else "")
         yield from _unit_row(found, data, i, declared[1])
         yield from _gain_row(label, found, *declared)
         if abs(found.correlation) >= _RELATED:
-            if len(settling) == 1:  # where a model integrates, an initial state is an offset
+            if len(free) == 1:  # where a model integrates, an initial state is an offset
                 yield from _level_rows(label, found.left, y, data.timepts)
             yield from _spike_row(label, found.left, max(resolution(y), _SMALL * float(y.std())))
 
 
-def _settling(linear: LinearModel, dt: float, edges: list[int]) -> list[Array]:
+def settling(linear: LinearModel, dt: float, edges: list[int]) -> list[Array]:
     """Free responses of each state in each window, (n_y, N, n)."""
     step, most = to_discrete(linear, dt).A, int(np.diff(edges).max())
     rows = np.empty((most, *linear.C.shape))
@@ -130,7 +130,8 @@ def _delay_row(label: str, found: _Gain, dt: float) -> Iterator[CheckRow]:
     if not found.delay:
         return
     word = "behind" if found.delay > 0 else "ahead of"
-    figure = f"{abs(found.delay)} samples, {abs(found.delay) * dt:.3g} s"
+    count = f"{abs(found.delay)} sample{'s' if abs(found.delay) > 1 else ''}"
+    figure = f"{count}, {abs(found.delay) * dt:.3g} s"
     cause = "a delay (output_delay, input_delay)" if found.delay > 0 else "clocks that differ"
     yield CheckRow(
         LOOK, "delay", label, figure,

@@ -53,12 +53,12 @@ def warned(rows: Sequence[CheckRow]) -> list[str]:
     first, *others = rows
     sentence = first.sentence if len(first.sentence) <= _LONG or first.status == STOP else _short(first)
     said = [f"{first.status.upper()}: {sentence}"]
-    named = [f"{row.what} {row.where}".strip() for row in others]
+    named = [f"{row.what} of {row.where}" if row.where else row.what for row in others]
     if named:
         more = f" and {len(named) - _MOST} more" if len(named) > _MOST else ""
-        said.append(f"{others[0].status.upper()}: also {', '.join(named[:_MOST])}{more} (.checks).")
+        said.append(f"{others[0].status.upper()}: also {', '.join(named[:_MOST])}{more} (see .checks).")
     return said
 
 
 def _short(row: CheckRow) -> str:
-    return f"{row.what} {row.where}: {row.figure} (.checks)."
+    return f"{row.what} {row.where}: {row.figure} (see .checks)."

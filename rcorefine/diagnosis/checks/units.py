@@ -53,10 +53,8 @@ _NAMED = (
 )
 _FAR, _ABOUT = 5.0, 0.5  # a factor that parameters seldom make; the log by which a unit may then be missed
 _NEAR = 0.1  # most that a factor which parameters do make may be missed by
-_SURE, _FINE = (
-    4.0,
-    0.01,
-)  # standard deviations; share of a gain to which it must be known for a unit to be certain
+_SURE = 4.0  # standard deviations within which a factor is met
+_FINE = 0.01  # of a gain: how well it must be known for a unit to be certain
 _ROUND = 1e-3  # share that simulation and rounding may cost
 _MOST = 3  # units that a sentence lists
 

@@ -231,15 +231,7 @@ class _Fit:
     def __init__(self, side: _Side, record: Measurement, plan: Plan, steps: int) -> None:
         self.side, self.whitener = side, plan.whitener
         pieces, _ = windows(side.structure.model, [record], None)
-        free = np.full(side.theta.size, np.inf)
-        self.problem = Problem(
-            side.structure,
-            pieces,
-            1.0 / plan.levels,
-            prior_mean=np.zeros(free.size),
-            prior_sd=free,
-            substeps=steps,
-        )
+        self.problem = Problem(side.structure, pieces, 1.0 / plan.levels, substeps=steps)
         self.gain = None
         if side.ratio > 0:
             self.gain = observer_gain(side.structure, side.theta, record, side.ratio)
@@ -276,10 +268,10 @@ class _Fit:
         problem = self.problem
 
         def rows(box: Array) -> Rows:
-            point = problem.from_box(box)
+            point = problem.coordinates.point(box)
             known = np.array_equal(point, self.point)
             residual, slopes = (self.residual, self.slopes) if known else self._rows(point)
-            return Rows(residual, problem.columns_in_box(slopes), (point, residual, slopes))
+            return Rows(residual, problem.coordinates.columns(slopes, point), (point, residual, slopes))
 
         def settled(cost: float, gain: float) -> bool:
             left = 2.0 * (cost - gain)
@@ -287,7 +279,7 @@ class _Fit:
 
         low, high = problem.box()
         run = gauss_newton(
-            rows, problem.to_box(self.point), lower=low, upper=high, sizes=problem.sizes,
+            rows, problem.coordinates.of(self.point), lower=low, upper=high, sizes=problem.sizes,
             evaluations=1 + _REFITS, settled=settled, damping=0.0,
         )  # fmt: skip
         if np.isfinite(run.cost):

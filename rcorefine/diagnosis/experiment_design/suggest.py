@@ -15,6 +15,7 @@ from ...engine.engine import Engine
 from ...engine.leading import leading_gain
 from ...exceptions import DivergenceError
 from ...inference.fitted import FittedModel, fitted_from
+from ...inference.levels import levels
 from ...inference.refinement import Refinement
 from ...inference.sensitivities import candidate_columns
 from ...inference.starts import Motion
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
 __all__ = ["suggest"]
 
 _COSTS = {"repeat": 1.0, "amplitude": 1.5, "band": 2.0, "longer": 1.0, "sensor": 6.0}
-_OPEN = 0.05  # probability of none of these from which on it is said
 _MOST = 8  # contenders that are simulated
 _NEAR = 0.2  # p-value, corrected for the candidates, below which an adequate model has something near
 _FEW = 3  # such candidates at most
@@ -137,15 +137,15 @@ def _contenders(found: Diagnosis, records: Sequence[Measurement]) -> tuple[list[
         for row in rows
     ]
     none = ""
-    if found.none_of_these > _OPEN:
+    if found.none_of_these > levels().no_law:
         none = (
             f" None of these laws has probability {found.none_of_these:.2f}; no option tells that, but "
             "confirm does with a record at another amplitude."
         )
     if len(contenders) == 1:
-        levels = [float(np.sqrt(np.mean(record.inputs**2))) for record in records]
+        sizes = [float(np.sqrt(np.mean(record.inputs**2))) for record in records]
         why = f"Nothing to separate: {contenders[0].label} stands alone among the laws."
-        if max(levels) < 1.3 * min(levels):
+        if max(sizes) < 1.3 * min(sizes):
             why += (
                 " A second record at another amplitude, given to diagnose together with this one, would "
                 "confirm the law."
@@ -228,15 +228,15 @@ class _Judge:
         )
 
     def _judged(self, proposal: Proposal) -> Separation:
-        levels, whitener = self.levels, self.whitener
+        noise, whitener = self.levels, self.whitener
         if proposal.sensor is not None:
-            levels = np.append(levels, self._sensor_noise(proposal))
+            noise = np.append(noise, self._sensor_noise(proposal))
             # a sensor of the same sort: noise of the colour of the first one
             whitener = Whitener(
                 (*whitener.filters, whitener.filters[0]), np.append(whitener.scales, whitener.scales[0])
             )
         joined = proposal.sensor is None
-        plan = Plan(proposal.record, levels, whitener, proposal.sensor, joined, self.before)
+        plan = Plan(proposal.record, noise, whitener, proposal.sensor, joined, self.before)
         return separation(self.contenders, plan, self.ratio)
 
     def _sensor_noise(self, proposal: Proposal) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,7 +12,7 @@ from ...data.channels import match_channels, record_for
 from ...data.measurement import Measurement
 from ...data.response_record import in_frequency
 from ...engine.response_engine import engine_on
-from ...exceptions import DivergenceError, ExcitationWarning
+from ...exceptions import DivergenceError, ExcitationWarning, unheard
 from ...inference.refinement import Refinement
 from ...models.operating_point import ordered_record
 from ...systems.linear import Array
@@ -42,8 +41,7 @@ def rmse_on(refinement: Refinement, records: Sequence[Measurement], horizon: flo
     for record in records:
         ordered = record_for(record, match_channels(linear, record))
         try:
-            with warnings.catch_warnings():  # parts are cut here: what they lack is nothing that a user chose
-                warnings.simplefilter("ignore", ExcitationWarning)
+            with unheard(ExcitationWarning):  # parts are cut here: what they lack is nothing a user chose
                 found.append(np.atleast_2d(compare(refinement, ordered, horizon=horizon).residual))
         except DivergenceError:
             return np.full(linear.n_outputs, np.inf)

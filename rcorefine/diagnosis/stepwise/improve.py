@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,9 +10,10 @@ import control as ct
 from ...arguments import as_share, as_whole
 from ...arithmetic import own_arithmetic
 from ...data.measurement import Measurement
-from ...effects.effect import Effect, as_effects
+from ...effects.effect import Effect
+from ...effects.several import as_effects
 from ...effects.tabulated import Table
-from ...exceptions import IdentifiabilityWarning
+from ...exceptions import IdentifiabilityWarning, unheard
 from ...inference.assembly import check_settings
 from ...inference.windows import as_data, check_validation
 from ...models.conversion import as_physical, under_control
@@ -129,8 +129,8 @@ def improve(
         check_validation(model, validation)
     parts = split_in_parts(records, validation)
     settings = {"tolerance": tolerance, "offset": offset, "noise": noise, "horizon": horizon}
-    with own_arithmetic(), warnings.catch_warnings(), Progress(progress, executor) as bar:
-        warnings.simplefilter("ignore", IdentifiabilityWarning)  # ties are in the ledger
+    # ties are in the ledger
+    with own_arithmetic(), unheard(IdentifiabilityWarning), Progress(progress, executor) as bar:
         ladder = StepwiseSelection(
             model, parts, free=free, settings=settings, significance=significance, progress=bar
         )

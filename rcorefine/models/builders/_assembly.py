@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...systems.linear import Array, LinearModel
+from ...systems.linear import Array
 from ..parameters import NominalParameter
 from ..physical_model import PhysicalModel
 from ..ports import Port
 from ..units import combine_units
+from ._model import Given, built
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,7 +31,7 @@ class Place:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensor:
-    """y = displacement @ q + velocity @ q' + acceleration @ q'' + direct @ w."""
+    """y = displacement @ q + velocity @ q' + acceleration @ q'' + direct @ w, and the force at a place."""
 
     label: str
     unit: str
@@ -38,6 +39,7 @@ class Sensor:
     velocity: Array
     acceleration: Array
     direct: Array
+    reads: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,14 +87,13 @@ class SecondOrder:
         places: Sequence[Place],
         sensors: Sequence[Sensor],
         parameters: Sequence[NominalParameter],
+        given: Given,
         *,
-        inputs: tuple[str, ...],
-        input_units: tuple[str, ...],
-        outputs: tuple[str, ...],
-        states: tuple[str, ...],
-        name: str,
+        inputs: Sequence[str],
+        input_units: Sequence[str],
+        letters: tuple[str, str] = ("q", "v"),
     ) -> PhysicalModel:
-        """Physical model with the given places, sensors and parameters."""
+        """Physical model with the given places, sensors and parameters; states by letter and number."""
         n, n_w = self.size, self.force.shape[1]
         solved = np.linalg.solve(self.M, np.hstack([self.K, self.C, self.force]))
         A = np.zeros((2 * n, 2 * n))
@@ -104,37 +105,30 @@ class SecondOrder:
         state = np.array([np.concatenate([item.displacement, item.velocity]) for item in sensors])
         rate = np.array([np.concatenate([np.zeros(n), item.acceleration]) for item in sensors])
         direct = np.array([item.direct for item in sensors]).reshape(len(sensors), n_w)
-        linear = LinearModel(
-            A=A,
-            B=B,
-            C=state + rate @ A,
-            D=direct + rate @ B,
-            dt=0,
-            input_labels=inputs,
-            output_labels=outputs,
-            state_labels=states,
-            name=name,
-        )
-        return PhysicalModel(
-            linear=linear,
-            output_state=state,
-            output_rate=rate,
-            output_input=direct,
-            ports=self._ports(places),
-            parameters=tuple(parameters),
-            input_units=input_units,
-            output_units=tuple(item.unit for item in sensors),
-            state_units=(self.units.of("position"),) * n + (self.units.of("velocity"),) * n,
-        )
+        states = [f"{letter}{i + 1}" for letter in letters for i in range(n)]
+        return built(
+            A, B, (state, rate, direct), given,
+            labels=(inputs, [item.label for item in sensors], states),
+            units=(
+                input_units,
+                [item.unit for item in sensors],
+                [self.units.of("position")] * n + [self.units.of("velocity")] * n,
+            ),
+            ports=self._ports(places, sensors), parameters=parameters,
+        )  # fmt: skip
 
-    def _ports(self, places: Sequence[Place]) -> tuple[Port, ...]:
+    def _ports(self, places: Sequence[Place], sensors: Sequence[Sensor]) -> tuple[Port, ...]:
         """Ports, with one factorization of M for all: a long chain has thousands."""
         if not places:
             return ()
         moved = np.linalg.solve(self.M, np.column_stack([place.direction for place in places]))
-        return tuple(self._port(place, column) for place, column in zip(places, moved.T, strict=True))
+        metered = any(sensor.reads for sensor in sensors)
+        return tuple(
+            self._port(place, column, [float(s.reads == place.name) for s in sensors] if metered else ())
+            for place, column in zip(places, moved.T, strict=True)
+        )
 
-    def _port(self, place: Place, moved: Array) -> Port:
+    def _port(self, place: Place, moved: Array, output: Sequence[float]) -> Port:
         nothing = np.zeros(self.size)
         moved[np.abs(moved) <= 1e-14 * np.abs(moved).max()] = 0.0
         return Port(
@@ -144,12 +138,12 @@ class SecondOrder:
             position=np.concatenate([place.direction, nothing]),
             position_input=np.zeros_like(self.base),
             velocity=np.concatenate([nothing, place.direction]),
-            velocity_input=np.zeros_like(self.base),
             acceleration_input=self.base * place.direction.sum() if place.absolute else 0.0 * self.base,
             position_unit=self.units.of("position"),
             velocity_unit=self.units.of("velocity"),
             force_unit=self.units.of("force"),
             description=place.description,
+            output=np.array(output),
         )
 
 

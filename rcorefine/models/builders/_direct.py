@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...systems.linear import Array, LinearModel
+from ...systems.linear import Array
 from ..parameters import NominalParameter
 from ..physical_model import PhysicalModel
 from ..ports import Port
+from ._model import Given, built
 
 Row = Mapping[str, float]
 
@@ -67,7 +68,6 @@ class Equations:
             position_input=parts["position_input"],
             velocity=parts["velocity"],
             velocity_input=parts["velocity_input"],
-            acceleration_input=np.zeros(len(inputs)),
             position_unit=units[0],
             velocity_unit=units[1],
             force_unit=units[2],
@@ -79,13 +79,12 @@ class Equations:
         readings: Sequence[Reading],
         ports: Sequence[Port],
         parameters: Sequence[NominalParameter],
+        given: Given,
         *,
-        labels: tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]],
-        input_units: tuple[str, ...],
-        state_units: tuple[str, ...],
-        name: str,
+        input_units: Sequence[str],
+        state_units: Sequence[str],
     ) -> PhysicalModel:
-        """Physical model; `labels` are those to show for inputs, outputs and states."""
+        """Physical model of these equations."""
         states, inputs = self.states, self.inputs
         A = np.zeros((len(states), len(states)))
         B = np.zeros((len(states), len(inputs)))
@@ -99,25 +98,9 @@ class Equations:
         rate = np.array([self.row(item.rate, states) for item in readings])
         direct = np.array([self.row(item.direct, inputs) for item in readings])
         direct = direct.reshape(len(readings), len(inputs))
-        linear = LinearModel(
-            A=A,
-            B=B,
-            C=state + rate @ A,
-            D=direct + rate @ B,
-            dt=0,
-            input_labels=labels[0],
-            output_labels=labels[1],
-            state_labels=labels[2],
-            name=name,
-        )
-        return PhysicalModel(
-            linear=linear,
-            output_state=state,
-            output_rate=rate,
-            output_input=direct,
-            ports=tuple(ports),
-            parameters=tuple(parameters),
-            input_units=input_units,
-            output_units=tuple(item.unit for item in readings),
-            state_units=state_units,
-        )
+        return built(
+            A, B, (state, rate, direct), given,
+            labels=(inputs, [item.label for item in readings], states),
+            units=(input_units, [item.unit for item in readings], state_units),
+            ports=ports, parameters=parameters,
+        )  # fmt: skip

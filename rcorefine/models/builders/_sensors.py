@@ -11,25 +11,32 @@ import numpy as np
 from ...arguments import as_array, as_choice, shown
 from ...exceptions import ModelError
 from ...systems.linear import Array
+from ..parameters import NominalParameter
 from ._assembly import Place, Sensor, Units, unit_vector
 from ._checks import as_index, as_several
 
 _SENSORS = "a quantity, a pair (quantity, mass) or a list of these"
 QUANTITIES = ("displacement", "velocity", "acceleration")
-_LETTER = {"displacement": "q", "velocity": "v", "acceleration": "a"}
+_LETTER = {"displacement": "q", "velocity": "v", "acceleration": "a", "force": "f"}
 
 
 def parse_sensors(
-    sensors: Any, size: int, places: Mapping[str, Place], base: Array, units: Units
+    sensors: Any,
+    size: int,
+    places: Mapping[str, Place],
+    base: Array,
+    units: Units,
+    parameters: Sequence[NominalParameter] = (),
 ) -> list[Sensor]:
     """Sensors from ``"velocity"``, ``("velocity", 1)`` or a list of such.
 
     A place may be the number of a mass, a list of numbers, or the name of a place
-    (``("displacement", "link2")`` measures an elongation).
+    (``("displacement", "link2")`` measures an elongation, ``("force", "link2")`` what its spring and damper
+    among the `parameters` hold).
     """
     found: list[Sensor] = []
     for quantity, where in _requests(sensors, size):
-        as_choice(quantity, "the quantity of a sensor", QUANTITIES)
+        as_choice(quantity, "the quantity of a sensor", tuple(_LETTER))
         if isinstance(where, str):
             if where not in places:
                 raise ModelError(f"sensor at {where!r}: no such place, only {', '.join(places)}")
@@ -39,6 +46,8 @@ def parse_sensors(
             mass = as_index(where, "the mass of a sensor", size)
             direction, absolute, label = unit_vector(size, (mass, 1.0)), True, f"{_LETTER[quantity]}{where}"
         rows = {key: direction if key == quantity else np.zeros(size) for key in QUANTITIES}
+        if quantity == "force":
+            rows |= _held(where, direction, parameters)
         # displacements and velocities are relative to the base, an accelerometer feels it
         felt = quantity == "acceleration" and absolute
         found.append(
@@ -49,6 +58,7 @@ def parse_sensors(
                 rows["velocity"],
                 rows["acceleration"],
                 base * direction.sum() if felt else 0.0 * base,
+                where if quantity == "force" else "",
             )
         )
     if not found:
@@ -58,6 +68,21 @@ def parse_sensors(
         if labels.count(label) > 1:
             raise ModelError(f"sensor {label} is asked for more than once; name each sensor once")
     return found
+
+
+def _held(where: Any, direction: Array, parameters: Sequence[NominalParameter]) -> dict[str, Array]:
+    """Rows of a load cell in series with the spring and the damper of a link."""
+    k, c = (
+        sum(q.value for q in parameters if (q.kind, q.place) == (kind, where))
+        for kind in ("stiffness", "damping")
+    )
+    if not k and not c:
+        links = {q.place for q in parameters if q.value and q.kind in ("stiffness", "damping")}
+        raise ModelError(
+            f"a load cell at {where!r} would read nothing, since no spring or damper is known there; "
+            f"they are at {', '.join(sorted(links)) or 'no place'}"
+        )
+    return {"displacement": k * direction, "velocity": c * direction}
 
 
 def _requests(sensors: Any, size: int, *, nested: bool = False) -> list[tuple[str, Any]]:
@@ -78,7 +103,7 @@ def _requests(sensors: Any, size: int, *, nested: bool = False) -> list[tuple[st
 def _is_request(item: Any) -> bool:
     """Whether an item is a sensor of its own rather than a place."""
     first = item if isinstance(item, str) else item[0] if isinstance(item, Sequence) and item else None
-    return isinstance(first, str) and first in QUANTITIES
+    return isinstance(first, str) and first in _LETTER
 
 
 def parse_force(force: Any, size: int) -> tuple[Array, list[str]]:

@@ -12,7 +12,7 @@ from ...arguments import as_text
 from ...systems.linear import Array
 from ..physical_model import PhysicalModel
 from ._assembly import Place, SecondOrder, Units, parameters_of, unit_vector
-from ._checks import as_labels, as_vector
+from ._checks import as_vector
 from ._sensors import input_map, parse_sensors
 
 __all__ = ["mass_spring_damper"]
@@ -54,7 +54,8 @@ def mass_spring_damper(
     sensors : str, tuple or list, optional
         ``"velocity"`` measures all masses, ``("velocity", 1)`` the first,
         ``("velocity", (1, 3))`` two of them, ``("displacement", "link2")`` an
-        elongation; a list of these measures them all, in order. Under base
+        elongation, ``("force", "link2")`` what its spring and damper hold, and with them whatever
+        else is missing there: a load cell; a list of these measures them all, in order. Under base
         excitation accelerations of masses are absolute, the others
         are relative to the base.
     inputs, outputs, states : str or sequence of str, optional
@@ -105,23 +106,21 @@ def mass_spring_damper(
     M = np.diag(masses)
     units = Units(as_text(position_unit, "position_unit"), as_text(force_unit, "force_unit"))
     F, base, input_default, input_units = input_map(excitation, force, M, units)
-    found = parse_sensors(sensors, n, {place.name: place for place in places}, base, units)
-    system = SecondOrder(M, G.T @ np.diag(damping) @ G, G.T @ np.diag(stiffness) @ G, F, base, units)
     names = [link.name for link in links]
     parameters = [
         *parameters_of("m", "mass", masses, [point.name for point in points], units),
         *parameters_of("c", "damping", damping, names, units),
         *parameters_of("k", "stiffness", stiffness, names, units),
     ]
+    found = parse_sensors(sensors, n, {place.name: place for place in places}, base, units, parameters)
+    system = SecondOrder(M, G.T @ np.diag(damping) @ G, G.T @ np.diag(stiffness) @ G, F, base, units)
     return system.build(
         places,
         found,
         parameters,
-        inputs=as_labels(inputs, "inputs", input_default),
+        (inputs, outputs, states, name),
+        inputs=input_default,
         input_units=input_units,
-        outputs=as_labels(outputs, "outputs", [sensor.label for sensor in found]),
-        states=as_labels(states, "states", [f"{x}{i + 1}" for x in "qv" for i in range(n)]),
-        name=as_text(name, "name"),
     )
 
 

@@ -7,11 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...arguments import as_text
 from ..parameters import NominalParameter
 from ..physical_model import PhysicalModel
 from ._assembly import Place, SecondOrder, Sensor, Units
-from ._checks import as_labels, as_number, as_sensors
+from ._checks import as_number, as_sensors
 
 __all__ = ["series_rlc"]
 
@@ -117,11 +116,9 @@ def series_rlc(
         places,
         found,
         parameters,
-        inputs=as_labels(inputs, "inputs", ["voltage"]),
-        input_units=("V",),
-        outputs=as_labels(outputs, "outputs", asked),
-        states=as_labels(states, "states", ["charge", "current"]),
-        name=as_text(name, "name"),
+        (inputs, outputs, ["charge", "current"] if states is None else states, name),
+        inputs=["voltage"],
+        input_units=["V"],
     )
     voltmeters = [[float(label == f"{port.name}_voltage") for label in asked] for port in model.ports]
     ports = (

@@ -19,7 +19,8 @@ from ...systems.linear import Array
 from ..parameters import NominalParameter
 from ..physical_model import PhysicalModel
 from ._assembly import Place, SecondOrder, Units, unit_vector
-from ._checks import as_index, as_labels, as_matrix, as_vector
+from ._checks import as_index, as_matrix, as_vector
+from ._model import Given
 from ._modes import as_sparse, lowest_modes
 from ._sensors import input_map, parse_sensors
 
@@ -126,7 +127,7 @@ def mechanical(
         return _by_modes(
             M, C, K, n_modes, damping_ratio, links, sensors, excitation, force_map,
             Units(as_text(position_unit, "position_unit"), as_text(force_unit, "force_unit")),
-            inputs, outputs, states, as_text(name, "name"),
+            (inputs, outputs, states, name),
         )  # fmt: skip
     mass, damping, stiffness = _whole(M, C, K, damping_ratio)
     n = mass.shape[0]
@@ -139,17 +140,15 @@ def mechanical(
     places = [*places, *points]
     units = Units(as_text(position_unit, "position_unit"), as_text(force_unit, "force_unit"))
     F, base, input_default, input_units = input_map(excitation, force_map, mass, units)
-    found = parse_sensors(sensors, n, {place.name: place for place in places}, base, units)
     parameters = _link_parameters(mass, listed, stiffness, pairs, units)
+    found = parse_sensors(sensors, n, {place.name: place for place in places}, base, units, parameters)
     return SecondOrder(mass, damping, stiffness, F, base, units).build(
         places,
         found,
         parameters,
-        inputs=as_labels(inputs, "inputs", input_default),
+        (inputs, outputs, states, name),
+        inputs=input_default,
         input_units=input_units,
-        outputs=as_labels(outputs, "outputs", [sensor.label for sensor in found]),
-        states=as_labels(states, "states", [f"{x}{i + 1}" for x in "qv" for i in range(n)]),
-        name=as_text(name, "name"),
     )
 
 
@@ -177,7 +176,7 @@ def _whole(M: Any, C: Any, K: Any, damping_ratio: Any) -> tuple[Array, Array, Ar
 
 def _by_modes(
     M: Any, C: Any, K: Any, n_modes: Any, ratio: Any, links: Any, sensors: Any, excitation: str,
-    force_map: Any, units: Units, inputs: Any, outputs: Any, states: Any, name: str,
+    force_map: Any, units: Units, given: Given,
 ) -> PhysicalModel:  # fmt: skip
     """The lowest modes of a structure, with its sensors, forces and named links projected on them."""
     if not issparse(M):
@@ -216,11 +215,10 @@ def _by_modes(
             for kind, values in diagonal.items()
             for mode, value in zip(modes, values, strict=True)
         ],
-        inputs=as_labels(inputs, "inputs", input_default),
+        given,
+        inputs=input_default,
         input_units=input_units,
-        outputs=as_labels(outputs, "outputs", [sensor.label for sensor in found]),
-        states=as_labels(states, "states", [f"{x}{i + 1}" for x in ("eta", "deta") for i in range(r)]),
-        name=name,
+        letters=("eta", "deta"),
     )
     ports = tuple(
         replace(p, modal=True, position_unit="", velocity_unit="", force_unit="") if k >= len(own) else p

@@ -117,8 +117,7 @@ def two_tanks(
         [Reading(level, level_unit, {level: 1.0}, {}, {}) for level in measured],
         ports,
         parameters,
-        labels=(labels, as_labels(outputs, "outputs", measured), as_labels(states, "states", ["h1", "h2"])),
+        (labels, outputs, states, name),
         input_units=(pump_unit,),
         state_units=(level_unit, level_unit),
-        name=as_text(name, "name"),
     )

@@ -14,7 +14,7 @@ from ..parameters import NominalParameter
 from ..physical_model import PhysicalModel
 from ..ports import Port
 from ..units import combine_units
-from ._checks import as_labels, as_number, as_sensors
+from ._checks import as_number, as_sensors
 from ._direct import Equations, Reading, Row
 
 __all__ = ["dc_motor"]
@@ -120,14 +120,9 @@ def dc_motor(
         [Reading(sensor, unit[sensor], {sensor: 1.0}, {}, {}) for sensor in asked],
         ports,
         parameters,
-        labels=(
-            as_labels(inputs, "inputs", channels),
-            as_labels(outputs, "outputs", asked),
-            as_labels(states, "states", list(rates)),
-        ),
+        (inputs, outputs, states, name),
         input_units=("V", "N m")[: len(channels)],
         state_units=tuple(unit[item] for item in rates),
-        name=as_text(name, "name"),
     )
 
 

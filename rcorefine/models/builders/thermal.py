@@ -7,7 +7,7 @@ from typing import Any
 
 import control as ct
 
-from ...arguments import as_flag, as_text
+from ...arguments import as_flag
 from ...exceptions import ModelError
 from ..parameters import NominalParameter
 from ..physical_model import PhysicalModel
@@ -103,14 +103,9 @@ def thermal_network(
         [Reading(node, "K", {node: 1.0}, {}, {}) for node in measured],
         _ports(equations, capacity, ends, {"ambient": -1.0} if ambient else {}),
         parameters,
-        labels=(
-            as_labels(inputs, "inputs", channels),
-            as_labels(outputs, "outputs", measured),
-            tuple(nodes),
-        ),
+        (inputs, outputs, None, name),
         input_units=("W",) * len(heated) + ("K",) * ambient,
         state_units=("K",) * n,
-        name=as_text(name, "name"),
     )
 
 

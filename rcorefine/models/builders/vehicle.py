@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import control as ct
 
-from ...arguments import as_choice, as_flag, as_text
+from ...arguments import as_choice, as_flag
 from ..parameters import NominalParameter
 from ..physical_model import PhysicalModel
 from ..ports import Port
-from ._checks import as_labels, as_number, as_sensors
+from ._checks import as_number, as_sensors
 from ._direct import Equations, Reading, Row
 
 __all__ = ["quarter_car"]
@@ -121,14 +121,9 @@ def quarter_car(
         [readings[sensor] for sensor in asked],
         _ports(equations, path, mb, mw),
         parameters,
-        labels=(
-            as_labels(inputs, "inputs", channels),
-            as_labels(outputs, "outputs", asked),
-            as_labels(states, "states", names),
-        ),
+        (inputs, outputs, states, name),
         input_units=("m/s" if deflections else "m", "N")[: len(channels)],
         state_units=("m", "m", "m/s", "m/s"),
-        name=as_text(name, "name"),
     )
 
 

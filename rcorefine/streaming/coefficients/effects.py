@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
 
-import control as ct
 import numpy as np
 
 from ...arguments import as_whole
-from ...effects.effect import Effect, as_effects
+from ...effects.effect import Effect
 from ...effects.formula import InputLaw, OutputLaw
+from ...effects.several import as_effects
 from ...engine.structure import Structure
 from ...exceptions import ModelError
-from ...models.consistency import check_stream_hold
+from ...models.consistency import check_stream_hold, refuse_discrete
 from ...models.conversion import as_physical
 from ...models.physical_model import PhysicalModel
 from ...systems.linear import Array, LinearModel
@@ -249,7 +249,7 @@ def make_effects_setup(
                 f"{effect.label}: a delay at an output needs the future and cannot be estimated on a stream; "
                 "use an input_delay, an output_lag, or refine() on a record"
             )
-        if isinstance(effect.spec, InputLaw) and effect.spec.feels_time:
+        if effect.spec.drifts or (isinstance(effect.spec, InputLaw) and effect.spec.feels_time):
             raise ModelError(
                 f"{effect.label}: a law that feels the time between samples is not estimated on a stream; "
                 "use refine() on a record"
@@ -261,12 +261,7 @@ def make_effects_setup(
         if (effect.kind, effect.place) in seen:
             raise ModelError(f"{effect.label} is named twice; give each effect once")
         seen.add((effect.kind, effect.place))
-    given = getattr(model, "system", model)
-    if isinstance(given, ct.StateSpace) and given.dt != 0:
-        raise ModelError(
-            f"model {given.name!r} is discrete, and physical effects live in continuous time; "
-            "give the continuous model, or convert it with rcorefine.d2c"
-        )
+    refuse_discrete(model)
     physical = as_physical(model)
     check_stream_hold(physical, hold)
     settings = checked_settings(physical.linear.n_outputs, dt, hold, noise, disturbance, forgetting)

@@ -189,18 +189,7 @@ class CoefficientFilter:
 
     def rows(self) -> list[list[str]]:
         """Cells of the table of parameters."""
-        return [
-            [
-                row.name,
-                row.kind if row.name != row.kind else "",
-                row.place,
-                f"{row.initial:.5g}",
-                f"{row.value:.5g}",
-                f"{row.std:.2g}",
-                row.unit,
-            ]
-            for row in self.parameters
-        ]
+        return [row.cells for row in self.parameters]
 
 
 def joined(parts: Sequence[Array], width: int) -> Array:

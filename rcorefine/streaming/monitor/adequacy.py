@@ -14,6 +14,7 @@ from ...effects.effect import Effect
 from ...engine.engine import Engine
 from ...engine.initial_state import estimate_initial_state
 from ...inference.assembly import nominal_size
+from ...inference.levels import levels
 from ...systems.linear import Array
 from .baseline import FREE
 from .numbers import Numbers
@@ -22,7 +23,6 @@ from .stream import Stream
 
 __all__ = ["Adequacy", "adequacy_of", "explained"]
 
-_FAR = 2.0  # tolerances by which a number may be moved
 _SHOWN = 3  # numbers in the sentence
 
 
@@ -99,7 +99,7 @@ def adequacy_of(
     Adequacy
     """
     change = (numbers.theta - given.theta)[numbers.loose]
-    clear = np.abs(change) > 3.0 * np.sqrt(np.maximum(np.diag(numbers.covariance), 0.0))
+    clear = np.abs(change) > levels().moved * np.sqrt(np.maximum(np.diag(numbers.covariance), 0.0))
     moved: dict[str, float] = {}
     for (effect, name), value, theta, seen in zip(
         numbers.moving, change, given.theta[numbers.loose], clear, strict=True
@@ -112,7 +112,7 @@ def adequacy_of(
     score = math.sqrt(2 * max(float(gains[best]), 0.0))
     lacks = score >= stream.windows.levels[-1]
     missing = stream.bank.effects[stream.bank.owner[best]] if lacks else None
-    far = max(map(abs, moved.values()), default=0.0) > _FAR * tolerance > 0
+    far = max(map(abs, moved.values()), default=0.0) > levels().moved_wide * tolerance > 0
     before, after = (tuple(map(float, fit)) for fit in fits)
     sentence = _sentence(before, after, moved, missing, score, far, dt)
     return Adequacy(before, after, moved, missing, score, missing is None and not far, sentence)

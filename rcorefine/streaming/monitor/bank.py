@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...data.measurement import Measurement
-from ...effects.effect import Effect, as_effects
+from ...effects.effect import Effect
 from ...effects.formula import FormulaLaw
+from ...effects.several import as_effects
 from ...engine.engine import Engine
 from ...engine.structure import Structure
 from ...exceptions import ModelError

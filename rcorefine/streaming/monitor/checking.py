@@ -9,7 +9,8 @@ import numpy as np
 
 from ...exceptions import DataError
 from ...inference.autoregression import MAX_ORDER
-from ..restoring import check_like, check_range
+from ..gaps import Block
+from ..restoring import check_like, check_range, parts_of
 from .course import ROWS
 from .forces import CODES
 from .kernels import ALONE
@@ -31,8 +32,7 @@ _WATCH = {
     "confirmed": False, "crossed": 0, "misfit": _INF, "place": "", "next_naming": 0, "next_follow": 0,
     "value": _NAN, "std": _NAN,
 }  # fmt: skip
-_LAWS = range(14)  # earlier versions numbered the laws
-_CODES = frozenset([*CODES.values(), *_LAWS])
+_CODES = frozenset([0, *CODES.values()])  # 0 for the force of a law
 _TINY = np.finfo(float).tiny
 _RANGES = {
     "size": (_TINY, _INF), "factor": (_TINY, _INF), "V": (0.0, _INF), "spread": (0.0, _INF),
@@ -54,26 +54,22 @@ def check_monitor(monitor: Monitor, content: Mapping[str, Any]) -> None:
     check_like(monitor._theta, np.zeros(s.n_parameters), "coefficients of the model")
     check_like(count, 0, "count")
     check_like(content["latest"], np.zeros(s.n_inputs), "latest")
-    block = {
-        "inputs": np.zeros((0, s.n_inputs)),
-        "outputs": np.zeros((0, s.n_outputs)),
-        "known": np.zeros(0, dtype=np.uint8),
-        "use": np.zeros((0, s.n_outputs), dtype=np.uint8),
-    }
+    flags = np.zeros((0, s.n_outputs), dtype=np.uint8)
+    block = Block(np.zeros((0, s.n_inputs)), np.zeros((0, s.n_outputs)), np.zeros(0, dtype=np.uint8), flags)
     for part in content["waiting"]:
         check_like(part, block, "waiting", _BLOCK)
-    waiting = sum(len(part["inputs"]) for part in content["waiting"])
+    waiting = sum(len(part.inputs) for part in content["waiting"])
     learning = content["stream"] is None
     check_range(waiting, count if learning else 0, count if learning else 0, "samples that wait")
     check_range(count, 0 if learning else monitor.learn, monitor.learn - 1 if learning else _INF, "count")
     _check_course(content["course"], len(monitor.candidates) + 4, count)
-    _check_watch(content["watch"], monitor)
+    _check_watch(parts_of(content["watch"]), monitor)
     for remark in content["remarks"]:
         check_like(remark, "", "remarks")
     if monitor._covariance is not None:
         check_like(monitor._covariance, np.full((s.n_parameters,) * 2, _NAN), "covariance")
-    if content.get("adequacy") is not None:
-        _check_adequacy(content["adequacy"], monitor)
+    if content["adequacy"] is not None:
+        _check_adequacy(parts_of(content["adequacy"]), monitor)
     if not learning:
         _check_parts(content["stream"], monitor)
 
@@ -114,18 +110,20 @@ def _check_watch(found: Any, monitor: Monitor) -> None:
     check_like(found["mean"], np.zeros(ny if len(found["mean"]) else 0), "watch.mean")
     if found["gains"] is not None:
         check_like(found["gains"], np.full(len(monitor.candidates), -np.inf), "watch.gains")
-    alarms = [alarm for alarm in (found["found"], *found["past"]) if alarm is not None]
+    alarms = [parts_of(alarm) for alarm in (found["found"], *found["past"]) if alarm is not None]
+    rows = [parts_of(row) for row in found["rows"]]
     for alarm in alarms:
         check_like({name: alarm[name] for name in _ALARM}, _ALARM, "alarm")
         if alarm["ended"] is not None:
             check_like(alarm["ended"], 0.0, "alarm.ended")
-    for row in found["rows"]:
+    for row in rows:
         check_like({name: row[name] for name in _ROW}, _ROW, "ranking")
-    for part in (*alarms, *found["rows"]):
+    for part in (*alarms, *rows):
         if part["effect"] not in monitor.candidates:
             raise DataError(f"{part['effect']!r:.80} is none of the candidates: the file is damaged")
+        own = [name for name in part["coefficients"] if name in part["effect"].coefficients]
         for name in ("coefficients", "std"):
-            check_like(part[name], dict.fromkeys(part[name], _NAN), name)
+            check_like(part[name], dict.fromkeys(own, _NAN), name)
 
 
 def _check_adequacy(found: Any, monitor: Monitor) -> None:
@@ -141,10 +139,11 @@ def _check_parts(found: Any, monitor: Monitor) -> None:
     """What was learned: observer and noise, columns of the candidates, windows."""
     s = monitor._structure
     n, ny, nw = s.n_states, s.n_outputs, s.n_inputs
-    q, k = np.shape(found["healthy"]["filters"])[-1], len(found["bank"]["owner"])
+    healthy, bank = parts_of(found["healthy"]), parts_of(found["bank"])
+    q, k = np.shape(healthy["filters"])[-1], len(bank["owner"])
     check_range(q, 0, MAX_ORDER, "orders of the noise")
     check_like(
-        found["healthy"],
+        healthy,
         {
             "ratio": 0.0, "gain": np.zeros((n, ny)), "x0": np.zeros(n), "filters": np.zeros((ny, q)),
             "mix": np.zeros((ny, ny)), "settle": 1, "orders": (0,) * ny, "mean": np.zeros(ny),
@@ -152,11 +151,10 @@ def _check_parts(found: Any, monitor: Monitor) -> None:
         },
         "healthy",
     )  # fmt: skip
-    healthy = found["healthy"]
     check_range(healthy["noise"], 0.0, _INF, "healthy.noise")
     check_range(healthy["least"], _TINY, _INF, "healthy.least")
     check_range(healthy["pace"], 0.0, 1.0, "healthy.pace")
-    bank, integers = dict(found["bank"]), np.zeros(k, dtype=np.int64)
+    integers = np.zeros(k, dtype=np.int64)
     effects, watched = bank.pop("effects"), len(monitor.candidates)
     if effects[:watched] != monitor.candidates:
         raise DataError("bank.effects are not the candidates: the file is damaged")
@@ -181,7 +179,7 @@ def _check_parts(found: Any, monitor: Monitor) -> None:
     for code in bank["codes"].tolist():
         if code not in _CODES:
             raise DataError(f"bank.codes holds {code}, the code of no law: the file is damaged")
-    windows = found["windows"]
+    windows = parts_of(found["windows"])
     M = monitor._lengths.size
     fresh = {"keep": np.zeros(M), "levels": np.zeros(M), "block": 1, "blocks": 1, "fading": 0.0}
     check_like(windows, fresh, "windows")

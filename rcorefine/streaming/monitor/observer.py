@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import control as ct
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,7 +18,7 @@ from ...engine.point import field_numbers
 from ...engine.simulation import structure_of
 from ...engine.structure import Structure
 from ...exceptions import DivergenceError, ModelError
-from ...models.consistency import check_stream_hold
+from ...models.consistency import check_stream_hold, refuse_discrete
 from ...systems.linear import Array
 
 __all__ = ["Observer", "Pace", "as_base", "pace_of"]
@@ -33,12 +32,7 @@ def as_base(model: Any, hold: str) -> tuple[Structure, Array, int]:
     ModelError
         If the model is discrete, was found to have another hold, or holds what needs the future.
     """
-    given = getattr(model, "system", model)
-    if isinstance(given, ct.StateSpace) and given.dt != 0:
-        raise ModelError(
-            f"model {given.name!r} is discrete, and physical effects live in continuous time; "
-            "give the continuous model, or convert it with rcorefine.d2c"
-        )
+    refuse_discrete(model)
     structure, theta, substeps = structure_of(model)
     check_stream_hold(structure.model, hold)
     if structure.output_delays:

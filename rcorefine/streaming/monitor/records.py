@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import control as ct
-
 from ...data.channels import match_channels, record_for
 from ...data.measurement import Measurement
+from ...data.records import as_record
 from ...exceptions import DataError
 from ...systems.linear import LinearModel
 
@@ -17,11 +16,7 @@ __all__ = ["record_to_watch"]
 
 def record_to_watch(model: LinearModel, dt: float, hold: str, data: Any) -> Measurement:
     """A record in the order of the model's channels, if it was taken as the stream is."""
-    if not isinstance(data, Measurement):
-        raise ct.ControlArgument(
-            f"data must be a Measurement, not {type(data).__name__}; "
-            "build one with Measurement(inputs, outputs, dt=...)"
-        )
+    data = as_record(data)
     if not math.isclose(data.dt, dt, rel_tol=1e-6):
         raise DataError(f"the record has dt = {data.dt:g} s and the monitor {dt:g} s; resample one")
     if data.hold != hold:

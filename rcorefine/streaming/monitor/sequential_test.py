@@ -16,15 +16,8 @@ from .stream import Stream
 __all__ = ["Watch"]
 
 _SETTLE = 4  # periods in which more samples tell the time of the change better
-_WORSE = (
-    1.5  # mean square of what a name leaves, in units of the noise or of the last name's, that is too much
-)
 _FOLLOW = 8  # periods over which the coefficient is followed
-_GONE = 3.0  # standard deviations within which it counts as zero
-_SEEN = 6.0  # a coefficient must be this many of them to be missed
-_NOTHING = 12.0  # log-likelihood (and sum of squares) that is worth no name
 _MOST_PAST = 100
-_SURE = 0.99  # share of one place at which the name is clear
 _KEPT = 1e-6  # probability up to which a fit is gone on from
 
 
@@ -146,7 +139,8 @@ class Watch:
             places[row.effect.place] = places.get(row.effect.place, 0.0) + row.probability
         place = max(places, key=lambda name: places[name])
         before, self.place = self.place, place
-        clear = places[place] > _SURE * sum(places.values()) and self.misfit < _WORSE
+        level = levels()
+        clear = places[place] > level.alarm_place * sum(places.values()) and self.misfit < level.alarm_left
         return clear and place == before
 
     def name(self, stream: Stream, *, settle: bool) -> None:
@@ -164,7 +158,8 @@ class Watch:
         scored, since, misfit = fit_all(
             stream, since, self.mean, before, latest=self.crossed if settle else None, window=window
         )
-        if not settle and (not scored or misfit > _WORSE * self.misfit or scored[0][1] < _NOTHING):
+        worst, least = levels().alarm_left * self.misfit, levels().alarm_worth
+        if not settle and (not scored or misfit > worst or scored[0][1] < least):
             return  # the change itself is changing, or going: the name that fitted well stays
         self.misfit = misfit
         self.found = replace(self.found, since_sample=since, since=since * self.dt)
@@ -238,8 +233,10 @@ class Watch:
             return
         self.value, self.std = float(fit.coefficients[0]), float(fit.std[0])
         expected = abs(float(before[0]))
-        small = abs(self.value) < max(_GONE * self.std, 0.1 * expected) and _SEEN * self.std < expected
-        if small and nothing.cost < _WORSE * nothing.points and nothing.cost - fit.cost < _NOTHING:
+        level = levels()
+        small = abs(self.value) < max(level.alarm_gone * self.std, 0.1 * expected)
+        plain = nothing.cost < min(level.alarm_left * nothing.points, fit.cost + level.alarm_worth)
+        if small and plain and level.alarm_missed * self.std < expected:
             self.end(stream, start, nothing.state)
 
     def end(self, stream: Stream, start: int, state: Array) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .kernels import Plant
+from .arrays import Plant
 from .path import markov_parameters, path_zeros
 
 __all__ = ["explain"]

@@ -7,7 +7,7 @@ import numpy as np
 from ...exceptions import DataError
 from ...systems.linear import Array
 from ..gaps import Block
-from .kernels import Record
+from .arrays import Record
 from .memory import Memory
 from .setup import Setup
 from .stream import take

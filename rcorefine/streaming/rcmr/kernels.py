@@ -1,356 +1,23 @@
-"""The inner loops of retrospective cost optimization: arrays in, arrays out.
+"""Both stages of retrospective cost optimization over a block of samples: arrays in, arrays out.
 
 One source for both ways of running: numba compiles it where it is installed
-(`rcorefine.jit`), otherwise it runs as plain Python. Only the three innermost
-passes have a second body in array style, for scalar loops in
-plain Python would take milliseconds per sample.
-
-Signals are rows in time (time first, so that one sample is contiguous) and
-scaled to unit size; `delay` is d and `H` holds H_d ... H_(d+mu-1).
+(`rcorefine.jit`), otherwise it runs as plain Python.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg.blas import dger
 
-from ...jit import NUMBA, compiled, put, put_rows
+from ...jit import compiled, put
 from ...systems.linear import Array
+from .arrays import LEARNED, RECENT, Design, Plant, Record, Stage
+from .products import add_scaled, affine, product
+from .window import learn
 
-__all__ = ["Design", "Plant", "Record", "Stage", "advance"]
+__all__ = ["advance"]
 
-Integers = NDArray[np.int64]
-
-# Columns of Stage.counters
-_SLOT, _AGE, _STALE, _RECENT, _LEARNED = 0, 1, 2, 3, 4
-# theta, rows and gain are padded with zeros to a multiple of this, which the passes run faster over.
-PADDING = 4
-# Samples between two rebuilds of the gain matrix, in windows.
-REFRESH_WINDOWS = 10
-# A row that leaves with this much of the gain's information forces a rebuild.
-DOWNDATE_LIMIT = 1e-4
-# Beyond this ratio of window energy to alpha the recursion has no digits left: solve directly.
-DIRECT_LIMIT = 1e11
 # Simulated output over the largest measured one: beyond it the correction has diverged.
 DIVERGED = 1e6
-
-
-class Plant(NamedTuple):
-    """Scaled discrete model: x+ = A x + B w + B_u u, y = C x + D w + D_u u."""
-
-    A: Array
-    B: Array
-    Bu: Array
-    C: Array
-    D: Array
-    Du: Array
-
-
-class Design(NamedTuple):
-    """Settings of one stage; `H` has shape (mu, n_y, l_u)."""
-
-    H: Array
-    delay: int
-    order: int
-    alpha: float
-
-
-class Stage(NamedTuple):
-    """Everything that one stage remembers.
-
-    theta : (m,), the rows of the (l_u, l_psi) matrix and padding;
-    gain : (m, m), (Phi'Phi + alpha I)^-1
-    but for the last sample's change, which is pending, (2, m);
-    rows, offsets : the window, (p n_y, m) and (p n_y,); psi : (l_psi,);
-    past_psi, past_u : the last samples, as a ring; x : (n,);
-    energy : (1,), trace of Phi'Phi; counters : (5,).
-    """
-
-    theta: Array
-    gain: Array
-    pending: Array
-    rows: Array
-    offsets: Array
-    psi: Array
-    past_psi: Array
-    past_u: Array
-    x: Array
-    energy: Array
-    counters: Integers
-
-
-class Record(NamedTuple):
-    """What a block leaves behind, time first; of length 0 where it was not asked for."""
-
-    z1: Array
-    z2: Array
-    theta1: Array
-    theta2: Array
-    x: Array
-
-
-def _product_arrays(matrix: Array, vector: Array) -> Array:
-    """Matrix times vector."""
-    return matrix @ vector
-
-
-@compiled
-def _product_loops(matrix: Array, vector: Array) -> Array:
-    """Like `_product_arrays`, without the call into BLAS, which costs more than a small product."""
-    count, m = matrix.shape
-    out = np.empty(count)
-    for i in range(count):
-        total = 0.0
-        for j in range(m):
-            total += matrix[i, j] * vector[j]
-        out[i] = total
-    return out
-
-
-def _affine_arrays(A: Array, x: Array, B: Array, w: Array, E: Array, u: Array) -> Array:
-    """A x + B w + E u."""
-    return A @ x + B @ w + E @ u
-
-
-@compiled
-def _affine_loops(A: Array, x: Array, B: Array, w: Array, E: Array, u: Array) -> Array:
-    """Like `_affine_arrays`, with one array made instead of five."""
-    out = np.empty(A.shape[0])
-    for i in range(out.size):
-        total = 0.0
-        for j in range(x.size):
-            total += A[i, j] * x[j]
-        for j in range(w.size):
-            total += B[i, j] * w[j]
-        for j in range(u.size):
-            total += E[i, j] * u[j]
-        out[i] = total
-    return out
-
-
-def _gradient_arrays(rows: Array, offsets: Array, theta: Array) -> Array:
-    """Phi'(f + Phi theta), half the gradient of the retrospective cost at theta."""
-    return (rows @ theta + offsets) @ rows
-
-
-@compiled
-def _gradient_loops(rows: Array, offsets: Array, theta: Array) -> Array:
-    """Like `_gradient_arrays`, as one pass over the window, four rows at a time."""
-    count, m = rows.shape
-    gradient = np.zeros(m)
-    whole = count - count % 4
-    for i in range(0, whole, 4):
-        row1, row2, row3, row4 = rows[i], rows[i + 1], rows[i + 2], rows[i + 3]
-        f1, f2, f3, f4 = 0.0, 0.0, 0.0, 0.0
-        for j in range(m):
-            entry = theta[j]
-            f1 += row1[j] * entry
-            f2 += row2[j] * entry
-            f3 += row3[j] * entry
-            f4 += row4[j] * entry
-        f1 += offsets[i]
-        f2 += offsets[i + 1]
-        f3 += offsets[i + 2]
-        f4 += offsets[i + 3]
-        for j in range(m):
-            gradient[j] += f1 * row1[j] + f2 * row2[j] + f3 * row3[j] + f4 * row4[j]
-    for i in range(whole, count):
-        row1 = rows[i]
-        f1 = offsets[i]
-        for j in range(m):
-            f1 += row1[j] * theta[j]
-        for j in range(m):
-            gradient[j] += f1 * row1[j]
-    return gradient
-
-
-def _slide_arrays(gain: Array, pending: Array, new: Array, old: Array, gradient: Array, step: Array) -> float:
-    """Let `new` enter the window and `old` leave it: a rank-2 change of the gain.
-
-    The change is left in `pending`, to be applied on the next pass over the
-    gain: gain - pending[0] pending[0]' + pending[1] pending[1]'. `step`
-    becomes the new gain times `gradient`. Returns the pivot of the downdate;
-    near zero means that the leaving row held nearly all that was known of
-    some direction.
-    """
-    # gain is symmetric, so its transpose is the Fortran array that dger updates in place
-    dger(-1.0, pending[0], pending[0], a=gain.T, overwrite_a=1)
-    dger(1.0, pending[1], pending[1], a=gain.T, overwrite_a=1)
-    a, b = gain @ new, gain @ old
-    step[:] = gain @ gradient
-    # Sherman and Morrison's formula twice
-    grow = 1.0 / (1.0 + a @ new)
-    step -= (grow * (a @ gradient)) * a
-    b -= (grow * (a @ old)) * a
-    pivot = 1.0 - b @ old
-    shrink = 1.0 / pivot if pivot > 0.0 else 0.0
-    step += (shrink * (b @ gradient)) * b
-    pending[0] = np.sqrt(grow) * a
-    pending[1] = np.sqrt(shrink) * b
-    return float(pivot)
-
-
-@compiled
-def _slide_loops(gain: Array, pending: Array, new: Array, old: Array, gradient: Array, step: Array) -> float:
-    """Like `_slide_arrays`, as one fused pass over the gain matrix, two rows at a time."""
-    m = new.size
-    a = np.empty(m)
-    b = np.empty(m)
-    less, more = pending[0], pending[1]
-    for i in range(0, m, 2):  # m is a multiple of PADDING
-        row1, row2 = gain[i], gain[i + 1]
-        less1, more1, less2, more2 = less[i], more[i], less[i + 1], more[i + 1]
-        new1, old1, gradient1, new2, old2, gradient2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for j in range(m):
-            entry1 = row1[j] - less1 * less[j] + more1 * more[j]
-            entry2 = row2[j] - less2 * less[j] + more2 * more[j]
-            row1[j] = entry1
-            row2[j] = entry2
-            new1 += entry1 * new[j]
-            old1 += entry1 * old[j]
-            gradient1 += entry1 * gradient[j]
-            new2 += entry2 * new[j]
-            old2 += entry2 * old[j]
-            gradient2 += entry2 * gradient[j]
-        a[i], a[i + 1] = new1, new2
-        b[i], b[i + 1] = old1, old2
-        step[i], step[i + 1] = gradient1, gradient2
-    # Sherman and Morrison's formula twice
-    with_new, with_old, with_gradient = 0.0, 0.0, 0.0
-    for j in range(m):
-        with_new += a[j] * new[j]
-        with_old += a[j] * old[j]
-        with_gradient += a[j] * gradient[j]
-    grow = 1.0 / (1.0 + with_new)
-    root, shared, along = np.sqrt(grow), grow * with_old, grow * with_gradient
-    with_old, with_gradient = 0.0, 0.0
-    for j in range(m):
-        less[j] = root * a[j]
-        b[j] -= shared * a[j]
-        with_old += b[j] * old[j]
-        with_gradient += b[j] * gradient[j]
-    pivot = 1.0 - with_old
-    shrink = 1.0 / pivot if pivot > 0.0 else 0.0
-    root, back = np.sqrt(shrink), shrink * with_gradient
-    for j in range(m):
-        more[j] = root * b[j]
-        step[j] += back * b[j] - along * a[j]
-    return pivot
-
-
-def _add_scaled_arrays(out: Array, at: int, factor: float, values: Array) -> None:
-    """Add a multiple of a row to a part of another."""
-    out[at : at + values.size] += factor * values
-
-
-@compiled
-def _add_scaled_loops(out: Array, at: int, factor: float, values: Array) -> None:
-    """Like `_add_scaled_arrays`."""
-    for i in range(values.size):
-        out[at + i] += factor * values[i]
-
-
-_add_scaled = _add_scaled_loops if NUMBA else _add_scaled_arrays
-affine = _affine_loops if NUMBA else _affine_arrays
-product = _product_loops if NUMBA else _product_arrays
-half_gradient = _gradient_loops if NUMBA else _gradient_arrays
-slide = _slide_loops if NUMBA else _slide_arrays
-
-
-@compiled
-def refresh(stage: Stage, alpha: float) -> None:
-    """Rebuild the gain matrix from the rows: one after the other enters an empty window."""
-    count, m = stage.rows.shape
-    energy = 0.0
-    for i in range(count):
-        energy += stage.rows[i] @ stage.rows[i]
-    stage.energy[0] = energy
-    stage.counters[_AGE] = 0
-    stage.counters[_STALE] = 1 if energy > DIRECT_LIMIT * alpha else 0
-    if stage.counters[_STALE] == 1:
-        return
-    stage.gain[:, :] = 0.0
-    for i in range(m):
-        stage.gain[i, i] = 1.0 / alpha
-    stage.pending[:] = 0.0
-    nothing, unused = np.zeros(m), np.zeros(m)
-    for i in range(count):
-        slide(stage.gain, stage.pending, stage.rows[i], nothing, nothing, unused)
-
-
-@compiled
-def _reflect(column: Array, v: Array) -> None:
-    """Householder's reflection of a column in the plane across v."""
-    column -= (2.0 * (column @ v) / (v @ v)) * v
-
-
-@compiled
-def direct_step(rows: Array, residual: Array, alpha: float) -> Array:
-    """Minimize |residual + rows s|^2 + alpha |s|^2 by Householder's reflections."""
-    count, m = rows.shape
-    right = np.zeros(count + m)  # -residual; 0
-    columns = np.zeros((m, count + m))  # of [rows; sqrt(alpha) I]
-    for i in range(count):
-        right[i] = -residual[i]
-        put(columns[:, i], 0, rows[i])
-    step = np.zeros(m)
-    for j in range(m):
-        columns[j, count + j] = np.sqrt(alpha)
-    for j in range(m):
-        v = columns[j].copy()
-        v[:j] = 0.0
-        size = np.sqrt(v @ v)
-        v[j] += size if v[j] > 0.0 else -size
-        for i in range(j, m):
-            _reflect(columns[i], v)
-        _reflect(right, v)
-    for j in range(m - 1, -1, -1):
-        step[j] = right[j] / columns[j, j]
-        right -= step[j] * columns[j]
-    return step
-
-
-@compiled
-def learn(stage: Stage, design: Design, new: Array, offsets: Array) -> None:
-    """Slide the window by one sample and minimize the retrospective cost.
-
-    The step is theta -= gain Phi'(f + Phi theta): the part of theta that the
-    window does not see is never touched, and an error of the gain does not
-    move the minimizer.
-    """
-    n_y, m = new.shape
-    window = stage.rows.shape[0] // n_y
-    counters = stage.counters
-    slot = counters[_SLOT] * n_y
-    old = stage.rows[slot : slot + n_y].copy()
-    put_rows(stage.rows[slot : slot + n_y], new)
-    put(stage.offsets, slot, offsets)
-    counters[_SLOT] = (counters[_SLOT] + 1) % window
-    counters[_AGE] += 1
-    counters[_LEARNED] += 1
-    theta = stage.theta
-    gradient = half_gradient(stage.rows, stage.offsets, theta)
-    step = np.empty(m)
-    pivot = 1.0
-    for r in range(n_y):
-        stage.energy[0] += new[r] @ new[r] - old[r] @ old[r]
-        if counters[_STALE] == 0:
-            pivot = min(pivot, slide(stage.gain, stage.pending, new[r], old[r], gradient, step))
-    due = counters[_AGE] >= REFRESH_WINDOWS * window or pivot < DOWNDATE_LIMIT
-    if due or counters[_STALE] == 1 or stage.energy[0] > DIRECT_LIMIT * design.alpha:
-        refresh(stage, design.alpha)
-        if counters[_STALE] == 1:
-            step = direct_step(stage.rows, product(stage.rows, theta) + stage.offsets, design.alpha)
-        else:
-            nothing = np.zeros(m)
-            slide(stage.gain, stage.pending, nothing, nothing, gradient, step)
-            step = -step
-        theta += step
-    else:
-        theta -= step
 
 
 @compiled
@@ -358,7 +25,7 @@ def remember(stage: Stage, order: int, x: Array, w: Array) -> Array:
     """Shift x(k) and w(k) into the regressor, and return the correction u(k) = theta psi."""
     psi = stage.psi
     n, n_w, l_u = x.size, w.size, stage.past_u.shape[1]
-    recent = stage.counters[_RECENT]
+    recent = stage.counters[RECENT]
     first_w = (order + 1) * n
     first_u = first_w + (order + 1) * n_w
     if order > 0:
@@ -370,7 +37,7 @@ def remember(stage: Stage, order: int, x: Array, w: Array) -> Array:
     put(psi, first_w, w)
     u = product(stage.theta[: l_u * psi.size].reshape(l_u, psi.size), psi)
     recent = (recent + 1) % stage.past_u.shape[0]
-    stage.counters[_RECENT] = recent
+    stage.counters[RECENT] = recent
     put(stage.past_psi[recent], 0, psi)
     put(stage.past_u[recent], 0, u)
     return u
@@ -395,7 +62,7 @@ def filtered(design: Design, past_psi: Array, recent: int, width: int) -> Array:
         psi = past_psi[(recent - design.delay - i) % past_psi.shape[0]]
         for r in range(n_y):
             for c in range(l_u):
-                _add_scaled(rows[r], c * q, design.H[i, r, c], psi)
+                add_scaled(rows[r], c * q, design.H[i, r, c], psi)
     return rows
 
 
@@ -458,7 +125,7 @@ def advance(
         if not bounded(simulated, u, x, limit):
             return k, 1
         z1 = simulated - y[k]
-        recent = stage1.counters[_RECENT]
+        recent = stage1.counters[RECENT]
         offsets = z1 - reach(design1, stage1.past_u, recent)
         # y^ predicted from the states of stage 1 is y_Delta with u2 in the place of u1
         # over the span of the Markov parameters: free of theta2 but for that span.
@@ -471,7 +138,7 @@ def advance(
 
         x2 = x if estimated else stage2.x.copy()
         u = remember(stage2, design2.order, x2, w[k])
-        recent = stage2.counters[_RECENT]
+        recent = stage2.counters[RECENT]
         if estimated:
             offsets = z2
             z2 = offsets + reach(design2, stage2.past_u, recent)
@@ -484,7 +151,7 @@ def advance(
         learn(stage2, design2, filtered(design2, stage2.past_psi, recent, stage2.theta.size), offsets)
         if not np.isfinite(stage2.theta.sum()):
             return k, 2
-        put(recent_theta[(stage2.counters[_LEARNED] - 1) % recent_theta.shape[0]], 0, stage2.theta)
+        put(recent_theta[(stage2.counters[LEARNED] - 1) % recent_theta.shape[0]], 0, stage2.theta)
         _follow(levels[0], rate, y[k])
         _follow(levels[1], rate, z1)
         _follow(levels[2], rate, z2)

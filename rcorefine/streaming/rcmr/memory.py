@@ -8,7 +8,7 @@ import numpy as np
 
 from ...systems.linear import Array
 from ..restoring import check_like, check_range
-from .kernels import Design, Plant, Stage
+from .arrays import Design, Plant, Stage
 from .path import markov_parameters
 from .scaling import Scales, scaled_plant
 from .stage import copied, start
@@ -72,15 +72,18 @@ class Memory:
         count = min(max(learned, 1), self.recent_theta.shape[0])
         return np.asarray(self.recent_theta[:count].mean(axis=0))
 
-    def copied(self) -> Memory:
-        """Independent copy of what changes in place."""
-        first, second = self.stages
-        return replace(
-            self,
-            stages=(copied(first), copied(second)),
-            peak=self.peak.copy(),
-            levels=self.levels.copy(),
-            recent_theta=self.recent_theta.copy(),
+    def copied(self, n_samples: int) -> Memory:
+        """Independent copy of what changes in place, for so many samples."""
+        first, second = self.stages  # dataclasses.replace takes as long as a stage
+        return Memory(
+            (copied(first), copied(second)),
+            self.peak.copy(),
+            self.levels.copy(),
+            self.recent_theta.copy(),
+            self.inputs,
+            self.outputs,
+            n_samples,
+            self.tuned,
         )
 
 

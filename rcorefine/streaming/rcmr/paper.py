@@ -13,9 +13,9 @@ from ...systems.nearest import nearest_continuous
 from .. import summary
 from ..gaps import Block
 from ..restoring import check_course
+from .arrays import Record
 from .gaps import take_over_gaps
 from .history import History, pole_samples, poles_of
-from .kernels import Record
 from .memory import Memory, begin, restored_memory
 from .realization import refined
 from .scaling import Scales

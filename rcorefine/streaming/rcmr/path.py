@@ -8,7 +8,7 @@ from scipy import linalg
 
 from ...exceptions import ModelError
 from ...systems.linear import Array
-from .kernels import Plant
+from .arrays import Plant
 
 __all__ = ["TOLERANCE", "column_delays", "markov_parameters", "path_zeros", "relative_degree"]
 

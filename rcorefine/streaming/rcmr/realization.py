@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...systems.linear import Array, LinearModel
-from .kernels import Plant
+from .arrays import Plant
 
 __all__ = ["refined", "with_lags"]
 

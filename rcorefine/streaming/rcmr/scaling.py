@@ -16,7 +16,7 @@ import numpy as np
 from ...arguments import as_array
 from ...exceptions import DataError, ModelError
 from ...systems.linear import Array
-from .kernels import Plant
+from .arrays import Plant
 from .path import column_delays
 
 __all__ = ["Scales", "declared_scales", "is_settled", "measured_scales", "scaled_plant"]
@@ -98,12 +98,7 @@ def measured_scales(
         for k in range(n_samples):
             total += x**2
             x = plant.A @ x + plant.B @ w[:, k]
-    if not np.isfinite(total).all():
-        raise ModelError(
-            f"the initial model grows beyond floating point within {n_samples} samples: it is unstable. "
-            "Declare scale={...} with states, or start from a stable model"
-        )
-    states = _filled(np.sqrt(total / n_samples), plant, corrections, n_samples)
+    states = _filled(np.sqrt(_finite(total, n_samples) / n_samples), plant, corrections, n_samples)
     return Scales(inputs, outputs, states, corrections)
 
 
@@ -170,6 +165,10 @@ def _power(a: Array, b: Array, n_samples: int) -> Array:
         for k in range(1, n_samples):
             total += (step**2).sum(axis=1) * ((n_samples - k) / n_samples)
             step = a @ step
+    return _finite(total, n_samples)
+
+
+def _finite(total: Array, n_samples: int) -> Array:
     if not np.isfinite(total).all():
         raise ModelError(
             f"the initial model grows beyond floating point within {n_samples} samples: it is unstable. "

@@ -14,7 +14,7 @@ from ...systems.conversion import to_discrete
 from ...systems.discretization import check_sampling_time, discretize
 from ...systems.linear import Array, LinearModel
 from ..checks import as_matrix, as_rate, as_size
-from .kernels import Plant
+from .arrays import Plant
 from .memory import Settings
 from .path import column_delays, relative_degree
 from .scaling import Scales, declared_scales

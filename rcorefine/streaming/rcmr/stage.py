@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from ...systems.linear import Array
-from .kernels import PADDING, Design, Stage
+from .arrays import PADDING, Design, Stage
 from .scaling import Scales
 
 __all__ = ["copied", "in_units", "regressor_length", "regressor_scale", "start"]
@@ -52,8 +50,7 @@ def start(design: Design, n: int, n_w: int, window: int, memory: int) -> Stage:
 
 def copied(stage: Stage) -> Stage:
     """Independent copy, on which a block can fail without harm."""
-    arrays: Any = (array.copy() for array in stage)
-    return Stage(*arrays)
+    return Stage._make(map(np.ndarray.copy, stage))
 
 
 def regressor_scale(states: Array, inputs: Array, corrections: Array, order: int) -> Array:

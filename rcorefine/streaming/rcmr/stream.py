@@ -8,8 +8,9 @@ import numpy as np
 
 from ...exceptions import DivergenceError
 from ...systems.linear import Array
+from .arrays import Record
 from .divergence import explain
-from .kernels import Record, advance
+from .kernels import advance
 from .memory import Memory, Tuned, tuned
 from .scaling import Scales, is_settled, measured_scales
 from .setup import Setup
@@ -65,8 +66,9 @@ def take(
             outputs=outputs[:0].copy(),
             tuned=tuned(setup.plant, scales, setup.delay, setup.settings),
         )
-    record = _advanced(setup, memory := memory.copied(), inputs, outputs, n_samples - inputs.shape[0], keep)
-    return replace(memory, n_samples=n_samples), record, outputs
+    memory = memory.copied(n_samples)
+    record = _advanced(setup, memory, inputs, outputs, n_samples - inputs.shape[0], keep)
+    return memory, record, outputs
 
 
 def take_until(
@@ -99,8 +101,10 @@ def found_scales(setup: Setup, inputs: Array, outputs: Array, before: int, last:
     return measured_scales(setup.plant, inputs.T, outputs.T, labels) if last else None
 
 
-def _advanced(setup: Setup, memory: Memory, inputs: Array, outputs: Array, first: int, keep: bool) -> Record:
-    """Run both stages over the block, in place."""
+def _advanced(
+    setup: Setup, memory: Memory, inputs: Array, outputs: Array, first: int, keep: bool
+) -> Record | None:
+    """Run both stages over the block, in place; with `keep` the course of every sample."""
     assert memory.tuned is not None
     scales, plant, designs = memory.tuned.scales, memory.tuned.plant, memory.tuned.designs
     stages = memory.stages
@@ -127,6 +131,8 @@ def _advanced(setup: Setup, memory: Memory, inputs: Array, outputs: Array, first
         )
     if stage:
         raise Diverged(_explained(setup, memory, first + done, stage), done, memory.tuned)
+    if not keep:
+        return None
     return Record(
         record.z1 * scales.outputs,
         record.z2 * scales.outputs,

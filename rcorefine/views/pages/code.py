@@ -280,15 +280,13 @@ def script(*blocks: Sequence[str]) -> str:
     )
 
 
-def refinement_code(refinement: Refinement, settings: Mapping[str, Any] | None = None) -> list[str]:
+def refinement_code(refinement: Refinement) -> list[str]:
     """Lines that fit a refinement again, from its own estimates.
 
     Parameters
     ----------
     refinement : Refinement
         What was found.
-    settings : mapping, optional
-        Options of `refine` as they were given; where they are not known, what the roles of the effects tell.
 
     Returns
     -------
@@ -303,16 +301,14 @@ def refinement_code(refinement: Refinement, settings: Mapping[str, Any] | None =
             asked.append(effect.replace(start=found))
         elif role == "linear":
             floating.append(effect)
-    options = dict(settings or {})
-    if settings is None:
-        options["offset"] = "offset" in refinement.roles
-        if floating:
-            options["free"] = floating
+    options: dict[str, Any] = {"offset": "offset" in refinement.roles}
+    if floating:
+        options["free"] = floating
     lines = [
         f"effects = {effects_code(asked)}",
         "better = rco.refine(model, data, effects" + call_options(options) + ")",
     ]
-    if settings is None and floating:
+    if floating:
         lines.insert(0, "# the linear parameters below floated; give tolerance= too if you gave it")
     return lines
 

@@ -1,0 +1,139 @@
+"""Outputs that show nothing of the motion: a verdict rests on the others, and says so."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.signal import correlate
+
+from ..data.channels import match_channels, record_for, with_outputs
+from ..data.measurement import Measurement
+from ..data.range_ends import runs
+from ..data.response_record import in_frequency
+from ..effects.effect import Effect
+from ..engine.simulation import simulate
+from ..exceptions import DivergenceError
+from ..inference.autoregression import autoregression
+from ..inference.whitening import innovations
+from ..models.conversion import as_physical
+from ..models.physical_model import PhysicalModel
+from ..systems.linear import Array
+
+__all__ = ["without_dead_sensors"]
+
+_LONG = 0.05  # of the record, from which one value that repeats is a sensor that has stopped
+_NOISY = 0.01  # repeated samples elsewhere, up to which the sensor has noise that never repeats
+_LAGS = 100
+_ALIKE = 0.2  # correlation with the model from which a sensor shows something
+_SPREAD = 4.0  # standard deviations of a sum of so many squared correlations
+
+
+def without_dead_sensors(
+    model: Any, records: Sequence[Measurement], asked: Sequence[Effect] | None
+) -> tuple[Any, list[Measurement], Sequence[Effect] | None, tuple[str, ...]]:
+    """Model, records and candidates without outputs that show nothing, and a sentence on each of these.
+
+    Leaving a signal out can cost power, but makes no claim about the others. A sensor in a control loop, or
+    of a nonlinear or refined model, is left in: more than its record hangs on it.
+
+    Parameters
+    ----------
+    model : StateSpace, PhysicalModel or Refinement
+        Model.
+    records : sequence of Measurement
+        Records.
+    asked : sequence of Effect, or None
+        Candidates that were asked for.
+
+    Returns
+    -------
+    model, records, asked
+        As they were where every output shows something, or none does.
+    said : tuple of str
+        Which are left out, and why.
+    """
+    same = model, list(records), asked, ()
+    if in_frequency(records) or hasattr(model, "physical_model"):
+        return same
+    physical = as_physical(model)
+    point = physical.operating_point
+    if physical.controller is not None or (point is not None and point.field is not None):
+        return same
+    ordered = [record_for(record, match_channels(physical.linear, record)) for record in records]
+    labels = physical.linear.output_labels
+    if any(record.n_outputs < len(labels) for record in ordered):
+        return same
+    found = [next(filter(None, (_fault(physical, r, i) for r in ordered)), "") for i in range(len(labels))]
+    kept = [i for i, fault in enumerate(found) if not fault]
+    if not kept or len(kept) == len(labels):
+        return same
+    said = tuple(
+        f"{label} is left out: {fault}. The verdict rests on {', '.join(labels[i] for i in kept)}."
+        for label, fault in zip(labels, found, strict=True)
+        if fault
+    )
+    lost = {labels[i] for i in range(len(labels)) if i not in kept}
+    left = None if asked is None else [effect for effect in asked if effect.place not in lost]
+    return _with_outputs(physical, kept), [with_outputs(r, kept) for r in ordered], left, said
+
+
+def _fault(model: PhysicalModel, data: Measurement, index: int) -> str:
+    """Why an output shows nothing; "" where it does."""
+    y = data.outputs[index]
+    if np.ptp(y) == 0:
+        return "it never changes"
+    first, end = runs(np.append(np.diff(y) == 0, False))
+    if first.size:
+        longest = int(np.argmax(end - first))
+        length = int(end[longest] - first[longest]) + 1
+        elsewhere = int(np.sum(end - first)) + 1 - length
+        value = y[first[longest]]
+        noisy = elsewhere < _NOISY * y.size and y.min() < value < y.max()
+        if noisy and length > max(_LONG * y.size, 20):
+            return (
+                f"from sample {first[longest]} on it repeats one value {length} times, to the last digit, "
+                "where its noise never did: the sensor has stopped"
+            )
+    if y.size > 5 * _LAGS and all(_unrelated(y, w) for w in data.inputs if np.ptp(w) > 0):
+        moved = [row for i, row in enumerate(data.outputs) if i != index and np.ptp(row) > 0]
+        others = any(not _unrelated(row, w) for row in moved for w in data.inputs if np.ptp(w) > 0)
+        if others and not _foreseen(model, data, index):
+            return "it moves with none of the inputs, as noise alone does, and other outputs do"
+    return ""
+
+
+def _unrelated(y: Array, w: Array) -> bool:
+    """Whether what is new in an output has nothing of what is new in an input, up to 100 samples before."""
+    one, other = (innovations(autoregression(row)[0], row - row.mean()) for row in (y, w))
+    n = y.size
+    r = correlate(one, other, mode="full", method="fft")[n - 1 : n - 1 + _LAGS]
+    r = r / float(np.linalg.norm(one) * np.linalg.norm(other) or 1.0)
+    return bool(n * float(r @ r) < _LAGS + _SPREAD * np.sqrt(2 * _LAGS))
+
+
+def _foreseen(model: PhysicalModel, data: Measurement, index: int) -> bool:
+    """Whether the output goes along with what the model says, also where that has no bounds."""
+    try:
+        run = simulate(model, data, "zero").outputs[index]
+    except DivergenceError:
+        return True
+    return np.ptp(run) == 0 or abs(float(np.corrcoef(run, data.outputs[index])[0, 1])) > _ALIKE
+
+
+def _with_outputs(model: PhysicalModel, rows: list[int]) -> PhysicalModel:
+    """The model with some of its outputs."""
+    linear, point = model.linear, model.operating_point
+    labels = tuple(linear.output_labels[i] for i in rows)
+    return replace(
+        model,
+        linear=linear.with_arrays(C=linear.C[rows], D=linear.D[rows], output_labels=labels),
+        output_state=model.output_state[rows],
+        output_rate=model.output_rate[rows],
+        output_input=model.output_input[rows],
+        output_units=tuple(model.output_units[i] for i in rows) if model.output_units else (),
+        ports=tuple(replace(p, output=p.output[rows]) if p.output.size else p for p in model.ports),
+        operating_point=None if point is None else replace(point, outputs=point.outputs[rows]),
+    )

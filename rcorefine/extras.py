@@ -1,0 +1,35 @@
+"""Optional dependencies: imported when they are first needed, and named where they are missing."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from .exceptions import MissingExtraError
+
+__all__ = ["needed"]
+
+
+def needed(module: str, extra: str, what: str) -> Any:
+    """A module that not everybody has.
+
+    Parameters
+    ----------
+    module : str
+        Name, as it is imported.
+    extra : str
+        Extra of this package that installs it.
+    what : str
+        What needs it.
+
+    Raises
+    ------
+    MissingExtraError
+        If it is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise MissingExtraError(
+            f'{what} needs {module}; install the extra "{extra}": pip install "rcorefine[{extra}]"'
+        ) from error

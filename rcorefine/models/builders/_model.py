@@ -1,0 +1,43 @@
+"""The physical model that a builder hands over: matrices, readout, places, and what signals are called."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from ...arguments import as_text
+from ...systems.linear import Array, LinearModel
+from ..parameters import NominalParameter
+from ..physical_model import PhysicalModel
+from ..ports import Port
+from ._checks import as_labels
+
+#: Arguments `inputs`, `outputs`, `states` and `name` of a builder, as they were given.
+Given = tuple[Any, Any, Any, Any]
+
+
+def built(
+    A: Array,
+    B: Array,
+    readout: tuple[Array, Array, Array],
+    given: Given,
+    *,
+    labels: tuple[Sequence[str], Sequence[str], Sequence[str]],
+    units: tuple[Sequence[str], Sequence[str], Sequence[str]],
+    ports: Sequence[Port],
+    parameters: Sequence[NominalParameter],
+) -> PhysicalModel:
+    """Model with outputs ``state @ x + rate @ dx/dt + direct @ w``; labels are those where none are given."""
+    state, rate, direct = readout
+    inputs, outputs, states = (
+        as_labels(own, what, default)
+        for own, what, default in zip(given, ("inputs", "outputs", "states"), labels, strict=False)
+    )
+    linear = LinearModel(
+        A, B, state + rate @ A, direct + rate @ B, 0,
+        input_labels=inputs, output_labels=outputs, state_labels=states, name=as_text(given[3], "name"),
+    )  # fmt: skip
+    return PhysicalModel(
+        linear, state, rate, direct, tuple(ports), tuple(parameters),
+        input_units=tuple(units[0]), output_units=tuple(units[1]), state_units=tuple(units[2]),
+    )  # fmt: skip

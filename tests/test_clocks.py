@@ -1,0 +1,113 @@
+"""Inputs and outputs by two clocks: against the exact solution at the times of either clock."""
+
+from __future__ import annotations
+
+import warnings
+
+import control as ct
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import rcorefine as rco
+from rcorefine.engine.engine import Engine
+from rcorefine.engine.structure import Structure
+from rcorefine.inference.starts import growing_lags
+
+A, B = np.array([[0.0, 1.0], [-380.0, -0.4]]), np.array([0.0, 1.0])
+MODEL = ct.ss(A, B[:, None], [[1.0, 0.0]], 0, states=["x", "v"], inputs="force", outputs="x")
+DT = 0.02
+
+
+def solution(force, *, inputs=0.0, outputs=0.0):
+    """Displacement at k dt (1 + outputs) under a force that is held from k dt (1 + inputs) on: exact."""
+    step = DT * (1 + inputs)
+    whole = np.block([[A, B[:, None]], [np.zeros((1, 3))]])
+    states = [np.zeros(2)]
+    for u in force:
+        M = expm(whole * step)
+        states.append(M[:2, :2] @ states[-1] + M[:2, 2] * u)
+    y = np.empty(force.size)
+    for k, t in enumerate(DT * (1 + outputs) * np.arange(force.size)):
+        at = min(int(t / step + 1e-9), force.size - 1)
+        M = expm(whole * (t - at * step))
+        y[k] = M[0, :2] @ states[at] + M[0, 2] * force[at]
+    return y
+
+
+def record(seed, n=900, noise=0.03, **clocks):
+    rng = np.random.default_rng(seed)
+    force = np.repeat(rng.standard_normal(n // 3), 3)
+    y = solution(force, **clocks)
+    y = y + noise * y.std() * rng.standard_normal(n)
+    return rco.Measurement(force, y, dt=DT, input_labels="force", output_labels="x")
+
+
+@pytest.mark.parametrize("slow", [0.003, -0.004])
+@pytest.mark.parametrize("whose", ["inputs", "outputs"])
+def test_two_clocks_against_the_exact_solution(whose, slow):
+    data = record(0, noise=0.0, **{whose: slow})
+    theta = np.array([slow, slow] if whose == "outputs" else [1 / (1 + slow) - 1, 0.0])
+    structure = Structure(MODEL, [rco.Effect("clocks_apart", "force")])
+    errors = []
+    for substeps in (8, 32):
+        engine = Engine(structure, data, substeps=substeps, initial=np.zeros(2))
+        judged = engine.judged(theta)[0]
+        assert (~judged).sum() <= np.ceil(abs(slow) * judged.size)
+        errors.append(np.std((engine.run(theta).outputs - data.outputs)[:, judged]) / data.outputs.std())
+    assert errors[0] < 3e-3
+    assert errors[1] < errors[0] / 8  # the edges between the samples are of second order
+
+
+def test_a_part_of_the_record_keeps_its_lag():
+    data = record(1, noise=0.0, outputs=0.004)
+    structure = Structure(MODEL, [rco.Effect("clocks_apart", "force")])
+    theta = np.array([0.004, 0.004])
+    whole = Engine(structure, data, substeps=8)
+    run = whole.run(theta, histories=True)
+    later = Engine(structure, data.split(500 / 900)[1], substeps=8)
+    again = later.run(theta, run.states[:, 500])
+    judged = later.judged(theta)[0]
+    np.testing.assert_allclose(
+        again.outputs[:, judged], run.outputs[:, 500:][:, judged], atol=1e-3 * data.outputs.std()
+    )
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh", "bandlimited"])
+def test_derivatives_are_those_of_the_simulation(hold):
+    data = record(2, n=300, noise=0.0)
+    data = rco.Measurement(data.inputs, data.outputs, dt=DT, hold=hold)
+    engine = Engine(Structure(MODEL, [rco.Effect("clocks_apart", "force")]), data, substeps=8)
+    theta, step = np.array([0.0031, 0.0013]), 2e-6
+    slopes = engine.run(theta).sensitivity
+    for i, unit in enumerate(np.eye(2)):
+        ahead, behind = (engine.run(theta + s * step * unit).outputs for s in (1, -1))
+        numeric = (ahead - behind) / (2 * step)
+        np.testing.assert_allclose(slopes[:, :, i], numeric, atol=0.02 * np.abs(numeric).max())
+
+
+@pytest.mark.parametrize(("whose", "slow"), [("outputs", 0.0012), ("inputs", -0.002)])
+def test_clocks_that_run_apart_are_named(whose, slow):
+    data = record(3, n=3000, **{whose: slow})
+    assert growing_lags(Structure(MODEL), [data])[0] == pytest.approx(
+        slow if whose == "outputs" else -slow, abs=5e-4
+    )
+    found = rco.diagnose(MODEL, data)
+    assert (found.verdict, found.best.effect.kind) == ("effect", "clocks_apart")
+    expected = (slow, slow) if whose == "outputs" else (1 / (1 + slow) - 1, 0.0)
+    for name, value in zip(("apart", "slow"), expected, strict=True):
+        assert abs(found.best.coefficients[name] - value) < 4 * found.best.std[name]
+    assert "correct the record" in " ".join(str(found).split())
+
+
+def test_no_stream_no_response_and_no_equations_of_two_clocks():
+    data, effect = record(4, n=600), rco.Effect("clocks_apart", "force")
+    with pytest.raises(rco.ModelError, match="stream"):
+        rco.RCORefiner(MODEL, effects=[effect], dt=DT)
+    with pytest.raises(rco.ModelError, match="in time"):
+        rco.refine(MODEL, ct.frequency_response(MODEL, [1.0, 10.0, 30.0]), [effect])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rco.IdentifiabilityWarning)
+        found = rco.refine(MODEL, data, [effect])
+    with pytest.raises(rco.ModelError, match="state equation"):
+        _ = found.nonlinear
