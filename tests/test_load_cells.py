@@ -84,6 +84,16 @@ def test_friction_beside_a_cell_and_in_it_are_two_things(beside, rng):
     assert {at[place] for _, place in named(found)} == {beside}
 
 
+def test_two_cells_of_one_support_read_one_force():
+    """The second, which reads twice as much with the other sign, is no place of its own."""
+    s = plain("link1")
+    twice = ct.ss(s.A, s.B, s.C[[0, 0, 1]] * [[1.0], [-2.0], [1.0]], 0, states=NAMES["states"], inputs=["F"],
+                  outputs=["cell", "other", "pos"])  # fmt: skip
+    (port,) = (p for p in as_physical(twice).ports if p.output.any())
+    assert port.name == "x1 (cell)"
+    np.testing.assert_allclose(port.output, [1.0, -2.0, 0.0])
+
+
 def test_a_shunt_whose_resistance_stands_in_C_comes_home(rng):
     def shunt(R):
         A = [[-300.0, -100.0, 0.0], [5000.0, 0.0, -5000.0], [0.0, 50.0, -50.0 * R]]

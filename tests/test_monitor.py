@@ -18,8 +18,10 @@ from scipy.stats import binom, chi2, poisson
 
 import rcorefine as rco
 from rcorefine.streaming.gaps import whole_block
+from rcorefine.streaming.monitor.saving import content_of
 from rcorefine.streaming.monitor.stream import Stream
 from rcorefine.streaming.monitor.thresholds import crossing_rate, threshold
+from rcorefine.streaming.persistence import write_file
 
 SHORT = 3000  # healthy samples before a change
 
@@ -471,6 +473,13 @@ def test_saved_or_pickled_in_the_middle_it_goes_on_the_same(tmp_path):
             other.update(w[start:], y[start:])
         assert str(other) == str(monitor)
         assert np.array_equal(_figures(other), _figures(monitor), equal_nan=True)
+    with pytest.raises(FileNotFoundError):
+        rco.Monitor.load(tmp_path / "none.npz")
+    content = content_of(monitor)
+    del content["layout"]  # as in files of version 0.1
+    write_file(tmp_path / "old.npz", content)
+    with pytest.raises(rco.DataError, match=r"another version of rcorefine .* let it learn"):
+        rco.Monitor.load(tmp_path / "old.npz")
     (tmp_path / "other.npz").write_bytes(b"nothing")
     with pytest.raises(rco.DataError, match="not a saved|damaged"):
         rco.Monitor.load(tmp_path / "other.npz")

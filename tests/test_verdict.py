@@ -73,7 +73,8 @@ def test_a_law_that_passes_stands_beside_a_force_of_no_law_that_is_likelier() ->
 def test_levels_of_a_session() -> None:
     ct.config.defaults["rcorefine.rival"] = 6.0
     try:
-        assert levels().rival == 6.0
+        ct.config.defaults["rcorefine.departs"] = Levels().departs  # its own default, which is 0
+        assert (levels().rival, levels().departs) == (6.0, 0.0)
         ct.config.defaults["rcorefine.rivals"] = 6.0
         with pytest.raises(ct.ControlArgument, match="rcorefine.rivals; there is noise_excess"):
             levels()
@@ -82,5 +83,5 @@ def test_levels_of_a_session() -> None:
         with pytest.raises(ct.ControlArgument, match="positive number"):
             levels()
     finally:
-        for name in ("rcorefine.rival", "rcorefine.rivals"):
+        for name in ("rcorefine.rival", "rcorefine.rivals", "rcorefine.departs"):
             ct.config.defaults.pop(name, None)

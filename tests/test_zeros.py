@@ -56,7 +56,7 @@ def test_offsets_alone_are_no_missing_law(seed: int) -> None:
 
 def test_offsets_have_priors_in_the_size_of_their_signals() -> None:
     data = rotors(4, (6.0, -2.0))
-    found = offsets_everywhere(shaft(), data)
+    found = offsets_everywhere(shaft(), [data])
     assert len(found) == 3
     sd = np.array([effect.prior["offset"] for effect in found])
     rms = np.sqrt(np.mean(np.vstack([data.inputs, data.outputs]) ** 2, axis=1))

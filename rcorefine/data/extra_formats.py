@@ -39,13 +39,13 @@ def read_hdf5(path: Any, names: Sequence[str], reader: str = "from_hdf5") -> Col
             asked = {n: found[k] for n, k in places.items() if k in found and k not in texts}
             _check_source(path, asked)
             read = {n: np.asarray(item) for n, item in asked.items()}
-        return vectors(path, shown | read, names)
     except DataError:
         raise
     except Exception as error:  # h5py fails in a dozen ways on what is damaged
         raise DataError(
             f"{path} is not an HDF5 file that h5py can read, or it is damaged: {error}"
         ) from error
+    return vectors(path, shown | read, names)
 
 
 def _check_source(path: Any, asked: dict[str, Any]) -> None:
@@ -53,10 +53,14 @@ def _check_source(path: Any, asked: dict[str, Any]) -> None:
     for name, item in asked.items():
         if item.external or item.is_virtual:
             raise DataError(f"{path}: the data set {name!r} lies in another file; copy its values here")
-    claimed, room = sum(item.size * 8 for item in asked.values()), most_bytes(os.path.getsize(path))
+    claimed, room = (
+        sum(item.size * item.dtype.itemsize for item in asked.values()),
+        most_bytes(os.path.getsize(path)),
+    )
     if claimed > room:
         raise DataError(
-            f"{path}: {', '.join(asked)} claim {claimed} bytes, {room} are allowed in a file of its size"
+            f"{path}: {', '.join(asked)} claim {claimed} bytes, {room} are allowed in a file of its "
+            "size; save what packs so well without compression"
         )
 
 

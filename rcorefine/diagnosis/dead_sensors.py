@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.signal import correlate
 
+from ..arguments import as_noise
 from ..data.channels import match_channels, record_for, with_outputs
 from ..data.measurement import Measurement
 from ..data.range_ends import runs
@@ -22,7 +23,7 @@ from ..models.conversion import as_physical
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 
-__all__ = ["without_dead_sensors"]
+__all__ = ["Watched", "without_dead_sensors"]
 
 _LONG = 0.05  # of the record, from which one value that repeats is a sensor that has stopped
 _NOISY = 0.01  # repeated samples elsewhere, up to which the sensor has noise that never repeats
@@ -31,13 +32,55 @@ _ALIKE = 0.2  # correlation with the model from which a sensor shows something
 _SPREAD = 4.0  # standard deviations of a sum of so many squared correlations
 
 
-def without_dead_sensors(
-    model: Any, records: Sequence[Measurement], asked: Sequence[Effect] | None
-) -> tuple[Any, list[Measurement], Sequence[Effect] | None, tuple[str, ...]]:
-    """Model, records and candidates without outputs that show nothing, and a sentence on each of these.
+@dataclass(frozen=True, slots=True)
+class Watched:
+    """A model without the outputs that show nothing, and what belongs to it of what a user gives.
+
+    Attributes
+    ----------
+    whole : PhysicalModel
+        With every output.
+    kept : tuple of int
+        Outputs that show something.
+    said : tuple of str
+        Which are left out, and why.
+    """
+
+    whole: PhysicalModel
+    kept: tuple[int, ...]
+    said: tuple[str, ...]
+
+    @property
+    def model(self) -> PhysicalModel:
+        """The model with the outputs that are kept."""
+        return _with_outputs(self.whole, list(self.kept))
+
+    def record(self, data: Measurement) -> Measurement:
+        """A record of any order of channels, with the outputs that are kept in that of the model."""
+        return with_outputs(record_for(data, match_channels(self.whole.linear, data)), self.kept)
+
+    def noise(self, noise: Any) -> Any:
+        """Declared noise of the outputs that are kept; one for all of them stays."""
+        given = as_noise(noise, self.whole.linear.n_outputs)
+        return noise if given is None or np.ndim(noise) == 0 else given[list(self.kept)]
+
+    def effects(self, given: Sequence[Any]) -> list[Any]:
+        """Entries without the laws of sensors that are left out."""
+        labels = self.whole.linear.output_labels
+        lost = {label for i, label in enumerate(labels) if i not in self.kept}
+        return [
+            one
+            for one in given
+            if not (isinstance(one, Effect) and "output" in one.spec.where and one.place in lost)
+        ]
+
+
+def without_dead_sensors(model: Any, records: Sequence[Measurement]) -> Watched | None:
+    """What is left of a model where outputs show nothing in any record; None where nothing is left out.
 
     Leaving a signal out can cost power, but makes no claim about the others. A sensor in a control loop, or
-    of a nonlinear or refined model, is left in: more than its record hangs on it.
+    of a nonlinear or refined model, is left in: more than its record hangs on it. So is one that is at
+    fault in some of the records only.
 
     Parameters
     ----------
@@ -45,39 +88,33 @@ def without_dead_sensors(
         Model.
     records : sequence of Measurement
         Records.
-    asked : sequence of Effect, or None
-        Candidates that were asked for.
 
     Returns
     -------
-    model, records, asked
-        As they were where every output shows something, or none does.
-    said : tuple of str
-        Which are left out, and why.
+    Watched or None
+        None, too, where no output shows anything.
     """
-    same = model, list(records), asked, ()
     if in_frequency(records) or hasattr(model, "physical_model"):
-        return same
+        return None
     physical = as_physical(model)
     point = physical.operating_point
     if physical.controller is not None or (point is not None and point.field is not None):
-        return same
+        return None
     ordered = [record_for(record, match_channels(physical.linear, record)) for record in records]
     labels = physical.linear.output_labels
     if any(record.n_outputs < len(labels) for record in ordered):
-        return same
-    found = [next(filter(None, (_fault(physical, r, i) for r in ordered)), "") for i in range(len(labels))]
-    kept = [i for i, fault in enumerate(found) if not fault]
+        return None
+    faults = [[_fault(physical, record, i) for record in ordered] for i in range(len(labels))]
+    kept = tuple(i for i, found in enumerate(faults) if not all(found))
     if not kept or len(kept) == len(labels):
-        return same
+        return None
+    rest = ", ".join(labels[i] for i in kept)
     said = tuple(
-        f"{label} is left out: {fault}. The verdict rests on {', '.join(labels[i] for i in kept)}."
-        for label, fault in zip(labels, found, strict=True)
-        if fault
+        f"{label} is left out: {' and '.join(dict.fromkeys(found))}. The verdict rests on {rest}."
+        for label, found in zip(labels, faults, strict=True)
+        if all(found)
     )
-    lost = {labels[i] for i in range(len(labels)) if i not in kept}
-    left = None if asked is None else [effect for effect in asked if effect.place not in lost]
-    return _with_outputs(physical, kept), [with_outputs(r, kept) for r in ordered], left, said
+    return Watched(physical, kept, said)
 
 
 def _fault(model: PhysicalModel, data: Measurement, index: int) -> str:

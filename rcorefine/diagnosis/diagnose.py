@@ -128,6 +128,9 @@ def diagnose(
     within 4.6 of that of all the numbers, averaged over their prior. Rivals are compared by
     their likelihood under the whitening filter of the best one.
 
+    An output of several that shows nothing in any record (constant, stopped, or noise alone) is left out with
+    all that belongs to it; the notes say which and why, and `Diagnosis.records` holds what was kept.
+
     Examples
     --------
     >>> import numpy as np, rcorefine as rco
@@ -142,17 +145,24 @@ def diagnose(
     'adequate'
     """
     significance = as_share(significance, "significance")
-    records = as_data(data, horizon=horizon, noise=noise, controller=controller)
-    model = under_control(model, controller, data)
+    given = as_data(data, horizon=horizon, noise=noise, controller=controller)
+    model = seen = under_control(model, controller, data)
     candidates = None if candidates is None else as_effects(candidates, "candidates")
-    watched, live, candidates, silent = without_dead_sensors(model, records, candidates)
+    if validation is not None:
+        check_validation(model, validation)
     options: dict[str, Any] = {"free": free, "tolerance": tolerance, "offset": offset}
     options |= {"noise": noise, "horizon": horizon}
     check_settings(as_physical(model), **options)
-    if validation is not None:
-        check_validation(model, validation)
-    given, seen, records = records, model, spread_lines(live)
-    model = watched
+    live, silent = given, tuple[str, ...]()
+    watched = without_dead_sensors(model, given)
+    if watched is not None:
+        model, live, silent = watched.model, [watched.record(one) for one in given], watched.said
+        options["noise"] = watched.noise(noise)
+        entries = [free] if isinstance(free, Effect) else free
+        options["free"] = free if isinstance(free, str) else watched.effects(entries)
+        candidates = None if candidates is None else watched.effects(candidates)
+        validation = None if validation is None else watched.record(validation)
+    records = spread_lines(live)
     with own_arithmetic(), unheard(IdentifiabilityWarning), Progress(progress, executor) as steps:
         with steps.step("model as it is"):
             base = base_fit(model, records, **options)
@@ -168,7 +178,7 @@ def diagnose(
             progress=steps,
         )
         said = about_noise(base.physical_model, records, live)
-        return replace(found, checks=odd, records=tuple(given), notes=(*silent, *found.notes, *said))
+        return replace(found, checks=odd, records=tuple(live), notes=(*silent, *found.notes, *said))
 
 
 def investigate(
@@ -284,8 +294,8 @@ def _with_zeros_sought(
         progress=case.progress,
         thorough=case.thorough,
     )
-    named = found.verdict in ("effect", "ambiguous")
-    return (found, race) if named or gains_by_zeros(case, judged, race) else None
+    explains = found.verdict != "unexplained"
+    return (found, race) if explains or gains_by_zeros(case, judged, race) else None
 
 
 def _named(

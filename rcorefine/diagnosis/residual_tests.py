@@ -60,7 +60,7 @@ class TestedResidual:
         self.residual = self.whitener.apply([r for r, _ in blocks])
         self._judged = fitted.problem.judged(fitted.theta)
         fits = self.whitener.apply([j * fitted.problem.sizes for _, j in blocks])
-        lead = [] if ratio else [self.whiten(fitted.lead_columns())]
+        lead = [] if ratio else [self.whitener.apply(fitted.lead_columns)]
         self.basis = rank_basis(np.hstack([fits, *lead]))
         self.left = project(self.residual, self.basis)
         self._weights = self._weighted = None

@@ -40,7 +40,7 @@ def zeros_sought(case: Case, judged: Judged) -> Refinement | None:
     y = np.concatenate([record.outputs for record in case.ordered], axis=1)
     if not np.any(np.abs(y.mean(axis=1)) > case.levels.zero * y.std(axis=1)):
         return None  # a zero that is off by as little is not what the laws fail by
-    offsets = offsets_everywhere(case.base.physical_model, case.ordered[0])
+    offsets = offsets_everywhere(case.base.physical_model, case.ordered)
     with case.progress.step("offsets elsewhere"):
         return refit(case.base, case.records, offsets=offsets, elsewhere=False, **case.options)
 

@@ -123,10 +123,10 @@ class InputSignal:
             signal, slopes = self._statics(structure, theta, here, channel, samples)
             delay, column = _delay(structure, theta, here)
             signals = [signal, *slopes.values()]
-            at_nodes, at_samples, by_time = self._shifted(np.array(signals), delay, drift)
+            at_nodes, at_samples, by_delay, by_drift = self._shifted(np.array(signals), delay, drift)
             W[:, channel], Wout[:, channel] = at_nodes[0], at_samples[0]
             derivatives = list(zip(slopes, at_nodes[1:], at_samples[1:], strict=True))
-            derivatives += [(which, *rates) for which, rates in zip((column, *drifts), by_time, strict=False)]
+            derivatives += [(column, *by_delay), *((which, *by_drift) for which in drifts)]
             for which, fine, coarse in derivatives:
                 if which >= 0:
                     driven.append(which)
@@ -177,7 +177,7 @@ class InputSignal:
 
     def _shifted(
         self, signals: Array, delay: float, drift: float
-    ) -> tuple[Array, Array, list[tuple[Array, Array]]]:
+    ) -> tuple[Array, Array, tuple[Array, Array], tuple[Array, Array]]:
         """Signals (k, points) at the nodes and samples, taken at other times, and what these do to the first.
 
         At time t of the record they are what they were at t - delay + drift t. The derivatives are those by
@@ -207,7 +207,7 @@ class InputSignal:
             at_edges = levels[0][np.clip(np.floor(edges / self.dt + 1e-9).astype(int), -1, n - 1) + 1]
             by_delay = -np.diff(at_edges) / width
             by_drift = np.diff(at_edges * (self.begin + grid)) / width - means[0] / (1.0 + drift)
-            return np.array(means), held, [(by_delay, np.zeros(n)), (by_drift, np.zeros(n))]
+            return np.array(means), held, (by_delay, np.zeros(n)), (by_drift, np.zeros(n))
         step = self.dt / self.substeps
         grid = np.arange(signals.shape[1]) * step
         shifted = times(grid)
@@ -215,8 +215,8 @@ class InputSignal:
         cell = np.clip(np.floor(shifted / step + 1e-9).astype(int), 0, len(grid) - 2)
         known = (shifted >= 0) & (shifted <= grid[-1])
         rate = np.where(known, np.diff(signals[0])[cell] / step, 0.0)
-        rates = -rate, rate * (self.begin + grid)
-        return at_nodes, at_nodes[:, :: self.substeps], [(r, r[:: self.substeps]) for r in rates]
+        by_delay, by_drift = ((r, r[:: self.substeps]) for r in (-rate, rate * (self.begin + grid)))
+        return at_nodes, at_nodes[:, :: self.substeps], by_delay, by_drift
 
 
 def _refine(w: Array, factor: int) -> Array:

@@ -162,15 +162,15 @@ def offset_variants(physical: PhysicalModel, record: Measurement, offset: bool) 
     return [at_inputs + rest, at_outputs]
 
 
-def offsets_everywhere(physical: PhysicalModel, record: Measurement) -> list[Effect]:
+def offsets_everywhere(physical: PhysicalModel, records: Sequence[Measurement]) -> list[Effect]:
     """A constant offset at every input and output; what a linear model cannot tell, priors settle."""
     linear = physical.linear
     found = []
     for law, labels, signals, wide in (
-        (InputOffset, linear.input_labels, record.inputs, _OFF["inputs"]),
-        (OutputOffset, linear.output_labels, record.outputs, _OFF["outputs"]),
+        (InputOffset, linear.input_labels, [r.inputs for r in records], _OFF["inputs"]),
+        (OutputOffset, linear.output_labels, [r.outputs for r in records], _OFF["outputs"]),
     ):
-        for label, signal in zip(labels, signals, strict=True):
+        for label, signal in zip(labels, np.concatenate(signals, axis=1), strict=True):
             size = float(np.sqrt(np.mean(signal**2)))
             found.append(Effect(law.name, label, prior={"offset": wide * (size or 1.0)}))
     return found

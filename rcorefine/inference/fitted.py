@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -112,8 +113,9 @@ class FittedModel:
             self._states[ratio] = found
         return self._states[ratio]
 
+    @cached_property
     def lead_columns(self) -> list[Array]:
-        """What a stronger lead of each output would do to the residual: (n_y, N, k) per record.
+        """What a stronger lead of each output would do to the judged residual: (n_y, N, k) per record.
 
         None where the run is free, or a controller leads it, which is known. No observer of a nonlinear
         model is the best one, and what a better one would gain is no fault of the model.
@@ -128,8 +130,10 @@ class FittedModel:
             for i, (engine, start) in enumerate(zip(self.problem.engines, starts, strict=True)):
                 run = engine.run(theta, start, sensitivity=False, gain=stronger, check=False)
                 led = self.problem.weights[:, None] * (run.outputs - engine.data.outputs)
-                columns[i][:, :, k] = np.nan_to_num(led - self.residuals()[i])
-        return columns
+                if np.isfinite(led).all():  # a lead that lets the run blow up is none
+                    columns[i][:, :, k] = led - self.residuals()[i]
+        judged = self.problem.judged(theta)
+        return [weight[:, :, None] * block for weight, block in zip(judged, columns, strict=True)]
 
     def port(self, name: str, ratio: float, record: int) -> tuple[Array, Array]:
         """Displacement and velocity (N,) at a port."""

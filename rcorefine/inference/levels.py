@@ -192,7 +192,7 @@ def levels() -> Levels:
     Raises
     ------
     ControlArgument
-        If ``control.config`` holds a level that there is none of, or that is no positive number.
+        If ``control.config`` holds a level that there is none of, or that is not positive (nor the default).
 
     Examples
     --------
@@ -207,11 +207,12 @@ def levels() -> Levels:
     """
     prefix = "rcorefine."
     given = {k.removeprefix(prefix): v for k, v in ct.config.defaults.items() if k.startswith(prefix)}
-    known = [field.name for field in fields(Levels)]
+    known = {field.name: field.default for field in fields(Levels)}
     for name, value in given.items():
         if name not in known:
             raise ct.ControlArgument(f"control.config holds rcorefine.{name}; there is {', '.join(known)}")
-        if not isinstance(value, (int, float)) or isinstance(value, bool) or not value > 0:
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        if not number or not (value > 0 or value == known[name]):
             raise ct.ControlArgument(
                 f"rcorefine.{name} in control.config is {value!r}; give a positive number"
             )

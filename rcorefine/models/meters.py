@@ -46,7 +46,8 @@ def find_meters(
         With zero rows for sensors that read a force.
     ports : tuple of Port
         With what the sensors read of a force there. A force at a single mass may act beside the cell: where
-        the port holds one, a port ``"x1 (cell)"`` stands for what the sensor ``"cell"`` reads.
+        the port holds one, a port ``"x1 (cell)"`` stands for what the sensor ``"cell"``, and any other at the
+        same place, reads.
     parameters : tuple of NominalParameter
         Springs and dampers at the ports that hold them.
 
@@ -58,6 +59,7 @@ def find_meters(
     An accelerometer at a mass that only that link holds reads the same force over the mass.
     """
     found, moved, rate = list(ports), list(parameters), rate.copy()
+    cells: dict[str, str] = {}  # by the port of a single mass that they stand beside
     if is_companion(linear.A, 1e-9):
         return rate, tuple(found), tuple(moved)
     for y, label in enumerate(linear.output_labels):
@@ -71,8 +73,9 @@ def find_meters(
         rate[y] = 0.0
         felt = np.zeros(linear.n_outputs)
         felt[y] = scale
-        at = next(i for i, other in enumerate(found) if other.name == port.name)
-        if np.count_nonzero(port.act) > 1:
+        name = port.name if np.count_nonzero(port.act) > 1 else cells.get(port.name, "")
+        if name:
+            at = next(i for i, other in enumerate(found) if other.name == name)
             known = found[at].output
             found[at] = replace(found[at], output=felt + (known if known.size else 0.0))
             continue
@@ -82,7 +85,8 @@ def find_meters(
             output=felt,
             description=f"{port.description}; its force is read by {label}",
         )
-        found.insert(at + 1, cell)
+        cells[port.name] = cell.name
+        found.insert(1 + next(i for i, other in enumerate(found) if other.name == port.name), cell)
         moved = [replace(q, place=cell.name) if q.place == port.name else q for q in moved]
     return rate, tuple(found), tuple(moved)
 

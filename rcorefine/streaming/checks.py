@@ -9,7 +9,7 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_array, as_number, as_whole
-from ..data.signals import check_sizes
+from ..data.signals import SMALLEST, check_sizes
 from ..exceptions import DataError, ModelError
 from ..systems.linear import Array, LinearModel
 
@@ -82,6 +82,8 @@ def as_block(model: LinearModel, w: Any, y: Any) -> tuple[Array, Array]:
             f"inputs have {inputs.shape[1]} sample(s) and outputs {outputs.shape[1]}; "
             "give both at the same samples"
         )
+    # what is too small to have a square counts as nothing
+    inputs, outputs = (np.where(np.abs(one) < SMALLEST, 0.0, one) for one in (inputs, outputs))
     return inputs, outputs
 
 

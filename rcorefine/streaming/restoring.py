@@ -38,13 +38,15 @@ def damaged(path: str | PathLike[str]) -> Iterator[None]:
     Raises
     ------
     DataError
-        For any error that is not of this package or of python-control.
+        For any error that is not of this package, of python-control, or of the system about the file.
     """
     try:
         yield
     except _OURS:
         raise
     except Exception as error:
+        if isinstance(error, OSError) and error.filename is not None:
+            raise  # no file there, or none that may be read
         raise DataError(f"{fspath(path)!r} is damaged: {type(error).__name__}: {error}") from error
 
 

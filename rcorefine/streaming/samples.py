@@ -41,14 +41,13 @@ def checked_block(
         and w.shape == (model.n_inputs,)
         and y.shape == (model.n_outputs,)
         and w.dtype == y.dtype == np.float64
-        and sum(map(abs, w.tolist())) + sum(map(abs, y.tolist())) < LARGEST  # and no NaN
+        and sum(sizes := [abs(value) for value in (*w.tolist(), *y.tolist())]) < LARGEST  # and no NaN
+        and min(size or 1.0 for size in sizes) >= SMALLEST
     ):
         return w[None].copy(), y[None].copy()
     inputs, outputs = as_block(model, w, y)
     check_samples(inputs, model.input_labels, "input", first, step)
     check_samples(outputs, model.output_labels, "output", first, step)
-    # what is too small to have a square counts as nothing
-    inputs, outputs = (np.where(np.abs(one) < SMALLEST, 0.0, one) for one in (inputs, outputs))
     return np.ascontiguousarray(inputs.T), np.ascontiguousarray(outputs.T)
 
 

@@ -23,7 +23,9 @@ def growth(model: LinearModel) -> float:
 
 
 def stabilized(model: LinearModel, limit: float) -> LinearModel:
-    """Model whose modes that grow faster than `limit` are slowed down to it; the others stay.
+    """Model whose modes that grow faster than `limit` are slowed down alike, the fastest to it.
+
+    The others stay, unless rounding cannot tell on which side of the limit a mode is: then all slow down.
 
     Parameters
     ----------

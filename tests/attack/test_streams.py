@@ -124,3 +124,11 @@ def test_denormal_signals_are_silence():
         refiner.update(np.full(500, 5e-324), np.full((2, 500), 1e-310))
     assert np.isfinite(refiner.system.A).all()
     assert abs(refiner.parameters[0].coefficient - before) < 1.0
+    found = []
+    for tiny in (0.0, 1e-310):  # one sample by itself
+        refiner = rco.RCORefiner(MODEL, dt=0.02, effects=[LOST])
+        refiner.update(w, y)
+        for _ in range(5):
+            refiner.update(np.full(1, tiny), np.full(2, tiny))
+        found.append(refiner.parameters[0].coefficient)
+    assert found[0] == found[1]

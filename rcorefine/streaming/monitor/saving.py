@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...engine.structure import Structure
+from ...exceptions import DataError
 from ..gaps import Block
 from ..persistence import storable
 from ..restoring import check_like
@@ -30,6 +31,7 @@ _SETTINGS = (
     "dt", "false_alarms", "learn", "disturbance", "hold", "missing", "windows", "patience", "tolerance",
     "candidates",
 )  # fmt: skip
+_LAYOUT = 2  # of the content; raised when what a monitor learned changes its form
 storable(Adequacy, Alarm, Bank, Block, Healthy, MonitorRow, Watch, Windows)
 
 
@@ -54,6 +56,7 @@ def content_of(monitor: Monitor) -> dict[str, Any]:
     stream = monitor._stream
     return {
         "what": "monitor",
+        "layout": _LAYOUT,
         "base": {
             "physical": s.model,
             "effects": s.effects,
@@ -84,6 +87,11 @@ def content_of(monitor: Monitor) -> dict[str, Any]:
 
 def restored(cls: type[Monitor], content: Any) -> Monitor:
     """The monitor that `content` was taken from, every part held against what a fresh one would be."""
+    if content.get("layout") != _LAYOUT:
+        raise DataError(
+            "this monitor was saved by another version of rcorefine (one without number: before 0.2), which "
+            "learned other numbers: make it anew and let it learn, or load it with that version"
+        )
     settings, base = dict(content["settings"]), content["base"]
     monitor = cls(_Base(base), settings.pop("candidates"), **settings)
     check_monitor(monitor, content)
