@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import warnings
 
 import control as ct
@@ -71,6 +72,41 @@ def test_a_part_of_the_record_keeps_its_lag():
     np.testing.assert_allclose(
         again.outputs[:, judged], run.outputs[:, 500:][:, judged], atol=1e-3 * data.outputs.std()
     )
+
+
+@pytest.mark.parametrize("since", [1.7e9, -3.0e4])
+def test_it_does_not_matter_what_the_times_count_from(since):
+    data, effect = record(5, outputs=0.002), rco.Effect("clocks_apart", "force")
+    shifted = rco.Measurement(
+        data.inputs, data.outputs, timepts=since + data.timepts, input_labels="force", output_labels="x"
+    )
+    assert shifted.dt == data.dt
+    ours, theirs = (rco.refine(MODEL, one.split(0.6)[0], [effect]) for one in (data, shifted))
+    assert ours.fit > 95
+    for one, other in zip(ours.parameters, theirs.parameters, strict=True):
+        assert other.value == pytest.approx(one.value, rel=1e-9, abs=1e-12)
+    for part in (slice(0, 1), slice(1, 2)):  # the rest of the record, too, knows the lag it had
+        one, other = data.split(0.6)[part][0], shifted.split(0.6)[part][0]
+        runs = [rco.simulate(found, d).outputs for found, d in ((ours, one), (theirs, other))]
+        np.testing.assert_allclose(*runs, rtol=1e-9, atol=1e-12)
+        assert rco.compare(theirs, other).fit == pytest.approx(rco.compare(ours, one).fit, rel=1e-9)
+    assert rco.compare(ours, data.split(0.6)[1]).fit > 95
+
+
+def test_a_record_cut_by_hand_says_how_long_it_had_run():
+    data = record(6, outputs=0.004)
+    later = data.split(0.5)[1]
+    own = rco.Measurement(later.inputs, later.outputs, dt=DT, input_labels="force", output_labels="x")
+    told = rco.Measurement(
+        later.inputs, later.outputs, dt=DT, input_labels="force", output_labels="x", elapsed=450 * DT
+    )
+    fits = [rco.refine(MODEL, one, [rco.Effect("clocks_apart", "force")]).fit for one in (later, told, own)]
+    assert fits[0] == pytest.approx(fits[1], rel=1e-9)
+    assert fits[1] > fits[2] + 1  # a lag of two samples, which own denies
+    assert (later.elapsed, own.elapsed) == (pytest.approx(450 * DT), 0.0)
+    assert pickle.loads(pickle.dumps(later)).elapsed == later.elapsed
+    slow = later.with_hold("foh").decimate(2)
+    assert slow.elapsed == pytest.approx(later.elapsed + slow.timepts[0] - later.timepts[0])
 
 
 @pytest.mark.parametrize("hold", ["zoh", "foh", "bandlimited"])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import control as ct
 import numpy as np
 
-from ..arguments import as_choice, as_labels, as_text, as_texts, as_vector, as_whole
+from ..arguments import as_choice, as_labels, as_number, as_text, as_texts, as_vector, as_whole
 from ..exceptions import ExcitationWarning, warn
 from ..results import Options, Result, picture, show
 from ..systems.linear import Array
@@ -59,6 +59,9 @@ class Measurement(Result, RecordReaders, RecordParts):
         resampled. They stand below its table.
     origin : array_like of shape (n_w + n_y,), optional
         What was taken off each input, then each output, before (`deviation`); default nothing.
+    elapsed : float
+        Seconds from where the recording began to the first sample; default 0, and parts keep count. Clocks
+        that run apart (`clocks_apart`) agree where it began, whatever the times themselves count from.
 
     Attributes
     ----------
@@ -108,6 +111,7 @@ class Measurement(Result, RecordReaders, RecordParts):
     name: str
     notes: tuple[str, ...]
     origin: Array
+    elapsed: float
 
     def __init__(
         self,
@@ -124,6 +128,7 @@ class Measurement(Result, RecordReaders, RecordParts):
         name: str | None = None,
         notes: Sequence[str] = (),
         origin: Any = None,
+        elapsed: float = 0.0,
     ) -> None:
         w = as_signals(inputs, "inputs")
         y = as_signals(outputs, "outputs")
@@ -150,8 +155,10 @@ class Measurement(Result, RecordReaders, RecordParts):
         w_units = _units(input_units, "input_units", w.shape[0])
         y_units = _units(output_units, "output_units", y.shape[0])
         said = as_texts(notes, "notes")
+        passed = as_number(elapsed, "elapsed", what="a time in seconds")
         values = (
             w, y, step, times, hold, w_labels, y_labels, w_units, y_units, name or "measured", said, taken,
+            passed,
         )  # fmt: skip
         for field, value in zip(FIELDS, values, strict=True):
             object.__setattr__(self, field, value)

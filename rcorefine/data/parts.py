@@ -16,7 +16,7 @@ __all__ = ["FIELDS", "RecordParts"]
 
 FIELDS = (
     "inputs", "outputs", "dt", "timepts", "hold", "input_labels", "output_labels",
-    "input_units", "output_units", "name", "notes", "origin",
+    "input_units", "output_units", "name", "notes", "origin", "elapsed",
 )  # fmt: skip
 
 
@@ -33,6 +33,7 @@ class RecordParts:
         hold: str
         notes: tuple[str, ...]
         origin: Array
+        elapsed: float
 
         def __init__(self, inputs: Any, outputs: Any, **options: Any) -> None: ...
 
@@ -201,7 +202,8 @@ class RecordParts:
         """
         as_whole(factor, "factor", least=2, most=10_000)
         found = decimated(self.inputs, self.outputs, self.dt, self.timepts, self.hold, int(factor))
-        return self._changed(**found._asdict() | {"notes": (*self.notes, *found.notes)})
+        kept = {"notes": (*self.notes, *found.notes), "elapsed": self.elapsed + found.elapsed}
+        return self._changed(**found._asdict() | kept)
 
     def _part(self, where: slice, hold: str | None = None) -> Self:
         return self._changed(
@@ -209,6 +211,7 @@ class RecordParts:
             outputs=self.outputs[:, where],
             timepts=self.timepts[where],
             hold=hold or self.hold,
+            elapsed=self.elapsed + self.dt * range(self.n_samples)[where][0],
         )
 
     def _changed(self, **changes: Any) -> Self:

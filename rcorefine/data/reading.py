@@ -281,8 +281,8 @@ class RecordReaders(LabReaders):
         more than the error itself). Held inputs become their mean over each
         step of the grid: a switch between two grid points is shared by two
         samples, so the impulse that the system got is kept, and what is left
-        is of second order in the step. Clocks that run apart cannot be told
-        from a delay; `diagnose` may name it.
+        is of second order in the step. Inputs and outputs
+        whose clocks run apart stay apart: `diagnose` may name it (`clocks_apart`).
 
         Examples
         --------

@@ -12,6 +12,7 @@ from scipy.signal import fftconvolve
 from ..arguments import as_array
 from ..exceptions import DataError
 from ..systems.linear import Array
+from .signals import step_of
 
 __all__ = ["Resampled", "as_stamps", "decimated", "regular"]
 
@@ -32,6 +33,7 @@ class Resampled(NamedTuple):
     timepts: Array
     hold: str
     notes: tuple[str, ...]
+    elapsed: float = 0.0  # s that were cut off before the first sample
 
 
 def decimated(inputs: Array, outputs: Array, dt: float, timepts: Array, hold: str, factor: int) -> Resampled:
@@ -101,8 +103,9 @@ def decimated(inputs: Array, outputs: Array, dt: float, timepts: Array, hold: st
     )
     times = timepts[half + 1 : timepts.size - half - 1 : factor]
     return Resampled(
-        through(inputs, held), through(outputs, taps), factor * dt, times, "bandlimited", (note,)
-    )
+        through(inputs, held), through(outputs, taps), factor * dt, times, "bandlimited", (note,),
+        (half + 1) * dt,
+    )  # fmt: skip
 
 
 def _response(t: Array, dt: float, factor: int) -> Array:
@@ -154,7 +157,7 @@ def regular(
     for times, name, held in ((t_w, "inputs", hold == "zoh"), (t_y, "outputs", False)):
         if not held:  # a held input may be stamped only when it changes
             _check_gaps(times, name, longest_gap)
-    dt = float(f"{step:.12g}") if dt is None else dt
+    dt = step if dt is None else dt
     factor = 1 if dt <= 1.1 * step else int(np.ceil(dt / step * (1 - 1e-9)))
     first, last = max(t_w[0], t_y[0]), min(t_w[-1] if hold != "zoh" else np.inf, t_y[-1])
     count = int(np.floor((last - first) / (dt / factor) * (1 + 1e-12))) + 1
@@ -218,7 +221,7 @@ def _step(times: Array) -> float:
     steps = np.diff(times)
     usual = np.median(steps)
     counts = np.where(steps > 1.75 * usual, np.round(steps / usual), 1.0)  # jitter is not a lost sample
-    return float((times[-1] - times[0]) / counts.sum())
+    return step_of(times, int(counts.sum()))
 
 
 def _check_gaps(times: Array, name: str, longest: float | None) -> None:

@@ -12,7 +12,7 @@ from ..arguments import as_array, as_number
 from ..exceptions import DataError
 from ..systems.linear import Array
 
-__all__ = ["HOLDS", "as_signals", "as_time_grid", "check_finite", "check_sizes", "default_labels"]
+__all__ = ["HOLDS", "as_signals", "as_time_grid", "check_finite", "check_sizes", "default_labels", "step_of"]
 
 HOLDS = ("zoh", "foh", "bandlimited")
 
@@ -129,8 +129,7 @@ def as_time_grid(dt: Any, timepts: Any, n_samples: int) -> tuple[float, Array]:
             f"timepts does not increase from sample {k} ({times[k]:.9g} s) "
             f"to sample {k + 1} ({times[k + 1]:.9g} s); sort the record and remove doubled samples"
         )
-    # 12 digits keep 0.01 from becoming 0.010000000000000002
-    mean = float(f"{(times[-1] - times[0]) / (n_samples - 1):.12g}")
+    mean = step_of(times, n_samples - 1)
     _check_regular(times, steps, mean)
     if step is not None and abs(step - mean) * (n_samples - 1) > GRID_TOLERANCE * mean:
         raise DataError(
@@ -140,6 +139,17 @@ def as_time_grid(dt: Any, timepts: Any, n_samples: int) -> tuple[float, Array]:
     step = mean if step is None else step
     grid: Array = float(times[0]) + step * np.arange(n_samples, dtype=np.float64)
     return step, grid
+
+
+def step_of(times: Array, count: int) -> float:
+    """Mean of so many steps, by the fewest digits that the times themselves leave open.
+
+    12 digits keep 0.01 from becoming 0.010000000000000002; times since 1970 are good to 2e-7 s.
+    """
+    mean = float(times[-1] - times[0]) / count
+    open_ = float(np.spacing(max(abs(times[0]), abs(times[-1])))) / count
+    shorter = (float(f"{mean:.{digits}g}") for digits in range(1, 13))
+    return next((step for step in shorter if abs(step - mean) <= open_), float(f"{mean:.12g}"))
 
 
 def _check_regular(times: Array, steps: Array, mean: float) -> None:

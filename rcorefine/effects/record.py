@@ -33,7 +33,11 @@ class Clock(AbsorbedLaw):
 
 @register
 class ClocksApart(AbsorbedLaw):
-    """Inputs and outputs by two clocks: what acts comes ever earlier, or later, than the record says."""
+    """Inputs and outputs by two clocks: what acts comes ever earlier, or later, than the record says.
+
+    The clocks agree where each record began: a part of it keeps the lag that it had, a record of its own, as
+    for validation, begins without one. One that was cut elsewhere says so by `Measurement(elapsed=...)`.
+    """
 
     where = frozenset(["input"])
     coefficients = (

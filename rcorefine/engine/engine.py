@@ -102,7 +102,7 @@ class Engine:
             substeps = BAND_LIMITED_FACTOR * -(-substeps // BAND_LIMITED_FACTOR)
         self.substeps = substeps
         at_rest = initial is not None and not initial.any()
-        self._signal = InputSignal(data.inputs, data.dt, data.hold, substeps, at_rest, float(data.timepts[0]))
+        self._signal = InputSignal(data.inputs, data.dt, data.hold, substeps, at_rest, data.elapsed)
         # a copy: a read-only view would have the march compiled once more
         self._measured = np.array(data.outputs.T, order="C")
         point = structure.model.operating_point  # sensors are absolute
@@ -225,7 +225,7 @@ class Engine:
         nothing else is lost there.
         """
         s, at = self.structure, np.arange(self.data.n_samples)
-        read = at + clock_drift(s, theta)[0] * self.data.timepts / self.data.dt  # sample of the inputs
+        read = at + clock_drift(s, theta)[0] * (self.data.elapsed / self.data.dt + at)  # sample of the inputs
         found = np.tile((read > -1.0 + _WHOLE) & (read < at.size - 1 + _WHOLE), (s.n_outputs, 1))
         if found.mean() < 0.5:
             found[:] = True

@@ -79,7 +79,7 @@ class InputSignal:
         Whether the input was zero before the first sample; else a delay brings in its
         first value, for want of a better one.
     begin : float
-        Time of the first sample in seconds: where clocks run apart, they agree at 0.
+        Seconds from where the recording began to the first sample: clocks that run apart agree there.
     """
 
     def __init__(

@@ -246,7 +246,8 @@ def growing_lags(structure: Structure, records: Sequence[Measurement]) -> list[f
         run = Engine(structure, record).run(np.zeros(structure.n_parameters), sensitivity=False, check=False)
         if run.blew_up >= 0 or not np.isfinite(run.outputs).all():
             return []
-        pairs += [(record.timepts, y, free) for y, free in zip(record.outputs, run.outputs, strict=True)]
+        passed = record.elapsed + record.dt * np.arange(record.n_samples)
+        pairs += [(passed, y, free) for y, free in zip(record.outputs, run.outputs, strict=True)]
     slips = [float(t[-1] * np.std(np.gradient(x, t)) / np.std(x)) for t, _, x in pairs if np.ptp(x) > 0]
     if not slips:
         return []
