@@ -10,6 +10,7 @@ from ..inference.levels import Levels, levels
 from ..inference.sensitivities import Candidate
 from ..inference.whitening import Whitener, in_own_units, project
 from ..systems.linear import Array
+from ..words import frequency_text
 from .residual_tests import TestedResidual
 from .spectral_line import spectral_line
 
@@ -85,9 +86,9 @@ def left_to_noise(battery: TestedResidual, levels: Levels) -> str:
     line = spectral_line(residuals, problem.records[0].dt) if problem.in_time else None
     pure = ""
     if line is not None:
-        frequency, share = line
+        at, share = frequency_text(2 * np.pi * line[0]), line[1]
         pure = (
-            f" {100 * share:.0f} % of that rest is a line at {frequency:.4g} Hz: an unmeasured force or a "
+            f" {100 * share:.0f} % of that rest is a line at {at}: an unmeasured force or a "
             "disturbance of that frequency."
         )
     return (

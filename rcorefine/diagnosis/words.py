@@ -5,10 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from ..inference.levels import levels
+from ..words import chance
 from .absorbed import far_numbers, numbers_that_moved, what_was_absorbed
 from .verdict import overall
 
 if TYPE_CHECKING:
+    from ..inference.whitening import FTest
     from .result import Diagnosis
 
 __all__ = ["no_test_fires", "sentences"]
@@ -47,15 +49,13 @@ def sentences(found: Diagnosis) -> list[str]:
         lines = [f"{head} {what_was_absorbed(found.base)}".rstrip(), *_shown(found)]
     elif worst is not None:  # without motion nothing could be tested
         lines += _open_law(found)
-        fails = f"The model as it is fails: {worst.name}, p = {worst.p_value:.2g}."
+        fails = f"The model as it is fails {_test(worst)}."
         told = found.verdict != "unexplained" or overall(found.tests) < found.significance
         lines.append(fails if told else f"{no_test_fires(found)} {found.left_to_noise}".rstrip())
         failed = found.winner_tests and overall(found.winner_tests) < found.significance
         if found.verdict == "unexplained" and failed:
             left = min(found.winner_tests, key=lambda t: t.p_value)
-            lines.append(
-                f"With the best candidate the residual still fails: {left.name}, p = {left.p_value:.2g}."
-            )
+            lines.append(f"With the best candidate the residual still fails {_test(left)}.")
         if found.verdict == "parameters":
             lines.append(numbers_that_moved(found.parameters))
         if found.best is not None and found.best.effect.spec.of_record:
@@ -97,6 +97,10 @@ def sentences(found: Diagnosis) -> list[str]:
 
 def _place(found: Diagnosis) -> str:
     return f"{found.places[found.place]:.2f}" if found.place is not None else ""
+
+
+def _test(test: FTest) -> str:
+    return f"the test {test.name!r}, {chance(test.p_value, 'p')}"
 
 
 def no_test_fires(found: Diagnosis) -> str:

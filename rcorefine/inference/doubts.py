@@ -13,6 +13,7 @@ from ..data.measurement import Measurement
 from ..engine.simulation import simulated
 from ..exceptions import IdentifiabilityWarning, warn
 from ..systems.linear import Array, LinearModel
+from ..words import frequency_text
 from .covariance import pseudo_inverse
 from .levels import levels
 from .refinement import Refinement
@@ -136,10 +137,10 @@ def _too_fast(found: Refinement, fit: Any, idle: bool) -> str:
     }
     if not fast or max(_fast_share(model, fit, limit) for model in models) < levels().aliased:
         return ""
-    named = ", ".join(f"{omega:.4g}" for omega in sorted(fast)[:4])
+    named, half = frequency_text(*sorted(fast)[:4]), frequency_text(limit)
     return (
-        f"modes at {named} rad/s lie above half the sampling frequency ({limit:.4g} rad/s) and show in the "
-        "outputs: what the input does between the samples decides what they do; sample faster"
+        f"modes at {named} lie above half the sampling frequency ({half}) and show in the outputs: "
+        "what the input does between the samples decides what they do; sample faster"
     )
 
 

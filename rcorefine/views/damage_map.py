@@ -14,6 +14,7 @@ from ..exceptions import ModelError
 from ..localization.damage_map import DamageMap, DamageRow
 from ..results import shows
 from ..systems.linear import Array
+from ..words import chance
 from .figures import Frame, draws, plain, unit_text
 from .tables import WIDTH, html_table, number, text_table
 
@@ -42,7 +43,7 @@ def _change_cells(result: DamageMap) -> tuple[list[str], list[list[str]]]:
                 _value(row, row.change, row.percent),
                 _value(row, 1.96 * row.std, 1.96 * row.percent_std),
                 _value(row, row.limit, row.limit_percent) if np.isfinite(row.limit) else "none",
-                f"{row.p_value:.1g}" if row.p_value > 1e-99 else "0",
+                chance(row.p_value),
                 verdict,
             ]
         )

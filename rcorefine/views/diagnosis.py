@@ -15,6 +15,7 @@ from ..diagnosis.result import Diagnosis
 from ..effects.along_motion import unit_forces
 from ..engine.simulation import simulated
 from ..systems.linear import Array
+from ..words import chance
 from .diagnosis_of_responses import plot_of_responses
 from .figures import MEASURED, Frame, draws, style, unit_text
 from .rankings import ranking_bars, test_bars, title_of
@@ -46,7 +47,7 @@ def diagnosis_told(found: Diagnosis) -> Told:
                 f"{row.coefficients[first]:.4g}",
                 f"{row.std[first]:.2g}",
                 f"{row.fit_after:.2f}",
-                f"{row.p_value:.1e}",
+                chance(row.p_value),
                 *([f"{row.probability:.3f}"] if named else []),
             ]
         )

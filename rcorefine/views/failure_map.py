@@ -12,9 +12,10 @@ from ..comparison.failure_map.search import FailureMap
 from ..comparison.model_error import model_error
 from ..comparison.result import Comparison
 from ..exceptions import DataError
+from ..words import chance
 from .bode_axes import BodeUnits
 from .figures import BAND, MEASURED, Frame, log_labels, plain, style, unit_text
-from .tables import Table, clip, number, tabulates
+from .tables import Table, clip, tabulates
 from .traces import trace
 
 __all__ = ["ROLES", "failure_table", "plot_map"]
@@ -34,7 +35,7 @@ def failure_table(found: FailureMap) -> Table:
             row.where,
             row.measure,
             f"{100 * row.share:.0f} %",
-            _chance(row.p_value),
+            chance(row.p_value),
         ]
         for row in found.rows
     ]
@@ -57,10 +58,6 @@ def failure_table(found: FailureMap) -> Table:
         )
     notes += [f"{note}." for note in found.notes]
     return Table(_HEADERS, rows, title, notes, left=4)
-
-
-def _chance(p: float) -> str:
-    return "< 1e-99" if p < 1e-99 else number(p, 1)
 
 
 _ROWS = (1.6, 1.3, 1.5, 1.5)

@@ -25,12 +25,12 @@ def monitor_table(monitor: Monitor) -> Table:
     stream = monitor._stream
     state = monitor.alarm
     if stream is None:
-        head = f"learning, {n} of {monitor.learn} samples"
+        head = f"learning until sample {monitor.learn}"
     elif state is not None:
         head = "ALARM"
     else:
         head = "a threshold was crossed, the name is not clear yet" if monitor._watch.busy else "no alarm"
-    title = f"Monitor of {name!r}: {head}\n{n} samples ({n * monitor.dt:.6g} s)"
+    title = f"Monitor of {name!r}: {head}; {n} samples so far ({n * monitor.dt:.6g} s)"
     rows = []
     for row in monitor.ranking[:_SHOWN]:
         first = next(iter(row.coefficients))

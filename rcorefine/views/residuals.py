@@ -11,6 +11,7 @@ from ..comparison.correlation import correlogram
 from ..comparison.horizon import horizon_error
 from ..comparison.residual_tests import TestTable
 from ..comparison.result import Comparison
+from ..words import chance
 from .figures import BAND, MEASURED, Frame, plain, style, unit_text
 from .tables import Table, number, tabulates
 
@@ -22,7 +23,7 @@ _LAGS = 25
 @tabulates(TestTable)
 def tests_table(tests: TestTable) -> Table:
     """One row per test and signal."""
-    rows = [[r.test, r.signal, number(r.statistic), str(r.dof), f"{r.p_value:.2g}"] for r in tests.rows]
+    rows = [[r.test, r.signal, number(r.statistic), str(r.dof), chance(r.p_value)] for r in tests.rows]
     bad = tests.failed()
     verdict = (
         "No row fails at 1 %, their number allowed for."

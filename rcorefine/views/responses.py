@@ -8,9 +8,9 @@ from typing import Any
 import control as ct
 import numpy as np
 
-from ..comparison.failure_map.frequency import frequency_text
 from ..comparison.responses import FrequencyComparison, LevelComparison
 from ..data.frequency_response import FrequencyResponse
+from ..words import frequency_text
 from .bode import bode
 from .bode_axes import bode_rows, broken_phase, draw_measured, magnitude_limits
 from .figures import Frame, draws, style

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.signal import hilbert
 
 from ...systems.linear import Array
+from ...words import frequency_text
 from .bands import band_columns
-from .frequency import frequency_text
 from .likelihood import Explanation
 from .record import Finding, ModelOnRecord
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...systems.linear import Array
-from .frequency import frequency_text
+from ...words import frequency_text
 from .record import Finding, ModelOnRecord
 
 __all__ = ["band_columns", "bands"]

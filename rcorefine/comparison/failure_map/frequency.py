@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import control as ct
 import numpy as np
 from numpy.typing import NDArray
 
 from ...systems.linear import Array, LinearModel
+from ...words import frequency_text
 from .likelihood import Explanation
 from .record import Finding, ModelOnRecord
 
-__all__ = ["frequency_text", "modes", "modes_together", "shifts"]
+__all__ = ["modes", "modes_together", "shifts"]
 
 _MOST_TOGETHER = 8
 
@@ -266,16 +266,3 @@ def _moved(row: dict[str, float], paired: bool) -> str:
         f"{'higher' if share > 0 else 'lower'} in the record, its damping ratio is {row['zeta']:.2g} instead "
         f"of {row['zeta_model']:.2g}, its size {row['size']:.3g} times the model's"
     )
-
-
-def frequency_text(omega: float) -> str:
-    """Frequency in the unit of python-control's plots.
-
-    Examples
-    --------
-    >>> frequency_text(6.2832)
-    '6.283 rad/s'
-    """
-    if ct.defaults["freqplot.Hz"]:
-        return f"{omega / (2 * np.pi):.4g} Hz"
-    return f"{omega:.4g} rad/s"

@@ -10,6 +10,7 @@ import numpy as np
 from ...data.measurement import Measurement
 from ...models.physical_model import PhysicalModel
 from ...systems.linear import Array
+from ...words import frequency_text
 from .sensors import sensor_rows
 
 __all__ = ["Proposal", "default_bands", "factor_in_words", "proposals"]
@@ -88,7 +89,7 @@ def proposals(
         cost = costs["amplitude"] + 0.1 * abs(np.log2(factor))  # the nearer to the record, the safer
         found.append(Proposal("amplitude", name, _record(record, factor * w), cost))
     for low, high in bands:
-        text = f"{low / (2 * np.pi):.3g}-{high / (2 * np.pi):.3g} Hz"
+        text = f"{frequency_text(low)} to {frequency_text(high)}"
         shaped = in_band(w, record.dt, low, high)
         found.append(Proposal("band", f"excite {text}, same rms", _record(record, shaped), costs["band"]))
     for factor in lengths:

@@ -9,6 +9,7 @@ import numpy as np
 from ...comparison.adequacy import best_of, failures_of
 from ...diagnosis.absorbed import numbers_that_moved
 from ...diagnosis.words import no_test_fires
+from ...words import chance
 from ..tables import number, root_mean_square
 
 if TYPE_CHECKING:
@@ -107,7 +108,7 @@ def diagnosis_answer(found: Diagnosis) -> tuple[list[str], bool]:
     elif found.verdict == "adequate":
         second = no_test_fires(found)
     else:
-        p = f"p = {worst.p_value:.2g}" if worst.p_value > 0 else "p < 1e-300"
+        p = chance(worst.p_value, "p")
         second = f"The model as it is fails its tests, most clearly this one: {worst.name}, {p}."
     if found.verdict == "adequate":
         seen = ", ".join(

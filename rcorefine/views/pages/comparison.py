@@ -12,6 +12,7 @@ from ...comparison.responses import FrequencyComparison
 from ...comparison.result import KINDS, Comparison
 from ...engine.simulation import simulated
 from ...systems.linear import LinearModel
+from ...words import chance
 from ..comparison import comparison_table
 from ..failure_map import ROLES
 from ..responses import responses_table
@@ -20,7 +21,7 @@ from .answers import comparison_answer, response_answer
 from .code import model_code, record_code, response_code, script
 from .origin import response_facts, version_facts
 from .page import Facts, Page, Paragraphs, Section, reports
-from .parts import Parts, Wanted, chance, code_section, origin_section, pictures
+from .parts import Parts, Wanted, code_section, origin_section, pictures
 
 __all__ = ["comparison_tables", "fits_in_words", "picture_words", "report_comparison", "report_responses"]
 

@@ -9,12 +9,13 @@ from ...data.response_record import in_frequency
 from ...diagnosis.diagnose import diagnose
 from ...diagnosis.result import Diagnosis
 from ...inference.refinement import Refinement
+from ...words import chance
 from ..check import odd
 from ..tables import Table, number
 from .answers import diagnosis_answer
 from .code import call_options, effects_code, model_code, record_code, refinement_code, script
 from .page import Page, Paragraphs, Section, reports
-from .parts import Parts, chance, code_section, origin_section, parameter_table, pictures
+from .parts import Parts, code_section, origin_section, parameter_table, pictures
 
 __all__ = ["report_diagnosis"]
 

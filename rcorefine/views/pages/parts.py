@@ -18,7 +18,6 @@ from .pictures import Picture, draw
 __all__ = [
     "Parts",
     "Wanted",
-    "chance",
     "code_section",
     "estimates",
     "origin_section",
@@ -95,11 +94,6 @@ def parameter_plot(refinement: Refinement) -> ct.ControlPlot:
         axis.grid(True, axis="x", alpha=0.3)
         lines[0, 0] = list(axis.lines)
         return frame.finish(axes, lines, [])
-
-
-def chance(p_value: float) -> str:
-    """A p-value; what is smaller than any number is not zero."""
-    return f"{p_value:.2g}" if p_value > 0 else "< 1e-300"
 
 
 def code_section(generated: str, given: str | None) -> Section:

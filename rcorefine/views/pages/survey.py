@@ -12,12 +12,13 @@ import control as ct
 from ...arguments import as_flag, as_path
 from ...fleet.result import Survey
 from ...results import shows
+from ...words import chance
 from ..figures import Frame, plain, style, unit_text
 from ..survey import row_cells
 from ..tables import Table, number
 from .origin import version_facts
 from .page import Facts, Links, Listing, Page, Paragraphs, Section, check_target, write_page
-from .parts import Parts, chance, pictures
+from .parts import Parts, pictures
 
 __all__ = ["report_survey"]
 
