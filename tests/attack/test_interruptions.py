@@ -25,7 +25,11 @@ sensors = "displacement"
 """
 LINKS = [rco.Effect(kind, f"link{i}") for kind in ("stiffness", "coulomb_friction") for i in (1, 2)]
 
-pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of a terminal")
+pytestmark = [
+    pytest.mark.skipif(os.name == "nt", reason="signals of a terminal"),
+    # Python drops a Ctrl-C that meets it in a destructor or in the callback of a weak reference, and says so
+    pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
+]
 
 
 def chain(k=60.0):
