@@ -89,7 +89,19 @@ surveyed = _quiet(
 damage_map = _quiet(lambda: rco.localize_damage(small_model(), small_record(3, 20.0)))
 curve = _quiet(lambda: rco.frequency_response_at(small_model(), [3.0, 5.0], 1.0, harmonics=3))
 example = _quiet(rco.examples.rlc)
+exercise = _quiet(lambda: rco.exercises.hidden_effect(3))
+ANSWER = {"kind": "input_gain", "place": "voltage", "coefficient": 0.1}
 folder = functools.cache(lambda: pathlib.Path(tempfile.mkdtemp(prefix="rcorefine-")))
+
+
+@functools.cache
+def handed_in() -> pathlib.Path:
+    """A folder of one exercise and one answer."""
+    at = folder() / "course"
+    at.mkdir()
+    exercise().save(at / "ada.npz")
+    exercise().hand_in(at / "ada.json", "Ada", **ANSWER)
+    return at
 
 
 def monitor() -> rco.Monitor:
@@ -1026,6 +1038,34 @@ CALLS: dict[str, Call] = {
             "amplitude": is_positive,
             "rng": is_seed,
         },
+    ),
+    # the course
+    "exercises.hidden_effect": Call(
+        lambda: rco.exercises.hidden_effect,
+        lambda: {"seed": 3},
+        {"seed": is_whole, "plant": is_text, "level": is_whole},
+        work="rcorefine.exercises.exercise.hide",
+    ),
+    "exercises.load_exercise": Call(
+        lambda: rco.exercises.load_exercise,
+        lambda: {"path": exercise().save(folder() / "exercise.npz")},
+        {"path": is_path},
+    ),
+    "exercises.grade": Call(
+        lambda: rco.exercises.grade,
+        lambda: {"folder": handed_in(), "exercises": handed_in()},
+        {"folder": is_path, "exercises": is_path},
+    ),
+    "Exercise.check": Call(_method(exercise, "check"), lambda: ANSWER, {"coefficient": is_number}),
+    "Exercise.hand_in": Call(
+        _method(exercise, "hand_in"),
+        lambda: {"path": folder() / "answer.json", "student": "Ada", **ANSWER},
+        {"path": is_path, "student": is_text, "coefficient": is_number},
+    ),
+    "Exercise.save": Call(
+        _method(exercise, "save"),
+        lambda: {"path": folder() / "exercise.npz"},
+        {"path": is_path, "answer": is_flag},
     ),
     "examples.one_dof": Call(lambda: rco.examples.one_dof, dict, EXAMPLE),
     "examples.two_dof": Call(lambda: rco.examples.two_dof, dict, EXAMPLE),

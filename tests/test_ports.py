@@ -433,7 +433,7 @@ class TestPhysicalModel:
 
     def test_split_that_does_not_add_up(self):
         model = as_physical(chain())
-        with pytest.raises(ModelError, match="is not its state part plus its rate part"):
+        with pytest.raises(ModelError, match="is not its row of output_state"):
             PhysicalModel(
                 model.linear, model.output_state * 2, model.output_rate, model.output_input, model.ports
             )

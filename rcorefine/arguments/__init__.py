@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from .arrays import as_array, as_noise, as_state, as_vector
 from .numbers import as_flag, as_number, as_share, as_whole
-from .objects import as_generator, as_mapper, as_path
+from .objects import as_generator, as_instance, as_mapper, as_path
 from .quoting import printable, shown
 from .texts import as_choice, as_labels, as_list, as_mapping, as_text, as_texts
 
@@ -18,6 +18,7 @@ __all__ = [
     "as_choice",
     "as_flag",
     "as_generator",
+    "as_instance",
     "as_labels",
     "as_list",
     "as_mapper",

@@ -1,11 +1,11 @@
-"""Things that do something: files, generators of random numbers, executors."""
+"""Objects: files, generators of random numbers, executors, those of one class."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import control as ct
 import numpy as np
@@ -13,7 +13,22 @@ import numpy as np
 from .numbers import as_whole
 from .quoting import shown
 
-__all__ = ["as_generator", "as_mapper", "as_path"]
+__all__ = ["as_generator", "as_instance", "as_mapper", "as_path"]
+
+T = TypeVar("T")
+
+
+def as_instance(value: Any, kind: type[T], name: str) -> T:
+    """An object of one class.
+
+    Raises
+    ------
+    control.ControlArgument
+        If it is of another.
+    """
+    if not isinstance(value, kind):
+        raise ct.ControlArgument(f"{name} must be of class {kind.__name__}, not {shown(value)}")
+    return value
 
 
 def as_path(value: Any, name: str = "path") -> Path:

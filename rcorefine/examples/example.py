@@ -24,7 +24,7 @@ __all__ = ["Example"]
 class Example:
     """One example of the paper: where it starts, what is true, and the settings.
 
-    Parameters
+    Attributes
     ----------
     name : str
         Short name.

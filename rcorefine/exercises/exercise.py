@@ -204,7 +204,8 @@ class Exercise(Result):
         return target
 
     def _answer(self, kind: str, place: str, coefficient: float | None) -> float | None:
-        if (kind, place) not in [(effect.kind, effect.place) for effect in self.candidates]:
+        wanted = as_text(kind, "kind"), as_text(place, "place")
+        if wanted not in [(effect.kind, effect.place) for effect in self.candidates]:
             known = ", ".join(f"{effect.kind} at {effect.place}" for effect in self.candidates)
             raise ct.ControlArgument(f"no candidate {kind!r} at {place!r}; the candidates are {known}")
         return None if coefficient is None else as_number(coefficient, "coefficient")
@@ -256,8 +257,7 @@ def hidden_effect(seed: int, plant: str = "motor", level: int = 1) -> Exercise:
     """
     seed = as_whole(seed, "seed", least=0, most=2**63)
     chosen = PLANTS[as_choice(plant, "plant", tuple(PLANTS))]
-    if isinstance(level, bool) or level not in LEVELS:
-        raise ct.ControlArgument(f"level must be one of {', '.join(map(str, LEVELS))}, not {level!r}")
+    level = as_whole(level, "level", least=min(LEVELS), most=max(LEVELS))
     model = chosen.make()
     candidates = chosen.candidates(model)
     hidden = hide(chosen, model, candidates, level, [seed, level, *plant.encode()])
@@ -292,7 +292,7 @@ def load_exercise(path: str | PathLike[str]) -> Exercise:
     >>> exercises.load_exercise(path).ident == exercise.ident
     True
     """
-    arrays = read_archive(path)
+    arrays = read_archive(as_path(path))
     try:
         about: dict[str, Any] = json.loads(str(arrays["about"]))
         plant, level, seals = about["plant"], int(about["level"]), frozenset(map(str, about["seals"]))

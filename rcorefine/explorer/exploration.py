@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from ..arguments import as_number
+from ..arguments import as_choice, as_instance, as_number
 from ..arithmetic import own_arithmetic
 from ..comparison.compare import compare
 from ..comparison.failure_map.residual_force import ResidualForce
@@ -43,7 +43,13 @@ from .candidates import Candidate, candidates_at, lacking_force, laid_over
 
 __all__ = ["Exploration", "Step"]
 
+T = TypeVar("T")
+
 _REACH = 3.0  # of its present size that a coefficient is moved to
+
+
+def _given(value: T | None, kind: type[T], name: str) -> T | None:
+    return None if value is None else as_instance(value, kind, name)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,13 +170,14 @@ class Exploration:
 
     def units(self, effect: Effect) -> dict[str, str]:
         """Unit of each coefficient of an effect, "" where unknown."""
-        structure = Structure(self.physical, [effect.replace(fixed={}, start={}, prior={})])
+        structure = self._alone(effect)
         return {q.name: structure.unit(q) for q in structure.parameters}
 
     def reach(self, effect: Effect, name: str) -> tuple[float, float]:
         """Range in which a coefficient is worth moving, about its present value and inside its bounds."""
-        structure = Structure(self.physical, [effect.replace(fixed={}, start={}, prior={})])
-        at = [q.name for q in structure.parameters].index(name)
+        structure = self._alone(effect)
+        names = [q.name for q in structure.parameters]
+        at = names.index(as_choice(name, "name", names))
         bound = structure.parameters[at]
         size = abs(self.coefficients(effect)[name]) or float(natural_sizes(structure, [self.record])[at])
         return max(bound.lower, -_REACH * size), min(bound.upper, _REACH * size)
@@ -187,13 +194,14 @@ class Exploration:
         By default, and where the row has no place, at the place that explains most of the record. None for a
         row at an input or an output, and for a model without places.
         """
-        return lacking_force(self.comparison, row)
+        return lacking_force(self.comparison, _given(row, Failure, "row"))
 
     def candidates(self, row: Failure | None = None, force: ResidualForce | None = None) -> list[Candidate]:
         """Effects that are not in the model yet and could stand where a row of the failure map does.
 
         By default all. With the force there, laws are laid over it, those that explain most of it first.
         """
+        row, force = _given(row, Failure, "row"), _given(force, ResidualForce, "force")
         held = self.refinement.effects
         return candidates_at(self.physical, held, self.motion, self.record.inputs, row, force)
 
@@ -208,7 +216,7 @@ class Exploration:
         DivergenceError
             If the model leaves all bounds with it; nothing has changed then.
         """
-        if key(effect) in map(key, self.refinement.effects):
+        if key(as_instance(effect, Effect, "effect")) in map(key, self.refinement.effects):
             raise ModelError(f"the model holds {effect.label} already; move its coefficient")
         with own_arithmetic():
             model = settled(self._changed(effect, values), self._pieces)
@@ -283,11 +291,17 @@ class Exploration:
 
     # ------------------------------------------------------------------ how it is done
     def _index(self, effect: Effect) -> int:
+        as_instance(effect, Effect, "effect")
         keys = [key(each) for each in self.refinement.effects]
         if not self._added(effect):
             known = ", ".join(each.label for each in self.effects) or "none"
             raise ModelError(f"{effect.label} was not added; there are {known}")
         return keys.index(key(effect))
+
+    def _alone(self, effect: Effect) -> Structure:
+        """The model with one effect whose coefficients are all free."""
+        free = as_instance(effect, Effect, "effect").replace(fixed={}, start={}, prior={})
+        return Structure(self.physical, [free])
 
     def _added(self, effect: Effect) -> bool:
         return key(effect) in map(key, self.effects)

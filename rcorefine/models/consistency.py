@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 import control as ct
 import numpy as np
 
-from ..arguments import as_array, as_list, as_texts, shown
+from ..arguments import as_array, as_instance, as_list, as_texts, shown
 from ..exceptions import ModelError
-from .operating_point import refuse_point
+from .controller import Controller
+from .operating_point import OperatingPoint, refuse_point
 from .ports import Port
 
 if TYPE_CHECKING:
@@ -60,6 +61,9 @@ def check_sizes(model: PhysicalModel) -> None:
         if len(units) != size:
             raise ct.ControlDimension(f"{key} has {len(units)} entries for {size} {what}")
         store(model, key, units)
+    for key, kind in (("operating_point", OperatingPoint), ("controller", Controller)):
+        if getattr(model, key) is not None:
+            as_instance(getattr(model, key), kind, f"{key}, where there is one,")
     store(model, "ports", tuple(as_list(model.ports, "ports", "Port objects")))
     store(model, "parameters", tuple(as_list(model.parameters, "parameters", "nominal parameters")))
 
@@ -78,17 +82,17 @@ def check_outputs(model: PhysicalModel) -> None:
         If they do not.
     """
     linear = model.linear
-    for name, other, whole, direct, rate in (
-        ("C", "A", linear.C, model.output_state, model.output_rate @ linear.A),
-        ("D", "B", linear.D, model.output_input, model.output_rate @ linear.B),
+    for name, key, other, whole, direct, rate in (
+        ("C", "output_state", "A", linear.C, model.output_state, model.output_rate @ linear.A),
+        ("D", "output_input", "B", linear.D, model.output_input, model.output_rate @ linear.B),
     ):
         scale = np.abs(whole) + np.abs(direct) + np.abs(rate)
         limit = 1e-9 * scale.max(axis=1, keepdims=True, initial=0.0)
         wrong = np.argwhere(np.abs(direct + rate - whole) > limit)
         if wrong.size:
             raise ModelError(
-                f"{name} of output {linear.output_labels[wrong[0][0]]!r} is not its state part plus its "
-                f"rate part (rate part of {name} = output_rate @ {other})"
+                f"{name} of output {linear.output_labels[wrong[0][0]]!r} is not its row of "
+                f"{key} + output_rate @ {other}; the parts must add up"
             )
 
 

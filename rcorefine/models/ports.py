@@ -8,7 +8,7 @@ from typing import Any
 import control as ct
 import numpy as np
 
-from ..arguments import as_array, as_text, shown
+from ..arguments import as_array, as_flag, as_text, shown
 from ..effects.domains import domain_of
 from ..exceptions import ModelError
 from ..systems.linear import Array
@@ -98,6 +98,7 @@ class Port:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:
             raise ModelError(f"the name of a port must be a nonempty str, not {shown(self.name)}")
+        as_flag(self.modal, f"modal of port {self.name!r}")
         for key in _TEXTS:
             as_text(getattr(self, key), f"{key} of port {self.name!r}")
         if self.kind not in ("mechanical", "first_order"):

@@ -9,6 +9,8 @@ import control as ct
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arguments import as_text
+
 __all__ = ["Array", "LinearModel"]
 
 Array = NDArray[np.float64]
@@ -144,7 +146,7 @@ class LinearModel:
             inputs=list(self.input_labels),
             outputs=list(self.output_labels),
             states=list(self.state_labels),
-            name=self.name if name is None else name,
+            name=self.name if name is None else as_text(name, "name"),
         )
 
     def with_arrays(self, **changes: Any) -> LinearModel:
