@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import control as ct
 import numpy as np
 import pytest
 from scipy import stats
 
+from rcorefine.diagnosis.open_law import probabilities as by_place
 from rcorefine.diagnosis.verdict import keeps_name, overall, passes, probabilities, tied, verdict
 from rcorefine.inference.levels import Levels, levels
 from rcorefine.inference.whitening import FTest
@@ -68,6 +71,18 @@ def test_a_law_that_passes_stands_beside_a_force_of_no_law_that_is_likelier() ->
     assert verdict(True, 1.0, 1, Levels(), beside=np.log(99.0)) == "ambiguous"
     assert verdict(True, 1.0, 1, Levels(), beside=np.log(101.0)) == "unexplained"  # as a rival is excluded
     assert verdict(False, 1.0, 1, Levels(), beside=np.log(3.1)) == "unexplained"
+
+
+def test_a_force_at_no_known_place_is_at_no_place() -> None:
+    """Odds of 1 : 3 : 12 of the laws at a, a free force there, and a force whose place nobody knows."""
+    rivals = [("a", 2.0), ("b", 1.0)]
+    race = SimpleNamespace(
+        rivals=[SimpleNamespace(effect=SimpleNamespace(place=p), log_likelihood=value) for p, value in rivals]
+    )
+    odds = np.array([1.0, np.exp(-1.0), 3.0, 12.0])
+    shares, none, places = by_place(race, np.log(3.0), np.log(12.0), None)
+    np.testing.assert_allclose([*shares, none], [*odds[:2] / odds.sum(), odds[2:].sum() / odds.sum()])
+    assert places == pytest.approx({"a": 4.0 / odds.sum(), "b": odds[1] / odds.sum()})
 
 
 def test_levels_of_a_session() -> None:

@@ -319,10 +319,11 @@ def _named(
     agreement, sentence = amplitude_test(race, case.levels) if several else (1.0, "")
     unknown = not_known(race, case.levels) if judged.passed else ""
     passed = judged.passed and not unknown
-    word = verdict(passed, agreement, len(alike), case.levels, judged.beside)
+    word = verdict(passed, agreement, len(alike), case.levels, judged.against)
     with case.progress.step("free forces"):
         law = open_law(race) if word == "unexplained" and case.thorough and case.in_time else None
-    shares, none, places = probabilities(race, judged.beside if judged.passed else -np.inf, law)
+    odds = (judged.beside, judged.elsewhere) if judged.passed else (-np.inf, -np.inf)
+    shares, none, places = probabilities(race, *odds, law)
     if word == "unexplained":  # none is printed for what fails its own tests
         shares, none = np.full(len(shares), np.nan), 1.0
     shown = in_free_run(race) if word == "unexplained" and case.thorough else race
@@ -338,6 +339,11 @@ def _named(
         notes.append(
             f"{best.label} passes every test, but a force at {best.place} that departs from it is more than "
             f"{np.exp(case.levels.rival / 2):.0f} times as likely."
+        )
+    elif judged.passed and 2 * judged.against > case.levels.rival:
+        notes.append(
+            f"{race.rivals[0].effect.label} passes every test beside an unmeasured force, which explains the "
+            "larger part of the error: what makes that force, and where, this record does not tell."
         )
     if case.thorough and word == "unexplained":
         with case.progress.step("pairs"):

@@ -42,14 +42,22 @@ class Judged:
     passed : bool
         Whether that residual is noise.
     beside : float
-        Log of the odds of a force of no law, over the winner's; -inf where that is no force at a port.
-        Beside an unmeasured force, no less than the odds of the error that is left to it.
+        Log of the odds of a force of no law at the winner's place, over the winner's; -inf where that is no
+        force at a port.
+    elsewhere : float
+        The same of a force of no law whose place nobody knows: what an unmeasured force stands for.
     """
 
     race: CandidateFits
     tests: list[FTest]
     passed: bool
     beside: float = -np.inf
+    elsewhere: float = -np.inf
+
+    @property
+    def against(self) -> float:
+        """Log of the odds of none of the candidates, over the winner's."""
+        return float(np.logaddexp(self.beside, self.elsewhere))
 
 
 def judge(case: Case, race: CandidateFits) -> Judged:
@@ -115,9 +123,7 @@ def beside_force(case: Case, first: Judged) -> Judged | None:
         if again is not None:
             judged = judge(case, again)
             if judged.passed:
-                return replace(
-                    judged, beside=float(np.logaddexp(judged.beside, _left_to_force(judged.race, race)))
-                )
+                return replace(judged, elsewhere=_left_to_force(judged.race, race))
     return None
 
 

@@ -101,7 +101,7 @@ def open_law(race: CandidateFits) -> FreeForces:
 
 
 def probabilities(
-    race: CandidateFits, beside: float, free: FreeForces | None
+    race: CandidateFits, beside: float, elsewhere: float, free: FreeForces | None
 ) -> tuple[Array, float, dict[str, float]]:
     """Probabilities of the candidates, of none of these, and of the places.
 
@@ -110,7 +110,9 @@ def probabilities(
     race : CandidateFits
         Candidates, the best one first.
     beside : float
-        Log of the odds of a force that departs from the best one, over it.
+        Log of the odds of a force at its place that departs from the best one, over it.
+    elsewhere : float
+        The same of a force at no known place.
     free : FreeForces or None
         Free forces in place of the candidates, where none passes.
 
@@ -121,12 +123,13 @@ def probabilities(
     none : float
         Of none of these; all sum to one.
     places : dict
-        Of each place, the most probable first; they sum to one.
+        Of each place, the most probable first; to one is missing what is at no known place.
     """
     logs = [(rival.effect.place, rival.log_likelihood) for rival in race.rivals]
     here, top = logs[0]
-    if np.isfinite(beside):
-        logs.append((here, top + beside))
+    for place, odds in ((here, beside), ("", elsewhere)):
+        if np.isfinite(odds):
+            logs.append((place, top + odds))
     if free is not None:
         logs += free.log_likelihoods.items()
     weights = softmax([value for _, value in logs])
@@ -134,6 +137,7 @@ def probabilities(
     for (place, _), weight in zip(logs, weights, strict=True):
         shares[place] = shares.get(place, 0.0) + float(weight)
     n = len(race.rivals)
+    shares.pop("", None)
     ordered = dict(sorted(shares.items(), key=lambda item: -item[1]))
     return weights[:n], float(weights[n:].sum()), ordered
 

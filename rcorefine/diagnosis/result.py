@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Detectable", "Diagnosis", "RankedEffect"]
 
+_EXCLUDED = 0.01  # probability below which a place is none
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RankedEffect:
@@ -109,12 +111,14 @@ class Diagnosis(Reported):
     floated : Refinement or None
         The model with its numbers fitted, where the verdict is "parameters".
     none_of_these : float
-        Probability of a force at the best one's place that follows none of the laws; 1 where the
-        verdict is "unexplained", NaN where nothing was ranked. Departures from the best law up to its
+        Probability of a force that follows none of the laws, at the best one's place or, where an unmeasured
+        force is allowed for, at no known place; 1 where the verdict is "unexplained", NaN where nothing was
+        ranked. Departures from the best law up to its
         own size count alike, whether this record would have shown them or not.
     places : dict
         Probability of each place, the most probable first: what its candidates and the free forces
-        tried there have together. Sums to one; empty where nothing was ranked.
+        tried there have together. To one is missing what an unmeasured force stands for, whose place
+        nobody knows; empty where nothing was ranked.
     open_law : OpenLaw or None
         Where the verdict is "unexplained": the force as a table, and the laws nearest to it.
     left_to_noise : str
@@ -151,8 +155,9 @@ class Diagnosis(Reported):
 
     @property
     def place(self) -> str | None:
-        """Where it is missing, a port or a channel; None where nothing was ranked."""
-        return next(iter(self.places), None)
+        """Where it is missing, a port or a channel; None where nothing was ranked or no place is likely."""
+        place, probability = next(iter(self.places.items()), (None, 0.0))
+        return place if probability >= _EXCLUDED else None
 
     @property
     def hidden_force(self) -> HiddenForce | None:

@@ -16,10 +16,11 @@ _SHOWN = 8
 
 def title_of(found: Diagnosis) -> str:
     """The verdict in one line."""
-    if found.best is None or found.place is None or found.verdict == "adequate":
+    place, unexplained = found.place, found.verdict == "unexplained"
+    if found.best is None or found.verdict == "adequate" or (unexplained and place is None):
         return f"Diagnosis: {found.verdict}"
-    if found.verdict == "unexplained":
-        return f"Diagnosis: {found.verdict} (at {found.place}, probability {found.places[found.place]:.2f})"
+    if unexplained and place is not None:
+        return f"Diagnosis: {found.verdict} (at {place}, probability {found.places[place]:.2f})"
     return f"Diagnosis: {found.verdict} ({found.best.effect.label}, probability {found.best.probability:.2f})"
 
 
