@@ -32,7 +32,7 @@ from .dead_sensors import without_dead_sensors
 from .excitation import no_motion, not_excited
 from .families import hosts, said_of_families
 from .floating import floating, outdone, rivals_of_numbers
-from .judging import Judged, judge, pair_hint, second_chance, with_special_cases
+from .judging import Judged, judge, outweighed, pair_hint, second_chance, with_special_cases
 from .open_law import open_law, probabilities
 from .places import in_race
 from .ranking import in_free_run, ranking
@@ -333,18 +333,7 @@ def _named(
     rows = ranking(shown, p_values, shares, case.base, validation, case.settings["horizon"])
     notes = [*about_hold(case), *fit_remarks(race), *remarks(race, scored, batteries)]
     notes += said_of_families(race.rivals, held)
-    notes += [said for said in (sentence, unknown) if said]
-    if judged.passed and 2 * judged.beside > case.levels.rival:
-        best = race.rivals[0].effect
-        notes.append(
-            f"{best.label} passes every test, but a force at {best.place} that departs from it is more than "
-            f"{np.exp(case.levels.rival / 2):.0f} times as likely."
-        )
-    elif judged.passed and 2 * judged.against > case.levels.rival:
-        notes.append(
-            f"{race.rivals[0].effect.label} passes every test beside an unmeasured force, which explains the "
-            "larger part of the error: what makes that force, and where, this record does not tell."
-        )
+    notes += [said for said in (sentence, unknown, outweighed(judged, case.levels)) if said]
     if case.thorough and word == "unexplained":
         with case.progress.step("pairs"):
             notes += pair_hint(case, judged, scored)

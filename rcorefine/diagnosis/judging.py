@@ -9,6 +9,7 @@ import numpy as np
 
 from ..exceptions import ModelError
 from ..inference.fitted import FittedModel
+from ..inference.levels import Levels
 from ..inference.sensitivities import Candidate, candidate_columns
 from ..inference.starts import Motion, estimated_motion
 from ..inference.whitening import FTest
@@ -24,7 +25,16 @@ from .starts import force_along
 from .unmeasured_force import likely_forces
 from .verdict import overall
 
-__all__ = ["Judged", "beside_force", "judge", "outweighs", "pair_hint", "second_chance", "with_special_cases"]
+__all__ = [
+    "Judged",
+    "beside_force",
+    "judge",
+    "outweighed",
+    "outweighs",
+    "pair_hint",
+    "second_chance",
+    "with_special_cases",
+]
 
 _PAIRS = 3  # seconds that are tried for a hint
 
@@ -185,6 +195,22 @@ def second_chance(case: Case, first: Judged, scored: Sequence[Candidate], chosen
         if judged.passed:
             return judged
     return first
+
+
+def outweighed(judged: Judged, levels: Levels) -> str:
+    """Why a winner that passes every test is no name; "" where that is not so."""
+    best = judged.race.rivals[0].effect
+    if not judged.passed or 2 * judged.against <= levels.rival:
+        return ""
+    if 2 * judged.beside > levels.rival:
+        return (
+            f"{best.label} passes every test, but a force at {best.place} that departs from it is more than "
+            f"{np.exp(levels.rival / 2):.0f} times as likely."
+        )
+    return (
+        f"{best.label} passes every test beside an unmeasured force, which explains the larger part of the "
+        "error: what makes that force, and where, this record does not tell."
+    )
 
 
 def pair_hint(case: Case, judged: Judged, scored: Sequence[Candidate]) -> list[str]:
