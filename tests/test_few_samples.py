@@ -9,7 +9,9 @@ from hidden.generator import hidden_record
 from scipy.signal import lfilter
 
 import rcorefine as rco
-from rcorefine.inference.whitening import f_test, huber_weights, project, rank_basis
+from rcorefine.inference.basis import project, rank_basis
+from rcorefine.inference.f_tests import f_test
+from rcorefine.inference.whitening import huber_weights
 
 
 def heated_wall(seed: int, limit: float, noise: float, samples: int = 1200) -> tuple[rco.Measurement, float]:

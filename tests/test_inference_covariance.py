@@ -8,6 +8,7 @@ import statsmodels.api as sm
 from scipy import stats
 from scipy.signal import lfilter
 
+from rcorefine.inference.basis import project, rank_basis
 from rcorefine.inference.covariance import (
     colored,
     covariance,
@@ -16,7 +17,8 @@ from rcorefine.inference.covariance import (
     standard_deviations,
     wald,
 )
-from rcorefine.inference.whitening import Whitener, f_test, project, rank_basis
+from rcorefine.inference.f_tests import f_test
+from rcorefine.inference.whitening import Whitener
 
 
 def test_white_residuals_give_the_covariance_of_statsmodels(rng):

@@ -12,7 +12,8 @@ from scipy.signal import lfilter
 
 import rcorefine as rco
 from rcorefine.comparison.residual_tests import free_run_tests, input_correlation
-from rcorefine.inference.whitening import f_test, project, rank_basis, unequal_variances
+from rcorefine.inference.basis import project, rank_basis
+from rcorefine.inference.f_tests import f_test, unequal_variances
 
 
 def motion_of(rng, n, bursts):

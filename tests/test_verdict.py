@@ -11,8 +11,8 @@ from scipy import stats
 
 from rcorefine.diagnosis.open_law import probabilities as by_place
 from rcorefine.diagnosis.verdict import keeps_name, overall, passes, probabilities, tied, verdict
+from rcorefine.inference.f_tests import FTest
 from rcorefine.inference.levels import Levels, levels
-from rcorefine.inference.whitening import FTest
 
 
 def f_tests(*p_values: float, equal: float = 1.0) -> list[FTest]:

@@ -1,6 +1,6 @@
 """Which physical effect is missing from a model."""
 
-from ..inference.whitening import FTest
+from ..inference.f_tests import FTest
 from .diagnose import diagnose
 from .result import Detectable, Diagnosis, RankedEffect
 

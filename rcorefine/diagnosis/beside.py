@@ -7,10 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
+from ..inference.basis import project
+from ..inference.f_tests import FTest
 from ..inference.fitted import FittedModel
 from ..inference.free_form import Curve, averaged_evidence
 from ..inference.sensitivities import force_responses
-from ..inference.whitening import FTest, project
 from ..systems.linear import Array
 from .residual_tests import TestedResidual
 

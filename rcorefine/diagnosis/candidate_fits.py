@@ -9,10 +9,11 @@ import numpy as np
 
 from ..effects.effect import Effect
 from ..inference.descent import descend, remeasured
+from ..inference.f_tests import FTest
 from ..inference.fitted import FittedModel
 from ..inference.search import step_matters
 from ..inference.sensitivities import Candidate
-from ..inference.whitening import FTest, Whitener
+from ..inference.whitening import Whitener
 from ..progress import Progress
 from ..systems.linear import Array
 from .candidate_fit import (

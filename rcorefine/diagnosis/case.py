@@ -18,11 +18,11 @@ from ..engine.line_balance import remembering
 from ..engine.response_engine import is_linear
 from ..engine.structure import Structure
 from ..exceptions import DataError, ModelError
+from ..inference.f_tests import FTest
 from ..inference.fitted import FittedModel, fitted_from
 from ..inference.levels import Levels, levels
 from ..inference.refinement import Refinement
 from ..inference.starts import estimated_motion
-from ..inference.whitening import FTest
 from ..inference.windows import windows
 from ..models.library import effect_library
 from ..models.operating_point import ordered_record

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..inference.basis import in_own_units, project
 from ..inference.levels import Levels, levels
 from ..inference.sensitivities import Candidate
-from ..inference.whitening import Whitener, in_own_units, project
+from ..inference.whitening import Whitener
 from ..systems.linear import Array
 from ..words import frequency_text
 from .residual_tests import TestedResidual

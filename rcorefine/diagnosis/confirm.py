@@ -19,6 +19,7 @@ from ..engine.simulation import check_channels
 from ..inference.assembly import check_settings, priors
 from ..inference.covariance import covariance, standard_deviations, wald
 from ..inference.descent import descend
+from ..inference.f_tests import FTest
 from ..inference.fitted import FittedModel, evaluated
 from ..inference.outcome import output_weights
 from ..inference.problem import Problem
@@ -26,7 +27,7 @@ from ..inference.refinement import Refinement
 from ..inference.search import starting_states, sufficient_steps
 from ..inference.sensitivities import candidate_columns
 from ..inference.starts import Motion
-from ..inference.whitening import FTest, Whitener
+from ..inference.whitening import Whitener
 from ..inference.windows import windows
 from ..models.library import effect_library
 from ..models.operating_point import ordered_record

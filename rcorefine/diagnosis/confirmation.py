@@ -7,7 +7,7 @@ from typing import Unpack
 
 import control as ct
 
-from ..inference.whitening import FTest
+from ..inference.f_tests import FTest
 from ..results import Options, Result, picture, show
 from ..systems.linear import Array
 

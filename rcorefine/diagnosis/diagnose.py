@@ -17,9 +17,9 @@ from ..effects.effect import Effect
 from ..effects.several import as_effects
 from ..exceptions import IdentifiabilityWarning, unheard
 from ..inference.assembly import check_settings
+from ..inference.f_tests import FTest
 from ..inference.refinement import Refinement
 from ..inference.sensitivities import Candidate, candidate_columns
-from ..inference.whitening import FTest
 from ..inference.windows import about_noise, as_data, check_validation, spread_lines
 from ..models.conversion import as_physical, under_control
 from ..progress import Progress

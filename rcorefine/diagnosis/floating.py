@@ -11,11 +11,12 @@ from ..effects.bodies import Mass
 from ..effects.effect import Effect
 from ..exceptions import ModelError
 from ..inference.assembly import nominal_size
+from ..inference.basis import project, rank_basis
+from ..inference.f_tests import FTest
 from ..inference.fitted import FittedModel, fitted_from
 from ..inference.refinement import Refinement
 from ..inference.sensitivities import Candidate, candidate_columns, parameter_columns
 from ..inference.starts import estimated_motion
-from ..inference.whitening import FTest, project, rank_basis
 from ..models.library import effect_library
 from ..refinement.base_fit import base_fit
 from ..refinement.refine import refine
@@ -25,7 +26,7 @@ from .candidate_fits import STRONG, CandidateFits, fit_candidates
 from .case import Case, not_held
 from .colored_noise import gain_over_color
 from .places import in_race
-from .residual_tests import TestedResidual, run_tests
+from .residual_tests import TestedResidual, passed_without_library, run_tests
 from .verdict import keeps_name, overall
 
 __all__ = [
@@ -126,12 +127,13 @@ def _passing(case: Case, refined: Refinement) -> tuple[FittedModel, TestedResidu
     motions = [estimated_motion(fitted.structure, fitted.theta, m.data) for m in case.motions]
     if case.excess(fitted) > case.levels.noise_excess:
         return None
-    if overall(run_tests(battery, [], motions)) < case.significance:
+    others = passed_without_library(battery, motions, case.significance)
+    if others is None:
         return None  # the library cannot mend what fails without it
     library = not_held(case.library, fitted.structure.effects)
     near = in_race(fitted, library, (0.0,))
     scored = candidate_columns(fitted, near, motions[0], (0.0,))
-    tests = run_tests(battery, scored, motions, len(library) - len(near))
+    tests = run_tests(battery, scored, motions, len(library) - len(near), others)
     if overall(tests) < case.significance or gain_over_color(battery, scored) >= case.levels.color:
         return None
     return fitted, battery, tests

@@ -7,9 +7,10 @@ from functools import cached_property
 import numpy as np
 
 from ..engine.response_engine import ResponseEngine
+from ..inference.basis import project
+from ..inference.f_tests import FTest
 from ..inference.fitted import FittedModel
 from ..inference.free_form import averaged_evidence
-from ..inference.whitening import FTest, project
 from ..systems.linear import Array
 from .beside import nested
 from .residual_tests import TestedResidual

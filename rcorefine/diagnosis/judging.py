@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..exceptions import ModelError
+from ..inference.f_tests import FTest
 from ..inference.fitted import FittedModel
 from ..inference.levels import Levels
 from ..inference.sensitivities import Candidate, candidate_columns
 from ..inference.starts import Motion, estimated_motion
-from ..inference.whitening import FTest
 from ..progress import Progress
 from .beside import Beside
 from .candidate_fits import CandidateFits, fit_candidates
@@ -20,10 +20,9 @@ from .case import Case, not_held
 from .families import contains
 from .free_stiffness import FreeStiffness
 from .places import in_race
-from .residual_tests import TestedResidual, run_tests
+from .residual_tests import TestedResidual, passed_without_library, run_tests
 from .starts import force_along
 from .unmeasured_force import likely_forces
-from .verdict import overall
 
 __all__ = [
     "Judged",
@@ -127,7 +126,7 @@ def beside_force(case: Case, first: Judged) -> Judged | None:
     likely = likely_forces(winner, TestedResidual(winner), levels.force_beside, levels)[:2]
     moved = [Motion(winner.structure, winner.theta, m.data) for m in case.motions] if likely else []
     for led in likely:
-        if overall(run_tests(led, [], moved)) < levels.hopeless:
+        if passed_without_library(led, moved, levels.hopeless) is None:
             continue  # no refit mends that, and all candidates take long
         again = fit_candidates(race.fitted.forced(led.fitted.force_at), [], led.ratio, entered=race.rivals)
         if again is not None:

@@ -12,10 +12,10 @@ from scipy import stats
 from ..comparison.compare import compare
 from ..data.measurement import Measurement
 from ..effects.effect import Effect
+from ..inference.basis import project
 from ..inference.levels import Levels
 from ..inference.refinement import EstimatedParameter, Refinement
 from ..inference.sensitivities import Candidate
-from ..inference.whitening import project
 from .candidate_fit import log_likelihood, prior_cost, whitener_of
 from .candidate_fits import CandidateFits
 from .residual_tests import TestedResidual

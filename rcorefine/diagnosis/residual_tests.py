@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from ..data.measurement import Measurement
 from ..effects.effect import Effect
+from ..inference.basis import Basis, in_own_units, lengths, project, rank_basis
+from ..inference.f_tests import FTest, apart_test, f_test, projected_test
 from ..inference.fitted import FittedModel
 from ..inference.sensitivities import (
     Candidate,
@@ -20,23 +22,17 @@ from ..inference.sensitivities import (
     slow_forces,
 )
 from ..inference.starts import Motion
-from ..inference.whitening import (
-    FTest,
-    Whitener,
-    f_test,
-    huber_weights,
-    in_own_units,
-    project,
-    projected_test,
-    rank_basis,
-)
+from ..inference.whitening import Whitener, huber_weights
 from ..systems.linear import Array
 from .response_tests import response_tests
+from .verdict import overall
 
-__all__ = ["TestedResidual", "run_tests"]
+__all__ = ["TestedResidual", "passed_without_library", "run_tests"]
 
 _LAGS = 41
 _POWER_LAGS = {2: 21, 3: 6}
+_SHOWN = ("other laws", "changes with time")  # in front of the other tests
+_MOST = 6  # tests that count
 
 
 class TestedResidual:
@@ -61,32 +57,55 @@ class TestedResidual:
         self._judged = fitted.problem.judged(fitted.theta)
         fits = self.whitener.apply([j * fitted.problem.sizes for _, j in blocks])
         lead = [] if ratio else [self.whitener.apply(fitted.lead_columns)]
-        self.basis = rank_basis(np.hstack([fits, *lead]))
+        self.basis = Basis(rank_basis(np.hstack([fits, *lead])))
         self.left = project(self.residual, self.basis)
-        self._weights = self._weighted = None
-        outputs = self.whitener.outputs([r for r, _ in blocks])
-        weights = huber_weights(self.left, outputs)
+        self._weighted: tuple[Array, Array, Basis] | None = None
+        self._outputs = self.whitener.outputs([r for r, _ in blocks])
+        weights = huber_weights(self.left, self._outputs)
         if weights is not None:
             # skewed noise has no mean of zero once it is weighted: each output's level stays open
-            levels = (outputs[:, None] == np.unique(outputs)).astype(float)
-            basis = rank_basis(weights[:, None] * np.hstack([self.basis, levels]))
-            self._weights, self._weighted = weights[:, None], (project(weights * self.left, basis), basis)
+            levels = (self._outputs[:, None] == np.unique(self._outputs)).astype(float)
+            basis = self.basis.weighted(weights, levels)
+            self._weighted = weights, project(weights * self.left, basis), basis
 
     def test(self, name: str, blocks: Sequence[Array]) -> FTest:
         """F-test of columns given as blocks (n_y, N, k) per record."""
         return self.of_white(name, self.whiten(blocks))
 
+    def test_apart(self, name: str, blocks: Sequence[Sequence[Array]]) -> FTest:
+        """F-test of columns that each act on one output: (N, k) per output of each record."""
+        white = [
+            np.concatenate(
+                [
+                    self.whitener.of_output(i, judged[i, :, None] * columns[i])
+                    for judged, columns in zip(self._judged, blocks, strict=True)
+                ]
+            )
+            for i in range(len(blocks[0]))
+        ]
+        parts = [(np.flatnonzero(self._outputs == i), columns) for i, columns in enumerate(white)]
+        test = apart_test(name, self.left, parts, self.basis)
+
+        def weighted(weights: Array, left: Array, basis: Basis) -> FTest:
+            heavy = [(rows, weights[rows, None] * columns) for rows, columns in parts]
+            return apart_test(name, left, heavy, basis)
+
+        return self._both(test, weighted)
+
     def of_white(self, name: str, white: Array) -> FTest:
         """F-test of columns that are white already."""
-        return self._both(f_test(name, self.left, white, self.basis), white)
+        return self._beside(f_test(name, self.left, white, self.basis), white)
 
-    def _both(self, test: FTest, white: Array) -> FTest:
+    def _beside(self, test: FTest, white: Array) -> FTest:
+        """The test of white columns with the weighted one beside it."""
+        return self._both(test, lambda w, left, basis: f_test(test.name, left, w[:, None] * white, basis))
+
+    def _both(self, test: FTest, weighted: Callable[[Array, Array, Basis], FTest]) -> FTest:
         """The test, and where samples are unequally noisy the weighted one beside it."""
-        if self._weights is None or self._weighted is None or not test.dof:
+        if self._weighted is None or not test.dof:
             return test
-        left, basis = self._weighted
-        weighted = f_test(test.name, left, self._weights * white, basis)
-        return replace(test, p_value=min(1.0, 2.0 * min(test.p_value, weighted.p_value)))
+        other = weighted(*self._weighted)
+        return replace(test, p_value=min(1.0, 2.0 * min(test.p_value, other.p_value)))
 
     def whiten(self, blocks: Sequence[Array]) -> Array:
         """Columns (n_y, N, k) per record, whitened as the residual is; nothing where it is not judged."""
@@ -98,13 +117,13 @@ class TestedResidual:
         columns = [c.columns[self.ratio] for c in candidates]
         joined = [np.concatenate(parts, axis=2) for parts in zip(*columns, strict=True)]
         white = in_own_units(self.whiten(joined))
-        size = np.linalg.norm(white, axis=0)
+        size = lengths(white)
         left = project(white, self.basis)
         tests, first = [], 0
         for candidate, parts in zip(candidates, columns, strict=True):
             mine = slice(first, first + parts[0].shape[2])
             test = projected_test(candidate.effect.label, self.left, left[:, mine], size[mine], self.basis)
-            tests.append(self._both(test, white[:, mine]))
+            tests.append(self._beside(test, white[:, mine]))
             first = mine.stop
         return tests
 
@@ -129,6 +148,7 @@ def run_tests(
     candidates: Sequence[Candidate],
     motions: Sequence[Motion],
     left_out: int = 0,
+    others: Sequence[FTest] | None = None,
 ) -> list[FTest]:
     """The tests of the gate, each with a p-value of its own.
 
@@ -142,6 +162,8 @@ def run_tests(
         Estimated motion on each record.
     left_out : int, optional
         Candidates that were left out by what the residual says: they count as tried.
+    others : sequence of FTest, optional
+        Those without the library, where they are known.
 
     Returns
     -------
@@ -149,20 +171,38 @@ def run_tests(
         ``library`` (Bonferroni over the candidates), ``other laws``, ``changes with
         time``, ``parameters``, ``input``, ``powers of the input``.
     """
+    known = {test.name: test for test in (_others(battery, motions) if others is None else others)}
+    first = [known.pop(name) for name in _SHOWN if name in known]
+    return [_library(battery, candidates, left_out), *first, *known.values()]
+
+
+def passed_without_library(
+    battery: TestedResidual, motions: Sequence[Motion], significance: float
+) -> list[FTest] | None:
+    """The tests that need no candidates where they pass together; no more of them than needed where not."""
+    tests = []
+    for test in _others(battery, motions):
+        if test.dof and test.p_value * _MOST < significance:  # however many count beside it
+            return None
+        tests.append(test)
+    return tests if overall(tests) >= significance else None
+
+
+def _others(battery: TestedResidual, motions: Sequence[Motion]) -> Iterator[FTest]:
+    """The tests without the library, those that cost little first."""
     fitted, ratio = battery.fitted, battery.ratio
     records = fitted.problem.records
+    yield _parameters(battery, motions[0])
     if not fitted.problem.in_time:
-        known = [_library(battery, candidates, left_out), _parameters(battery, motions[0])]
-        return [*known, *response_tests(battery)]
-    tests = [_library(battery, candidates, left_out), battery.test("other laws", battery.generic[1])]
-    gain = fitted.gain(ratio)
-    slow = [force_responses(fitted, i, slow_forces(fitted, ratio, i), gain) for i in range(len(records))]
-    tests.append(battery.test("changes with time", slow))
-    tests.append(_parameters(battery, motions[0]))
+        yield from response_tests(battery)
+        return
     at_once = _at_once(fitted)
     for name, powers in (("input", {1: _LAGS}), ("powers of the input", _POWER_LAGS)):
-        tests.append(battery.test(name, [_lagged(r, at_once, powers) for r in records]))
-    return tests
+        yield battery.test_apart(name, [_lagged(r, at_once, powers) for r in records])
+    gain = fitted.gain(ratio)
+    slow = [force_responses(fitted, i, slow_forces(fitted, ratio, i), gain) for i in range(len(records))]
+    yield battery.test("changes with time", slow)
+    yield battery.test("other laws", battery.generic[1])
 
 
 def _library(battery: TestedResidual, candidates: Sequence[Candidate], left_out: int) -> FTest:
@@ -207,9 +247,9 @@ def _at_once(fitted: FittedModel) -> NDArray[np.bool_]:
     return np.asarray(seen | any(record.hold != "zoh" for record in records))
 
 
-def _lagged(record: Measurement, at_once: NDArray[np.bool_], powers: dict[int, int]) -> Array:
-    """Lagged powers of the inputs, for each output on its own: (n_y, N, k)."""
-    rows: list[tuple[int, Array]] = []
+def _lagged(record: Measurement, at_once: NDArray[np.bool_], powers: dict[int, int]) -> list[Array]:
+    """Lagged powers of the inputs, for each output on its own: (N, k) each."""
+    rows: list[list[Array]] = [[] for _ in range(record.n_outputs)]
     for j, row in enumerate(record.inputs):
         unit = (row - row.mean()) / (float(np.std(row)) or 1.0)
         for power, lags in powers.items():
@@ -217,8 +257,7 @@ def _lagged(record: Measurement, at_once: NDArray[np.bool_], powers: dict[int, i
             signal = signal - signal.mean()
             for lag in range(lags):
                 moved = np.concatenate([np.zeros(lag), signal])[: signal.size]  # a window may be shorter
-                rows += [(i, moved) for i in range(record.n_outputs) if lag or at_once[i, j]]
-    full = np.zeros((record.n_outputs, record.n_samples, len(rows)))
-    for k, (i, moved) in enumerate(rows):
-        full[i, :, k] = moved
-    return full
+                for i, own in enumerate(rows):
+                    if lag or at_once[i, j]:
+                        own.append(moved)
+    return [np.reshape(own, (len(own), record.n_samples)).T for own in rows]

@@ -9,8 +9,8 @@ from scipy import stats
 
 from ..data.response_record import ResponseRecord, coded
 from ..engine.response_engine import ResponseEngine
+from ..inference.f_tests import FTest
 from ..inference.free_form import Curve
-from ..inference.whitening import FTest
 from ..systems.linear import Array
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from ..data.measurement import Measurement
 from ..effects.effect import Effect
 from ..exceptions import ModelError
+from ..inference.f_tests import FTest
 from ..inference.refinement import EstimatedParameter, Refinement
-from ..inference.whitening import FTest
 from ..results import Look, Reported, picture, show
 from .checks.row import CheckRow
 from .hidden_force import HiddenForce, hidden_force

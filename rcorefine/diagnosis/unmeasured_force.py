@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..inference.f_tests import FTest
 from ..inference.fitted import FittedModel
 from ..inference.levels import Levels
 from ..inference.sensitivities import Candidate, candidate_columns
-from ..inference.whitening import FTest
 from .case import Case
 from .places import in_race
-from .residual_tests import TestedResidual, run_tests
+from .residual_tests import TestedResidual, passed_without_library, run_tests
 from .verdict import overall
 
 __all__ = ["Explained", "explaining_force", "likely_forces"]
@@ -90,11 +90,12 @@ def explaining_force(case: Case, free_run: TestedResidual) -> Explained | None:
         return None
     likely = likely_forces(case.fitted, free_run, case.levels.force, case.levels)
     for led in case.progress.over(likely, "unmeasured force"):
-        if overall(run_tests(led, [], case.motions)) < case.significance:
+        others = passed_without_library(led, case.motions, case.significance)
+        if others is None:
             continue  # the library cannot mend what fails without it
         near = in_race(led.fitted, case.library, (led.ratio,))
         scored = candidate_columns(led.fitted, near, case.motions[0], (led.ratio,))
-        tests = run_tests(led, scored, case.motions, len(case.library) - len(near))
+        tests = run_tests(led, scored, case.motions, len(case.library) - len(near), others)
         if overall(tests) >= case.significance:
             return Explained(led, scored, tests)
     return None

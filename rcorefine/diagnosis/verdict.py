@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..inference.f_tests import FTest
 from ..inference.levels import Levels
-from ..inference.whitening import FTest
 
 __all__ = ["keeps_name", "overall", "passes", "probabilities", "tied", "verdict"]
 

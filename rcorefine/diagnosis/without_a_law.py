@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..inference.f_tests import FTest
 from ..inference.refinement import Refinement
 from ..inference.sensitivities import candidate_columns
-from ..inference.whitening import FTest
 from ..refinement.refine import refit
 from .case import Case
 from .colored_noise import gain_over_color, left_to_noise

@@ -20,9 +20,10 @@ from ..engine.structure import Structure
 from ..exceptions import ModelError
 from ..gauss_newton import Rows, gauss_newton
 from ..systems.linear import Array
+from .basis import project, rank_basis
 from .fitted import FittedModel
 from .sensitivities import force_responses
-from .whitening import Whitener, project, rank_basis
+from .whitening import Whitener
 
 __all__ = [
     "Curve",

@@ -10,8 +10,8 @@ from scipy.stats import norm
 
 from ..engine.structure import Structure
 from ..inference.covariance import standard_deviations
+from ..inference.f_tests import FTest
 from ..inference.outcome import _initial_fit
-from ..inference.whitening import FTest
 from ..systems.linear import LinearModel
 from .candidates import Candidate
 from .damage_map import DamageMap, DamageRow, NuisanceRow

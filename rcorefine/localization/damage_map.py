@@ -11,7 +11,7 @@ from ..arguments import as_text
 from ..effects.effect import Effect
 from ..effects.springs import Stiffness
 from ..exceptions import ModelError
-from ..inference.whitening import FTest
+from ..inference.f_tests import FTest
 from ..results import Options, Result, picture, show
 from ..systems.linear import Array, LinearModel
 from .residual import overall

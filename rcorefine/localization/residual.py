@@ -11,10 +11,10 @@ import numpy as np
 from ..diagnosis.residual_tests import TestedResidual, run_tests
 from ..effects.effect import Effect
 from ..engine.structure import Structure
+from ..inference.f_tests import FTest
 from ..inference.fitted import FittedModel
 from ..inference.sensitivities import candidate_columns
 from ..inference.starts import Motion
-from ..inference.whitening import FTest
 from ..models.library import effect_library
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array

@@ -12,7 +12,7 @@ from scipy.signal import correlate
 from ...comparison.result import Comparison
 from ...data.measurement import Measurement
 from ...data.range_ends import resolution
-from ...inference.whitening import project, rank_basis
+from ...inference.basis import project, rank_basis
 from ...systems.conversion import to_discrete
 from ...systems.linear import Array, LinearModel
 from .row import LOOK, OK, STOP, CheckRow

@@ -9,7 +9,7 @@ import numpy as np
 from ...comparison.result import Comparison
 from ...data.measurement import Measurement
 from ...inference.autoregression import autoregression
-from ...inference.whitening import project, rank_basis
+from ...inference.basis import project, rank_basis
 from ...models.operating_point import OperatingPoint
 from ...systems.linear import Array
 from .gains import settling

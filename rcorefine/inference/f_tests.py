@@ -1,0 +1,244 @@
+"""Tests of columns against a whitened residual that need no equal variances."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from ..systems.linear import Array
+from .basis import Basis, as_basis, in_own_units, lengths, project, rank_basis
+
+__all__ = ["FTest", "apart_test", "f_test", "projected_test", "unequal_variances"]
+
+_INSIDE = 1e-6  # share of a column, or sine of an angle, below which it lies in what was fitted
+_FEWEST = 10  # degrees of freedom that a test leaves at least
+
+
+@dataclass(frozen=True, slots=True)
+class FTest:
+    """Whether a set of columns explains more of the residual than chance.
+
+    Attributes
+    ----------
+    name : str
+        What was tested.
+    statistic : float
+        F statistic, all samples taken as equally noisy.
+    dof : int
+        Columns that count.
+    p_value : float
+        Probability of such a gain if nothing is missing, whether the samples are equally
+        noisy or not: the larger one of the F-test and of Box's. Where the samples are not, twice
+        the smaller one of that and of the same with Huber's weights.
+    gain : float
+        Sum of squares that the columns take away.
+    p_equal : float
+        Of the F-test alone: right if all samples are equally noisy. Far below `p_value`, few
+        samples carry it, and whether they are fault or noise another record must tell.
+    """
+
+    name: str
+    statistic: float
+    dof: int
+    p_value: float
+    gain: float
+    p_equal: float
+
+
+def f_test(name: str, residual: Array, columns: Array, basis: Basis | Array) -> FTest:
+    """Test of columns on a whitened residual.
+
+    Parameters
+    ----------
+    name : str
+        What is tested.
+    residual : ndarray, shape (N,)
+        Whitened residual, the basis already projected off.
+    columns : ndarray, shape (N, k)
+        Whitened columns.
+    basis : Basis or ndarray of shape (N, b)
+        Orthonormal basis of what was fitted already; projected off the columns.
+
+    Returns
+    -------
+    FTest
+        p_value 1 where the columns lie in what was fitted.
+    """
+    columns = in_own_units(columns)
+    return projected_test(name, residual, project(columns, basis), lengths(columns), basis)
+
+
+def projected_test(name: str, residual: Array, left: Array, size: Array, basis: Basis | Array) -> FTest:
+    """As `f_test`, of columns off which the basis was projected already; `size` is their norm before."""
+    keep = lengths(left) > _INSIDE * np.maximum(size, 1e-300)
+    q = rank_basis(left if keep.all() else left[:, keep])
+    k, basis = q.shape[1], as_basis(basis)
+    if k == 0 or residual.size - basis.rank - k < _FEWEST:
+        return _nothing(name)
+    along = q.T @ residual
+    gain = float(along @ along)
+    return _tested(name, residual, k, basis, gain, unequal_variances(gain, q, residual, basis))
+
+
+def _nothing(name: str) -> FTest:
+    return FTest(name, 0.0, 0, 1.0, 0.0, 1.0)
+
+
+def _tested(name: str, residual: Array, k: int, basis: Basis, gain: float, unequal: float) -> FTest:
+    """The test of k directions that take so much away, with the p-value of unequal variances."""
+    free = residual.size - basis.rank - k
+    rest = max(float(residual @ residual) - gain, 1e-300)
+    statistic = gain / k / (rest / free)
+    p_equal = float(stats.f.sf(statistic, k, free))
+    return FTest(name, float(statistic), k, max(p_equal, unequal), gain, p_equal)
+
+
+def apart_test(
+    name: str, residual: Array, parts: Sequence[tuple[NDArray[np.intp], Array]], basis: Basis | Array
+) -> FTest:
+    """As `f_test`, of columns that each have rows of their own: those of one output.
+
+    Parameters
+    ----------
+    name : str
+        What is tested.
+    residual : ndarray, shape (N,)
+        Whitened residual, the basis already projected off.
+    parts : sequence of (ndarray of int, ndarray)
+        Rows of an output, and its columns there; no row twice.
+    basis : Basis or ndarray of shape (N, b)
+        Of what was fitted already.
+
+    Returns
+    -------
+    FTest
+
+    Notes
+    -----
+    What the columns add to the basis is the span of both less that of the basis, and the span of both is
+    that of the columns and of what they leave of the basis. Columns of one output stay among themselves
+    in that: the cost grows with the number of outputs, where that of all columns on all rows grows with
+    its cube.
+    """
+    basis = as_basis(basis)
+    if len(parts) == 1 or basis.own:
+        return f_test(name, residual, _side_by_side(parts, residual.size), basis)
+    columns = [(rows, rank_basis(in_own_units(part))) for rows, part in parts]
+    columns = [(rows, part) for rows, part in columns if part.shape[1]]
+    if not columns:
+        return _nothing(name)
+    common = basis.common
+    inside = np.hstack([common[rows].T @ part for rows, part in columns])  # (b, K)
+    values, vectors = np.linalg.eigh(np.eye(inside.shape[1]) - inside.T @ inside)
+    new = values > _INSIDE**2
+    k = int(new.sum())
+    if k == 0 or residual.size - basis.rank - k < _FEWEST:
+        return _nothing(name)
+    along = vectors[:, new].T @ np.concatenate([part.T @ residual[rows] for rows, part in columns])
+    gain = float(np.sum(along**2 / values[new]))
+    taken = vectors[:, new] @ (along / values[new])
+    explained = -common @ (inside @ taken)
+    beyond, at = common.copy(), 0
+    for rows, part in columns:
+        mine = slice(at, at + part.shape[1])
+        explained[rows] += part @ taken[mine]
+        beyond[rows] -= part @ inside[:, mine].T
+        at = mine.stop
+    unequal = _apart_variances(gain, columns, _outside(beyond, inside), basis, residual, explained)
+    return _tested(name, residual, k, basis, gain, unequal)
+
+
+def _outside(beyond: Array, inside: Array) -> Array:
+    """Orthonormal basis of what columns leave of a basis, of which so much lies inside their span."""
+    values, vectors = np.linalg.eigh(np.eye(len(inside)) - inside @ inside.T)
+    kept = values > _INSIDE**2
+    return np.asarray(beyond @ (vectors[:, kept] / np.sqrt(values[kept])))
+
+
+def _apart_variances(
+    gain: float,
+    columns: Sequence[tuple[NDArray[np.intp], Array]],
+    beyond: Array,
+    basis: Basis,
+    residual: Array,
+    explained: Array,
+) -> float:
+    """`unequal_variances` of the span of columns and `beyond` less that of the basis."""
+    weight = np.einsum("ij,ij->i", beyond, beyond) - basis.leverage
+    for rows, part in columns:
+        weight[rows] += np.einsum("ij,ij->i", part, part)
+    weight = np.maximum(weight, 0.0)
+    free = np.maximum(1.0 - weight - basis.leverage, 1e-9)
+    square = ((residual - explained) / free) ** 2
+    # trace of the square of D P D, P = S S' + T T' - Q Q' the projection, D what is left of each row
+    both = np.hstack([beyond, basis.common])
+    sign = np.repeat([1.0, -1.0], [beyond.shape[1], basis.common.shape[1]])
+    inner = both.T @ (square[:, None] * both)
+    size = float(sign @ inner**2 @ sign)
+    for rows, part in columns:
+        weighted = square[rows, None] * part
+        size += float(np.sum((part.T @ weighted) ** 2))
+        size += 2.0 * float(np.sum((both[rows].T @ weighted) ** 2, axis=1) @ sign)
+    return _by_box(gain, float(square @ weight), size, weight)
+
+
+def _by_box(gain: float, total: float, size: float, weight: Array) -> float:
+    """Probability of a gain, from the trace of its covariance and of the square of that."""
+    if total <= 0.0:
+        return 1.0 if gain <= 0.0 else 0.0
+    dof = total**2 / size
+    return float(stats.f.sf(gain / total, dof, weight.sum() ** 2 / np.sum(weight**2)))
+
+
+def _side_by_side(parts: Sequence[tuple[NDArray[np.intp], Array]], count: int) -> Array:
+    """Columns that have rows of their own as columns (N, K) of all rows."""
+    whole, at = np.zeros((count, sum(part.shape[1] for _, part in parts))), 0
+    for rows, part in parts:
+        whole[rows, at : at + part.shape[1]] = part
+        at += part.shape[1]
+    return whole
+
+
+def unequal_variances(gain: float, q: Array, residual: Array, basis: Basis | Array) -> float:
+    """Probability of a gain by chance where each sample may have a noise level of its own.
+
+    Noise in proportion to the reading, bursts, spikes or dropouts are no fault of the
+    model, but columns that are large where the noise is large take much of it away.
+
+    Parameters
+    ----------
+    gain : float
+        Sum of squares of the residual along q.
+    q : ndarray, shape (N, k)
+        Orthonormal columns, orthogonal to the basis.
+    residual : ndarray, shape (N,)
+        Residual, the basis projected off.
+    basis : Basis or ndarray of shape (N, b)
+        Orthonormal basis of what was fitted.
+
+    Returns
+    -------
+    float
+
+    Notes
+    -----
+    Box's approximation: the gain is distributed as ``tr(M) / nu`` times chi-squared of
+    ``nu = tr(M)^2 / tr(M^2)`` degrees of freedom, M the covariance of ``q' residual``. M is
+    estimated by the jackknife (HC3 of MacKinnon and White), and counts as a sum of squares
+    weighted as q weighs the samples. What q explains is taken out of the residual for that,
+    or a large fault would pass as noise on the few samples on which it acts.
+
+    References
+    ----------
+    Box, G. E. P., Ann. Math. Statist. 25 (1954) 290; MacKinnon and White, J. Econometrics
+    29 (1985) 305.
+    """
+    weight = np.einsum("ij,ij->i", q, q)
+    free = np.maximum(1.0 - weight - as_basis(basis).leverage, 1e-9)
+    scaled = q * (project(residual, q) / free)[:, None]
+    covariance = scaled.T @ scaled
+    return _by_box(gain, float(np.trace(covariance)), float(np.sum(covariance**2)), weight)
