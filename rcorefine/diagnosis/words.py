@@ -10,7 +10,7 @@ from .absorbed import far_numbers, numbers_that_moved, what_was_absorbed
 from .verdict import overall
 
 if TYPE_CHECKING:
-    from ..inference.whitening import FTest
+    from ..inference.f_tests import FTest
     from .result import Diagnosis
 
 __all__ = ["no_test_fires", "sentences"]
