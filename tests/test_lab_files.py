@@ -274,10 +274,110 @@ def test_objects_of_nonlinear_benchmarks():
 
 
 @pytest.mark.parametrize(
-    "module, reader", [("h5py", "from_hdf5"), ("nptdms", "from_tdms"), ("pyuff", "from_uff")]
+    "module, reader",
+    [("h5py", "from_hdf5"), ("nptdms", "from_tdms"), ("pyuff", "from_uff"), ("rosbags", "from_rosbag")],
 )
 def test_what_is_not_installed_is_named(monkeypatch, module, reader):
     monkeypatch.setitem(sys.modules, module, None)
     columns = (0, 1) if reader == "from_uff" else ("u", "y")
     with pytest.raises(MissingExtraError, match=rf"{reader} needs {module}; install the extra .formats."):
         getattr(Measurement, reader)("none", *columns, **({} if reader == "from_uff" else {"dt": 1.0}))
+
+
+# ------------------------------------------------------------------ ROS
+SECOND = 10**9
+BEGIN = 1_700_000_000 * SECOND  # ns: bags count from 1970
+
+
+def bag(path, form):
+    """A robot's arm as a bag: effort at 20 Hz without a header, its joints at 50 Hz, an IMU at 100 Hz.
+
+    The joints are recorded 30 ms after the time that they bear; what is recorded is known in closed form.
+    """
+    pytest.importorskip("rosbags")
+    from rosbags import rosbag1, rosbag2
+    from rosbags.typesys import Stores, get_typestore
+
+    old = form == "ros1"
+    store = get_typestore(Stores.ROS1_NOETIC if old else Stores.ROS2_HUMBLE)
+    kinds = store.types
+    header, stamp = kinds["std_msgs/msg/Header"], kinds["builtin_interfaces/msg/Time"]
+
+    def head(k, ns):
+        at = stamp(ns // SECOND, ns % SECOND)
+        return header(k, at, "base") if old else header(at, "base")
+
+    def write(writer, topic, kind, messages):
+        connection = writer.add_connection(topic, kind, typestore=store)
+        raw = store.serialize_ros1 if old else store.serialize_cdr
+        for at, message in messages:
+            writer.write(connection, at, bytes(raw(message, kind)))
+
+    vector, turn = kinds["geometry_msgs/msg/Vector3"], kinds["geometry_msgs/msg/Quaternion"]
+    no, at = np.zeros(9), [(k, BEGIN + k * SECOND // 50) for k in range(251)]
+    joints = [
+        (t + 30_000_000, kinds["sensor_msgs/msg/JointState"](
+            head(k, t), ["wrist", "elbow"], np.array([0.5, np.sin((t - BEGIN) / SECOND)]), no[:2], no[:2]
+        ))
+        for k, t in at
+    ]  # fmt: skip
+    faster = [(k, BEGIN + k * SECOND // 100) for k in range(501)]
+    imu = [
+        (t, kinds["sensor_msgs/msg/Imu"](
+            head(k, t), turn(0.0, 0.0, 0.0, 1.0), no, vector(0.0, 0.0, np.cos((t - BEGIN) / SECOND)), no,
+            vector(0.0, 0.0, 0.0), no,
+        ))
+        for k, t in faster
+    ]  # fmt: skip
+    effort = [(BEGIN + k * SECOND // 20, kinds["std_msgs/msg/Float64"](float(k % 7))) for k in range(101)]
+    made = rosbag1.Writer(path) if old else rosbag2.Writer(
+        path, version=9, storage_plugin=rosbag2.StoragePlugin[{"mcap": "MCAP", "sqlite3": "SQLITE3"}[form]]
+    )  # fmt: skip
+    with made as writer:
+        write(writer, "/arm/effort", "std_msgs/msg/Float64", effort)
+        write(writer, "/arm/joints", "sensor_msgs/msg/JointState", joints)
+        write(writer, "/imu", "sensor_msgs/msg/Imu", imu)
+    return path
+
+
+@pytest.mark.parametrize("form", ["ros1", "sqlite3", "mcap"])
+def test_a_bag_comes_on_one_grid(tmp_path, form):
+    path = bag(tmp_path / ("run.bag" if form == "ros1" else "run"), form)
+    outputs = ["/arm/joints/position[elbow]", "/imu/angular_velocity/z"]
+    for where in [path, *path.glob("*.mcap")] if path.is_dir() else [path]:
+        data = Measurement.from_rosbag(where, "/arm/effort/data", outputs)
+        assert data.dt == pytest.approx(0.02, rel=1e-6)  # of the slower topic
+        assert data.output_labels == tuple(outputs)
+        inside = slice(5, -5)  # the grid of 100 Hz passed a filter
+        t = data.timepts[inside]
+        np.testing.assert_allclose(data.outputs[0, inside], np.sin(t), atol=2e-4)
+        np.testing.assert_allclose(data.outputs[1, inside], np.cos(t), atol=2e-4)
+        assert "/arm/effort: messages bear no time of their own" in data.notes[-1]
+    late = Measurement.from_rosbag(path, "/arm/effort/data", outputs[0], clock="log", dt=0.01)
+    np.testing.assert_allclose(late.outputs[0], np.sin(late.timepts - 0.03), atol=1e-6)
+    k = np.floor(late.timepts * 20 + 1e-6)
+    np.testing.assert_allclose(late.inputs[0], k % 7, atol=1e-6)
+
+
+def test_what_a_bag_does_not_hold_is_named(tmp_path):
+    path = bag(tmp_path / "run", "mcap")
+    effort = "/arm/effort/data"
+    for name, message in (
+        (
+            "/arm/speed/data",
+            r"no topic of '/arm/speed/data'.*Topics: /arm/effort \(std_msgs/msg/Float64\), /arm",
+        ),
+        ("/imu/angular_velocity/w", r"has no field 'w'; there are: x, y, z"),
+        ("/imu/angular_velocity", r"is .*Vector3.*, no number; name a part of it"),
+        ("/arm/joints/position[hip]", r"no entry 'hip' in 'position'; it has 2: wrist, elbow"),
+        ("/arm/joints/position[7]", r"no entry '7' in 'position'; it has 2"),
+        ("/arm/joints/__class__", r"no field '__class__'; there are: header, name, position"),
+    ):
+        with pytest.raises(DataError, match=message):
+            Measurement.from_rosbag(path, effort, name)
+    (file,) = path.glob("*.mcap")
+    file.write_bytes(file.read_bytes()[:900])
+    with pytest.raises(DataError, match="no ROS bag that rosbags can read, or it is damaged"):
+        Measurement.from_rosbag(file, effort, "/imu/angular_velocity/z")
+    with pytest.raises(FileNotFoundError):
+        Measurement.from_rosbag(tmp_path / "none.bag", effort, "/imu/angular_velocity/z")

@@ -10,10 +10,13 @@ from typing import Any, Self
 import control as ct
 import numpy as np
 
-from ..arguments import as_list, as_path, as_whole
-from .columns import wanted_columns
+from ..arguments import as_choice, as_list, as_path, as_whole
+from .columns import names_of, wanted_columns
 from .extra_formats import read_hdf5, read_tdms, read_uff
 from .formats import FileReaders
+from .resampling import Stamped, as_stamps, checked_grid, regular
+from .rosbags import read_rosbag
+from .signals import check_finite
 
 __all__ = ["LabReaders"]
 
@@ -179,6 +182,78 @@ class LabReaders(FileReaders):
             "output_units": units[n:],
         }
         return cls(np.array(values[:n]), np.array(values[n:]), dt=dt, **(own | options))
+
+    @classmethod
+    def from_rosbag(
+        cls,
+        path: str | PathLike[str],
+        inputs: str | Sequence[str],
+        outputs: str | Sequence[str],
+        *,
+        dt: float | None = None,
+        clock: str = "header",
+        longest_gap: float | None = None,
+        hold: str = "zoh",
+        **options: Any,
+    ) -> Self:
+        """Read signals of a ROS bag (ROS 1, ROS 2, or a single MCAP file) onto one regular grid.
+
+        Parameters
+        ----------
+        path : str or path
+            File (.bag, .mcap, .db3) or the folder of a ROS 2 bag; needs rosbags.
+        inputs, outputs : str or sequence of str
+            Signals as "/topic/field/part", with entries of arrays by place
+            ("/imu/orientation_covariance[0]") or, where a list of names stands
+            beside them, by name ("/joint_states/position[elbow]").
+        dt : float, optional
+            Sampling time in s. Default: the usual step of the outputs, of the
+            slowest where they come from several topics.
+        clock : {"header", "log"}
+            When a message counts: at the time that its header bears (at that of
+            the recorder where it has none), or at that of the recorder.
+        longest_gap, hold, **options
+            As in `from_timestamps`.
+
+        Returns
+        -------
+        Measurement
+            Named after the file, with times in s from the beginning of the bag.
+            Its `notes` say how it was resampled, and which topics bear no time.
+
+        Raises
+        ------
+        DataError
+            No such topic or field (those that exist are listed), gaps, or another
+            file.
+        MissingExtraError
+            If the extra "formats" is not installed.
+
+        Examples
+        --------
+        >>> data = rco.Measurement.from_rosbag(
+        ...     "run1.mcap", "/cmd_vel/linear/x", "/odom/twist/twist/linear/x")  # doctest: +SKIP
+        """
+        path, names = as_path(path), wanted_columns(inputs, outputs, None, None, options)
+        as_choice(clock, "clock", ("header", "log"))
+        dt, longest_gap = checked_grid(dt, hold, longest_gap)
+        sides = [names_of(inputs, "inputs"), names_of(outputs, "outputs")]
+        read, said = read_rosbag(path, names, clock == "header")
+        signals = {}
+        for name, (times, values) in read.items():
+            signals[name] = Stamped(as_stamps(times, f"the clock of {name!r}"), values[None], name)
+            check_finite(values[None], [name], times, "signal")
+        w, y = ([signals[name] for name in side] for side in sides)
+        grid = regular(w, y, dt, hold, longest_gap)
+        own = {
+            "name": Path(path).stem,
+            "input_labels": sides[0],
+            "output_labels": sides[1],
+            "notes": (*grid.notes, *said),
+        }
+        return cls(
+            grid.inputs, grid.outputs, dt=grid.dt, timepts=grid.timepts, hold=grid.hold, **(own | options)
+        )
 
     @classmethod
     def from_benchmark(cls, data: Any, **options: Any) -> Self:

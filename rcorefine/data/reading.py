@@ -9,12 +9,11 @@ from typing import Any, Self
 import control as ct
 import numpy as np
 
-from ..arguments import as_choice, as_number
 from ..exceptions import DataError
 from .columns import read_frame, wanted_columns
 from .lab_formats import LabReaders
-from .resampling import as_stamps, regular
-from .signals import HOLDS, as_signals, check_finite, default_labels
+from .resampling import Stamped, as_stamps, checked_grid, regular
+from .signals import as_signals, check_finite, default_labels
 from .tables import read_csv
 
 __all__ = ["RecordReaders"]
@@ -292,13 +291,7 @@ class RecordReaders(LabReaders):
         >>> data.dt, bool(np.abs(data.outputs - np.sin(5 * data.timepts)).max() < 1e-6)
         (0.01, True)
         """
-        as_choice(hold, "hold", HOLDS)
-        if dt is not None:
-            dt = as_number(dt, "dt", above=0.0, what="a time in seconds", error=DataError)
-        if longest_gap is not None:
-            longest_gap = as_number(
-                longest_gap, "longest_gap", above=0.0, what="a time in seconds", error=DataError
-            )
+        dt, longest_gap = checked_grid(dt, hold, longest_gap)
         own = "timepts" if output_timepts is None else "output_timepts"
         t_w = as_stamps(timepts, "timepts")
         t_y = t_w if output_timepts is None else as_stamps(output_timepts, "output_timepts")
@@ -309,7 +302,8 @@ class RecordReaders(LabReaders):
                     f"{what} have {rows.shape[1]} samples and {clock} {stamps.size} times"
                 )
             check_finite(rows, default_labels(what[0], len(rows)), stamps, what[:-1])
-        found = regular((t_w, t_y), w, y, dt, hold, longest_gap)
+        clocks = [Stamped(t_w, w, "inputs")], [Stamped(t_y, y, "outputs")]
+        found = regular(*clocks, dt, hold, longest_gap)
         return cls(
             found.inputs, found.outputs, dt=found.dt, timepts=found.timepts, hold=found.hold,
             **({"notes": found.notes} | options),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import control as ct
@@ -9,12 +10,12 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import fftconvolve
 
-from ..arguments import as_array
+from ..arguments import as_array, as_choice, as_number
 from ..exceptions import DataError
 from ..systems.linear import Array
-from .signals import step_of
+from .signals import HOLDS, step_of
 
-__all__ = ["Resampled", "as_stamps", "decimated", "regular"]
+__all__ = ["Resampled", "Stamped", "as_stamps", "checked_grid", "decimated", "regular"]
 
 _DOUBLED = 0.2  # of a step: stamps that are closer count as one
 _GAP = 3.0  # steps
@@ -34,6 +35,14 @@ class Resampled(NamedTuple):
     hold: str
     notes: tuple[str, ...]
     elapsed: float = 0.0  # s that were cut off before the first sample
+
+
+class Stamped(NamedTuple):
+    """Signals (n, N) by one clock."""
+
+    times: Array
+    rows: Array
+    name: str
 
 
 def decimated(inputs: Array, outputs: Array, dt: float, timepts: Array, hold: str, factor: int) -> Resampled:
@@ -141,48 +150,69 @@ def as_stamps(values: Any, name: str) -> Array:
     return stamps
 
 
+def checked_grid(dt: Any, hold: Any, longest_gap: Any) -> tuple[float | None, float | None]:
+    """Sampling time and longest gap in s, None for the defaults; said before anything is read.
+
+    Raises
+    ------
+    DataError, control.ControlArgument
+        If one is no positive number, or there is no such hold.
+    """
+    as_choice(hold, "hold", HOLDS)
+    wanted: dict[str, Any] = {"above": 0.0, "what": "a time in seconds", "error": DataError}
+    dt = None if dt is None else as_number(dt, "dt", **wanted)
+    return dt, None if longest_gap is None else as_number(longest_gap, "longest_gap", **wanted)
+
+
 def regular(
-    stamps: tuple[Array, Array],
-    inputs: Array,
-    outputs: Array,
+    inputs: Sequence[Stamped],
+    outputs: Sequence[Stamped],
     dt: float | None,
     hold: str,
     longest_gap: float | None,
 ) -> Resampled:
-    """Signals with stamps of their own on one regular grid, see `Measurement.from_timestamps`."""
+    """Signals with stamps of their own on one regular grid, see `Measurement.from_timestamps`.
+
+    Of several clocks of the outputs the slowest sets the sampling time, and the fastest the grid before it.
+    """
     notes: list[str] = []
-    t_w, inputs = _in_order(stamps[0], inputs, hold == "zoh", "inputs", notes)
-    t_y, outputs = _in_order(stamps[1], outputs, False, "outputs", notes)
-    step = _step(t_y)
-    for times, name, held in ((t_w, "inputs", hold == "zoh"), (t_y, "outputs", False)):
-        if not held:  # a held input may be stamped only when it changes
-            _check_gaps(times, name, longest_gap)
-    dt = step if dt is None else dt
+    held = hold == "zoh"
+    inputs = [_in_order(one, held, notes) for one in inputs]
+    outputs = [_in_order(one, False, notes) for one in outputs]
+    for one in [*(() if held else inputs), *outputs]:  # a held input may be stamped only when it changes
+        _check_gaps(one.times, one.name, longest_gap)
+    steps = [_step(one.times) for one in outputs]
+    step = min(steps)
+    dt = max(steps) if dt is None else dt
     factor = 1 if dt <= 1.1 * step else int(np.ceil(dt / step * (1 - 1e-9)))
-    first, last = max(t_w[0], t_y[0]), min(t_w[-1] if hold != "zoh" else np.inf, t_y[-1])
+    ends = [*outputs, *(() if held else inputs)]
+    first, last = max(one.times[0] for one in [*inputs, *outputs]), min(one.times[-1] for one in ends)
     count = int(np.floor((last - first) / (dt / factor) * (1 + 1e-12))) + 1
     if last <= first or count < 2:
+        spans = " and ".join(f"{s.name} ({s.times[0]:g} ... {s.times[-1]:g} s)" for s in [*inputs, *outputs])
         raise DataError(
-            f"inputs (t = {t_w[0]:g} ... {t_w[-1]:g} s) and outputs ({t_y[0]:g} ... {t_y[-1]:g} s) have "
-            "no stretch of time in common that holds two samples; bring both clocks to one zero"
+            f"{spans} have no stretch of time in common that holds two samples; bring them to one zero"
         )
     grid = first + dt / factor * np.arange(count)
-    fine_y = np.array([_spline(t_y, row, grid) for row in outputs])
-    if hold == "zoh":
-        edges = np.append(grid, grid[-1] + dt / factor)
-        fine_w = np.array([_held_mean(t_w, row, edges) for row in inputs])
+    fine_y = np.array([_spline(one.times, row, grid) for one in outputs for row in one.rows])
+    at, through = grid, _spline
+    how = "inputs: a cubic spline"
+    if held:
+        at, through = np.append(grid, grid[-1] + dt / factor), _held_mean
         how = "inputs: mean of the held value over each step, which keeps what they drive"
     elif hold == "foh":
-        fine_w = np.array([np.interp(grid, t_w, row) for row in inputs])
+        through = _straight
         how = "inputs: straight lines between their stamps"
-    else:
-        fine_w = np.array([_spline(t_w, row, grid) for row in inputs])
-        how = "inputs: a cubic spline"
-    scatter = np.std(np.diff(t_y) / step - np.maximum(np.round(np.diff(t_y) / step), 1.0))
-    errors = ", ".join(f"{_left_out(t_y, row):.3g}" for row in outputs)
+    fine_w = np.array([through(one.times, row, at) for one in inputs for row in one.rows])
+    scatter = max(
+        np.std(np.diff(one.times) / own - np.maximum(np.round(np.diff(one.times) / own), 1.0))
+        for one, own in zip(outputs, steps, strict=True)
+    )
+    errors = ", ".join(f"{_left_out(one.times, row):.3g}" for one in outputs for row in one.rows)
+    listed = " and ".join(f"{own:.6g} s" for own in dict.fromkeys(steps))
     said = (
         f"resampled to dt = {dt:.6g} s from stamps whose steps scatter by {100 * scatter:.2g} % of "
-        f"{step:.6g} s; {how}; outputs: a cubic spline, whose rms error, noise included, is at most "
+        f"{listed}; {how}; outputs: a cubic spline, whose rms error, noise included, is at most "
         f"{errors} (found by leaving out every other sample)"
     )
     notes.insert(0, said)
@@ -192,8 +222,9 @@ def regular(
     return slow._replace(dt=dt, notes=(*notes, *slow.notes))
 
 
-def _in_order(times: Array, rows: Array, last: bool, name: str, notes: list[str]) -> tuple[Array, Array]:
+def _in_order(signals: Stamped, last: bool, notes: list[str]) -> Stamped:
     """Stamps that increase; what is stamped alike (or nearly so) becomes one sample."""
+    times, rows, name = signals
     order = np.argsort(times, kind="stable")
     late = int(np.sum(np.diff(times) < 0))
     times, rows = times[order], rows[:, order]
@@ -211,9 +242,10 @@ def _in_order(times: Array, rows: Array, last: bool, name: str, notes: list[str]
             f"{name}: {times.size - starts.size} stamps were double (closer than {_DOUBLED:g} steps); {rule}"
         )
         if last:
-            return times[starts], rows[:, np.append(starts[1:], times.size) - 1]
-        return np.add.reduceat(times, starts) / sizes, np.add.reduceat(rows, starts, axis=1) / sizes
-    return times, rows
+            return Stamped(times[starts], rows[:, np.append(starts[1:], times.size) - 1], name)
+        mean = np.add.reduceat(times, starts) / sizes, np.add.reduceat(rows, starts, axis=1) / sizes
+        return Stamped(*mean, name)
+    return Stamped(times, rows, name)
 
 
 def _step(times: Array) -> float:
@@ -241,11 +273,15 @@ def _spline(times: Array, values: Array, at: Array) -> Array:
     return found
 
 
-def _held_mean(times: Array, values: Array, edges: Array) -> Array:
-    """Mean over each step of a value that is held until the next stamp."""
-    ends = np.append(times, max(times[-1], edges[-1]) + 1.0)
+def _straight(times: Array, values: Array, at: Array) -> Array:
+    return np.interp(at, times, values)
+
+
+def _held_mean(times: Array, values: Array, at: Array) -> Array:
+    """Mean over each step between `at` of a value that is held until the next stamp."""
+    ends = np.append(times, max(times[-1], at[-1]) + 1.0)
     area = np.concatenate([[0.0], np.cumsum(values * np.diff(ends))])
-    found: Array = np.diff(np.interp(edges, ends, area)) / np.diff(edges)
+    found: Array = np.diff(np.interp(at, ends, area)) / np.diff(at)
     return found
 
 
