@@ -486,6 +486,20 @@ CALLS: dict[str, Call] = {
     "Measurement.from_npz": _reader("from_npz", "a.npz"),
     "Measurement.from_hdf5": _reader("from_hdf5", "a.npz", work="rcorefine.data.lab_formats.read_hdf5"),
     "Measurement.from_tdms": _reader("from_tdms", "a.npz", work="rcorefine.data.lab_formats.read_tdms"),
+    "Measurement.from_rosbag": Call(
+        lambda: MEASURE.from_rosbag,
+        lambda: {"path": files()["a.npz"], "inputs": "/u/data", "outputs": "/y/data"},
+        {
+            **LABELS,
+            **OPTIONAL,
+            "path": is_path,
+            "dt": is_positive,
+            "longest_gap": is_positive,
+            "clock": is_text,
+        },
+        work="rcorefine.data.lab_formats.read_rosbag",
+        more=tuple(UNITS),
+    ),
     "Measurement.from_uff": Call(
         lambda: MEASURE.from_uff,
         lambda: {"path": files()["a.npz"], "input_set": 0, "output_set": 1},

@@ -231,8 +231,20 @@ class LabReaders(FileReaders):
 
         Examples
         --------
-        >>> data = rco.Measurement.from_rosbag(
-        ...     "run1.mcap", "/cmd_vel/linear/x", "/odom/twist/twist/linear/x")  # doctest: +SKIP
+        >>> import importlib.util, pathlib, tempfile
+        >>> path = pathlib.Path(tempfile.mkdtemp()) / "run1"
+        >>> if importlib.util.find_spec("rosbags"):
+        ...     from rosbags.rosbag2 import StoragePlugin, Writer
+        ...     from rosbags.typesys import Stores, get_typestore
+        ...     store, kind = get_typestore(Stores.ROS2_HUMBLE), "std_msgs/msg/Float64"
+        ...     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        ...         for name in ("/voltage", "/speed"):
+        ...             topic = bag.add_connection(name, kind, typestore=store)
+        ...             for k in range(5):
+        ...                 message = store.serialize_cdr(store.types[kind](k / 5), kind)
+        ...                 bag.write(topic, k * 10**8, message)
+        ...     data = rco.Measurement.from_rosbag(path, "/voltage/data", "/speed/data")
+        ...     assert (data.n_samples, data.dt) == (5, 0.1)
         """
         path, names = as_path(path), wanted_columns(inputs, outputs, None, None, options)
         as_choice(clock, "clock", ("header", "log"))
