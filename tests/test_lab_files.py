@@ -353,7 +353,7 @@ def test_a_bag_comes_on_one_grid(tmp_path, form):
         np.testing.assert_allclose(data.outputs[0, inside], np.sin(t), atol=2e-4)
         np.testing.assert_allclose(data.outputs[1, inside], np.cos(t), atol=2e-4)
         assert "/arm/effort: messages bear no time of their own" in data.notes[-1]
-    late = Measurement.from_rosbag(path, "/arm/effort/data", outputs[0], clock="log", dt=0.01)
+    late = Measurement.from_rosbag(path, "/arm/effort/data", outputs[0], stamps="log", dt=0.01)
     np.testing.assert_allclose(late.outputs[0], np.sin(late.timepts - 0.03), atol=1e-6)
     k = np.floor(late.timepts * 20 + 1e-6)
     np.testing.assert_allclose(late.inputs[0], k % 7, atol=1e-6)

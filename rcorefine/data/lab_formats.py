@@ -191,7 +191,7 @@ class LabReaders(FileReaders):
         outputs: str | Sequence[str],
         *,
         dt: float | None = None,
-        clock: str = "header",
+        stamps: str = "header",
         longest_gap: float | None = None,
         hold: str = "zoh",
         **options: Any,
@@ -209,7 +209,7 @@ class LabReaders(FileReaders):
         dt : float, optional
             Sampling time in s. Default: the usual step of the outputs, of the
             slowest where they come from several topics.
-        clock : {"header", "log"}
+        stamps : {"header", "log"}
             When a message counts: at the time that its header bears (at that of
             the recorder where it has none), or at that of the recorder.
         longest_gap, hold, **options
@@ -247,10 +247,10 @@ class LabReaders(FileReaders):
         ...     assert (data.n_samples, data.dt) == (5, 0.1)
         """
         path, names = as_path(path), wanted_columns(inputs, outputs, None, None, options)
-        as_choice(clock, "clock", ("header", "log"))
+        as_choice(stamps, "stamps", ("header", "log"))
         dt, longest_gap = checked_grid(dt, hold, longest_gap)
         sides = [names_of(inputs, "inputs"), names_of(outputs, "outputs")]
-        read, said = read_rosbag(path, names, clock == "header")
+        read, said = read_rosbag(path, names, stamps == "header")
         signals = {}
         for name, (times, values) in read.items():
             signals[name] = Stamped(as_stamps(times, f"the clock of {name!r}"), values[None], name)
