@@ -182,3 +182,44 @@ def test_gaps_can_be_filled_in_when_asked():
     with pytest.raises(DataError, match="longest_gap="):
         Measurement.from_timestamps(t, W[: t.size], np.sin(t))
     assert Measurement.from_timestamps(t, W[: t.size], np.sin(t), longest_gap=1.0).n_samples == 100
+
+
+# ---------------------------------------------------------------- clocks that are set
+@pytest.mark.parametrize("back", [0.5, 5.0, 5.04, 12.3, 20.0])
+def test_a_clock_that_was_set_back_is_no_disorder(back):
+    """Two stretches with the same times were laid over each other, their means taken."""
+    t, rng = 0.1 * np.arange(400), np.random.default_rng(6)
+    y = rng.standard_normal(400)
+    set_back = t - back * (t >= 20.0)
+    with pytest.raises(DataError, match=rf"outputs: the clock was set back by {back:g} s behind sample 199"):
+        Measurement.from_timestamps(set_back, np.zeros(400), y)
+    with pytest.raises(DataError, match="a record of each stretch"):
+        Measurement.from_timestamps(set_back + 0.004 * rng.uniform(-1, 1, 400), y, y)
+    with pytest.raises(DataError, match=r"1 gap\(s\)"):
+        Measurement.from_timestamps(t + back * (t >= 20.0), np.zeros(400), y)
+
+
+def test_a_clock_that_is_set_back_again_and_again():
+    t = np.tile(0.1 * np.arange(100), 5)
+    with pytest.raises(DataError, match=r"set back by 10 s behind sample 99"):
+        Measurement.from_timestamps(t, np.zeros(500), np.sin(0.3 * np.arange(500)))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_what_comes_late_or_twice_is_no_clock(seed):
+    """A packet behind the next one, a packet twice, a single sample from before, times that trade places."""
+    rng = np.random.default_rng(seed)
+    t = 0.1 * np.arange(400) + 0.01 * rng.uniform(-1, 1, 400)
+    w, y = rng.standard_normal(400), rng.standard_normal(400)
+    plain = Measurement.from_timestamps(t, w, y)
+    first, size = int(rng.integers(20, 300)), int(rng.integers(3, 30))
+    packet, every = np.arange(first, first + size), np.arange(400)
+    late = np.r_[every[:first], packet + size, packet, every[first + 2 * size :]]
+    twice = np.r_[every[: first + size], packet, every[first + size :]]
+    one = np.r_[np.delete(every, first)[: first + size], first, every[first + size + 1 :]]
+    near = every.copy()
+    near[[first, first + 1]] = near[[first + 1, first]]
+    for order in (late, twice, one, near):
+        found = Measurement.from_timestamps(t[order], w[order], y[order])
+        np.testing.assert_allclose(found.outputs, plain.outputs, atol=1e-12)
+        np.testing.assert_allclose(found.inputs, plain.inputs, atol=1e-9)

@@ -84,11 +84,12 @@ def _real(value: Any) -> float | None:
 
 
 def as_share(value: Any, name: str, *, error: type[Exception] = ct.ControlArgument) -> float:
-    """Probability or share strictly between 0 and 1."""
+    """Probability or share strictly between 0 and 1, not so small that its quantile is infinite."""
     number = _real(value)
-    if number is None or not 0.0 < number < 1.0:
+    if number is None or not 1 / _LARGEST <= number < 1.0:
         problem = ct.ControlArgument if number is None else error
-        raise problem(f"{name} must be a number between 0 and 1, not {shown(value)}")
+        least = f" (at least {1 / _LARGEST:g})" if number is not None and 0 < number < 1 else ""
+        raise problem(f"{name} must be a number between 0 and 1{least}, not {shown(value)}")
     return number
 
 

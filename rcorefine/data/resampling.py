@@ -19,6 +19,8 @@ __all__ = ["Resampled", "Stamped", "as_stamps", "checked_grid", "decimated", "re
 
 _DOUBLED = 0.2  # of a step: stamps that are closer count as one
 _GAP = 3.0  # steps
+_DISORDER = 0.02  # of the stamps before the one ahead: more is no clock that was set
+_CROWDED = 1.5  # times as many stamps as a stretch of time has room for
 _PASSES = 0.75  # of the new Nyquist frequency: up to there the filter is flat
 _HALF = 20  # new samples on either side that it takes
 _BETA = 7.857  # Kaiser's window for 80 dB
@@ -218,12 +220,16 @@ def regular(
     notes.insert(0, said)
     if factor == 1:
         return Resampled(fine_w, fine_y, dt, grid, hold, tuple(notes))
-    slow = decimated(fine_w, fine_y, dt / factor, grid, hold, factor)
+    try:
+        slow = decimated(fine_w, fine_y, dt / factor, grid, hold, factor)
+    except DataError as reason:
+        raise DataError(f"dt = {dt:g} s is too long for stamps {step:.6g} s apart: {reason}") from reason
     return slow._replace(dt=dt, notes=(*notes, *slow.notes))
 
 
 def _in_order(signals: Stamped, last: bool, notes: list[str]) -> Stamped:
     """Stamps that increase; what is stamped alike (or nearly so) becomes one sample."""
+    _check_clock(signals)
     times, rows, name = signals
     order = np.argsort(times, kind="stable")
     late = int(np.sum(np.diff(times) < 0))
@@ -246,6 +252,31 @@ def _in_order(signals: Stamped, last: bool, notes: list[str]) -> Stamped:
         mean = np.add.reduceat(times, starts) / sizes, np.add.reduceat(rows, starts, axis=1) / sizes
         return Stamped(*mean, name)
     return Stamped(times, rows, name)
+
+
+def _check_clock(signals: Stamped) -> None:
+    """A clock that is set back stamps two stretches with the same times; what came late fills a hole."""
+    times, rows, name = signals
+    steps = np.diff(times)
+    back = np.flatnonzero(steps < 0)
+    if not 0 < back.size <= max(1.0, _DISORDER * times.size):
+        return
+    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    for k in back:
+        low, high = times[k + 1], times[k]
+        before = np.flatnonzero(times[: k + 1] >= low)
+        after = k + 1 + np.flatnonzero(times[k + 1 :] <= high)
+        room = (high - low) / step + 1 if step else 0.0
+        if room < 3 or before.size + after.size < _CROWDED * room:
+            continue
+        nearest = before[np.argmin(np.abs(times[before][:, None] - times[after][:1]), axis=0)]
+        sent_again = np.array_equal(rows[:, nearest[0] : nearest[0] + after.size], rows[:, after])
+        if not sent_again:
+            raise DataError(
+                f"{name}: the clock was set back by {high - low + step:.6g} s behind sample {k} "
+                f"(t = {high:.6g} s), so {before.size + after.size} samples share {room:.0f} times; "
+                "make a record of each stretch, or correct the stamps"
+            )
 
 
 def _step(times: Array) -> float:

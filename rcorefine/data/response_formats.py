@@ -123,7 +123,7 @@ class ResponseReaders(Result):
             for c, w in zip(given, ("magnitude", "phase") if polar else ("real", "imag"), strict=True)
         )
         certainty = {"coherence": _columns(coherence, "coherence"), "std": _columns(std, "std")}
-        for what, names in {"the second part of the pair": second, **certainty}.items():
+        for what, names in {"phase" if polar else "imag": second, **certainty}.items():
             if names and len(names) != len(first):
                 raise ct.ControlDimension(f"{what} names {len(names)} column(s) for {len(first)} response(s)")
         path, wanted = as_path(path), [f, *first, *second, *certainty["coherence"], *certainty["std"]]

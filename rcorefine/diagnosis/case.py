@@ -116,7 +116,7 @@ class Case:
             library = seen_in_responses(physical, library, ordered, asked is not None)
         library = not_held(library, base.effects)
         if not library:
-            raise ct.ControlArgument("no candidate is left that the model does not hold already")
+            raise ct.ControlArgument("no candidate is left that the model does not hold already; give others")
         given = (tuple(records), settings, significance, progress, thorough)
         return cls(base, *given, ordered, fitted, motions, library)
 

@@ -13,7 +13,7 @@ import control as ct
 import numpy as np
 
 from ..archives import read_archive
-from ..arguments import as_choice, as_number, as_path, as_text, as_whole
+from ..arguments import as_choice, as_flag, as_number, as_path, as_text, as_whole
 from ..data.measurement import Measurement
 from ..effects.effect import Effect
 from ..exceptions import DataError, ModelError
@@ -193,7 +193,7 @@ class Exercise(Result):
         Path
             The file.
         """
-        target = as_path(path)
+        target, answer = as_path(path), as_flag(answer, "answer")
         whole = [
             np.hstack([getattr(r, what) for r in (self.train, self.test)]) for what in ("inputs", "outputs")
         ]

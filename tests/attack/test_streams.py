@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 import warnings
 
 import numpy as np
@@ -132,3 +133,111 @@ def test_denormal_signals_are_silence():
             refiner.update(np.full(1, tiny), np.full(2, tiny))
         found.append(refiner.parameters[0].coefficient)
     assert found[0] == found[1]
+
+
+# ------------------------------------------------------------------ the monitor
+LINKS = [rco.Effect(kind, f"link{i}") for i in (1, 2) for kind in ("stiffness", "damping")]
+
+
+class Plant:
+    """Two masses that move on from where they stand, whatever their second link becomes."""
+
+    def __init__(self, seed):
+        self.rng, self.x = np.random.default_rng(seed), np.zeros(4)
+
+    def run(self, samples, stiffness=60.0, noise=1e-3, force=1.0):
+        true = rco.mass_spring_damper([1.0, 0.8], [0.4, 0.3], [100.0, stiffness], sensors="displacement")
+        sampled = true.system.sample(0.02)
+        w = force * self.rng.standard_normal(samples)
+        y = np.empty((2, samples))
+        for k in range(samples):
+            y[:, k] = sampled.C @ self.x
+            self.x = sampled.A @ self.x + sampled.B[:, 0] * w[k]
+        return w, y + noise * self.rng.standard_normal(y.shape)
+
+
+@pytest.mark.numba
+@pytest.mark.parametrize("noise", [0.0, 1e-4, 1e-3], ids=["nothing at all", "less noise", "as much noise"])
+def test_silence_leaves_a_monitor_awake(noise, tally):
+    """No alarm in it or behind it, memory as before; then what changes is named where it is."""
+    silent = tally.cases(10_000)
+    plant, monitor = Plant(3), rco.Monitor(MODEL, LINKS, dt=0.02, learn=1500)
+    monitor.update(*plant.run(3000))
+    room = {key: value.nbytes for key, value in monitor.__getstate__()["stream"]["memory"].items()}
+    monitor.update(*plant.run(3000, noise=noise, force=0.0))  # it swings out
+    rng = np.random.default_rng(4)
+    for left in range(silent, 0, -50_000):
+        n = min(left, 50_000)
+        monitor.update(np.zeros(n), noise * rng.standard_normal((2, n)))
+    assert (monitor.alarm, monitor.past_alarms) == (None, ())
+    plant.x[:] = 0.0
+    monitor.update(*plant.run(3000))
+    assert (monitor.alarm, monitor.past_alarms) == (None, ())
+    begins = monitor.n_samples
+    monitor.update(*plant.run(3000, 45.0))
+    found = monitor.alarm
+    assert found is not None
+    assert found.effect.label == "stiffness at link2"
+    assert abs(found.coefficients["stiffness"] + 15.0) < 4 * found.std["stiffness"] + 0.75
+    assert abs(found.since_sample - begins) < 100
+    assert {k: v.nbytes for k, v in monitor.__getstate__()["stream"]["memory"].items()} == room
+    tally["streams, silent samples of a monitor"] += silent
+
+
+@pytest.mark.numba
+@pytest.mark.parametrize("settings", [{"effects": [LOST]}, {"effects": [LOST], "forgetting": 0.999}])
+def test_silence_leaves_a_covariance_that_is_one(settings, tally):
+    """Symmetric, positive definite, and within what was known before; the state file does not grow."""
+    silent = tally.cases(10_000)
+    refiner = rco.RCORefiner(MODEL, dt=0.02, **settings)
+    refiner.update(*signals(2000))
+    size = len(str(refiner.__getstate__()))
+    for left in range(silent, 0, -50_000):
+        n = min(left, 50_000)
+        refiner.update(np.zeros(n), np.zeros((2, n)))
+        P = refiner.covariance
+        np.testing.assert_allclose(P, P.T, rtol=1e-12)
+        np.linalg.cholesky(P)
+    assert abs(len(str(refiner.__getstate__())) - size) < 0.05 * size
+    refiner.update(*signals(2000, 1))
+    assert np.linalg.eigvalsh(refiner.covariance)[0] > 0
+
+
+def moved_monitor(monitor, by, weight):
+    """The monitor as saved, its counts `by` further; `weight`: that by which the noise is averaged, too."""
+    state = pickle.loads(pickle.dumps(monitor.__getstate__()))
+    state["count"] += by
+    state["course"]["samples"] += by
+    state["stream"]["memory"]["counters"][: 1 + weight] += by
+    found = rco.Monitor.__new__(rco.Monitor)
+    found.__setstate__(state)
+    return found
+
+
+def test_a_monitor_beyond_any_length_of_a_stream():
+    """A hundred thousand million samples on, the same samples ring the same alarm, and are numbered right."""
+    plant, near = Plant(3), rco.Monitor(MODEL, LINKS, dt=0.02, learn=1500)
+    near.update(*plant.run(3000))
+    state = near.__getstate__()
+    rings = [len(value) for key, value in state["stream"]["memory"].items() if key.startswith("ring")]
+    blocks = state["stream"]["windows"].block * state["stream"]["memory"]["sums"].shape[1]
+    by = int(np.lcm.reduce([*rings, blocks, state["course"]["stride"]])) * 2**20
+    assert by > 2**31
+    far, real = (moved_monitor(near, by, weight) for weight in (False, True))
+    for part in (plant.run(500), plant.run(2500, 45.0)):
+        for one in (near, far, real):
+            one.update(*part)
+    assert near.alarm.effect.label == "stiffness at link2"
+    for one in (far, real):
+        assert one.alarm.effect == near.alarm.effect
+        assert one.n_samples == 6000 + by
+        for name in ("sample", "since_sample"):
+            assert getattr(one.alarm, name) - getattr(near.alarm, name) == by
+        assert one.alarm.time == one.alarm.sample * 0.02
+        assert one.alarm.since == one.alarm.since_sample * 0.02
+        np.testing.assert_allclose(one.timepts, (np.rint(near.timepts / 0.02) + by) * 0.02, rtol=1e-15)
+    assert far.alarm.coefficients == near.alarm.coefficients
+    np.testing.assert_array_equal(far.probability, near.probability)
+    np.testing.assert_array_equal(far.statistic, near.statistic)
+    off = real.alarm.coefficients["stiffness"] - near.alarm.coefficients["stiffness"]
+    assert abs(off) < 0.05 * near.alarm.std["stiffness"]  # the noise level is averaged over more

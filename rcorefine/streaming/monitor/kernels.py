@@ -21,6 +21,7 @@ GATE = 8.0  # standard deviations from which an innovation stands out
 FEW = 3.0  # samples that may do so before it is taken for a change
 EVEN = 0.2  # least variance of the noise, of what it is on average around: no sample decides alone
 CLIP = 3.0  # standard deviations at which one innovation stops counting for more
+FALLEN = 0.8  # of the learned variance: below it the machine is still, which says nothing of when it runs
 
 
 if NUMBA:  # scalar loops are the fast form in compiled code, and the slow one in Python
@@ -271,11 +272,13 @@ def scores(  # type: ignore[no-untyped-def]
             _share_doubt(cross, shared, fading_of, doubt)
         if counted and adapt:
             weight = max(slowest, 1.0 / (LEARNED + counters[1]))
+            runs = False
             for i in range(ny):
                 if ready[i]:
                     w = min(r[i] * r[i], CLIP * CLIP * size[i])
-                    size[i] += weight * (1.005 * w - size[i])
-            if adapt and counters[0] % block == 0:
+                    size[i] = max(size[i] + weight * (1.005 * w - size[i]), FALLEN)
+                    runs = runs or size[i] > FALLEN
+            if runs and counters[0] % block == 0:
                 _calibrate(N_, V_, doubt, keep, counters[1], spread, factor)
         ratio[step] = top
         # the past of the filters
