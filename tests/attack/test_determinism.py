@@ -56,7 +56,7 @@ def figures(seeds):
 
 
 def same(one, other):
-    """`compare` to 1e-10; what `refine` finds as well as its slopes by differences allow."""
+    """`compare` to 1e-10; `refine` to 1e-5 of its standard deviations."""
     one, other = np.array(one), np.array(other)
     n = (one.shape[1] - 4) // 2
     np.testing.assert_allclose(other[:, :4], one[:, :4], rtol=1e-10)
