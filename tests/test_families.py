@@ -14,7 +14,7 @@ from rcorefine.effects.along_motion import unit_forces
 from rcorefine.inference.levels import levels
 
 LIMITS = {"displacement": 1e-6, "velocity": 1e3, "softness": 0.1, "static_ratio": 1.0}
-NESTED = [(law.name, inside) for law in KINDS.values() if not law.of_record for inside in law.contains]
+NESTED = [(law.name, inside) for law in KINDS.values() if not law.at_channel for inside in law.contains]
 
 
 @pytest.mark.parametrize(("general", "special"), NESTED)

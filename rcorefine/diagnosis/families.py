@@ -79,7 +79,7 @@ def _same_force(special: CandidateFit, general: CandidateFit, level: float) -> b
 
     The few moments of turning are left out: a law of two levels holds its constant nowhere else.
     """
-    if special.effect.spec.of_record:  # no force at all: what its further coefficients gain has decided
+    if special.effect.spec.at_channel:  # no force at all: what its further coefficients gain has decided
         return True
     simple, more = (force_along(r.candidate, r.descent.point) for r in (special, general))
     if simple is None or more is None:

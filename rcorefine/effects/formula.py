@@ -15,7 +15,9 @@ from ..systems.linear import Array
 from .compiled import MAX_COEFFICIENTS, address, raise_pending, through
 from .law import Law
 
-__all__ = ["FormulaLaw", "InputLaw", "OutputLaw", "PortLaw"]
+FADED = 1e-3  # of what was before a record: as good as forgotten
+
+__all__ = ["FADED", "FormulaLaw", "InputLaw", "OutputLaw", "PortLaw"]
 
 
 class FormulaLaw(Law):
@@ -132,6 +134,18 @@ class FormulaLaw(Law):
     def code(self) -> int:
         """What the kernels take; of this process only."""
         return self._address[0]
+
+    def unseen(self, dt: float, *values: float) -> float:
+        """How many samples hang on what went through before the record, which nobody knows.
+
+        Parameters
+        ----------
+        dt : float
+            Sampling time in s.
+        *values : float
+            Coefficients.
+        """
+        return 0.0
 
     @property
     def feels_time(self) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..systems.linear import Array
 from .absorbed import AbsorbedLaw, Assembly, Site
-from .formula import InputLaw
+from .formula import FADED, InputLaw
 from .law import Coefficient, Seen, positive, register
 
 
@@ -63,6 +63,10 @@ class InputDelay(InputLaw):
     delays = True
     signal = "rate"
 
+    def unseen(self, dt: float, *values: float) -> float:
+        """As many as fit into it."""
+        return values[0] / dt
+
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """A few samples."""
         return [{"delay": q * seen.dt} for q in (0.5, 2.5, 6.0)]
@@ -89,6 +93,45 @@ class InputLag(AbsorbedLaw):
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """A few samples."""
         return [{"time_constant": q * seen.dt} for q in (1.0, 5.0, 25.0)]
+
+
+@register
+class InputSmoothing(InputLaw):
+    """Command that a program smooths, one value after the other."""
+
+    where = frozenset(["input"])
+    coefficients = (positive("time_constant", "s", "time constant"),)
+    formula = "r(k) = a r(k-1) + (1 - a) w(k), a = exp(-dt/T), w -> r"
+    explanation = "The input {place} is smoothed sample by sample, or all sensors are, which looks the same."
+    secant = True
+    on_request = True  # a command that a program makes, or readings that one has made
+
+    @staticmethod
+    def law(w, z_start, step, time_constant):  # type: ignore[no-untyped-def]
+        """Formula."""
+        T = time_constant
+        kept = math.exp(-step / T) if T > 1e-3 * step else 0.0
+        r = w + kept * (z_start - w)
+        return r, r
+
+    @staticmethod
+    def slopes(w, z_start, step, time_constant):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        T = time_constant
+        row = (w, 1.0, 0.0, 0.0, 0.0)
+        if T > 1e-3 * step:
+            kept = math.exp(-step / T)
+            late = kept * (z_start - w)
+            row = (w + late, 1.0 - kept, kept, -late / T, late * step / (T * T))
+        return row, row
+
+    def unseen(self, dt: float, *values: float) -> float:
+        """Samples until what was before has faded."""
+        return -float(np.log(FADED)) * values[0] / dt
+
+    def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
+        """A few samples."""
+        return [{"time_constant": q * seen.dt} for q in (1.5, 5.0, 20.0)]
 
 
 @register

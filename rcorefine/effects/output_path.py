@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from .absorbed import AbsorbedLaw, Assembly, Site
-from .formula import OutputLaw
+from .formula import FADED, OutputLaw
 from .law import Coefficient, Seen, positive, register
 
 
@@ -56,6 +57,10 @@ class OutputDelay(OutputLaw):
     linear = True
     delays = True
     signal = "rate"
+
+    def unseen(self, dt: float, *values: float) -> float:
+        """As many as fit into it."""
+        return values[0] / dt
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """A few samples."""
@@ -113,6 +118,72 @@ class OutputSaturation(OutputLaw):
         """Limits at the top of the record, and below."""
         top = float(np.abs(seen.signal).max())
         return [{"limit": q * top} for q in (0.995, 0.9)]
+
+
+@register
+class OutputRange(OutputLaw):
+    """Sensor with two limits."""
+
+    where = frozenset(["output"])
+    coefficients = (
+        Coefficient("low", "signal", explanation="least that it can show", default_start=None),
+        Coefficient("high", "signal", explanation="most that it can show", default_start=None),
+    )
+    formula = "y -> min(max(y, low), high)"
+    explanation = "The sensor {place} shows nothing below one limit and nothing above another one."
+    secant = True
+    contains = MappingProxyType({"output_saturation": {}})
+
+    @staticmethod
+    def law(y, low, high):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return min(max(y, low), high)
+
+    @staticmethod
+    def slopes(y, low, high):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        if y < low:
+            return low, 0.0, 1.0, 0.0
+        if y > high:
+            return high, 0.0, 0.0, 1.0
+        return y, 1.0, 0.0, 0.0
+
+    def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
+        """The ends of the record, and where noise upon it would have its limits."""
+        tails = (0.0, 1.0), (0.05, 0.95), (0.05, 1.0), (0.0, 0.95)
+        return [dict(zip(("low", "high"), np.quantile(seen.signal, q).tolist(), strict=True)) for q in tails]
+
+
+@register
+class OutputSmoothing(OutputLaw):
+    """Sensor that smooths its readings by a program, one after the other."""
+
+    where = frozenset(["output"])
+    coefficients = (positive("kept", "1", "share of the reading before that is kept", upper=0.999),)
+    formula = "r(k) = t r(k-1) + (1 - t) y(k), y -> r"
+    explanation = "The sensor {place} smooths its readings: each keeps a share of the one before."
+    secant = True
+
+    @staticmethod
+    def law(y, y_start, z_start, kept):  # type: ignore[no-untyped-def]
+        """Formula; the inner state is what the reading is ahead of the signal."""
+        r = y + kept * (y_start + z_start - y)
+        return r, r - y
+
+    @staticmethod
+    def slopes(y, y_start, z_start, kept):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        before = y_start + z_start - y
+        r = y + kept * before
+        return (r, 1.0 - kept, kept, kept, before), (r - y, -kept, kept, kept, before)
+
+    def unseen(self, dt: float, *values: float) -> float:
+        """Readings until the first has faded."""
+        return float(np.log(FADED) / np.log(np.clip(values[0], 1e-3, 0.999)))
+
+    def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
+        """Over a few samples."""
+        return [{"kept": q} for q in (0.5, 0.8, 0.95)]
 
 
 @register

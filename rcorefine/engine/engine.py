@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from ..data.measurement import Measurement
 from ..effects.compiled import raise_pending
-from ..effects.formula import InputLaw
+from ..effects.formula import InputLaw, OutputLaw
 from ..exceptions import DivergenceError
 from ..gauss_newton import own_sizes
 from ..systems.linear import Array
@@ -230,11 +230,13 @@ class Engine:
         if found.mean() < 0.5:
             found[:] = True
         for index, effect in enumerate(s.effects):
-            if effect.spec.delays and not self._known_start:
-                delay = float(s.value(theta, index, "delay")) / self.data.dt
-                hidden = at < np.ceil(np.clip(delay - _WHOLE, 0.0, at.size // 2))
+            law = effect.spec
+            if isinstance(law, InputLaw | OutputLaw) and not self._known_start:
+                values = [float(s.value(theta, index, name)) for name in law.coefficient_names]
+                count = law.unseen(self.data.dt, *values)
+                hidden = at < np.ceil(np.clip(count - _WHOLE, 0.0, at.size // 2))
                 labels = s.linear_model.output_labels
-                everywhere = isinstance(effect.spec, InputLaw)
+                everywhere = isinstance(law, InputLaw)
                 found[slice(None) if everywhere else labels.index(effect.place)] &= ~hidden
         return found
 

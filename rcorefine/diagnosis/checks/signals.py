@@ -77,7 +77,7 @@ def _output_rows(label: str, y: Array) -> Iterator[CheckRow]:
         yield CheckRow(
             LOOK, "clipping", label, f"{side[1]} samples at {side[0]:.4g}",
             f"{label} stays at exactly {side[0]:.4g} for up to {side[1]} samples: the sensor may be clipped "
-            "(output_saturation).",
+            "(output_saturation, output_range).",
         )  # fmt: skip
     step = resolution(y)
     noise = _NORMAL * float(np.median(np.abs(np.diff(y, 2)))) / np.sqrt(6.0)
