@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .bordered import Bordered
 from .systems.linear import Array
 
 __all__ = ["Minimum", "Rows", "gauss_newton", "own_sizes", "promised"]
@@ -20,7 +21,7 @@ class Rows(NamedTuple):
     """Residual at a point, its derivatives, and what else the caller wants back from there."""
 
     residual: Array  #: (N,); not finite where there is none
-    jacobian: Array  #: (N, p)
+    jacobian: Any  #: (N, p), or their normal equations by records: `Bordered`
     more: Any = None
 
 
@@ -85,9 +86,9 @@ def gauss_newton(
     if not np.isfinite(cost):
         return Minimum(x, cost, rows, False)
     for _ in range(evaluations - 1):
-        r, J = rows.residual, rows.jacobian
-        step, slope = _step(rows, damping, ~_pressed(x, lower, upper, J.T @ r), sizes), J.T @ r
-        gain = float(-(slope @ step) - 0.5 * np.sum((J @ step) ** 2))
+        slope = _slope(rows)
+        step = _step(rows, damping, ~_pressed(x, lower, upper, slope), sizes)
+        gain = -float(slope @ step) - 0.5 * _square(rows.jacobian, step)
         if done(cost, gain) and damping <= 1e-3:
             converged = True
             if done(cost, 100.0 * gain):
@@ -123,7 +124,7 @@ def promised(
     rows: Rows, point: Array, lower: Array | float, upper: Array | float, sizes: Array | float = 1.0
 ) -> float:
     """How much the next full step would lower the cost (half g' H^-1 g): small only at a minimum."""
-    near, slope = 1e-12 * np.abs(point), rows.jacobian.T @ rows.residual
+    near, slope = 1e-12 * np.abs(point), _slope(rows)
     active = ~_pressed(point, lower + near, upper - near, slope)
     return float(-0.5 * slope @ _step(rows, 1e-9, active, sizes))
 
@@ -132,14 +133,26 @@ def _pressed(x: Array, lower: Array | float, upper: Array | float, slope: Array)
     return np.asarray(((x <= lower) & (slope > 0)) | ((x >= upper) & (slope < 0)))
 
 
+def _slope(rows: Rows) -> Array:
+    J = rows.jacobian
+    return J.gradient if isinstance(J, Bordered) else np.asarray(J.T @ rows.residual)
+
+
+def _square(J: Array | Bordered, step: Array) -> float:
+    return J.square(step) if isinstance(J, Bordered) else float(np.sum((J @ step) ** 2))
+
+
 def _step(rows: Rows, damping: float, active: NDArray[np.bool_], sizes: Array | float) -> Array:
-    size = np.linalg.norm(rows.jacobian, axis=0)
+    J = rows.jacobian
+    size = J.norms if isinstance(J, Bordered) else np.linalg.norm(J, axis=0)
     felt = size * sizes
     keep = active & (felt > _NO_STEP * felt.max(initial=0.0))
     step = np.zeros(size.size)
     if not keep.any():
         return step
-    unit = rows.jacobian[:, keep] / size[keep]
+    if isinstance(J, Bordered):
+        return J.step(keep, damping)
+    unit = J[:, keep] / size[keep]
     values, vectors = np.linalg.eigh(unit.T @ unit)
     seen = values > _UNSEEN * values[-1]
     along = vectors[:, seen].T @ (unit.T @ rows.residual)

@@ -23,9 +23,9 @@ PACKAGE = Path(rco.__file__).parent
 #: Each may import those before it, and none after it.
 ORDER = (
     "version", "exceptions", "extras", "arithmetic", "jit", "arguments", "progress", "writing", "archives",
-    "words", "results", "systems", "gauss_newton", "data", "effects", "models", "engine", "export",
-    "inference", "comparison", "refinement", "diagnosis", "localization", "fleet", "streaming", "examples",
-    "exercises", "views", "explorer", "commands", "__main__",
+    "words", "results", "systems", "bordered", "gauss_newton", "data", "effects", "models", "engine",
+    "export", "inference", "comparison", "refinement", "diagnosis", "localization", "fleet", "streaming",
+    "examples", "exercises", "views", "explorer", "commands", "__main__",
 )  # fmt: skip
 
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..effects.effect import Effect
-from ..inference.covariance import covariance, standard_deviations
+from ..inference.covariance import standard_deviations
 from ..inference.descent import Descent, descend
-from ..inference.fitted import FittedModel, evaluated
+from ..inference.fitted import FittedModel, coefficient_covariance, evaluated
 from ..inference.outcome import _rows, fit_of
 from ..inference.problem import Problem
 from ..inference.refinement import Refinement
@@ -111,7 +111,7 @@ def price(rival: CandidateFit, samples: int) -> float:
 
 def _words(rival: CandidateFit) -> list[str]:
     """How far its fit got, and what stands at a bound."""
-    bound = rival.candidate.problem.at_bound(rival.descent.point, rival.descent.slopes)
+    bound = rival.descent.at_bound(rival.candidate.problem)
     far = "Not polished: far behind the best candidate." if rival.settled else "Not converged."
     state = "Converged." if rival.converged else far
     return [state, f"At its bound: {', '.join(bound)}."] if bound else [state]
@@ -123,11 +123,9 @@ def fitted_model(fitted: FittedModel, rival: CandidateFit, whitener: Whitener, r
     gain = gain_for(fitted, rival.candidate, ratio)
     blocks = _blocks(rival)
     white = whitener.apply([r for r, _ in blocks])
-    J = whitener.apply([j for _, j in blocks])
     scale = float(white @ white) / max(white.size - problem.size, 1)
-    C = scale * covariance(J.T @ J + np.diag(problem.precision))
-    p = problem.n_theta
-    spread = standard_deviations(C)[:p]
+    C = scale * coefficient_covariance(problem, blocks, whitener)
+    spread = standard_deviations(C)
     old = fitted.refinement
     theta, starts = problem.unpack(point)
     free = [r for r, _ in (blocks if ratio == 0 else evaluated(problem, point))]
@@ -140,7 +138,7 @@ def fitted_model(fitted: FittedModel, rival: CandidateFit, whitener: Whitener, r
         constants=dict(problem.structure.constants),
         theta=theta.copy(),
         parameters=_rows(problem.structure, roles, theta, spread),
-        covariance=C[:p, :p],
+        covariance=C,
         fit=fit,
         rmse=rmse,
         initial_states=starts.copy(),

@@ -17,10 +17,10 @@ from ..effects.several import as_effects
 from ..engine.observer import observer_gain
 from ..engine.simulation import check_channels
 from ..inference.assembly import check_settings, priors
-from ..inference.covariance import covariance, standard_deviations, wald
+from ..inference.covariance import standard_deviations, wald
 from ..inference.descent import descend
 from ..inference.f_tests import FTest
-from ..inference.fitted import FittedModel, evaluated
+from ..inference.fitted import FittedModel, coefficient_covariance, evaluated
 from ..inference.outcome import output_weights
 from ..inference.problem import Problem
 from ..inference.refinement import Refinement
@@ -237,12 +237,11 @@ def _alone(
         point = descend(made, point, gain=gain, whitener=whitener, evaluations=10, tolerance=1e-8).point
     blocks = evaluated(made, point, gain)
     whitener = Whitener.fit([r for r, _ in blocks])
-    J = whitener.apply([j for _, j in blocks])
-    C = covariance(J.T @ J + np.diag(made.precision))
+    C = coefficient_covariance(made, blocks, whitener)
     fitted = FittedModel(replace(model, substeps=made.substeps), made, point, tolerance)
     if gain is not None:
         fitted._gains[ratio] = gain
-    return fitted, C[: theta.size, : theta.size]
+    return fitted, C
 
 
 def _battery(fitted: FittedModel, rest: Sequence[Effect], ratio: float) -> list[FTest]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from ..effects.bodies import Mass
 from ..effects.effect import Effect
 from ..exceptions import ModelError
 from ..inference.assembly import nominal_size
-from ..inference.basis import project, rank_basis
+from ..inference.basis import Basis, project
 from ..inference.f_tests import FTest
 from ..inference.fitted import FittedModel, fitted_from
 from ..inference.refinement import Refinement
@@ -165,9 +165,9 @@ def _evidence(battery: TestedResidual, held: int) -> float:
     fitted = battery.fitted
     problem = fitted.problem
     new = slice(held, problem.n_theta)
-    J = battery.whitener.apply([j for _, j in fitted.blocks()])
-    old = np.delete(J, np.arange(held, problem.n_theta), axis=1)
-    spread = project(J[:, new], rank_basis(old)) * problem.prior_sd[new]
+    white = [battery.whitener.apply([j]) for _, j in fitted.blocks()]
+    old = Basis.of([J[:, :held] for J in white], [J[:, problem.n_theta :] for J in white])
+    spread = project(np.concatenate([J[:, new] for J in white]), old) * problem.prior_sd[new]
     occam = np.linalg.slogdet(np.eye(spread.shape[1]) + spread.T @ spread)[1]
     cost = prior_cost(problem, fitted.point)
     return -0.5 * (float(battery.residual @ battery.residual) + cost + float(occam))
@@ -188,8 +188,9 @@ def _numbers(case: Case) -> list[Effect]:
         return []
     columns = parameter_columns(case.fitted, [e for e, _ in sized], case.motions[0], 0.0)
     flat = np.concatenate([block.reshape(-1, len(sized)) for block in columns])
-    held = np.concatenate([j.reshape(r.size, j.shape[2]) for r, j in case.fitted.blocks()])
-    own = _independent(flat, rank_basis(held))
+    held = [j.reshape(r.size, j.shape[2]) for r, j in case.fitted.blocks()]
+    p = case.fitted.problem.n_theta
+    own = _independent(flat, Basis.of([J[:, :p] for J in held], [J[:, p:] for J in held]))
     spread = case.levels.off
     return [
         e.replace(prior={e.coefficients[0]: spread * size})
@@ -198,17 +199,17 @@ def _numbers(case: Case) -> list[Effect]:
     ]
 
 
-def _independent(columns: Array, basis: Array) -> list[bool]:
+def _independent(columns: Array, basis: Basis) -> list[bool]:
     """Whether each column holds something that the basis and the columns before it do not."""
     own = []
     for column in columns.T:
         size = float(np.linalg.norm(column))
         for _ in range(2):  # twice: the first projection leaves rounding of what it takes away
-            column = column - basis @ (basis.T @ column)
+            column = project(column, basis)
         left = float(np.linalg.norm(column))
         own.append(left > _OWN * size)
         if own[-1]:
-            basis = np.column_stack([basis, column / left])
+            basis = replace(basis, common=np.column_stack([basis.common, column / left]))
     return own
 
 

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..inference.covariance import covariance, wald
+from ..inference.covariance import wald
 from ..inference.descent import descend
-from ..inference.fitted import FittedModel
+from ..inference.fitted import FittedModel, coefficient_covariance
 from ..inference.levels import Levels
 from ..inference.sensitivities import Candidate
 from ..systems.linear import Array
@@ -75,10 +75,8 @@ def _alone(fitted: FittedModel, record: int) -> tuple[Array, Array]:
         evaluations=15,
         tolerance=1e-8,
     )
-    J = whitener.apply([j for _, j in run.blocks(problem)])
-    C = covariance(J.T @ J + np.diag(problem.precision))
-    p = problem.n_theta
-    return problem.unpack(run.point)[0].copy(), C[:p, :p]
+    C = coefficient_covariance(problem, run.blocks(problem), whitener)
+    return problem.unpack(run.point)[0].copy(), C
 
 
 def not_known(race: CandidateFits, levels: Levels) -> str:
@@ -108,7 +106,7 @@ def fit_remarks(race: CandidateFits) -> list[str]:
     bound, loose = [], []
     for rival in race.rivals[:_SHOWN]:
         run = rival.descent
-        bound += rival.candidate.problem.at_bound(run.point, run.slopes)
+        bound += run.at_bound(rival.candidate.problem)
         if not rival.settled and rival is not race.rivals[0]:
             loose.append(rival.effect.label)
     said = [f"At its bound, so no estimate: {', '.join(dict.fromkeys(bound))}."] if bound else []

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..data.measurement import Measurement
 from ..effects.effect import Effect
-from ..inference.basis import Basis, in_own_units, lengths, project, rank_basis
+from ..inference.basis import Basis, in_own_units, lengths, project
 from ..inference.f_tests import FTest, apart_test, f_test, projected_test
 from ..inference.fitted import FittedModel
 from ..inference.sensitivities import (
@@ -33,6 +33,7 @@ _LAGS = 41
 _POWER_LAGS = {2: 21, 3: 6}
 _SHOWN = ("other laws", "changes with time")  # in front of the other tests
 _MOST = 6  # tests that count
+_TOGETHER = 16  # candidates whose columns are white at a time: they take the most room
 
 
 class TestedResidual:
@@ -55,9 +56,14 @@ class TestedResidual:
         self.whitener = whitener or fitted.problem.whitener([r for r, _ in blocks])
         self.residual = self.whitener.apply([r for r, _ in blocks])
         self._judged = fitted.problem.judged(fitted.theta)
-        fits = self.whitener.apply([j * fitted.problem.sizes for _, j in blocks])
-        lead = [] if ratio else [self.whitener.apply(fitted.lead_columns)]
-        self.basis = Basis(rank_basis(np.hstack([fits, *lead])))
+        p, sizes = fitted.problem.n_theta, fitted.problem.sizes
+        lead = [np.zeros((*r.shape, 0)) for r, _ in blocks] if ratio else fitted.lead_columns
+        common, own = [], []
+        for i, (_, j) in enumerate(blocks):
+            white = self.whitener.apply([j * sizes[fitted.problem.felt_by(i)]])
+            common.append(np.hstack([white[:, :p], self.whitener.apply([lead[i]])]))
+            own.append(white[:, p:])
+        self.basis = Basis.of(common, own)
         self.left = project(self.residual, self.basis)
         self._weighted: tuple[Array, Array, Basis] | None = None
         self._outputs = self.whitener.outputs([r for r, _ in blocks])
@@ -114,6 +120,12 @@ class TestedResidual:
 
     def each(self, candidates: Sequence[Candidate]) -> list[FTest]:
         """F-test of each candidate on its own."""
+        tests = []
+        for first in range(0, len(candidates), _TOGETHER):
+            tests += self._of_some(candidates[first : first + _TOGETHER])
+        return tests
+
+    def _of_some(self, candidates: Sequence[Candidate]) -> list[FTest]:
         columns = [c.columns[self.ratio] for c in candidates]
         joined = [np.concatenate(parts, axis=2) for parts in zip(*columns, strict=True)]
         white = in_own_units(self.whiten(joined))

@@ -112,12 +112,11 @@ def _from_rest(problem: Problem, theta: Array, p: int) -> Array:
     States and offsets that were fitted without the effect hold it back: a gain multiplies them.
     """
     rest = problem.pack(theta, np.zeros((len(problem.records), problem.n_states)))
-    evaluation = problem.evaluate(rest)
-    J = evaluation.jacobian
+    r, J = problem.evaluate(rest).condensed
     size = np.linalg.norm(J, axis=0)
     size[size == 0] = 1.0
     unit = J / size
-    step = np.linalg.lstsq(unit.T @ unit, -unit.T @ evaluation.residual, rcond=1e-10)[0] / size
+    step = np.linalg.lstsq(unit.T @ unit, -unit.T @ r, rcond=1e-10)[0] / size
     theta = np.append(theta[:p], problem.inside(rest + step)[p : problem.n_theta])
     return problem.pack(theta, starting_states(problem, theta))
 

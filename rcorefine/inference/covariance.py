@@ -50,13 +50,15 @@ class Uncertainty:
     unseen: Array
 
 
-def pseudo_inverse(normal: Array) -> tuple[Array, Array, float]:
+def pseudo_inverse(normal: Array, size: Array | None = None) -> tuple[Array, Array, float]:
     """Inverse of an information matrix on what the data see.
 
     Parameters
     ----------
     normal : ndarray, shape (p, p)
         J'J with the priors; unknowns in any units.
+    size : ndarray, shape (p,), optional
+        Norms of the columns; by default those that the matrix tells.
 
     Returns
     -------
@@ -77,7 +79,7 @@ def pseudo_inverse(normal: Array) -> tuple[Array, Array, float]:
     [[0.25 0.25]
      [0.25 0.25]] [[0.71 0.71]]
     """
-    size = np.sqrt(np.diag(normal))
+    size = np.sqrt(np.diag(normal)) if size is None else size
     size = np.where(size <= 1e-100 * size.max(initial=0.0), 1.0, size)  # not felt: its squares would overflow
     values, vectors = np.linalg.eigh(normal / np.outer(size, size))
     top = values.max(initial=0.0)
@@ -88,7 +90,7 @@ def pseudo_inverse(normal: Array) -> tuple[Array, Array, float]:
     return inverse, lost / size, float(np.sqrt(top / max(values.min(initial=top), 1e-300)))
 
 
-def covariance(normal: Array, middle: Array | None = None) -> Array:
+def covariance(normal: Array, middle: Array | None = None, size: Array | None = None) -> Array:
     """Covariance of a least-squares estimate.
 
     Parameters
@@ -97,13 +99,15 @@ def covariance(normal: Array, middle: Array | None = None) -> Array:
         J'J with the priors.
     middle : ndarray, shape (p, p), optional
         Covariance of the gradient J'r; by default `normal`, right for white residuals of unit variance.
+    size : ndarray, shape (p,), optional
+        As of `pseudo_inverse`.
 
     Returns
     -------
     ndarray, shape (p, p)
         ``B^-1 M B^-1`` with B = normal and M = middle; infinite variance where the data see nothing.
     """
-    inverse, lost, _ = pseudo_inverse(normal)
+    inverse, lost, _ = pseudo_inverse(normal, size)
     found = inverse if middle is None else inverse @ middle @ inverse
     blind = np.flatnonzero(np.any(lost, axis=0))
     found[blind, blind] = np.inf

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..gauss_newton import Rows, gauss_newton, promised
 from ..systems.linear import Array
+from .evaluation import Evaluation
 from .problem import Problem
 from .whitening import Whitener
 
@@ -24,10 +25,8 @@ class Descent:
         Best point.
     cost : float
         Half the sum of squares there, inf where the simulation blows up.
-    residual : ndarray
-        Plain weighted residual there, priors included.
-    slopes : ndarray
-        Its derivatives.
+    evaluation : Evaluation
+        Plain weighted residual there, and its derivatives.
     converged : bool
         Whether the last step changed the cost by less than the tolerance.
     lack : float
@@ -36,14 +35,17 @@ class Descent:
 
     point: Array
     cost: float
-    residual: Array
-    slopes: Array
+    evaluation: Evaluation
     converged: bool
     lack: float = np.inf
 
     def blocks(self, problem: Problem) -> list[tuple[Array, Array]]:
-        """Residual (n_y, N) and Jacobian (n_y, N, p) of each record."""
-        return _split(problem, self.residual, self.slopes)
+        """Residual (n_y, N) and Jacobian (n_y, N, .) of each record, by what it feels alone."""
+        return [(r, j) for r, j, _ in problem.split(self.evaluation)]
+
+    def at_bound(self, problem: Problem) -> list[str]:
+        """Labels of the coefficients that stand on a bound there."""
+        return problem.at_bound(self.point, self.evaluation.coefficients(problem.n_theta))
 
 
 def descend(
@@ -84,12 +86,7 @@ def descend(
             evaluation = problem.evaluate(here := problem.coordinates.point(box))
         finally:
             problem.gain, problem._cache = None, None
-        r, J = evaluation.residual, problem.coordinates.columns(evaluation.jacobian, here)
-        if not evaluation.finite:
-            return Rows(np.full(1, np.inf), J, evaluation)
-        if whitener is not None:
-            r, J = _whitened(problem, r, J, whitener)
-        return Rows(r, J, evaluation)
+        return _rows(problem, evaluation, here, whitener)
 
     run = gauss_newton(
         rows,
@@ -101,33 +98,29 @@ def descend(
         tolerance=tolerance,
     )
     lack = promised(run.rows, run.point, low, high, problem.sizes) if np.isfinite(run.cost) else np.inf
-    plain = run.rows.more
-    return Descent(
-        problem.coordinates.point(run.point), run.cost, plain.residual, plain.jacobian, run.converged, lack
-    )
+    place = problem.coordinates.point(run.point)
+    return Descent(place, run.cost, run.rows.more, run.converged, lack)
 
 
 def remeasured(problem: Problem, run: Descent, whitener: Whitener) -> Descent:
     """A run as it is, with its cost and what it lacks (log-likelihood) in the metric of a filter."""
-    r, J = _whitened(problem, run.residual, problem.coordinates.columns(run.slopes, run.point), whitener)
-    lack = promised(Rows(r, J), problem.coordinates.of(run.point), *problem.box(), problem.sizes)
-    return replace(run, cost=0.5 * float(r @ r), lack=lack)
+    rows = _rows(problem, run.evaluation, run.point, whitener)
+    lack = promised(rows, problem.coordinates.of(run.point), *problem.box(), problem.sizes)
+    return replace(run, cost=0.5 * float(rows.residual @ rows.residual), lack=lack)
 
 
-def _whitened(problem: Problem, r: Array, J: Array, whitener: Whitener) -> tuple[Array, Array]:
-    """Residual and derivatives in the metric of a filter, the rows of the priors as they are."""
-    blocks, row = _split(problem, r, J), problem.n_points
-    return (
-        np.concatenate([whitener.apply([b for b, _ in blocks]), r[row:]]),
-        np.concatenate([whitener.apply([b for _, b in blocks]), J[row:]]),
-    )
-
-
-def _split(problem: Problem, r: Array, J: Array) -> list[tuple[Array, Array]]:
-    blocks, row = [], 0
-    for record in problem.records:
-        count, shape = record.outputs.size, record.outputs.shape
-        part = slice(row, row + count)
-        blocks.append((r[part].reshape(shape), J[part].reshape(*shape, -1)))
-        row += count
-    return blocks
+def _rows(problem: Problem, evaluation: Evaluation, point: Array, whitener: Whitener | None) -> Rows:
+    """What a descent sees of an evaluation, in the metric of a filter; the rows of the priors as they are."""
+    if not evaluation.finite:
+        return Rows(np.full(1, np.inf), evaluation.prior, evaluation)
+    parts = problem.split(evaluation)
+    residuals = [r if whitener is None else whitener.apply([r]) for r, _, _ in parts]
+    residual = np.concatenate([*(r.ravel() for r in residuals), evaluation.residual[problem.n_points :]])
+    turn = problem.coordinates.columns
+    if len(parts) == 1:
+        J = evaluation.jacobian
+        if whitener is not None:
+            J = np.concatenate([whitener.apply([parts[0][1]]), evaluation.prior])
+        return Rows(residual, turn(J, point), evaluation)
+    normal = evaluation.bordered(problem.n_theta, whitener, lambda J: turn(J, point))
+    return Rows(residual, normal, evaluation)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -9,7 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bordered import Bordered
 from ..systems.linear import Array
+from .whitening import Whitener
 
 __all__ = ["Evaluation"]
 
@@ -37,6 +40,48 @@ class Evaluation:
     columns: list[NDArray[np.intp]]
     prior: Array
     finite: bool
+
+    @property
+    def by_record(self) -> list[tuple[slice, Array]]:
+        """Rows of each record, and its Jacobian by what it feels alone."""
+        ends = np.cumsum([len(block) for block in self.blocks])
+        return [(slice(int(end) - len(b), int(end)), b) for end, b in zip(ends, self.blocks, strict=True)]
+
+    def coefficients(self, count: int) -> Array:
+        """Jacobian of all rows by the coefficients, shape (rows, count)."""
+        return np.concatenate([*(block[:, :count] for block in self.blocks), self.prior[:, :count]])
+
+    def bordered(
+        self, count: int, whitener: Whitener | None, turn: Callable[[Array], Array], kept: Any = ...
+    ) -> Bordered:
+        """Normal equations by records.
+
+        Parameters
+        ----------
+        count : int
+            Coefficients.
+        whitener : Whitener or None
+            Metric; the rows of the priors stay as they are.
+        turn : callable
+            Derivatives by the point into those by its coordinates.
+        kept : ndarray of int, optional
+            Coefficients that move; by default all.
+        """
+        tail = self.residual[sum(len(block) for block in self.blocks) :]
+        common = ~self.prior[:, count:].any(axis=1)
+        blocks, residuals = [], []
+        for k, ((rows, block), columns) in enumerate(zip(self.by_record, self.columns, strict=True)):
+            held = self.prior[:, columns[count:]].any(axis=1)
+            held = held | common if k == 0 else held
+            residual = self.residual[rows]
+            if whitener is not None:
+                shape = (len(whitener.filters), -1)
+                residual = whitener.apply([residual.reshape(shape)])
+                block = whitener.apply([block.reshape(*shape, block.shape[1])])
+            J = turn(np.concatenate([block, self.prior[np.ix_(held, columns)]]))
+            blocks.append(np.hstack([J[:, :count][:, kept], J[:, count:]]))
+            residuals.append(np.concatenate([residual, tail[held]]))
+        return Bordered.of(blocks, residuals, blocks[0].shape[1] - self.columns[0].size + count)
 
     @cached_property
     def jacobian(self) -> Array:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..bordered import Bordered
 from ..data.measurement import Measurement
 from ..data.response_record import in_frequency
 from ..effects.effect import Effect
@@ -17,13 +18,15 @@ from ..engine.structure import Structure
 from ..models.operating_point import ordered_record, sensed
 from ..systems.linear import Array
 from .assembly import priors
+from .covariance import covariance
 from .linearized import linearized
 from .outcome import output_weights
 from .problem import Problem
 from .refinement import Refinement
 from .starts import Motion, law_widths
+from .whitening import Whitener
 
-__all__ = ["FittedModel", "evaluated", "fitted_from"]
+__all__ = ["FittedModel", "coefficient_covariance", "evaluated", "fitted_from"]
 
 
 _STRONGER = 1e-3  # share of a gain
@@ -85,7 +88,10 @@ class FittedModel:
         return replace(self, force_at=at, _blocks=free, _gains={}, _states={})
 
     def blocks(self, ratio: float = 0.0) -> list[tuple[Array, Array]]:
-        """Residual (n_y, N) and Jacobian (n_y, N, p) of each record, free run or observer-led."""
+        """Residual (n_y, N) and Jacobian (n_y, N, .) of each record, free run or observer-led.
+
+        The Jacobian is by what the record feels alone: the coefficients, then its initial state.
+        """
         if ratio not in self._blocks:
             self._blocks[ratio] = evaluated(self.problem, self.point, self.gain(ratio))
         return self._blocks[ratio]
@@ -165,12 +171,24 @@ class FittedModel:
 
 
 def evaluated(problem: Problem, point: Array, gain: Array | None = None) -> list[tuple[Array, Array]]:
-    """Residual and Jacobian blocks of a problem, led by an observer where a gain is given."""
+    """Residual and Jacobian of each record by what it feels alone, led by an observer if a gain is given."""
     problem.gain, problem._cache = gain, None
     try:
-        return problem.blocks(point)
+        return [(r, j) for r, j, _ in problem.own_blocks(point)]
     finally:
         problem.gain, problem._cache = None, None
+
+
+def coefficient_covariance(
+    problem: Problem, blocks: Sequence[tuple[Array, Array]], whitener: Whitener
+) -> Array:
+    """Covariance of the coefficients (p, p) by generalized least squares, from blocks as of `evaluated`."""
+    p, white = problem.n_theta, [whitener.apply([j]) for _, j in blocks]
+    if len(white) == 1:
+        return covariance(white[0].T @ white[0] + np.diag(problem.precision))[:p, :p]
+    found = Bordered.of(white, [np.zeros(len(j)) for j in white], p)
+    prior = np.diag(problem.precision[:p])
+    return covariance(found.condensed() + prior, size=np.sqrt(np.diag(found.common + prior)))
 
 
 def fitted_from(

@@ -309,7 +309,7 @@ def _linear(model: FittedModel, curve: Curve, whitener: Whitener, ratio: float) 
     columns = zip(judged, curve_responses(model, curve, ratio), strict=True)
     return (
         whitener.apply([r for r, _ in blocks]),
-        whitener.apply([j for _, j in blocks]),
+        whitener.apply(model.problem.whole([j for _, j in blocks])),
         whitener.apply([weight[:, :, None] * block for weight, block in columns]),
     )
 

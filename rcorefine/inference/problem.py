@@ -145,7 +145,6 @@ class Problem:
             return self._cache[1]
         theta, starts = self.unpack(point)
         rows, blocks, places, finite = [], [], [], True
-        coefficients = np.arange(self.n_theta)
         judged = self.judged(theta)
         for i, engine in enumerate(self.engines):
             run = engine.run(theta, starts[i], initial_state=self.free_start, gain=self.gain, check=False)
@@ -161,8 +160,7 @@ class Problem:
                 block = np.zeros((error.size, width))
             rows.append(error)
             blocks.append(block)
-            own = np.arange(self.n_states) + self.n_theta + i * self.n_states
-            places.append(np.concatenate([coefficients, own])[:width])
+            places.append(self.felt_by(i))
         expected, prior = self.prior_rows(point)
         result = Evaluation(np.concatenate([*rows, expected]), blocks, places, prior, finite)
         self._cache = (point.copy(), result)
@@ -247,22 +245,35 @@ class Problem:
 
     def blocks(self, point: Array) -> list[tuple[Array, Array]]:
         """Residual (n_y, N) and Jacobian (n_y, N, p) of each window."""
+        residuals, jacobians, _ = zip(*self.own_blocks(point), strict=True)
+        return list(zip(residuals, self.whole(jacobians), strict=True))
+
+    def whole(self, jacobians: Sequence[Array]) -> list[Array]:
+        """Jacobians (n_y, N, .) by what each record feels alone as those by all unknowns."""
         found = []
-        for residual, own, columns in self.own_blocks(point):
-            whole = np.zeros((*residual.shape, self.size))
-            whole[:, :, columns] = own
-            found.append((residual, whole))
+        for i, own in enumerate(jacobians):
+            found.append(np.zeros((*own.shape[:2], self.size)))
+            found[-1][:, :, self.felt_by(i)] = own
         return found
 
     def own_blocks(self, point: Array) -> list[tuple[Array, Array, NDArray[np.intp]]]:
         """The same by the unknowns that a window feels alone, (n_y, N, .), and which of all these are."""
-        evaluation, found, row = self.evaluate(point), [], 0
-        for record, block, columns in zip(self.records, evaluation.blocks, evaluation.columns, strict=True):
+        return self.split(self.evaluate(point))
+
+    def split(self, evaluation: Evaluation) -> list[tuple[Array, Array, NDArray[np.intp]]]:
+        """An evaluation as `own_blocks`."""
+        found = []
+        for record, (rows, block), columns in zip(
+            self.records, evaluation.by_record, evaluation.columns, strict=True
+        ):
             shape = record.outputs.shape
-            residual = evaluation.residual[row : row + len(block)].reshape(shape)
-            found.append((residual, block.reshape(*shape, -1), columns))
-            row += len(block)
+            found.append((evaluation.residual[rows].reshape(shape), block.reshape(*shape, -1), columns))
         return found
+
+    def felt_by(self, record: int) -> NDArray[np.intp]:
+        """Unknowns that a record feels: the coefficients, then its own initial state."""
+        own = np.arange(self.n_states if self.free_start else 0) + self.n_theta + record * self.n_states
+        return np.concatenate([np.arange(self.n_theta), own])
 
     def minimize(
         self, point: Array, *, max_nfev: int = 50, tol: float = 1e-12, gain: Array | None = None

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -232,18 +233,18 @@ class Joint:
     def information(self) -> Information:
         """What the record knows at the present point about every coefficient."""
         if self._information is None:
-            blocks = self.problem.blocks(self.point)
-            normal, middle = colored([r for r, _ in blocks], [j for _, j in blocks], self.problem.precision)
-            evaluation = self.problem.evaluate(self.point)
-            gradient = evaluation.jacobian.T @ evaluation.residual
+            residuals, slopes, columns = zip(*self.problem.own_blocks(self.point), strict=True)
+            normal, middle = colored(residuals, slopes, self.problem.precision, columns=columns)
+            r, J = self.problem.evaluate(self.point).condensed
+            gradient = J.T @ r
             self._information = Information(gradient, normal, middle)
         return self._information
 
     @property
     def residual(self) -> Array:
         """Model minus record in units of the outputs, records joined, shape (n_y, N)."""
-        blocks = self.problem.blocks(self.point)
-        return np.concatenate([r for r, _ in blocks], axis=1) / self.problem.weights[:, None]
+        blocks = self.problem.own_blocks(self.point)
+        return np.concatenate([r for r, _, _ in blocks], axis=1) / self.problem.weights[:, None]
 
     @property
     def orders(self) -> tuple[int, ...]:
@@ -285,7 +286,11 @@ def _descend(
     def rows(x: Array) -> Rows:
         point = at(x)
         found = problem.evaluate(point)
-        J = problem.coordinates.columns(found.jacobian, point)[:, columns]
+        turn: Callable[[Array], Array] = lambda J: problem.coordinates.columns(J, point)  # noqa: E731
+        if len(problem.records) == 1:
+            J: Any = turn(found.jacobian)[:, columns]
+        else:
+            J = found.bordered(problem.n_theta, None, turn, columns[columns < problem.n_theta])
         return Rows(found.residual if found.finite else np.full(1, np.inf), J)
 
     level = sum(float(np.sum((problem.weights[:, None] * r.outputs) ** 2)) for r in problem.records)
@@ -305,9 +310,9 @@ def _descend(
 
 def _whiteness(problem: Problem, point: Array) -> float:
     """Innovation over residual power, the least over the outputs: 1 for a white residual."""
-    blocks = problem.blocks(point)
+    blocks = problem.own_blocks(point)
     share = 1.0
-    for row in np.concatenate([r for r, _ in blocks], axis=1):
+    for row in np.concatenate([r for r, _, _ in blocks], axis=1):
         power = float(np.mean(row**2))
         if power > 0:
             share = min(share, autoregression(row)[1] / power)

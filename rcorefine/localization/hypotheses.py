@@ -200,8 +200,7 @@ def _fitted(setting: Setting, name: str, effects: tuple[Effect, ...]) -> Hypothe
         size = setting.nominal.get((effect.kind, effect.place), 0.0)
         if size:
             percent[parameter.label] = 100.0 * float(theta[i]) / size
-    blocks = joint.problem.blocks(joint.point)
-    count = sum(r.size for r, _ in blocks)
+    count = joint.problem.n_points
     measured = np.concatenate([r.outputs for r in setting.segments], axis=1)
     size = np.linalg.norm(measured - measured.mean(axis=1, keepdims=True), axis=1)
     fit_percent = 100.0 * (1.0 - np.linalg.norm(residual, axis=1) / np.where(size > 0, size, np.nan))

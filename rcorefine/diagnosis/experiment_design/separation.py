@@ -253,7 +253,7 @@ class _Fit:
         blocks = evaluated(self.problem, point, self.gain)
         side = self.side
         r = self.whitener.apply([block for block, _ in blocks])
-        J = self.whitener.apply([jacobian for _, jacobian in blocks])
+        J = self.whitener.apply(self.problem.whole([jacobian for _, jacobian in blocks]))
         below = np.pad(side.root, ((0, 0), (0, self.problem.size - side.theta.size)))
         self.n_data = r.size
         return np.concatenate([r, side.root @ (point[: side.theta.size] - side.theta)]), np.vstack([J, below])
