@@ -4,7 +4,7 @@ Plants are written out from their physics, with a Runge-Kutta method of their ow
 what is missing (or wrong numbers, a fault of the input, nothing), an input, a nuisance, the noise and how the
 model is handed over; `diagnose` runs by its default settings.
 
-    python benchmarks/calibration.py --first 400 --seeds 120 --out benchmarks/calibration.csv
+    python benchmarks/calibration.py --first 1000 --seeds 120 --out benchmarks/calibration.csv
     python benchmarks/calibration.py --draw benchmarks/calibration.csv  # table, picture
 """
 
@@ -156,7 +156,7 @@ def draw(points):
 def main():
     """Run seeds, or draw what was run."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--first", type=int, default=400)
+    parser.add_argument("--first", type=int, default=1000)
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--out", help="a CSV file with a line per record")
     parser.add_argument("--draw", nargs="+", help="CSV files to draw")
