@@ -238,8 +238,9 @@ def test_the_ladder_never_climbs(tally):
 def test_more_data_is_never_less_certain(tally):
     """The first part of a record and all of it; the second part may be all but silent.
 
-    Information only adds up, so a standard deviation grows by the estimate of the noise alone, whose relative
-    deviation is 1 / sqrt(2 N n_y) in white noise: 5 of them.
+    Information only adds up, so a standard deviation grows by the estimate of the noise alone: of its level,
+    with a relative deviation of 1 / sqrt(2 N), and of its color, 1 - sum a, with sqrt(p / N) where p
+    coefficients were taken for one. 5 deviations of both.
     """
 
     @every(tally, "more data", 10, seed=SEEDS, rest=st.sampled_from([0.0, 0.1, 1.0]))
@@ -251,6 +252,7 @@ def test_more_data_is_never_less_certain(tally):
         noise = 0.02 * y.std(axis=1, keepdims=True)
         y = y + noise * case.rng.standard_normal(y.shape)
         plain, effects = labeled(case.model, linear.A, linear.B, linear.C), gains(case.model)
-        whole = answers(plain, case.record(w, y), effects)[3]
-        part = answers(plain, case.record(w[:, :600], y[:, :600]), effects)[3]
-        assert np.all(whole <= part * (1 + 5 / np.sqrt(2 * 600 * len(y))))
+        fits = [rco.refine(plain, case.record(w[:, :n], y[:, :n]), effects) for n in (1200, 600)]
+        whole, part = (np.sqrt(found.covariance[0, 0]) for found in fits)
+        colors = max(max(found.residual_orders) for found in fits)
+        assert whole <= part * (1 + 5 * np.sqrt((0.5 / len(y) + colors) / 600))
