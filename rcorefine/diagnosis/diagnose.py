@@ -75,7 +75,7 @@ def diagnose(
 
     The model is fitted as far as it is declared to be free; its whitened residual must
     pass a battery of tests. If it does not, all its numbers float by a few percent: where
-    that passes, no law is missing. Else every candidate is scored on the motion that
+    that passes, the record shows no need for a law. Else every candidate is scored on the motion that
     the record itself shows, the best are refitted, and the winner must pass the same
     battery.
 

@@ -1,4 +1,4 @@
-"""The numbers of a model, all floating by a few percent: where that mends it, no law is missing."""
+"""The numbers of a model, all floating by a few percent: where that mends it, no law is needed."""
 
 from __future__ import annotations
 

@@ -82,8 +82,8 @@ class Diagnosis(Reported):
     Attributes
     ----------
     verdict : str
-        "adequate" (nothing is missing that this record could show), "parameters" (no law is
-        missing, the numbers of the model are off), "effect" (one of the
+        "adequate" (nothing is missing that this record could show), "parameters" (moved
+        numbers of the model explain the record, which shows no need for a law), "effect" (one of the
         candidates is), "ambiguous" (several explain it alike, or the best one and a force of no
         law), "unexplained" (something is missing that none of the candidates explains).
     ranking : tuple of RankedEffect

@@ -78,7 +78,7 @@ def numbers_instead(
 
 
 def under_another_hold(case: Case, rival: Floated | None) -> Diagnosis | None:
-    """The verdict where the inputs run otherwise between the samples than declared, and no law is missing.
+    """The verdict where the inputs run otherwise between the samples than declared, and no law is needed.
 
     A missing law can look like a wrong hold, so that only counts if every test passes with it; numbers
     that move under the declared one (`rival`) are not the plainer words for it, unless they explain more.
@@ -118,7 +118,7 @@ def about_hold(case: Case) -> list[str]:
 
 
 def parameters(case: Case, numbers: Floated, tests: Sequence[FTest]) -> Diagnosis:
-    """No law is missing, the numbers are off."""
+    """Moved numbers explain the records: these show no need for a law."""
     return Diagnosis(
         "parameters", (), (), tuple(tests), tuple(numbers.tests), (), force_ratio=0.0,
         floated=numbers.refinement, notes=tuple(about_hold(case)), **case.about,

@@ -17,7 +17,7 @@ __all__ = ["no_test_fires", "sentences"]
 
 _VERDICTS = {
     "adequate": "Nothing is missing that this record could show.",
-    "parameters": "The numbers of the model are off; mended, no law is missing that this record could show.",
+    "parameters": "Moved numbers of the model explain the record: it shows no need for a law.",
     "effect": "What is missing: {best}.",
     "ambiguous": "This record cannot tell apart: {alike}. Most probable: {best}.",
     "unexplained": "Something is missing that no candidate explains{where}. Closest: {best}.",
@@ -58,6 +58,10 @@ def sentences(found: Diagnosis) -> list[str]:
             lines.append(f"With the best candidate the residual still fails {_test(left)}.")
         if found.verdict == "parameters":
             lines.append(numbers_that_moved(found.parameters))
+            lines.append(
+                "A weak law that acts here as moved numbers do would pass for them: a record at another "
+                "amplitude, or in another band, tells."
+            )
         if found.best is not None and found.best.effect.spec.of_record:
             shares = " and ".join(f"{100 * v:.3g} % {k}" for k, v in found.best.coefficients.items())
             said = found.best.effect.explanation

@@ -39,7 +39,7 @@ class Levels:
         that of kinks within a step, of a clock or a gain that differs from record to record.
     off : float
         Relative standard deviation within which all numbers of a model float before a law is
-        sought. Where the residual passes with that, the numbers are off and no law is missing.
+        sought. Where the residual passes with that, the record shows no need for a law.
     power : float
         Standard deviations, normal by chance, that an effect must have beyond the test's own
         level to be promised as visible; 1.645 are 95 %.

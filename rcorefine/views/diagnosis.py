@@ -79,7 +79,7 @@ def plot_diagnosis(found: Diagnosis, frame: Frame) -> ct.ControlPlot:
 def _force(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
     best, hidden = found.best, found.hidden_force
     if best is None or hidden is None:
-        said = "no law is missing" if best is None else f"{found.place}\nis in the signal path: no force"
+        said = "no law is needed" if best is None else f"{found.place}\nis in the signal path: no force"
         ax.text(0.5, 0.5, said, ha="center", va="center", transform=ax.transAxes)
         ax.set_axis_off()
         return []

@@ -117,7 +117,7 @@ def _contenders(found: Diagnosis, records: Sequence[Measurement]) -> tuple[list[
     if found.verdict == "adequate":
         return _near(found, fitted_from(found.base, segments, **options))
     if found.floated is not None:
-        why = "Nothing to separate: no law is missing; refine() has the numbers of the model as they are."
+        why = "Nothing to separate: no law is needed; refine() has the numbers of the model as they are."
         return [], fitted_from(found.floated, segments, **options), why
     if found.best is None and found.verdict == "ambiguous":
         why = "The record shows no motion from which rivals could be simulated: excite it, then diagnose."
