@@ -22,6 +22,10 @@ _VERDICTS = {
     "ambiguous": "This record cannot tell apart: {alike}. Most probable: {best}.",
     "unexplained": "Something is missing that no candidate explains{where}. Closest: {best}.",
 }
+_ALIKE = (
+    "A weak law that acts here as moved numbers do would pass for them: a record at another amplitude, or in "
+    "another band, tells."
+)
 
 
 def sentences(found: Diagnosis) -> list[str]:
@@ -57,11 +61,7 @@ def sentences(found: Diagnosis) -> list[str]:
             left = min(found.winner_tests, key=lambda t: t.p_value)
             lines.append(f"With the best candidate the residual still fails {_test(left)}.")
         if found.verdict == "parameters":
-            lines.append(numbers_that_moved(found.parameters))
-            lines.append(
-                "A weak law that acts here as moved numbers do would pass for them: a record at another "
-                "amplitude, or in another band, tells."
-            )
+            lines += [numbers_that_moved(found.parameters), _ALIKE]
         if found.best is not None and found.best.effect.spec.of_record:
             shares = " and ".join(f"{100 * v:.3g} % {k}" for k, v in found.best.coefficients.items())
             said = found.best.effect.explanation
