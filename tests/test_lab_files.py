@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from rcorefine import DataError, Measurement, MissingExtraError
+from rcorefine.data.files import read_record
 
 SEMICOLONS = "Prüfstand 3;;\nDatum;12.03.2024;\n\nt;U;n\ns;V;rpm\n0,00;1,5;0\n0,01;1,5;-2,25\n0,02;0;1e1\n"
 
@@ -357,6 +358,17 @@ def test_a_bag_comes_on_one_grid(tmp_path, form):
     np.testing.assert_allclose(late.outputs[0], np.sin(late.timepts - 0.03), atol=1e-6)
     k = np.floor(late.timepts * 20 + 1e-6)
     np.testing.assert_allclose(late.inputs[0], k % 7, atol=1e-6)
+
+
+def test_a_bag_is_a_record_of_the_terminal(tmp_path):
+    folder = bag(tmp_path / "run", "mcap")
+    (path,) = folder.glob("*.mcap")
+    model = ct.ss([[-1.0]], [[1.0]], [[1.0]], 0, inputs=["effort"], outputs=["elbow"])
+    names = {"inputs": ["/arm/effort/data"], "outputs": ["/arm/joints/position[elbow]"]}
+    record = read_record(path, model, **names)
+    assert (record.input_labels, record.output_labels, record.dt) == (("effort",), ("elbow",), 0.02)
+    with pytest.raises(DataError, match="a bag, whose messages bear their times"):
+        read_record(path, model, time="t", **names)
 
 
 def test_what_a_bag_does_not_hold_is_named(tmp_path):

@@ -23,6 +23,9 @@ _READERS = {
     ".h5": Measurement.from_hdf5,
     ".hdf5": Measurement.from_hdf5,
     ".tdms": Measurement.from_tdms,
+    ".bag": Measurement.from_rosbag,
+    ".mcap": Measurement.from_rosbag,
+    ".db3": Measurement.from_rosbag,
 }
 SUFFIXES = tuple(_READERS)
 
@@ -43,13 +46,13 @@ def read_record(
     Parameters
     ----------
     path : Path
-        Text (.csv, .tsv, .txt, .lvm, .log), .mat, .npz, .h5, .hdf5 or .tdms.
+        Text (.csv, .tsv, .txt, .lvm, .log), .mat, .npz, .h5, .hdf5, .tdms, or a bag (.bag, .mcap, .db3).
     model : StateSpace or PhysicalModel
         Model whose signals are looked for where `inputs` or `outputs` is None.
     inputs, outputs : sequence of str, optional
         Columns by the model's names, or as many of other names in the model's order.
     time : str, optional
-        Column of times in s; "time" where `dt` is not given either.
+        Column of times in s; "time" where `dt` is not given either. The messages of a bag bear theirs.
     dt : float, optional
         Sampling time in s.
     hold : {"zoh", "foh", "bandlimited"}
@@ -71,9 +74,14 @@ def read_record(
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise DataError(f"{path}: a record is a {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]} file")
-    text = {} if decimal is None else {"decimal": decimal}
+    text: dict[str, Any] = {} if decimal is None else {"decimal": decimal}
     if text and reader != Measurement.from_csv:
         raise DataError(f"{path} is no text file, which alone has a decimal mark")
+    clock: dict[str, Any] = {"time": "time" if time is None and dt is None else time}
+    if reader == Measurement.from_rosbag:
+        clock = {}
+    if time is not None and not clock:
+        raise DataError(f"{path} is a bag, whose messages bear their times; leave out the name of a column")
     linear = LinearModel.from_statespace(getattr(model, "system", model))
     columns, labels = _columns(inputs, linear.input_labels)
     measured, output_labels = _columns(outputs, linear.output_labels)
@@ -81,9 +89,9 @@ def read_record(
         path,
         columns,
         measured,
-        time="time" if time is None and dt is None else time,
         dt=dt,
         hold=hold,
+        **clock,
         **text,
         input_labels=labels,
         output_labels=output_labels,
