@@ -142,10 +142,10 @@ class OutputRange(OutputLaw):
     @staticmethod
     def slopes(y, low, high):  # type: ignore[no-untyped-def]
         """With its derivatives."""
+        if max(y, low) > high:
+            return high, 0.0, 0.0, 1.0
         if y < low:
             return low, 0.0, 1.0, 0.0
-        if y > high:
-            return high, 0.0, 0.0, 1.0
         return y, 1.0, 0.0, 0.0
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:

@@ -12,6 +12,7 @@ import fractions
 import importlib
 import pathlib
 import signal
+import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -133,7 +134,7 @@ VALUES: dict[str, Callable[[], Any]] = {
     "masked array": lambda: np.ma.masked_array([1.0, 2.0, 3.0], mask=[0, 1, 0]),
     "memoryview": lambda: memoryview(b"abc"),
     "path": lambda: pathlib.Path("x"),
-    "folder": lambda: pathlib.Path("/"),
+    "folder": lambda: pathlib.Path(tempfile.mkdtemp()),
     "exception": lambda: ValueError("x"),
     "transfer function": lambda: ct.tf([1.0], [1.0, 1.0]),
     "random generator": lambda: np.random.default_rng(0),
