@@ -33,10 +33,7 @@ _DEMO_CODES = "exit codes: 0 all went well, 1 the work failed (the message says 
 _MODEL = (
     "model: .toml (matrices, or a builder's parameters; see rcorefine example), or .npz/.mat with A, B, C, D"
 )
-_DATA = (
-    "record: .csv, .tsv, .txt, .lvm, .log (with a header line), .mat, .npz, .h5, .tdms, or a bag of ROS "
-    "(.bag, .mcap, .db3; columns as /topic/field)"
-)
+_DATA = "record: .csv, .tsv, .txt, .lvm, .log (with a header), .mat, .npz, .h5, .tdms, .bag, .mcap or .db3"
 _KEYS = "Keys of --json: command, rcorefine, exit_code, answer"
 _JSON = {
     "check": " (a sentence for each row that is not ok), record, rows (status, what, where, figure, "
