@@ -360,6 +360,14 @@ def test_a_bag_comes_on_one_grid(tmp_path, form):
     np.testing.assert_allclose(late.inputs[0], k % 7, atol=1e-6)
 
 
+def test_a_grid_far_finer_than_its_stamps_is_refused(tmp_path):
+    """It took all memory there is."""
+    t = 0.01 * np.arange(200)
+    with pytest.raises(DataError, match=r"dt = 1e-09 s makes 1990000001 samples of stamps 0.01 s apart"):
+        Measurement.from_timestamps(t, np.sin(t), np.cos(t), dt=1e-9)
+    assert Measurement.from_timestamps(t, np.sin(t), np.cos(t), dt=2e-4).n_samples == 9951
+
+
 def test_a_bag_is_a_record_of_the_terminal(tmp_path):
     folder = bag(tmp_path / "run", "mcap")
     (path,) = folder.glob("*.mcap")

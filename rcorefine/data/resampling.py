@@ -17,6 +17,7 @@ from .signals import HOLDS, step_of
 
 __all__ = ["Resampled", "Stamped", "as_stamps", "checked_grid", "decimated", "regular"]
 
+_FINEST = 100  # samples per stamp that may be asked for
 _DOUBLED = 0.2  # of a step: stamps that are closer count as one
 _GAP = 3.0  # steps
 _DISORDER = 0.02  # of the stamps before the one ahead: more is no clock that was set
@@ -194,6 +195,11 @@ def regular(
         spans = " and ".join(f"{s.name} ({s.times[0]:g} ... {s.times[-1]:g} s)" for s in [*inputs, *outputs])
         raise DataError(
             f"{spans} have no stretch of time in common that holds two samples; bring them to one zero"
+        )
+    if count > _FINEST * max(one.times.size for one in [*inputs, *outputs]):
+        raise DataError(
+            f"dt = {dt:g} s makes {count} samples of stamps {step:.6g} s apart, and nothing is known between "
+            "these; give a longer dt"
         )
     grid = first + dt / factor * np.arange(count)
     fine_y = np.array([_spline(one.times, row, grid) for one in outputs for row in one.rows])
