@@ -267,7 +267,8 @@ def write(folder):
     parts = [
         "# Gallery of effects\n\nOne page for each: what it looks like, how it is found, "
         "with what it is confused. "
-        "`rco.describe_effects()` prints the catalogue; [a law of your own](../laws.md) is one class.\n"
+        "`print(rco.describe_effects(rco.effect_library(model)))` lists what could act in a model; "
+        "[a law of your own](../laws.md) is one class.\n"
     ]
     for sort, title in FAMILIES.items():
         kinds = [k for k, s in page_kinds().items() if s == sort]

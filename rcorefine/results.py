@@ -25,6 +25,7 @@ __all__ = [
     "Reported",
     "ReportedModel",
     "Result",
+    "Row",
     "picture",
     "show",
     "shows",
@@ -109,6 +110,12 @@ class Data:
             If pandas is not installed.
         """
         return show(self, "to_dataframe")
+
+
+class Row(Data):
+    """One line of a result: the same dict as there, and a table of one row."""
+
+    __slots__ = ()
 
 
 class Result(Data):

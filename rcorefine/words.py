@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import control as ct
 import numpy as np
 
-__all__ = ["chance", "frequency_text"]
+__all__ = ["chance", "estimate", "frequency_text", "phase_text", "with_error"]
+
+_MOST = 6  # significant digits of an estimate, however well it is known
 
 
 def chance(p_value: float, symbol: str = "") -> str:
@@ -57,3 +61,86 @@ def frequency_text(*omega: float) -> str:
     """
     size, unit = (2 * np.pi, "Hz") if ct.config.defaults["freqplot.Hz"] else (1.0, "rad/s")
     return f"{', '.join(f'{one / size:.4g}' for one in omega)} {unit}"
+
+
+def phase_text(angle: float) -> str:
+    """A phase, given in rad, in whole degrees and without a sign.
+
+    Parameters
+    ----------
+    angle : float
+        Of the response over what it is compared with.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> phase_text(-2.1), phase_text(0.35)
+    ('120 deg behind', '20 deg ahead of')
+    """
+    return f"{abs(math.degrees(angle)):.0f} deg {'behind' if angle < 0 else 'ahead of'}"
+
+
+def estimate(value: float, std: float) -> tuple[str, str]:
+    """A value with the digits that its standard deviation leaves, and that with two.
+
+    Parameters
+    ----------
+    value, std : float
+        What was estimated, and how well; four digits where that is not known.
+
+    Returns
+    -------
+    tuple of str
+
+    Examples
+    --------
+    >>> estimate(0.00028725, 0.00048), estimate(29.9942, 1.0), estimate(203517.0, 1234.0)
+    (('0.00029', '0.00048'), ('30.0', '1.0'), ('203500', '1200'))
+    >>> estimate(-43.2123, float("inf"))
+    ('-43.21', 'inf')
+    """
+    if not (math.isfinite(value) and math.isfinite(std) and std > 0):
+        return f"{value:.4g}", f"{std:.2g}"
+    last = math.floor(math.log10(float(f"{std:.1e}"))) - 1  # decimal place of its second digit
+    if value:
+        last = max(last, math.floor(math.log10(abs(value))) + 1 - _MOST)
+    return _to(value, last), _to(float(f"{std:.1e}"), math.floor(math.log10(std)) - 1)
+
+
+def with_error(value: float, std: float, unit: str = "") -> str:
+    """An estimate with its standard deviation, as a sentence has it.
+
+    Parameters
+    ----------
+    value, std : float
+        As for `estimate`.
+    unit : str
+        Behind them.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> with_error(0.24961, 0.0003, "N")
+    '0.24961 +/- 0.00030 N'
+    """
+    return f"{' +/- '.join(estimate(value, std))} {unit}".rstrip()
+
+
+def _to(value: float, last: int) -> str:
+    """Rounded to the power of ten `last`, without an exponent where people write none."""
+    rounded = float(f"{value:.{max(_place(value) - last, 0)}e}") if value and _place(value) >= last else 0.0
+    if not rounded:
+        return f"{0.0:.{min(max(-last, 0), _MOST)}f}"
+    if 1e-4 <= abs(rounded) < 1e7:
+        return f"{rounded:.{max(-last, 0)}f}"
+    return f"{rounded:.{_place(rounded) - last}e}"
+
+
+def _place(value: float) -> int:
+    return math.floor(math.log10(abs(value)))

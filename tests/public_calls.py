@@ -113,6 +113,14 @@ def watched() -> rco.Monitor:
     return found.run(record())
 
 
+@_quiet
+def alarmed() -> rco.Alarm:
+    found = rco.Monitor(small_model(), [EFFECT], dt=DT, learn=200).run(record())
+    found.run(small_record(4, 15.0))
+    assert found.alarm is not None
+    return found.alarm
+
+
 def refiner() -> rco.RCORefiner:
     return rco.RCORefiner(small_model().system, dt=DT, order=2, window=20, learning_rate=1e6)
 
@@ -1107,6 +1115,11 @@ RESULTS: dict[str, Callable[[], Any]] = {
     "Refinement": refinement,
     "Simulation": simulation,
     "Survey": surveyed,
+    "Alarm": alarmed,
+    "CheckRow": lambda: checked().rows[0],
+    "EstimatedParameter": lambda: refinement().parameters[0],
+    "NominalParameter": lambda: model().parameters[0],
+    "Port": lambda: model().ports[0],
 }
 CALLS |= {
     f"{name}.{what}": Call(_method(owner, what), dict)

@@ -24,6 +24,16 @@ OTHERS = {
     "FrequencyComparison": public_calls.in_frequency,
     "ExperimentAdvice": public_calls.advice,
     "HiddenForce": lambda: public_calls.diagnosis().hidden_force,
+    "Detectable": lambda: rco.diagnose(public_calls.model(), public_calls.record()).detectable[0],
+    "RankedEffect": lambda: public_calls.diagnosis().best,
+    "FTest": lambda: public_calls.diagnosis().tests[0],
+    "Step": lambda: public_calls.improvement().steps[-1],
+    "DamageRow": lambda: public_calls.damage_map().rows[0],
+    "SurveyRow": lambda: public_calls.surveyed().rows[0],
+    "FleetEffect": lambda: public_calls.surveyed().effects[0],
+    "MonitorRow": lambda: public_calls.watched().ranking[0],
+    "Failure": lambda: rco.compare(public_calls.model(), public_calls.small_record(1, 20.0)).failures[0],
+    "RecordEstimate": lambda: public_calls.confirmation().estimates[0],
 }
 
 
@@ -56,6 +66,9 @@ def test_signals_keep_their_names_and_times():
 def test_rows_are_those_of_the_result():
     found = public_calls.diagnosis()
     frame = found.to_dataframe()
+    assert found.to_dict()["ranking"] == [row.to_dict() for row in found.ranking]
+    alone = found.best.to_dataframe()
+    assert alone.iloc[0].to_dict() == frame.iloc[0][alone.columns].to_dict()
     assert list(frame["kind"]) == [row.effect.kind for row in found.ranking]
     assert list(frame["place"]) == [row.effect.place for row in found.ranking]
     first = found.ranking[0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
+import textwrap
 from argparse import Namespace
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,12 +34,12 @@ class _Example:
 _EXAMPLES = {
     "mass_spring_damper": _Example(
         """\
-# A chain of masses on springs and dampers: ground, link1, mass 1, link2, mass 2.
+# A chain on springs and dampers: ground, link1, mass 1, link2, mass 2.
 [mass_spring_damper]
 m = [1.0, 0.8]              # masses [kg]
 c = [0.5, 0.4]              # dampers [N s/m]
 k = [200.0, 150.0]          # springs [N/m]
-sensors = ["velocity", 1]   # or "displacement", or [["velocity", 1], ["acceleration", 2]]
+sensors = ["velocity", 1]   # or "displacement"; several: [["velocity", 1], ...]
 # excitation = "base"       # shaken at its base instead of pushed
 # force = 1                 # the mass that the force acts on
 # inputs = ["force"]        # names, which the columns of the record should have
@@ -48,7 +49,8 @@ sensors = ["velocity", 1]   # or "displacement", or [["velocity", 1], ["accelera
     ),
     "state_space": _Example(
         """\
-# Matrices: dx/dt = A x + B u, y = C x + D u. States in physical units let rcorefine find the places.
+# Matrices: dx/dt = A x + B u, y = C x + D u. Where the states have physical
+# units, rcorefine finds the places in them.
 [state_space]
 A = [[0.0, 1.0], [-100.0, -0.4]]
 B = [[0.0], [1.0]]          # or [0.0, 1.0] for one input
@@ -247,10 +249,11 @@ def run_example(arguments: Namespace) -> int:
         sys.stdout.write(f"{model}\n{record}\n\nTry:\n{commands}")
         return 0
     head = "".join(csv.splitlines(keepends=True)[:_SHOWN])
-    others = ", ".join(other for other in NAMES if other != name)
+    others = f"Other examples: {', '.join(other for other in NAMES if other != name)}."
+    others = textwrap.fill(others, 80, initial_indent="# ", subsequent_indent="#   ")
     sys.stdout.write(
         f"# {model}\n{toml}\n# {record} (the first lines of {_SAMPLES + 1})\n{head}...\n\n"
         f"# rcorefine example {name} --write . makes both files, whole. Then:\n{commands}"
-        f"# Other examples: {others}.\n"
+        f"{others}\n"
     )
     return 0

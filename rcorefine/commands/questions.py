@@ -21,6 +21,7 @@ from ..systems.linear import Array, LinearModel
 from ..systems.response import as_sampled, frequency_response
 from ..views.bode import bode_comparison, bode_grid
 from ..views.pages.answers import refinement_answer
+from ..views.tables import wrapped
 from ..writing import replacing
 from .analysis import check_targets, finish, fit_options, opened, wanted_candidates
 from .records import read_record
@@ -87,7 +88,7 @@ def run_bode(arguments: Namespace) -> int:
     curves = _curves(systems, measured)
     if arguments.csv is not None:
         _write_csv(arguments.csv, curves, arguments.decimal)
-    text = "\n".join(_said(curve, curves) for curve in curves)
+    text = "\n".join(wrapped([_said(curve, curves) for curve in curves]))
     draw = partial(bode_comparison, systems, measured)
     return finish(arguments, 0, [], None, data, text=text, content={"curves": curves}, draw=draw)
 
@@ -147,9 +148,10 @@ def _said(curve: dict[str, Any], curves: list[dict[str, Any]]) -> str:
     measured = next((c for c in curves if (c["curve"], c["output"], c["input"]) == same), curve)
     if measured is curve:
         return text
-    size = np.interp(measured["omega"], curve["omega"], curve["magnitude"])
-    off = 100 * np.median(np.abs(size / measured["magnitude"] - 1))
-    return f"{text}; magnitude off by {off:.3g} % of the measured (median)"
+    ratio = np.interp(measured["omega"], curve["omega"], curve["magnitude"]) / measured["magnitude"]
+    there = ratio[int(np.argmax(measured["magnitude"]))]
+    off = 100 * np.median(np.abs(ratio - 1))
+    return f"{text}; {off:.3g} % off the record (median), {there:.3g} times it at its peak"
 
 
 def _write_csv(path: Path, curves: list[dict[str, Any]], decimal: str | None) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..engine.observer import steady_filter
 from ..exceptions import DataError
 from ..jit import compiled
+from ..results import Row
 from ..systems.linear import Array
 from .failure_map.record import ModelOnRecord
 
@@ -24,7 +25,7 @@ _LEVELS = tuple(10.0 ** np.arange(-3.0, 3.1, 1.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HorizonError:
+class HorizonError(Row):
     """Error against prediction horizon.
 
     Attributes

@@ -11,6 +11,7 @@ from scipy import stats
 
 from ..data.measurement import Measurement
 from ..data.welch import estimate_frequency_response
+from ..results import Row
 from ..systems.linear import Array
 from ..systems.response import as_sampled, frequency_response
 
@@ -21,7 +22,7 @@ __all__ = ["ModelError", "model_error"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ModelError:
+class ModelError(Row):
     """Response from the inputs to the residual of a model.
 
     Attributes

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..data.measurement import Measurement
+from ..results import Row
 from ..systems.linear import Array
 from .failure_map.distortion import period_of
 
@@ -19,7 +20,7 @@ _REACH = 5  # times the highest line sent, up to which distortion is looked for
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LineLevels:
+class LineLevels(Row):
     """Lines of a record with a periodic input (Pintelon and Schoukens, System Identification, ch. 4).
 
     Attributes

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..inference.levels import levels
 from ..inference.refinement import EstimatedParameter, Refinement
+from ..words import with_error
 
 __all__ = ["far_numbers", "numbers_that_moved", "what_was_absorbed"]
 
@@ -55,19 +56,21 @@ def numbers_that_moved(rows: Sequence[EstimatedParameter]) -> str:
     """
     sure = sorted((r for r in rows if _moved(r)), key=lambda r: -abs(r.coefficient) / max(r.std, 1e-300))
     said = [
-        f"{row.name} {row.value / row.initial:.4g} +- {row.std / abs(row.initial):.1g} times nominal"
+        f"{row.name} {with_error(row.value / row.initial, row.std / abs(row.initial))} times nominal"
         for row in sure[:_MOST]
     ]
     if not said:
-        return "No single one moved for certain; together they explain the residual."
+        return "No single number moved for certain; together they explain the residual."
     more = f" and {len(sure) - _MOST} more" if len(sure) > _MOST else ""
     far = far_numbers(sure)
     doubt = (
         f" {', '.join(far[:_MOST])} moved so far that they may stand in for a law at a place that the model "
         "does not show: declare its links with physical(...)."
     )
-    known = "the sensors taken as the model has them"
-    return f"Off by more than chance, {known}: {', '.join(said)}{more}.{doubt if far else ''}"
+    return (
+        f"Moved by more than chance, if the sensors are as the model has them: {', '.join(said)}{more}."
+        f"{doubt if far else ''}"
+    )
 
 
 def far_numbers(rows: Sequence[EstimatedParameter]) -> list[str]:

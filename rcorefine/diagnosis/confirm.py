@@ -32,6 +32,7 @@ from ..inference.windows import windows
 from ..models.library import effect_library
 from ..models.operating_point import ordered_record
 from ..systems.linear import Array
+from ..words import chance
 from .beside import Beside
 from .confirmation import Confirmation, RecordEstimate
 from .residual_tests import TestedResidual, run_tests
@@ -197,12 +198,12 @@ def _message(
     if verdict == "confirmed":
         other = any(abs(np.log(e.level)) > 0.25 for e in further)
         caution = "" if other else " The amplitudes are alike, though, so a law that mimics it could pass."
-        return f"The same {what} explains every record (p = {p_value:.2g}).{caution}"
+        return f"The same {what} explains every record ({chance(p_value, 'p')}).{caution}"
     worst = min(further, key=lambda e: min(e.agreement, e.residual))
     why = "other coefficients" if worst.agreement <= worst.residual else "something more"
-    verdict = f"{what} is refuted: {worst.name} needs {why} (p = {p_value:.2g})."
+    verdict = f"{what} is refuted: {worst.name} needs {why} ({chance(p_value, 'p')})."
     if first.residual < level:
-        return f"{verdict} It does not explain the first record either (p = {first.residual:.2g})."
+        return f"{verdict} It does not explain the first record either ({chance(first.residual, 'p')})."
     return f"{verdict} It only mimics what is missing."
 
 

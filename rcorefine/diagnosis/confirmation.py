@@ -8,14 +8,14 @@ from typing import Unpack
 import control as ct
 
 from ..inference.f_tests import FTest
-from ..results import Options, Result, picture, show
+from ..results import Options, Result, Row, picture, show
 from ..systems.linear import Array
 
 __all__ = ["Confirmation", "RecordEstimate"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RecordEstimate:
+class RecordEstimate(Row):
     """The model fitted to one record alone.
 
     Attributes

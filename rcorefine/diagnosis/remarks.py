@@ -12,6 +12,7 @@ from ..inference.fitted import FittedModel, coefficient_covariance
 from ..inference.levels import Levels
 from ..inference.sensitivities import Candidate
 from ..systems.linear import Array
+from ..words import chance, with_error
 from .candidate_fits import CandidateFits
 from .ranking import estimates
 from .residual_tests import TestedResidual
@@ -53,11 +54,11 @@ def amplitude_test(race: CandidateFits, levels: Levels) -> tuple[float, str]:
     difference = estimates[0][0][own] - estimates[1][0][own]
     spread = np.diag((levels.same_value * fitted.theta[own]) ** 2)
     p_value = wald(difference, estimates[0][1][own, own] + estimates[1][1][own, own] + spread)
-    values = " and ".join(f"{e[0][p]:.4g} +/- {np.sqrt(e[1][p, p]):.2g}" for e in estimates)
+    values = " and ".join(with_error(e[0][p], np.sqrt(e[1][p, p])) for e in estimates)
     name = race.rivals[0].effect.label
     sentence = (
         f"Fitted alone at the smallest and the largest amplitude, {name} is {values} "
-        f"({'they disagree' if p_value < levels.disagree else 'they agree'}, p = {p_value:.2g})."
+        f"({'they disagree' if p_value < levels.disagree else 'they agree'}, {chance(p_value, 'p')})."
     )
     return p_value, sentence
 
@@ -97,7 +98,7 @@ def not_known(race: CandidateFits, levels: Levels) -> str:
     values = np.array([row.coefficient for row in sizes])
     if not at or wald(values, refinement.covariance[np.ix_(at, at)]) <= levels.known:
         return ""
-    found = ", ".join(f"{row.coefficient:.4g} +/- {row.std:.2g}" for row in sizes)
+    found = ", ".join(with_error(row.coefficient, row.std) for row in sizes)
     return f"{effect.label} would pass, but the record does not determine it ({found}): it is not named."
 
 
@@ -109,7 +110,7 @@ def fit_remarks(race: CandidateFits) -> list[str]:
         bound += run.at_bound(rival.candidate.problem)
         if not rival.settled and rival is not race.rivals[0]:
             loose.append(rival.effect.label)
-    said = [f"At its bound, so no estimate: {', '.join(dict.fromkeys(bound))}."] if bound else []
+    said = [f"At a bound, and so no estimate: {', '.join(dict.fromkeys(bound))}."] if bound else []
     best = race.rivals[0]
     if not best.settled:  # it would only win by more
         said.append(f"Not converged, so its numbers are not final: {best.effect.label}.")

@@ -15,7 +15,7 @@ from ..effects.effect import Effect
 from ..exceptions import ModelError
 from ..inference.f_tests import FTest
 from ..inference.refinement import EstimatedParameter, Refinement
-from ..results import Look, Reported, picture, show
+from ..results import Look, Reported, Row, picture, show
 from .checks.row import CheckRow
 from .hidden_force import HiddenForce, hidden_force
 from .open_law import OpenLaw
@@ -30,7 +30,7 @@ _EXCLUDED = 0.01  # probability below which a place is none
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RankedEffect:
+class RankedEffect(Row):
     """One row of `Diagnosis.ranking`.
 
     Attributes
@@ -66,7 +66,7 @@ class RankedEffect:
 
 
 @dataclass(frozen=True, slots=True)
-class Detectable:
+class Detectable(Row):
     """The smallest coefficient of an effect that the record would have shown (95 % power)."""
 
     effect: Effect

@@ -5,15 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from ..inference.levels import levels
-from ..words import chance
+from ..words import chance, with_error
 from .absorbed import far_numbers, numbers_that_moved, what_was_absorbed
+from .stepwise.improvement import Improvement
 from .verdict import overall
 
 if TYPE_CHECKING:
     from ..inference.f_tests import FTest
     from .result import Diagnosis
 
-__all__ = ["no_test_fires", "sentences"]
+__all__ = ["failed_test", "next_step", "no_test_fires", "sentences"]
 
 _VERDICTS = {
     "adequate": "Nothing is missing that this record could show.",
@@ -21,6 +22,16 @@ _VERDICTS = {
     "effect": "What is missing: {best}.",
     "ambiguous": "This record cannot tell apart: {alike}. Most probable: {best}.",
     "unexplained": "Something is missing that no candidate explains{where}. Closest: {best}.",
+}
+#: What each test finds in a residual that is no noise.
+_FAILED = {
+    "library": ", most of all for {most}",
+    "other laws": ": something in it follows the motion",
+    "changes with time": ": something in it changes with time",
+    "parameters": ": moved numbers would take up a part of it",
+    "input": ": something in it follows the input",
+    "powers of the input": ": something in it follows powers of the input",
+    "neighbors": ": points beside each other err alike",
 }
 _ALIKE = (
     "A weak law that acts here as moved numbers do would pass for them: a record at another amplitude, or in "
@@ -53,13 +64,13 @@ def sentences(found: Diagnosis) -> list[str]:
         lines = [f"{head} {what_was_absorbed(found.base)}".rstrip(), *_shown(found)]
     elif worst is not None:  # without motion nothing could be tested
         lines += _open_law(found)
-        fails = f"The model as it is fails {_test(worst)}."
+        fails = f"The residual of the model as it is fails {failed_test(worst)}."
         told = found.verdict != "unexplained" or overall(found.tests) < found.significance
         lines.append(fails if told else f"{no_test_fires(found)} {found.left_to_noise}".rstrip())
         failed = found.winner_tests and overall(found.winner_tests) < found.significance
         if found.verdict == "unexplained" and failed:
             left = min(found.winner_tests, key=lambda t: t.p_value)
-            lines.append(f"With the best candidate the residual still fails {_test(left)}.")
+            lines.append(f"With the best candidate the residual still fails {failed_test(left)}.")
         if found.verdict == "parameters":
             lines += [numbers_that_moved(found.parameters), _ALIKE]
         if found.best is not None and found.best.effect.spec.of_record:
@@ -67,10 +78,10 @@ def sentences(found: Diagnosis) -> list[str]:
             said = found.best.effect.explanation
             sure = found.verdict == "effect"
             lines.append(
-                f"{said} Here that are {shares}: correct the record, not the model."
+                f"{said} Here it is {shares}: correct the record, not the model."
                 if sure
-                else f"{said} Here that were {shares}. A clock that is off and numbers that scale all rates "
-                "alike look the same to a record: time the clock itself before a number is changed."
+                else f"{said} Here it would be {shares}. A clock that is off and numbers that scale all "
+                "rates alike look the same to a record: time the clock itself before a number is changed."
             )
         lines += _columns(found)
     place = None if found.best is None or found.verdict == "unexplained" else found.best.effect.place
@@ -99,12 +110,51 @@ def sentences(found: Diagnosis) -> list[str]:
     return [*lines, *found.notes]
 
 
+def next_step(found: Diagnosis | Improvement) -> str:
+    """What to do with a verdict, as a line of Python in which the result is called ``found``.
+
+    Parameters
+    ----------
+    found : Diagnosis or Improvement
+        Result.
+
+    Returns
+    -------
+    str
+    """
+    better = "better = found.refine(); print(better)"
+    if isinstance(found, Improvement):
+        return better.replace("refine()", "refinement") if found.effects else "found.plot()"
+    if found.verdict == "adequate":
+        return "rco.compare(found.base, found.records[0]).plot()  # what is left to noise"
+    if found.verdict == "ambiguous" and not found.base.of_responses:
+        return "print(found.suggest_experiment())"
+    if found.verdict != "unexplained":
+        return better
+    if found.open_law is not None:
+        return "print(rco.refine(found.base, found.records, [found.law()]))"
+    return "found.plot()  # the force against the motion, and what is left over"
+
+
 def _place(found: Diagnosis) -> str:
     return f"{found.places[found.place]:.2f}" if found.place is not None else ""
 
 
-def _test(test: FTest) -> str:
-    return f"the test {test.name!r}, {chance(test.p_value, 'p')}"
+def failed_test(test: FTest) -> str:
+    """What a failed test shows, under the name by which `Diagnosis.tests` has it.
+
+    Parameters
+    ----------
+    test : FTest
+        Test.
+
+    Returns
+    -------
+    str
+    """
+    name, _, most = test.name.partition(" (most: ")
+    meaning = _FAILED.get(name, "").format(most=most.rstrip(")"))
+    return f"the test {name!r}{meaning} ({chance(test.p_value, 'p')})"
 
 
 def no_test_fires(found: Diagnosis) -> str:
@@ -114,8 +164,8 @@ def no_test_fires(found: Diagnosis) -> str:
         return f"{said}."
     worst = min(found.tests, key=lambda t: t.p_value)
     return (
-        f"{said} (smallest p-value {worst.p_value:.2g}, {worst.name}; corrected for the number of tests "
-        f"{overall(found.tests):.2g})."
+        f"{said}: the smallest p-value is {chance(worst.p_value)}, of {worst.name!r}, "
+        f"and {chance(overall(found.tests))} with all tests counted."
     )
 
 
@@ -160,6 +210,6 @@ def _best(found: Diagnosis) -> str:
     if found.best is None:
         return "nothing"
     row = found.best
-    values = ", ".join(f"{value:.4g} +/- {row.std[name]:.2g}" for name, value in row.coefficients.items())
+    values = ", ".join(with_error(value, row.std[name]) for name, value in row.coefficients.items())
     sure = "" if found.verdict == "unexplained" else f", probability {row.probability:.2f}"
     return f"{row.effect.label} ({values}): fit {row.fit_before:.4g} -> {row.fit_after:.4g} %{sure}"

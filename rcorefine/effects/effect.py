@@ -11,6 +11,7 @@ from ..arguments import as_choice, as_mapping, as_number, as_text
 from ..exceptions import ModelError
 from .custom import Custom
 from .domains import DOMAINS, worded
+from .kinds import check_kind
 from .law import KINDS, Law, instance_of
 
 __all__ = ["ARGUMENTS", "Effect"]
@@ -103,8 +104,8 @@ class Effect:
     ) -> None:
         if isinstance(law, type) and issubclass(law, Law):
             kind, law = _own_kind(kind, law)
-        elif not isinstance(kind, str) or kind not in KINDS:
-            raise ct.ControlArgument(f"unknown kind of effect {kind!r}; the kinds are {', '.join(KINDS)}")
+        else:
+            check_kind(kind)
         if not isinstance(place, str) or not place.strip():
             raise ct.ControlArgument(
                 f"place of {kind} must be the name of a port or of a channel, not {place!r}; "

@@ -18,7 +18,7 @@ from ..data.measurement import Measurement
 from ..effects.effect import Effect
 from ..exceptions import DataError, ModelError
 from ..models.physical_model import PhysicalModel
-from ..results import Result
+from ..results import Result, Row
 from ..writing import replacing
 from .hiding import LEVELS, TRAINING, hide
 from .plants import PLANTS
@@ -31,7 +31,7 @@ EFFECT, PLACE, COEFFICIENT = 0.6, 0.3, 0.4  # points: for the effect, the place 
 
 
 @dataclass(frozen=True, slots=True)
-class Mark:
+class Mark(Row):
     """What an answer is worth.
 
     Attributes

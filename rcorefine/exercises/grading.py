@@ -14,7 +14,7 @@ import control as ct
 
 from ..arguments import as_path
 from ..exceptions import DataError, ModelError
-from ..results import Reported
+from ..results import Reported, Row
 from ..writing import replacing
 from .exercise import Exercise, load_exercise
 
@@ -24,7 +24,7 @@ _COLUMNS = ("student", "file", "plant", "level", "answer", "effect", "coefficien
 
 
 @dataclass(frozen=True, slots=True)
-class Grade:
+class Grade(Row):
     """One answer: a row of the class page.
 
     Attributes

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..results import Row
 from ..systems.linear import Array
 from . import growth, pooling
 from .row import SurveyRow
@@ -16,7 +17,7 @@ __all__ = ["FleetEffect", "MachineEffect", "Trend", "fleet_effects", "trends"]
 
 
 @dataclass(frozen=True, slots=True)
-class MachineEffect:
+class MachineEffect(Row):
     """A coefficient of one machine, beside the fleet's.
 
     Attributes
@@ -51,7 +52,7 @@ class MachineEffect:
 
 
 @dataclass(frozen=True, slots=True)
-class FleetEffect:
+class FleetEffect(Row):
     """A coefficient over the fleet. Mean and spread are those of the machines that do not stand out.
 
     Attributes
@@ -101,7 +102,7 @@ class FleetEffect:
 
 
 @dataclass(frozen=True, slots=True)
-class Trend:
+class Trend(Row):
     """A coefficient of one machine over its records.
 
     Attributes

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ..arguments import as_path
 from ..effects.law import KINDS
 from ..exceptions import DataError
+from ..words import chance, with_error
 from .comparison import FleetEffect
 
 if TYPE_CHECKING:
@@ -85,7 +86,7 @@ def _limit(sign: int) -> Callable[[Survey, Mapping[str, Any], float], _Said]:
         for effect in _effects(survey, table):
             for machine in _of(effect.machines, table):
                 if sign * (machine.value - limit) > 0:
-                    size = f"{machine.value:.4g} +/- {machine.std:.2g} {effect.unit}".rstrip()
+                    size = with_error(machine.value, machine.std, effect.unit)
                     side = "above" if sign > 0 else "below"
                     yield machine.machine, f"{effect.label} is {size}, {side} {limit:g}"
 
@@ -96,8 +97,8 @@ def _growth(survey: Survey, table: Mapping[str, Any], level: float) -> _Said:
     keys = {(effect.kind, effect.place) for effect in _effects(survey, table)}
     for trend in _of(survey.trends, table):
         if (trend.kind, trend.place) in keys and trend.p_value <= level:
-            size = f"{trend.slope:.3g} {trend.unit}".rstrip()
-            yield trend.machine, f"{trend.label} changes by {size} per {trend.per} (p = {trend.p_value:.1g})"
+            slope = with_error(trend.slope, trend.std, f"{trend.unit} per {trend.per}".strip())
+            yield trend.machine, f"{trend.label} changes by {slope} ({chance(trend.p_value, 'p')})"
 
 
 def _verdict(survey: Survey, table: Mapping[str, Any], words: str | list[str]) -> _Said:

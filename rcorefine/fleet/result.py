@@ -14,6 +14,7 @@ import control as ct
 from ..arguments import as_text
 from ..exceptions import ModelError
 from ..results import Options, Result, picture, show
+from ..words import chance, with_error
 from .comparison import FleetEffect, MachineEffect, Trend
 from .conditions import Breach, breaches
 from .row import SurveyRow
@@ -133,14 +134,13 @@ class Survey(Result):
             side = "above" if machine.deviation > 0 else "below"
             said.append(
                 f"{machine.machine} stands out: {effect.label} "
-                f"{_figure(machine.value, machine.std, effect.unit)}, "
+                f"{with_error(machine.value, machine.std, effect.unit)}, "
                 f"{abs(machine.deviation):.3g} standard deviations {side} the others."
             )
-        said += [
-            f"{trend.label} of {trend.machine} changes with time: "
-            f"{_figure(trend.slope, trend.std, trend.unit)} per {trend.per} ({_chance(trend.p_value)})."
-            for trend in self.growing
-        ]
+        for trend in self.growing:
+            slope = with_error(trend.slope, trend.std, f"{trend.unit} per {trend.per}".strip())
+            p_value = chance(trend.p_value, "p")
+            said.append(f"{trend.label} of {trend.machine} changes with time: {slope} ({p_value}).")
         if self.effects and not self.growing and self.trends:
             said.append("Nothing changes with time as far as these records tell.")
         return said + list(self.notes)
@@ -223,17 +223,9 @@ def _words(effect: FleetEffect) -> str:
     if effect.sort == "common":
         alike = f"differs by {effect.spread:.3g} between them" if effect.spread > 0 else "is the same in all"
         return (
-            f"Common: {effect.label}, {_figure(effect.mean, effect.std, effect.unit)} over {held} of "
-            f"{effect.n_machines} machine(s); it {alike} beyond the errors ({_chance(effect.p_alike)})."
+            f"Common: {effect.label}, {with_error(effect.mean, effect.std, effect.unit)} over {held} of "
+            f"{effect.n_machines} machine(s); it {alike} beyond the errors ({chance(effect.p_alike, 'p')})."
         )
     some = effect.standing_out or effect.machines
     names = ", ".join(machine.machine for machine in some[:5]) + (", ..." if len(some) > 5 else "")
     return f"Not common: {effect.label} belongs to {names}."
-
-
-def _chance(p_value: float) -> str:
-    return f"p = {p_value:.1g}" if p_value > 0 else "p < 1e-300"
-
-
-def _figure(value: float, std: float, unit: str) -> str:
-    return f"{value:.4g} +/- {std:.2g}{' ' + unit if unit else ''}"

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from ..effects.effect import Effect
+from ..results import Row
 
 __all__ = ["Estimate", "SurveyRow"]
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
+class Estimate(Row):
     """A coefficient as one record has it.
 
     Attributes
@@ -37,7 +38,7 @@ class Estimate:
 
 
 @dataclass(frozen=True, slots=True)
-class SurveyRow:
+class SurveyRow(Row):
     """One record of one machine. Rows are equal where all but their seconds is.
 
     Attributes

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from ..results import Row
 from ..systems.linear import Array
 from .basis import Basis, as_basis, in_own_units, lengths, project, rank_basis
 
@@ -19,7 +20,7 @@ _FEWEST = 10  # degrees of freedom that a test leaves at least
 
 
 @dataclass(frozen=True, slots=True)
-class FTest:
+class FTest(Row):
     """Whether a set of columns explains more of the residual than chance.
 
     Attributes

@@ -19,14 +19,15 @@ from ..engine.structure import Structure
 from ..exceptions import ModelError
 from ..export.exports import CodeExports
 from ..models.physical_model import PhysicalModel
-from ..results import Options, ReportedModel, picture, show
+from ..results import Options, ReportedModel, Row, picture, show
 from ..systems.linear import Array
+from ..words import estimate
 
 __all__ = ["EstimatedParameter", "Refinement"]
 
 
 @dataclass(frozen=True, slots=True)
-class EstimatedParameter:
+class EstimatedParameter(Row):
     """One row of `Refinement.parameters`.
 
     Attributes
@@ -65,7 +66,7 @@ class EstimatedParameter:
     @property
     def cells(self) -> list[str]:
         """The row as text: name, effect, place, initial, value, std, unit."""
-        figures = (f"{self.initial:.5g}", f"{self.value:.5g}", f"{self.std:.2g}")
+        figures = (f"{self.initial:.5g}", *estimate(self.value, self.std))
         return [self.name, self.kind if self.name != self.kind else "", self.place, *figures, self.unit]
 
 

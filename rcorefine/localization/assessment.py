@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
+from ..diagnosis.words import failed_test
 from ..engine.structure import Structure
 from ..inference.covariance import standard_deviations
 from ..inference.f_tests import FTest
@@ -27,8 +28,8 @@ _OTHER_VALLEY = (
     "sparser one is given."
 )
 _UNEXPLAINED = (
-    "The changes do not explain the record: {name} (p = {p:.1g}). Something else is missing in the model, "
-    "and may have been taken for a change; diagnose() says what."
+    "The changes do not explain the record: the residual fails {test}. Something else is missing in the "
+    "model, and may have been taken for a change; diagnose() says what."
 )
 _UNTESTED = "The record is too short to test whether the changes explain it."
 
@@ -134,7 +135,7 @@ def _explained(tests: Sequence[FTest], significance: float) -> str:
     if overall(tests) >= significance:
         return ""
     worst = min((test for test in tests if test.dof), key=lambda test: test.p_value)
-    return _UNEXPLAINED.format(name=worst.name, p=worst.p_value)
+    return _UNEXPLAINED.format(test=failed_test(worst))
 
 
 def _nuisances(joint: Joint, candidates: Sequence[Candidate]) -> tuple[NuisanceRow, ...]:

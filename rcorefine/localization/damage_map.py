@@ -12,7 +12,7 @@ from ..effects.effect import Effect
 from ..effects.springs import Stiffness
 from ..exceptions import ModelError
 from ..inference.f_tests import FTest
-from ..results import Options, Result, picture, show
+from ..results import Options, Result, Row, picture, show
 from ..systems.linear import Array, LinearModel
 from .residual import overall
 
@@ -20,7 +20,7 @@ __all__ = ["DamageMap", "DamageRow", "HypothesisRow", "NuisanceRow"]
 
 
 @dataclass(frozen=True, slots=True)
-class DamageRow:
+class DamageRow(Row):
     """One place of the structure.
 
     Attributes
@@ -84,7 +84,7 @@ class DamageRow:
 
 
 @dataclass(frozen=True, slots=True)
-class NuisanceRow:
+class NuisanceRow(Row):
     """A number that was estimated along, without being damage.
 
     Attributes
@@ -104,7 +104,7 @@ class NuisanceRow:
 
 
 @dataclass(frozen=True, slots=True)
-class HypothesisRow:
+class HypothesisRow(Row):
     """One hypothesized damage scenario, fitted.
 
     Attributes

@@ -13,6 +13,7 @@ from ..effects.bodies import Mass
 from ..effects.dampers import Damping
 from ..effects.effect import Effect
 from ..effects.entries import Entry
+from ..effects.kinds import check_kind
 from ..effects.law import KINDS, Law
 from ..effects.right_hand_side import ModelParameter
 from ..effects.springs import Stiffness
@@ -85,8 +86,7 @@ def effect_library(
     physical = as_physical(model, dt=dt)
     asked = _names("kinds", kinds)
     for kind in asked or ():
-        if kind not in KINDS:
-            raise ct.ControlArgument(f"unknown kind of effect {kind!r}; the kinds are {', '.join(KINDS)}")
+        check_kind(kind)
     for kind in asked or ():
         if KINDS[kind].needs_law:
             raise ct.ControlArgument(

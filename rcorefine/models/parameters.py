@@ -6,12 +6,13 @@ from dataclasses import dataclass
 
 from ..arguments import as_flag, as_number, as_text
 from ..exceptions import ModelError
+from ..results import Row
 
 __all__ = ["NominalParameter"]
 
 
 @dataclass(frozen=True, slots=True)
-class NominalParameter:
+class NominalParameter(Row):
     """A number in the initial model that an effect could correct.
 
     Parameters

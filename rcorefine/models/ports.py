@@ -11,6 +11,7 @@ import numpy as np
 from ..arguments import as_array, as_flag, as_text, shown
 from ..effects.domains import domain_of
 from ..exceptions import ModelError
+from ..results import Row
 from ..systems.linear import Array
 
 __all__ = ["Port", "felt"]
@@ -20,7 +21,7 @@ _ARRAYS = ("act", "position", "position_input", "velocity", "velocity_input", "a
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Port:
+class Port(Row):
     """A place where a missing effect can sit.
 
     With the states x and the inputs w of the model the port senses::

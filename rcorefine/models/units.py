@@ -10,6 +10,7 @@ __all__ = ["combine_units"]
 # what people write instead of the quotient
 _ALIASES = {
     "N s^2/m": "kg",
+    "W s/K": "J/K",
     "V/A": "Ohm",
     "V s/A": "H",
     "V/C": "1/F",

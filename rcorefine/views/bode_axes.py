@@ -38,6 +38,11 @@ class BodeUnits:
         return 1.0 / (2.0 * np.pi) if self.Hz else 1.0
 
     @property
+    def frequency(self) -> str:
+        """Unit of the axis."""
+        return "Hz" if self.Hz else "rad/s"
+
+    @property
     def phase_factor(self) -> float:
         """Factor from rad to the unit of the axis."""
         return 180.0 / np.pi if self.deg else 1.0
@@ -78,7 +83,7 @@ def bode_rows(axes: Any, outputs: Sequence[str], inputs: Sequence[str], *, extra
                 magnitude.set_title(f"from {plain(source)}")
     for axis in axes[-1]:
         axis.tick_params(labelbottom=True)
-        axis.set_xlabel("Frequency [Hz]" if units.Hz else "Frequency [rad/s]")
+        axis.set_xlabel(f"Frequency [{units.frequency}]")
     axes[0, 0].figure.align_ylabels(axes[:, 0])
     return units
 

@@ -14,7 +14,7 @@ from ..exceptions import ModelError
 from ..localization.damage_map import DamageMap, DamageRow
 from ..results import shows
 from ..systems.linear import Array
-from ..words import chance
+from ..words import chance, with_error
 from .figures import Frame, draws, plain, unit_text
 from .tables import WIDTH, html_table, number, text_table
 
@@ -94,7 +94,7 @@ def _sentences(result: DamageMap) -> list[str]:
         lines.append(f"The record sees only together: {', '.join(group)}.")
     if result.damping == "ratio":
         lines += [
-            f"{row.name[0].upper()}{row.name[1:]}: {number(row.value)} +/- {number(1.96 * row.std, 2)}."
+            f"{row.name[0].upper()}{row.name[1:]}: {with_error(row.value, 1.96 * row.std)}."
             for row in result.nuisances[-2:]
         ]
     fits = ", ".join(
@@ -112,10 +112,12 @@ def _verdict(result: DamageMap) -> str:
     for row in result.named:
         word = "lost" if row.change < 0 else "gained"
         if row.nominal:
-            size = f"{abs(row.percent):.4g} +/- {1.96 * row.percent_std:.2g} %"
+            size = with_error(abs(row.percent), 1.96 * row.percent_std, "%")
             parts.append(f"{row.place} {word} {size} of its {row.kind}")
         else:
-            parts.append(f"{row.place} {word} {number(abs(row.change), 3)} {row.unit} of {row.kind}")
+            parts.append(
+                f"{row.place} {word} {with_error(abs(row.change), 1.96 * row.std, row.unit)} of {row.kind}"
+            )
     return f"Changed: {'; '.join(parts)}."
 
 

@@ -6,26 +6,28 @@ By the fields of a result, but for those whose fields hold more than what was fo
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from ..comparison.adequacy import failures_of
-from ..comparison.failure_map.search import FailureMap
+from ..comparison.failure_map.search import Failure, FailureMap
 from ..comparison.result import Comparison
 from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement
 from ..diagnosis.hidden_force import HiddenForce
-from ..diagnosis.result import Diagnosis
-from ..diagnosis.stepwise.improvement import Improvement
+from ..diagnosis.result import Diagnosis, RankedEffect
+from ..diagnosis.stepwise.improvement import Improvement, Step
+from ..diagnosis.words import next_step
 from ..effects.effect import Effect
 from ..engine.amplitude_response import AmplitudeResponse
 from ..extras import needed
 from ..fleet.result import Survey
-from ..inference.refinement import Refinement
+from ..inference.f_tests import FTest
+from ..inference.refinement import EstimatedParameter, Refinement
 from ..models.physical_model import PhysicalModel
-from ..results import Data, Result, shows
+from ..results import Data, Result, Row, shows
 from ..streaming import RCORefiner
 from ..streaming.monitor import Monitor
 from ..systems.linear import LinearModel
@@ -73,7 +75,7 @@ def _object(value: Any) -> Any:
         return {"name": value.name, "samples": value.n_samples, "dt": value.dt}
     if isinstance(value, LinearModel | PhysicalModel):
         return value.name
-    if isinstance(value, Refinement | FailureMap):
+    if isinstance(value, Refinement | FailureMap | Row):
         return value.to_dict()
     if dataclasses.is_dataclass(value) and not isinstance(value, type | Result):
         return plain(_fields(value))
@@ -112,6 +114,20 @@ def _response(measured: FrequencyResponse) -> dict[str, Any]:
     }
 
 
+def _shown(kind: type, *names: str) -> None:
+    """Enter the fields that rows of this class show: the others hold more than what was found."""
+    shows(kind, "to_dict")(lambda row: plain(_fields(row, *names)))
+
+
+_shown(Failure, "role", "dimension", "where", "measure", "statistic", "p_value", "share", "sentence")
+_shown(FTest, "name", "statistic", "dof", "p_value")
+_shown(RankedEffect, "effect", "coefficients", "std", "fit_before", "fit_after", "p_value", "probability")
+_shown(EstimatedParameter, "name", "kind", "place", "role", "initial", "value", "coefficient", "std", "unit")
+_shown(
+    Step, "action", "effect", "coefficients", "std", "train_rmse", "choice_rmse", "validation_rmse", "rivals"
+)
+
+
 @_dict(Comparison)
 def _comparison(result: Comparison) -> dict[str, Any]:
     models = []
@@ -121,45 +137,26 @@ def _comparison(result: Comparison) -> dict[str, Any]:
         keys = ("name", "unit", "fit", "rmse", "bias")
         rows = zip(result.data.output_labels, result.data.output_units, one.fit, one.rmse, bias, strict=True)
         outputs = [dict(zip(keys, row, strict=True)) for row in rows]
-        models.append({"name": name, "outputs": outputs, "failures": _failures(failures_of(result, index))})
+        models.append({"name": name, "outputs": outputs, "failures": tuple(failures_of(result, index))})
     return {"models": models}
-
-
-def _failures(found: FailureMap) -> list[dict[str, Any]]:
-    names = ("role", "dimension", "where", "measure", "statistic", "p_value", "share", "sentence")
-    return [_fields(row, *names) for row in found]
 
 
 @_dict(FailureMap)
 def _map(found: FailureMap) -> dict[str, Any]:
-    return {"name": found.name, "rows": _failures(found), "notes": found.notes}
+    return {"name": found.name, "rows": tuple(found), "notes": found.notes}
 
 
 @_dict(Diagnosis)
 def _diagnosis(found: Diagnosis) -> dict[str, Any]:
-    ranked = ("effect", "coefficients", "std", "fit_before", "fit_after", "p_value", "probability")
-    tested = ("name", "statistic", "dof", "p_value")
-    return {
-        "verdict": found.verdict,
-        "ranking": [_fields(row, *ranked) for row in found.ranking],
-        **_fields(found, "none_of_these", "places", "ambiguous"),
-        "parameters": _parameters(found.parameters),
-        "tests": [_fields(test, *tested) for test in found.tests],
-        "winner_tests": [_fields(test, *tested) for test in found.winner_tests],
-        **_fields(found, "detectable", "significance", "notes", "checks"),
-    }
+    told = ("verdict", "ranking", "none_of_these", "places", "ambiguous", "parameters", "tests")
+    more = ("winner_tests", "detectable", "significance", "notes", "checks")
+    return {**_fields(found, *told, *more), "next_step": next_step(found)}
 
 
 @_dict(Improvement)
 def _improvement(ladder: Improvement) -> dict[str, Any]:
-    errors = ("train_rmse", "choice_rmse", "validation_rmse")
-    names = ("action", "effect", "coefficients", "std", *errors, "rivals")
-    return {
-        **_fields(ladder, "verdict", "message"),
-        "steps": [_fields(step, *names) for step in ladder.steps],
-        "checks": ladder.checks,
-        **_model(ladder.refinement),
-    }
+    told = _fields(ladder, "verdict", "message", "steps", "checks")
+    return {**told, "next_step": next_step(ladder), **_model(ladder.refinement)}
 
 
 @_dict(Refinement)
@@ -168,14 +165,9 @@ def _refinement(found: Refinement) -> dict[str, Any]:
     return {**_model(found), **_fields(found, *names)}
 
 
-def _parameters(rows: Sequence[Any]) -> list[dict[str, Any]]:
-    names = ("name", "kind", "place", "role", "initial", "value", "coefficient", "std", "unit")
-    return [_fields(row, *names) for row in rows]
-
-
 def _model(found: Refinement) -> dict[str, Any]:
     return {
-        "parameters": _parameters(found.parameters),
+        "parameters": found.parameters,
         "hold": found.hold,
         "system": _system(LinearModel.from_statespace(found.system)),
     }
@@ -242,6 +234,11 @@ def _table(result: Data) -> Any:
             return _frame({name: v for name, v in columns.items() if len(v) == size})
         rows = [content]
     return _frame([_flat(row) for row in rows])
+
+
+@shows(Row, "to_dataframe")
+def _line(row: Row) -> Any:
+    return _frame([_flat(row.to_dict())])
 
 
 def _are_rows(value: Any) -> bool:

@@ -12,10 +12,12 @@ from ..data.measurement import Measurement
 from ..diagnosis.checks.row import warned
 from ..diagnosis.hidden_force import HiddenForce
 from ..diagnosis.result import Diagnosis
+from ..diagnosis.words import next_step
 from ..effects.along_motion import unit_forces
 from ..engine.simulation import simulated
 from ..systems.linear import Array
-from ..words import chance
+from ..words import chance, estimate
+from .bode_axes import BodeUnits
 from .diagnosis_of_responses import plot_of_responses
 from .figures import MEASURED, Frame, draws, style, unit_text
 from .rankings import ranking_bars, test_bars, title_of
@@ -32,9 +34,9 @@ _SHOWN = 8
 def diagnosis_told(found: Diagnosis) -> Told:
     """The verdict in words, and the ranking."""
     above = [f"Diagnosis: {found.verdict.upper()}", *warned(found.checks), *found.sentences()]
-    title = f"Diagnosis: {found.verdict}"
+    title, following = f"Diagnosis: {found.verdict}", f"Next: {next_step(found)}"
     if found.floated is not None:
-        return above, estimates_table(found.parameters, title, above[1:]), []
+        return above, estimates_table(found.parameters, title, [*above[1:], following]), [following]
     headers = ["effect", "value", "std", "fit %", "p-value"]
     named = found.verdict != "unexplained"  # no probability for what fails its own tests
     headers += ["P"] if named else []
@@ -44,8 +46,7 @@ def diagnosis_told(found: Diagnosis) -> Told:
         rows.append(
             [
                 row.effect.label,
-                f"{row.coefficients[first]:.4g}",
-                f"{row.std[first]:.2g}",
+                *estimate(row.coefficients[first], row.std[first]),
                 f"{row.fit_after:.2f}",
                 chance(row.p_value),
                 *([f"{row.probability:.3f}"] if named else []),
@@ -55,7 +56,7 @@ def diagnosis_told(found: Diagnosis) -> Told:
         rows.append(["none of these", "", "", "", "", f"{found.none_of_these:.3f}"])
     if found.open_law is not None:
         rows.append([found.open_law.effect.label, "", "", f"{found.open_law.fit_after:.2f}", ""])
-    return above, Table(headers, rows, title, above[1:]), []
+    return above, Table(headers, rows, title, [*above[1:], following]), [following]
 
 
 @draws(Diagnosis)
@@ -150,15 +151,17 @@ def _residuals(axes: Any, found: Diagnosis, record: Measurement) -> tuple[list[A
     in_time, in_frequency = [], []
     scale = record.outputs.std(axis=1)
     main = int(np.argmax(scale > 0))
+    units = BodeUnits.from_defaults()
+    rate = 2 * np.pi * units.frequency_factor / record.dt  # of the samples, in the unit of Bode plots
     for i, (name, model) in enumerate(models):
         error = record.outputs[main] - simulated(model, record, "estimate", led=True).outputs[main]
         look = style(i)
         in_time += trace(axes[0], record.timepts, error, color=look.color, lw=0.7, label=name)
-        f, power = welch(error, fs=1 / record.dt, nperseg=min(512, record.n_samples))
+        f, power = welch(error, fs=rate, nperseg=min(512, record.n_samples))
         in_frequency += axes[1].loglog(
             f[1:], np.sqrt(power[1:]), color=look.color, ls=look.linestyle, lw=1.4, label=name
         )
-    f, power = welch(record.outputs[main], fs=1 / record.dt, nperseg=min(512, record.n_samples))
+    f, power = welch(record.outputs[main], fs=rate, nperseg=min(512, record.n_samples))
     in_frequency += axes[1].loglog(
         f[1:], np.sqrt(power[1:]), color=MEASURED, lw=0.9, alpha=0.6, label="measured output"
     )
@@ -166,7 +169,7 @@ def _residuals(axes: Any, found: Diagnosis, record: Measurement) -> tuple[list[A
     axes[0].set_xlabel("time [s]")
     axes[0].set_ylabel(unit_text(f"residual of {label}", unit))
     axes[0].set_title("Residual in time")
-    axes[1].set_xlabel("frequency [Hz]")
-    axes[1].set_ylabel(unit_text("amplitude density", f"{unit}/sqrt(Hz)" if unit else ""))
+    axes[1].set_xlabel(unit_text("frequency", units.frequency))
+    axes[1].set_ylabel(unit_text("amplitude density", f"{unit}/sqrt({units.frequency})" if unit else ""))
     axes[1].set_title("Residual in frequency")
     return in_time, in_frequency

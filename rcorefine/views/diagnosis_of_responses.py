@@ -46,7 +46,7 @@ def _residual(ax: Any, result: FrequencyComparison, names: list[str], at: Any) -
         look = style(m)
         error = np.abs(result.measured.response[at] - result.responses[m][at]) / size
         drawn += ax.loglog(x, error, ".", ms=3, color=look.color, label=name)
-    ax.set_xlabel(unit_text("frequency", "Hz" if units.Hz else "rad/s"))
+    ax.set_xlabel(unit_text("frequency", units.frequency))
     ax.set_ylabel("|G - Gh| over " + ("std" if known else "|G|"))
     ax.set_title(f"Residual, {result.measured.input_labels[at[1]]} to {result.measured.output_labels[at[0]]}")
     ax.grid(True, alpha=0.3)
@@ -65,7 +65,7 @@ def _curves(axes: Any, result: FrequencyComparison, names: list[str], at: Any) -
         where, angle = broken_phase(measured.omega, result.responses[m][at])
         lower += axes[1].plot(where * units.frequency_factor, angle * units.phase_factor, **look)
     for axis, what in ((axes[0], "magnitude"), (axes[1], unit_text("phase", "deg" if units.deg else "rad"))):
-        axis.set_xlabel(unit_text("frequency", "Hz" if units.Hz else "rad/s"))
+        axis.set_xlabel(unit_text("frequency", units.frequency))
         axis.set_ylabel(what)
         axis.grid(True, alpha=0.3)
     return upper, lower

@@ -131,7 +131,7 @@ def _frequencies(axis: Any, result: Comparison, m: int, found: FailureMap) -> li
     """Relative error of the model against its simultaneous band, found bands shaded."""
     units = BodeUnits.from_defaults()
     factor = units.frequency_factor
-    axis.set_xlabel("Frequency [Hz]" if units.Hz else "Frequency [rad/s]")
+    axis.set_xlabel(f"Frequency [{units.frequency}]")
     axis.set_ylabel("Error |G$_{meas}$/G - 1|")
     try:
         error = model_error(result, m)

@@ -7,6 +7,8 @@ import numpy as np
 
 from ..diagnosis.checks.row import warned
 from ..diagnosis.stepwise.improvement import Improvement
+from ..diagnosis.words import next_step
+from ..words import with_error
 from .figures import Frame, draws
 from .tables import Table, Told, root_mean_square, tells
 
@@ -22,12 +24,14 @@ def improvement_told(found: Improvement) -> Told:
         value = ""
         if step.coefficients:
             key = next(iter(step.coefficients))
-            value = f"{step.coefficients[key]:.3g} +/- {step.std[key]:.1g}"
+            value = with_error(step.coefficients[key], step.std[key])
         errors = (step.train_rmse, step.choice_rmse, step.validation_rmse)
         rows.append([f"{i} {step.name}", value, *(f"{root_mean_square(e):.4g}" for e in errors)])
     odd, said = warned(found.checks), found.sentences()
     above = [f"Improvement in {len(found.steps) - 1} step(s): {found.verdict.upper()}", *odd]
-    return above, Table(headers, rows, f"Improvement: {found.verdict}", [*odd, *said]), said
+    following = f"Next: {next_step(found)}"
+    table = Table(headers, rows, f"Improvement: {found.verdict}", [*odd, *said, following])
+    return above, table, [*said, following]
 
 
 @draws(Improvement)

@@ -9,7 +9,8 @@ import numpy as np
 
 from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement
-from .bode_axes import bode_rows, draw_measured, magnitude_limits
+from ..words import frequency_text
+from .bode_axes import BodeUnits, bode_rows, draw_measured, magnitude_limits
 from .figures import MEASURED, Frame, draws, unit_text
 from .tables import Table, number, tabulates
 from .traces import trace
@@ -77,9 +78,10 @@ def plot_measurement(data: Measurement, frame: Frame) -> ct.ControlPlot:
 @tabulates(FrequencyResponse)
 def frequency_response_table(measured: FrequencyResponse) -> Table:
     """One row per output and input of a measured frequency response."""
-    headers = ["output", "input", "peak |G|", "at [Hz]", "coherence > 0.9", "median std/|G|"]
+    units = BodeUnits.from_defaults()
+    headers = ["output", "input", "peak |G|", f"at [{units.frequency}]", "coherence > 0.9", "median std/|G|"]
     rows = []
-    hertz = measured.omega / (2.0 * np.pi)
+    points = measured.omega * units.frequency_factor
     for i, output in enumerate(measured.output_labels):
         share = None if measured.coherence is None else float(np.mean(measured.coherence[i] > 0.9))
         for j, source in enumerate(measured.input_labels):
@@ -93,14 +95,14 @@ def frequency_response_table(measured: FrequencyResponse) -> Table:
                     output,
                     source,
                     number(magnitude[top]),
-                    number(hertz[top]),
+                    number(points[top]),
                     "-" if share is None else f"{share:.0%}",
                     "-" if relative is None else f"{relative:.2%}",
                 ]
             )
     title = (
-        f"Measured frequency response of {measured.name!r}: {hertz.size} points, "
-        f"{number(hertz[0])} ... {number(hertz[-1])} Hz"
+        f"Measured frequency response of {measured.name!r}: {points.size} points, "
+        f"{number(points[0])} ... {number(points[-1])} {units.frequency}"
     )
     if measured.segment_length == 0:
         unknown = [
@@ -118,7 +120,7 @@ def frequency_response_table(measured: FrequencyResponse) -> Table:
         return Table(headers, rows, title, [said], left=2)
     notes = [
         f"H1 from {measured.n_averages:.1f} effective segments of {measured.segment_length} samples, "
-        f"lines {number(measured.resolution / (2.0 * np.pi))} Hz apart (narrower peaks are flattened).",
+        f"lines {frequency_text(measured.resolution)} apart (narrower peaks are flattened).",
         "Coherence: share of the output's power that the inputs explain linearly; 'coherence > 0.9' is the "
         "share of frequencies where that is so. std/|G|: random error of a point.",
     ]

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..exceptions import DataError
 from ..streaming.monitor.monitor import Monitor
+from ..words import with_error
 from .figures import BAND, Frame, draws, style, unit_text
 from .tables import Table, number, tabulates
 
@@ -35,7 +36,7 @@ def monitor_table(monitor: Monitor) -> Table:
     for row in monitor.ranking[:_SHOWN]:
         first = next(iter(row.coefficients))
         unit = monitor._structure.model.unit(row.effect, first)
-        figure = f"{number(row.coefficients[first])} +/- {number(row.std[first], 2)} {unit}".rstrip()
+        figure = with_error(row.coefficients[first], row.std[first], unit)
         rows.append([row.effect.label, figure, f"{row.probability:.3f}", number(row.log_likelihood, 3)])
     notes = [state.sentence] if state is not None else []
     if monitor.adequacy is not None and monitor.adequacy.adequate:

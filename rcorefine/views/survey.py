@@ -10,6 +10,7 @@ import numpy as np
 from ..fleet.comparison import FleetEffect
 from ..fleet.result import Survey
 from ..fleet.row import SurveyRow
+from ..words import with_error
 from .figures import BAND, Frame, draws, plain, unit_text
 from .tables import Table, Told, number, tells
 
@@ -23,7 +24,7 @@ def row_cells(row: SurveyRow) -> list[str]:
     """Cells of one row: machine, record, verdict, effect, coefficient, probability, seconds."""
     if row.error is not None:
         return [row.machine, row.record, "failed", row.error, "", "", f"{row.seconds:.2g}"]
-    size = "" if row.coefficient is None or row.std is None else f"{row.coefficient:.4g} +/- {row.std:.1g}"
+    size = "" if row.coefficient is None or row.std is None else with_error(row.coefficient, row.std)
     chance = "" if row.probability is None else number(row.probability, 3)
     return [row.machine, row.record, row.verdict or "", row.label, size, chance, f"{row.seconds:.2g}"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...systems.linear import Array
-from ...words import frequency_text
+from ...words import frequency_text, phase_text
 from .record import Finding, ModelOnRecord
 
 __all__ = ["band_columns", "bands"]
@@ -95,7 +95,7 @@ def _band(scene: ModelOnRecord, i: int, centers: Array, columns: list[Array]) ->
         centers.size,
         f"{name} differs from the model between {frequency_text(low)} and {frequency_text(high)}: most near "
         f"{frequency_text(float(centers[a + strongest]))}, where it is {abs(factor):.3g} times as large and "
-        f"{np.degrees(np.angle(factor)):+.2g} deg ahead.",
+        f"{phase_text(float(np.angle(factor)))} the model.",
         {
             "low": low,
             "high": high,

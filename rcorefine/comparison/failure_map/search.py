@@ -10,7 +10,7 @@ import numpy as np
 from scipy import stats
 
 from ...inference.levels import levels
-from ...results import Result
+from ...results import Result, Row
 from ...systems.linear import Array
 from .amplitude import input_laws, level_dependence
 from .bands import bands
@@ -39,7 +39,7 @@ _SHOWN = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Failure:
+class Failure(Row):
     """One row of a failure map.
 
     Attributes

@@ -15,6 +15,7 @@ from ...data.range_ends import resolution
 from ...inference.basis import project, rank_basis
 from ...systems.conversion import to_discrete
 from ...systems.linear import Array, LinearModel
+from ...words import with_error
 from .row import LOOK, OK, STOP, CheckRow
 from .units import between, likely
 
@@ -135,8 +136,8 @@ def _delay_row(label: str, found: _Gain, dt: float) -> Iterator[CheckRow]:
     cause = "a delay (output_delay, input_delay)" if found.delay > 0 else "clocks that differ"
     yield CheckRow(
         LOOK, "delay", label, figure,
-        f"{label} fits the model best {figure} {word} it: {cause}, or dynamics that are too "
-        f"{'fast' if found.delay > 0 else 'slow'}.",
+        f"{label} fits best {count} ({abs(found.delay) * dt:.3g} s) {word} the model: {cause}, or dynamics "
+        f"that are too {'fast' if found.delay > 0 else 'slow'}.",
     )  # fmt: skip
 
 
@@ -150,7 +151,7 @@ def _unit_row(found: _Gain, data: Measurement, i: int, model: str) -> Iterator[C
     size = abs(found.value)
     if abs(found.correlation) >= _RELATED and abs(np.log(size)) < abs(np.log(size / factor)):
         yield CheckRow(
-            LOOK, "units", label, f"{found.value:.4g} +/- {found.std:.2g}",
+            LOOK, "units", label, with_error(found.value, found.std),
             f"{said}, but its size is that of the model: either is declared wrong, or a gain hides it.",
         )  # fmt: skip
         return
@@ -166,7 +167,7 @@ def _unit_row(found: _Gain, data: Measurement, i: int, model: str) -> Iterator[C
 
 
 def _gain_row(label: str, found: _Gain, record: str, model: str) -> Iterator[CheckRow]:
-    value, figure = found.value, f"{found.value:.4g} +/- {found.std:.2g}"
+    value, figure = found.value, with_error(found.value, found.std)
     if abs(found.correlation) < _RELATED:
         yield CheckRow(
             LOOK, "gain", label, f"correlation {found.correlation:.2g}",
@@ -220,7 +221,7 @@ def _level_rows(label: str, left: Array, y: Array, timepts: Array) -> Iterator[C
     if abs(moved) > max(5.0 * error, 0.05 * spread):
         yield CheckRow(
             LOOK, "drift", label, f"{moved:.3g} over the record",
-            f"{label} drifts by {moved:.3g} +/- {error:.2g} from beginning to end where the model does not.",
+            f"{label} drifts by {with_error(moved, error)} from beginning to end where the model does not.",
         )  # fmt: skip
     if abs(level) > max(5.0 * scatter / np.sqrt(_BLOCKS), 0.05 * spread):
         far = abs(level) > 2.0 * spread

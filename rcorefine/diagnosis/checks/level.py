@@ -12,6 +12,7 @@ from ...inference.autoregression import autoregression
 from ...inference.basis import project, rank_basis
 from ...models.operating_point import OperatingPoint
 from ...systems.linear import Array
+from ...words import with_error
 from .gains import settling
 from .row import LOOK, OK, CheckRow
 
@@ -47,7 +48,7 @@ def level_rows(
     if point is not None:
         for i in np.flatnonzero((np.abs(point.outputs) > _FAR * spreads) & ~far & (taken == 0)):
             yield CheckRow(
-                LOOK, "level", data.output_labels[i], f"{means[i]:.4g} +/- {spreads[i]:.2g}",
+                LOOK, "level", data.output_labels[i], with_error(means[i], spreads[i]),
                 f"{data.output_labels[i]} looks like what is above a point, and the model's is at "
                 f"{point.outputs[i]:.4g}: give the record as it was measured, or a model without a point.",
             )  # fmt: skip
@@ -58,8 +59,8 @@ def level_rows(
         if _stands(level, error, spread):
             about = ": declare that by physical(model, operating_point=...), or give Measurement.deviation()"
             yield CheckRow(
-                LOOK, "level", label, f"{level:.4g} +/- {error:.2g}",
-                f"{label} stands {level:.4g} +/- {error:.2g} off where the model puts it, with a spread of "
+                LOOK, "level", label, with_error(level, error),
+                f"{label} stands {with_error(level, error)} off where the model puts it, with a spread of "
                 f"{spread:.3g}: an offset, or a record about an operating point."
                 + (f" The record looks absolute{about}." if far.any() and point is None else ""),
             )  # fmt: skip

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ...results import Row
+
 __all__ = ["LOOK", "OK", "STOP", "CheckRow", "warned"]
 
 _MOST, _LONG = 4, 150  # rows that are named above another result; letters of the first one there
@@ -13,7 +15,7 @@ OK, LOOK, STOP = "ok", "look", "stop"
 
 
 @dataclass(frozen=True, slots=True)
-class CheckRow:
+class CheckRow(Row):
     """One thing that was looked at.
 
     Attributes

@@ -7,14 +7,14 @@ from typing import Unpack
 
 import control as ct
 
-from ...results import Options, Result, picture, show
+from ...results import Options, Result, Row, picture, show
 from ...systems.linear import Array
 
 __all__ = ["ExperimentAdvice", "ExperimentOption"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ExperimentOption:
+class ExperimentOption(Row):
     """One experiment that could be made.
 
     Attributes

@@ -9,7 +9,7 @@ import control as ct
 
 from ...effects.effect import Effect
 from ...inference.refinement import Refinement
-from ...results import Options, ReportedModel, picture, show
+from ...results import Options, ReportedModel, Row, picture, show
 from ...systems.linear import Array
 from ..checks.row import CheckRow
 
@@ -17,7 +17,7 @@ __all__ = ["Improvement", "Step"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Step:
+class Step(Row):
     """One step of the ladder.
 
     Attributes

@@ -15,6 +15,7 @@ from ...engine.engine import Engine
 from ...engine.initial_state import estimate_initial_state
 from ...inference.assembly import nominal_size
 from ...inference.levels import levels
+from ...results import Row
 from ...systems.linear import Array
 from .baseline import FREE
 from .numbers import Numbers
@@ -27,7 +28,7 @@ _SHOWN = 3  # numbers in the sentence
 
 
 @dataclass(frozen=True, slots=True)
-class Adequacy:
+class Adequacy(Row):
     """What `Monitor.adequacy` says of the healthy model after the learning phase.
 
     Attributes

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import textwrap
 from dataclasses import dataclass
 
 from ...effects.effect import Effect
+from ...results import Row
 
 __all__ = ["Alarm", "MonitorRow"]
 
 
 @dataclass(frozen=True, slots=True)
-class MonitorRow:
+class MonitorRow(Row):
     """One candidate of `Monitor.ranking`.
 
     Attributes
@@ -38,7 +40,7 @@ class MonitorRow:
 
 
 @dataclass(frozen=True, slots=True)
-class Alarm:
+class Alarm(Row):
     """A change that chance does not explain.
 
     Attributes
@@ -89,4 +91,4 @@ class Alarm:
     sentence: str
 
     def __str__(self) -> str:
-        return self.sentence
+        return textwrap.fill(self.sentence, 80)

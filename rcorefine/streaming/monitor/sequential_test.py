@@ -9,6 +9,7 @@ import numpy as np
 
 from ...inference.levels import levels
 from ...systems.linear import Array
+from ...words import with_error
 from .alarm import Alarm, MonitorRow
 from .standing import change_of, fit_all, fit_one, linear_estimates, shares, standing
 from .stream import Stream
@@ -252,7 +253,7 @@ class Watch:
 
 def _sentence(alarm: Alarm, others: tuple[str, ...] = ()) -> str:
     figures = ", ".join(
-        f"{name} {value:+.4g} +/- {alarm.std[name]:.2g}" for name, value in alarm.coefficients.items()
+        f"{name} {with_error(value, alarm.std[name])}" for name, value in alarm.coefficients.items()
     )
     alike = f"; {', '.join(others)} would explain it as well" if others else ""
     ended = "" if alarm.ended is None else f" It was gone by t = {alarm.ended:.6g} s."

@@ -9,7 +9,7 @@ import numpy as np
 from ...comparison.adequacy import best_of, failures_of
 from ...diagnosis.absorbed import numbers_that_moved
 from ...diagnosis.words import no_test_fires
-from ...words import chance
+from ...words import chance, with_error
 from ..tables import number, root_mean_square
 
 if TYPE_CHECKING:
@@ -169,10 +169,9 @@ def refinement_answer(refinement: Refinement) -> tuple[list[str], bool]:
 
 
 def _row(row: EstimatedParameter) -> str:
-    unit = f" {row.unit}" if row.unit else ""
-    return f"{row.name} at {row.place}: {row.initial:.4g} to {row.value:.4g} +/- {row.std:.2g}{unit}"
+    return f"{row.name} at {row.place}: {row.initial:.4g} to {with_error(row.value, row.std, row.unit)}"
 
 
 def _estimate(refinement: Refinement, kind: str, place: str) -> str:
     rows = [r for r in refinement.parameters if r.kind == kind and r.place == place]
-    return ", ".join(f"{r.coefficient:.4g} +/- {r.std:.2g}{' ' + r.unit if r.unit else ''}" for r in rows)
+    return ", ".join(with_error(r.coefficient, r.std, r.unit) for r in rows)

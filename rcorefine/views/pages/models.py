@@ -13,6 +13,7 @@ from ...data.measurement import Measurement
 from ...data.response_record import in_frequency
 from ...diagnosis.stepwise.improvement import Improvement
 from ...inference.refinement import Refinement
+from ...words import with_error
 from ..check import odd
 from ..responses import responses_table
 from ..tables import Table, number, root_mean_square
@@ -57,7 +58,7 @@ def report_improvement(
     ]
     rows = []
     for i, step in enumerate(ladder.steps):
-        values = "; ".join(f"{k} {v:.4g} +/- {step.std[k]:.2g}" for k, v in step.coefficients.items())
+        values = "; ".join(f"{k} {with_error(v, step.std[k])}" for k, v in step.coefficients.items())
         errors_of = (step.train_rmse, step.choice_rmse, step.validation_rmse)
         rivals = ", ".join(effect.label for effect in step.rivals)
         rows.append([str(i), step.name, values, *(f"{root_mean_square(e):.4g}" for e in errors_of), rivals])
@@ -148,7 +149,7 @@ def _report_model(
             "parameters",
             lambda: parameter_plot(last),
             "Estimates with their 95 % intervals: "
-            + ", ".join(f"{r.name} {r.value:.3g} +/- {1.96 * r.std:.2g}" for r in estimates(last)[:12]),
+            + ", ".join(f"{r.name} {with_error(r.value, 1.96 * r.std)}" for r in estimates(last)[:12]),
             "Estimates with 95 % intervals, in units of the initial value (or of the estimate, where the "
             "initial model has none); the vertical line is the initial model.",
         )
