@@ -151,7 +151,7 @@ def _said(curve: dict[str, Any], curves: list[dict[str, Any]]) -> str:
     ratio = np.interp(measured["omega"], curve["omega"], curve["magnitude"]) / measured["magnitude"]
     there = ratio[int(np.argmax(measured["magnitude"]))]
     off = 100 * np.median(np.abs(ratio - 1))
-    return f"{text}; {off:.3g} % off the record (median), {there:.3g} times it at its peak"
+    return f"{text}; off by {off:.3g} % of the measured (median), {there:.3g} times it at its peak"
 
 
 def _write_csv(path: Path, curves: list[dict[str, Any]], decimal: str | None) -> None:
