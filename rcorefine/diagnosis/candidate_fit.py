@@ -70,13 +70,15 @@ def continued(
     tolerance: float = 1e-4,
 ) -> Descent:
     """Its descent, some laps further."""
+    problem, gain = rival.candidate.problem, gain_for(fitted, rival.candidate, ratio)
     return descend(
-        rival.candidate.problem,
+        problem,
         rival.descent.point,
-        gain=gain_for(fitted, rival.candidate, ratio),
+        gain=gain,
         whitener=whitener,
         evaluations=evaluations,
         tolerance=tolerance,
+        known=rival.descent.known(problem, gain),
     )
 
 

@@ -22,16 +22,14 @@ from ..systems.linear import Array
 from . import kernels
 from .controlled import sample_jumps, start_columns
 from .inputs import BAND_LIMITED_FACTOR, InputSignal, clock_drift
-from .point import field_numbers
+from .setting import Setting, setting
 from .structure import Structure
-from .substep import Discrete
 
 __all__ = ["Engine", "Trajectory"]
 
 _FAR = 1e12  # times the largest value of an output in the record: no model of it goes there
 _RUNS_AWAY = 100.0  # times: from there on the motion tells of the growth only
 _BEYOND = 1e100  # nor any state here, whatever its unit
-_PIECES = 16  # of a substep in which a friction force jumps
 _WHOLE = 0.05  # of a sample by which an estimated delay may exceed a whole number and count as one
 _NODES_FOR_DELAY = 8  # nodes per sample where an output is interpolated, or edges of inputs fall between them
 
@@ -108,6 +106,8 @@ class Engine:
         point = structure.model.operating_point  # sensors are absolute
         self._level = np.zeros(structure.n_outputs) if point is None else point.outputs
         self._measured += self._level
+        self._largest = np.abs(self._measured).max(axis=0, initial=0.0)
+        self._nowhere = np.zeros(self._measured.shape, dtype=np.uint8)
 
     def run(
         self,
@@ -156,39 +156,40 @@ class Engine:
         n, ny, m, N = s.n_states, s.n_outputs, s.n_forces, self.data.n_samples
         p = (s.n_parameters if sensitivity else 0) + (n if initial_state else 0)
         derivatives = sensitivity and s.n_parameters > 0
-        disc, fine, pieces = self._substep(theta, derivatives)
-        Ms, dMs = np.stack([disc.M, fine.M]), np.stack([disc.dM, fine.dM])
+        at = setting(s, theta, self.data.dt / self.substeps, derivatives)
         drive = self._signal.drive(s, theta)
-        codes, values, columns, widths = s.laws(theta)
-        outcodes, outvalues, outcolumns = s.output_laws(theta)
-        field, fvalues, fcolumns = field_numbers(s, theta)
         driven, dW, dWout = drive.driven, drive.dW, drive.dWout
         if not sensitivity:
-            columns, outcolumns, fcolumns = (np.full_like(one, -1) for one in (columns, outcolumns, fcolumns))
             driven, dW, dWout = driven[:0], dW[:0], dWout[:0]
         x = np.zeros(n) if x0 is None else np.array(x0, dtype=float)
-        S = start_columns(s, p) if initial_state else np.zeros((p, n))
-        flags, K = self._corrections(self.lead if gain is None else gain, use)
+        lead = self.lead if gain is None else gain
+        # initial states of what is linear add what no input and no other state changes
+        apart = initial_state and use is None and not (m or s.output_statics or self._resets.size)
+        p -= n if apart else 0
+        S = start_columns(s, p) if initial_state and not apart else np.zeros((p, n))
+        flags, K = self._corrections(lead, use)
         keep = histories or bool(s.output_delays)
         Yout = np.full((N, ny), np.nan)
         SY = np.zeros((N, ny, p))
         X = np.full((N if keep else 0, n), np.nan)
         F = np.full((N if keep else 0, m), np.nan)
-        if not np.isfinite(disc.M).all():
+        if not at.finite:
             if check:
                 raise DivergenceError(
                     "the model with these effects grows beyond all numbers within one sample; start from "
                     "other coefficients or bound them"
                 )
-            return _trajectory(Yout, SY, X, F, 0)
+            return _trajectory(Yout, np.zeros((N, ny, p + n if apart else p)), X, F, 0)
+        arguments: list[Any] = [
+            *at.substep, *at.laws, drive.W, drive.nodes, drive.Wout, dW, dWout, driven, self._measured, flags,
+            K, self._resets, *at.outputs, x, np.zeros(s.n_ports + ny), S, self.substeps, Yout, SY, X, F,
+            _BEYOND, *at.field,
+        ]  # fmt: skip
         with np.errstate(all="ignore"):  # it notices what overflows; plain Python is as silent as compiled
-            blew_up = kernels.march(
-                Ms, dMs, pieces, disc.linear, disc.O, disc.dO, disc.P, disc.dP, codes, values, columns,
-                widths, drive.W, drive.nodes, drive.Wout, dW, dWout, driven, self._measured, flags, K,
-                self._resets, outcodes, outvalues, outcolumns, x, np.zeros(s.n_ports + ny), S,
-                self.substeps, Yout, SY, X, F, _BEYOND, field, fvalues, fcolumns,
-            )  # fmt: skip
+            blew_up = kernels.march(*arguments)
         raise_pending()
+        if apart:
+            SY = np.concatenate([SY, self._decay(at, theta, K, N if blew_up < 0 else blew_up)], axis=2)
         beyond = self._beyond(Yout, _FAR)
         blew_up = min((int(at) for at in (blew_up, beyond) if at >= 0), default=-1)
         if blew_up >= 0 and check:
@@ -201,19 +202,19 @@ class Engine:
                 self._delay_output(theta, index, channel, Yout, SY, sensitivity)
         return _trajectory(Yout - self._level, SY, X, F, blew_up)
 
-    def _substep(self, theta: Array, derivatives: bool) -> tuple[Discrete, Discrete, int]:
-        """A substep, a piece of it for where a force jumps, and the number of pieces."""
-        step = self.data.dt / self.substeps
-        whole = self.structure.discretize(theta, step, derivatives=derivatives)
-        if not self.structure.jumps:
-            return whole, whole, 1
-        return whole, self.structure.discretize(theta, step / _PIECES, derivatives=derivatives), _PIECES
+    def _decay(self, at: Setting, theta: Array, gain: Array, until: int) -> Array:
+        """Derivatives (N, n_y, n) by the initial states of a linear model, up to a sample."""
+        s, N = self.structure, self.data.n_samples
+        longest = 1 << (N - 1).bit_length()  # records of about one length share it
+        key = ("decay", theta[s.absorbed].tobytes(), gain.tobytes(), self.data.dt, self.substeps, longest)
+        found = s.kept(key, lambda: at.decay(self.substeps, gain, longest))[:N]
+        return found if until == N else np.where((np.arange(N) < until)[:, None, None], found, 0.0)
 
     def _corrections(self, gain: Array | None, use: NDArray[np.bool_] | None) -> tuple[NDArray[Any], Array]:
         """Where the observer corrects, shape (N, n_y), and its gain; nowhere in a free run."""
         shape = self._measured.shape
         if gain is None:
-            return np.zeros(shape, dtype=np.uint8), np.zeros((self.structure.n_states, shape[1]))
+            return self._nowhere, np.zeros((self.structure.n_states, shape[1]))
         flags = np.ones(shape, dtype=np.uint8) if use is None else use.astype(np.uint8)
         return flags, np.ascontiguousarray(gain, dtype=float)
 
@@ -225,6 +226,8 @@ class Engine:
         nothing else is lost there.
         """
         s, at = self.structure, np.arange(self.data.n_samples)
+        if not s.drifts and not any(isinstance(e.spec, InputLaw | OutputLaw) for e in s.effects):
+            return np.ones((s.n_outputs, at.size), dtype=bool)
         read = at + clock_drift(s, theta)[0] * (self.data.elapsed / self.data.dt + at)  # sample of the inputs
         found = np.tile((read > -1.0 + _WHOLE) & (read < at.size - 1 + _WHOLE), (s.n_outputs, 1))
         if found.mean() < 0.5:
@@ -242,7 +245,9 @@ class Engine:
 
     def _beyond(self, Y: Array, times: float) -> int:
         """First sample at which an output (N, n_y) is so many times as large as any in the record, or -1."""
-        levels = np.abs(self._measured).max(axis=0, initial=0.0)
+        levels = self._largest
+        if np.abs(Y).max(initial=0.0) <= times * levels.min(initial=np.inf):
+            return -1
         far = np.abs(Y) > times * np.where(levels > 0, levels, np.inf)  # a record to be filled in has none
         return int(far.any(axis=1).argmax()) if far.any() else -1
 
@@ -256,7 +261,7 @@ class Engine:
         reached = np.abs(run.states[:, : end if end > 0 else None]).max(axis=1, initial=0.0)
         if (reached > 0).all():
             return np.asarray(reached)
-        level = np.abs(self._measured).max(axis=0, initial=0.0)[:, None, None]
+        level = self._largest[:, None, None]
         slopes = self.run(calm, sensitivity=False, initial_state=True, check=False).sensitivity
         return own_sizes(reached, (slopes / np.where(level > 0, level, 1.0)).reshape(-1, reached.size))
 

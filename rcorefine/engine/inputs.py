@@ -101,17 +101,16 @@ class InputSignal:
         held = np.repeat(inputs[:, :rows], substeps, axis=1) if self._fine is None else self._fine
         self._base = np.ascontiguousarray(np.vstack([held, np.ones((1, held.shape[1]))]).T)
         self._base_out = np.ascontiguousarray(np.vstack([inputs, np.ones((1, n))]).T)
+        empty, none = np.zeros((0, *self._base.shape)), np.zeros((0, *self._base_out.shape))
+        nodes, driven = self._fine is not None, np.zeros(0, dtype=np.int64)
+        self._as_given = Drive(self._base, nodes, self._base_out, empty, none, driven)
 
     def drive(self, structure: Structure, theta: Array) -> Drive:
         """Input nodes with the structure's dead zones, saturations and delays."""
         statics = structure.input_statics
         drift, drifts = clock_drift(structure, theta)
         if not statics and not drifts:
-            rows, nw = self._base.shape
-            empty = np.zeros((0, rows, nw))
-            none = np.zeros((0, self._base_out.shape[0], nw))
-            nodes = self._fine is not None
-            return Drive(self._base, nodes, self._base_out, empty, none, np.zeros(0, dtype=np.int64))
+            return self._as_given
         W, Wout = self._base.copy(), self._base_out.copy()
         driven: list[int] = []
         dW: list[Array] = []
@@ -245,9 +244,8 @@ def clock_drift(structure: Structure, theta: Array) -> tuple[float, list[int]]:
     theta : ndarray, shape (p,)
         Coefficients.
     """
-    places = [(index, name) for index, effect in enumerate(structure.effects) for name in effect.spec.drifts]
-    value = sum(float(structure.value(theta, index, name)) for index, name in places)
-    return value, [structure.position(index, name) for index, name in places]
+    value = sum(float(structure.value(theta, index, name)) for index, name in structure.drifts)
+    return value, [structure.position(index, name) for index, name in structure.drifts]
 
 
 def _place(values: Array, channel: int, shape: tuple[int, ...]) -> Array:

@@ -50,8 +50,8 @@ def _field_sensitivity(sf, slopes, staken, columns):
 def march(
     # Forces are those of m laws, and with a field (a right-hand side that is not linear) nf of its
     # rows behind them, all = m + nf; the field takes ns states and inputs.
-    Ms,  # (2, n, n + 2 nw + 2 all)  [Phi, Gamma0, Gamma1, Psi0, Psi1] of a substep, and of a piece of it
-    dMs,  # (2, q, n, n + 2 nw + 2 all) their derivatives, for the parameters listed in `linear`
+    Ms,  # (1 or 2, n, n + 2 nw + 2 all)  [Phi, Gamma0, Gamma1, Psi0, Psi1] of a substep, and of a piece of it
+    dMs,  # (1 or 2, q, n, n + 2 nw + 2 all) their derivatives, for the parameters listed in `linear`
     pieces,  # int                   pieces of a substep in which a force jumps
     linear,  # (q,)               rows of the sensitivity that dM and dO drive
     O,  # (ny, n + nw + all)      [C, D, G]
@@ -112,7 +112,7 @@ def march(
     Phis = np.zeros((2, n, n))
     Gamma0s, Gamma1s = np.zeros((2, n, nw)), np.zeros((2, n, nw))
     Psi0s, Psi1s = np.zeros((2, n, m + nf)), np.zeros((2, n, m + nf))
-    for grade in range(2):
+    for grade in range(Ms.shape[0]):
         take(Phis[grade], Ms[grade], 0)
         take(Gamma0s[grade], Ms[grade], n)
         take(Gamma1s[grade], Ms[grade], n + nw)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any
 
 import control as ct
@@ -20,13 +21,13 @@ from ..models.conversion import as_physical
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array, LinearModel
 from .controlled import open_loop
+from .kept import Kept
 from .matrices import Matrices, continuous_matrices, site_of
 from .point import about_point
 from .substep import Discrete, discretized
 
 __all__ = ["Parameter", "Structure"]
-
-_SUBSTEPS_KEPT = 4  # discretizations: with and without derivatives, whole and in pieces
+_KEPT = 8  # of what hangs on the coefficients: with and without derivatives, whole and in pieces
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +88,7 @@ class Structure:
         self.loop = slice(base.n_states, base.n_states + n_loop)
         self.n_states = self.loop.stop + len(self.added_states)
         self.n_ports = len(self._port_effects)
-        self._substeps: dict[tuple[bytes, float, bool], Discrete] = {}
+        self.kept = Kept(_KEPT)
         self.sites = {
             index: site_of(self, index)
             for index, effect in enumerate(self.effects)
@@ -187,7 +188,7 @@ class Structure:
         """Whether an effect adds mass, by which the matrices are to be divided."""
         return any(effect.spec.inertial for effect in self.effects)
 
-    @property
+    @cached_property
     def absorbed(self) -> NDArray[np.int64]:
         """Columns of theta that enter the matrices."""
         skip = set(self._port_effects) | set(self._input_statics)
@@ -198,12 +199,9 @@ class Structure:
 
     def discretize(self, theta: Array, step: float, *, derivatives: bool = True) -> Discrete:
         """One substep of `step` seconds, exact for the linear part; kept, for it is asked for again."""
-        key = (theta[self.absorbed].tobytes(), step, derivatives)
-        if key not in self._substeps:
-            while len(self._substeps) >= _SUBSTEPS_KEPT:
-                del self._substeps[next(iter(self._substeps))]
-            self._substeps[key] = discretized(self, theta, step, derivatives=derivatives)
-        return self._substeps[key]
+        key = theta[self.absorbed].tobytes()
+        make = partial(discretized, self, theta, step, derivatives=derivatives)
+        return self.kept((key, step, derivatives), make)
 
     # ------------------------------------------------------------ nonlinear parts
     @property
@@ -278,7 +276,7 @@ class Structure:
         """Indices of the effects that keep a port of their own."""
         return tuple(self._port_effects)
 
-    @property
+    @cached_property
     def jumps(self) -> bool:
         """Whether a force jumps with the sign of a velocity."""
         return any(self.effects[index].spec.jumps for index in self._port_effects)
@@ -294,29 +292,34 @@ class Structure:
         """Indices of the effects that change a parameter of a nonlinear model."""
         return tuple(self._numbers)
 
-    @property
+    @cached_property
     def input_statics(self) -> list[tuple[int, int]]:
         """(effect, channel) of dead zones, saturations and delays at inputs."""
         labels = self.linear_model.input_labels
         return [(index, labels.index(self.effects[index].place)) for index in self._input_statics]
 
-    @property
+    @cached_property
     def output_statics(self) -> list[tuple[int, int]]:
         """(effect, channel) of the sensors' own laws."""
         labels = self.linear_model.output_labels
         return [(index, labels.index(self.effects[index].place)) for index in self._output_statics]
 
-    @property
+    @cached_property
     def output_delays(self) -> list[tuple[int, int]]:
         """(effect, channel) of delays at outputs."""
         labels = self.linear_model.output_labels
         return [(index, labels.index(self.effects[index].place)) for index in self._delayed_outputs]
 
-    @property
+    @cached_property
+    def drifts(self) -> list[tuple[int, str]]:
+        """(effect, coefficient) of clocks that run apart."""
+        return [(index, name) for index, effect in enumerate(self.effects) for name in effect.spec.drifts]
+
+    @cached_property
     def is_linear(self) -> bool:
         """Whether every effect is absorbed into A, B, C, D."""
         others = self._port_effects + self._input_statics + self._output_statics + self._delayed_outputs
-        return not others and self.field is None and not any(e.spec.drifts for e in self.effects)
+        return not others and self.field is None and not self.drifts
 
     def state_labels(self) -> list[str]:
         """State names, those that effects add included and those of a controller left out."""

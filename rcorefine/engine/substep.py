@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from ..systems.exponential import exponential
 from ..systems.linear import Array
 
 if TYPE_CHECKING:
+    from .matrices import Matrices
     from .structure import Structure
 
 __all__ = ["Discrete", "discretized"]
@@ -40,12 +42,9 @@ def discretized(structure: Structure, theta: Array, step: float, *, derivatives:
     special case of equal ends.
     """
     linear = structure.absorbed if derivatives else np.zeros(0, dtype=np.int64)
-    points = [theta.astype(float)]
-    for column in linear:
-        shifted = theta.astype(complex)
-        shifted[column] += 1j * _TINY_STEP
-        points.append(shifted)
-    sets = [structure.matrices(point) for point in points]
+    key = ("matrices", theta[structure.absorbed].tobytes(), derivatives)
+    make = partial(_matrix_sets, structure, theta, linear)
+    sets = structure.kept(key, make) if structure.jumps else make()  # a piece of it asks for the same
     n, drive = structure.n_states, structure.n_inputs + 1 + structure.n_forces
     size = n + 2 * drive
     blocks = np.zeros((len(sets), size, size), complex if len(linear) else float)
@@ -76,6 +75,16 @@ def discretized(structure: Structure, theta: Array, step: float, *, derivatives:
         np.ascontiguousarray(part) for part in (M[0].real, dM, outputs[0].real, dO, sets[0].P, dP)
     )
     return Discrete(M0, dM, O, dO, P, dP, linear)
+
+
+def _matrix_sets(structure: Structure, theta: Array, linear: NDArray[np.int64]) -> list[Matrices]:
+    """Matrices at `theta`, then a tiny imaginary step away along each parameter that enters them."""
+    points = [theta.astype(float)]
+    for column in linear:
+        shifted = theta.astype(complex)
+        shifted[column] += 1j * _TINY_STEP
+        points.append(shifted)
+    return [structure.matrices(point) for point in points]
 
 
 def _inner_scale(structure: Structure, A: NDArray[Any]) -> Array:

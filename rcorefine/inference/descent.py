@@ -31,6 +31,8 @@ class Descent:
         Whether the last step changed the cost by less than the tolerance.
     lack : float
         How much the next full step would lower the cost (half g' H^-1 g): small only at a minimum.
+    problem, gain
+        What was descended.
     """
 
     point: Array
@@ -38,6 +40,15 @@ class Descent:
     evaluation: Evaluation
     converged: bool
     lack: float = np.inf
+    problem: Problem | None = None
+    gain: Array | None = None
+
+    def known(self, problem: Problem, gain: Array | None) -> Evaluation | None:
+        """Its evaluation, if it is one of this problem led by this gain."""
+        if self.problem is not problem or (self.gain is None) != (gain is None):
+            return None
+        same = self.gain is None or gain is None or np.array_equal(self.gain, gain)
+        return self.evaluation if same else None
 
     def blocks(self, problem: Problem) -> list[tuple[Array, Array]]:
         """Residual (n_y, N) and Jacobian (n_y, N, .) of each record, by what it feels alone."""
@@ -56,6 +67,7 @@ def descend(
     whitener: Whitener | None = None,
     evaluations: int = 6,
     tolerance: float = 1e-4,
+    known: Evaluation | None = None,
 ) -> Descent:
     """Lower the cost from a point by damped Gauss-Newton steps.
 
@@ -73,6 +85,8 @@ def descend(
         Simulations at most.
     tolerance : float
         Relative decrease of the cost below which the descent ends.
+    known : Evaluation, optional
+        What is known at the start.
 
     Returns
     -------
@@ -81,9 +95,12 @@ def descend(
     low, high = problem.box()
 
     def rows(box: Array) -> Rows:  # where every constraint is a bound
+        here = problem.coordinates.point(box)
+        if known is not None and np.array_equal(here, point):
+            return _rows(problem, known, here, whitener)
         problem.gain, problem._cache = gain, None
         try:
-            evaluation = problem.evaluate(here := problem.coordinates.point(box))
+            evaluation = problem.evaluate(here)
         finally:
             problem.gain, problem._cache = None, None
         return _rows(problem, evaluation, here, whitener)
@@ -99,7 +116,7 @@ def descend(
     )
     lack = promised(run.rows, run.point, low, high, problem.sizes) if np.isfinite(run.cost) else np.inf
     place = problem.coordinates.point(run.point)
-    return Descent(place, run.cost, run.rows.more, run.converged, lack)
+    return Descent(place, run.cost, run.rows.more, run.converged, lack, problem, gain)
 
 
 def remeasured(problem: Problem, run: Descent, whitener: Whitener) -> Descent:

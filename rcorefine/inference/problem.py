@@ -198,7 +198,7 @@ class Problem:
         found = []
         for engine in self.engines:
             seen = engine.judged(theta)
-            found.append(seen / np.sqrt(seen.mean(axis=1, keepdims=True)))
+            found.append(seen / (1.0 if seen.all() else np.sqrt(seen.mean(axis=1, keepdims=True))))
         return found
 
     def cost(self, point: Array) -> float:

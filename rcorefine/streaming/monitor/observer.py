@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...effects.compiled import raise_pending
-from ...engine.engine import _PIECES
 from ...engine.inputs import InputSignal
 from ...engine.kernels import march
 from ...engine.point import field_numbers
+from ...engine.setting import PIECES
 from ...engine.simulation import structure_of
 from ...engine.structure import Structure
 from ...exceptions import DivergenceError, ModelError
@@ -99,7 +99,7 @@ class Observer:
         self.gain = np.ascontiguousarray(gain)
         step = dt / substeps
         disc = s.discretize(theta, step, derivatives=False)
-        self._pieces = _PIECES if s.jumps else 1
+        self._pieces = PIECES if s.jumps else 1
         fine = s.discretize(theta, step / self._pieces, derivatives=False) if s.jumps else disc
         self._disc, self._Ms = disc, np.stack([disc.M, fine.M])
         self._dMs = np.stack([disc.dM, fine.dM])
