@@ -312,7 +312,7 @@ LAWS = {
     "cubic": (2, {"cubic_stiffness"}),
     "quadratic": (3, {"quadratic_damping", "power_damping"}),
     "clearance": (4, {"clearance", "soft_clearance"}),
-    "stop": (5, set()),
+    "stop": (5, {"end_stop"}),
     "stribeck": (6, {"stribeck_friction", "lugre_friction"}),
     "stiffness": (7, {"stiffness", "P"}),
     "damping": (8, {"damping", "P"}),
@@ -325,7 +325,7 @@ LAWS = {
     "valve": (15, set()),
     "smooth": (16, {"smooth_friction"}),
     "quadspring": (18, {"quadratic_stiffness"}),
-    "maxwell": (19, set()),
+    "maxwell": (19, {"maxwell_element"}),
     "sqrtv": (20, {"power_damping", "sqrt_flow"}),
 }
 BY_POSITION = {

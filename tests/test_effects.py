@@ -25,6 +25,7 @@ TABLE = {
     "quadratic_stiffness": ("mechanical", ("quadratic_stiffness",)),
     "bilinear_stiffness": ("mechanical", ("bilinear_stiffness",)),
     "clearance": ("mechanical", ("stiffness", "gap")),
+    "end_stop": ("mechanical", ("stiffness", "position")),
     "coulomb_friction": ("mechanical first_order", ("force",)),
     "asymmetric_friction": ("mechanical", ("force_plus", "force_minus")),
     "asymmetric_damping": ("mechanical", ("damping_plus", "damping_minus")),
@@ -38,6 +39,8 @@ TABLE = {
     "play": ("mechanical", ("stiffness", "gap")),
     "lugre_friction": ("mechanical", ("force", "static_ratio", "velocity", "displacement")),
     "hysteresis": ("mechanical", ("force", "displacement")),
+    "maxwell_element": ("mechanical", ("stiffness", "time_constant")),
+    "hidden_store": ("first_order", ("mass", "damping")),
     "hidden_mode": ("mechanical", ("mass", "damping", "stiffness")),
     "gravity": ("mechanical", ("torque",)),
     "cogging": ("mechanical", ("sine", "cosine", "period")),
@@ -135,8 +138,8 @@ class TestKinds:
     def test_linear_kinds(self):
         linear = {name for name, kind in KINDS.items() if kind.linear}
         assert linear == {
-            "stiffness", "damping", "mass", "hidden_mode", "coefficient", "input_gain", "input_delay",
-            "input_lag", "output_gain", "output_delay", "output_lag", "clock",
+            "stiffness", "damping", "mass", "maxwell_element", "hidden_store", "hidden_mode", "coefficient",
+            "input_gain", "input_delay", "input_lag", "output_gain", "output_delay", "output_lag", "clock",
         }  # fmt: skip
 
 

@@ -244,6 +244,48 @@ def test_mass_and_hidden_mode_are_exact():
     np.testing.assert_allclose(run(attached, [m, c, k], record(w, "zoh"), 1).outputs, truth, atol=1e-7)
 
 
+def test_what_relaxes_is_exact():
+    model, w = chain(), force(120)
+    u = held(w, "zoh")
+    times = np.arange(w.size) * DT
+    k, T = 12.0, 0.3
+
+    def rhs(t, x):
+        linear = model.A @ x[:4] + model.B[:, 0] * u(t) + PORTS["x1"][1] * k * x[4]
+        return np.append(linear, x[2] - x[4] / T)
+
+    truth = model.C @ solve(rhs, np.zeros(5), times)[:4]
+    rubber = Structure(model, [Effect("maxwell_element", "x1")])
+    np.testing.assert_allclose(run(rubber, [k, T], record(w, "zoh"), 1).outputs, truth, atol=1e-7)
+
+    tank = ct.ss([[-0.4]], [[1.0]], [[1.0]], 0, inputs="q", outputs="y", states=["T"])
+    m, c = 2.5, 0.7
+    truth = solve(
+        lambda t, x: np.array([-0.4 * x[0] + u(t) - c * (x[0] - x[1]), c * (x[0] - x[1]) / m]),
+        np.zeros(2),
+        times,
+    )[:1]
+    wall = Structure(tank, [Effect("hidden_store", "T")])
+    np.testing.assert_allclose(run(wall, [m, c], record(w, "zoh"), 1).outputs, truth, atol=1e-7)
+
+
+def test_a_stop_stands_on_the_side_of_its_sign():
+    model, w = chain(), force(150)
+    u = held(w, "zoh")
+    times = np.arange(w.size) * DT
+    for side in (1.0, -1.0):
+        k, at = 60.0, 0.04 * side
+
+        def rhs(t, x, k=k, at=at, side=side):
+            return model.A @ x + model.B[:, 0] * u(t) + PORTS["x1"][1] * k * side * max(side * (x[0] - at), 0)
+
+        free = model.C @ solve(lambda t, x: model.A @ x + model.B[:, 0] * u(t), np.zeros(4), times)
+        truth = model.C @ solve(rhs, np.zeros(4), times)
+        answer = run(Structure(model, [Effect("end_stop", "x1")]), [k, at], record(w, "zoh"), 64).outputs
+        assert np.abs(truth - free).max() > 0.1 * np.abs(free).max()  # it is hit
+        np.testing.assert_allclose(answer, truth, atol=2e-3 * np.abs(truth).max())
+
+
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
 @pytest.mark.parametrize("delay", [0.0, 0.3 * DT, 2.6 * DT])
 def test_input_delay_to_a_fraction_of_a_sample(hold, delay):

@@ -167,6 +167,54 @@ class Clearance(PortLaw):
 
 
 @register
+class EndStop(PortLaw):
+    """Stop on one side."""
+
+    where = frozenset(["mechanical"])
+    coefficients = (
+        Coefficient("stiffness", "force/position", explanation="stiffness of the contact"),
+        Coefficient(
+            "position",
+            "position",
+            default_start=None,
+            explanation="where it is met, on the side of its sign",
+            shapes=True,
+        ),
+    )
+    contains = MappingProxyType({"bilinear_stiffness": {"position": 0.0}})
+    formula = "f = t max(d - p, 0) if p >= 0, t min(d - p, 0) if p < 0"
+    explanation = "There is a stop on one side of {place}: it is hit once the displacement passes it."
+    words = (
+        "limit on one side of the {moved}",
+        "Beyond a limit on one side of the {moved} the {elastic} at {place} jumps up.",
+    )
+    needs = frozenset(["position"])
+    belongs_to = "stiffness"
+
+    @staticmethod
+    def law(d, stiffness, position):  # type: ignore[no-untyped-def]
+        """Formula."""
+        beyond = d - position
+        if position < 0.0:
+            return stiffness * min(beyond, 0.0)
+        return stiffness * max(beyond, 0.0)
+
+    @staticmethod
+    def slopes(d, stiffness, position):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        beyond = d - position
+        if (beyond >= 0.0) if position < 0.0 else (beyond <= 0.0):
+            return 0.0, 0.0, 0.0, 0.0
+        return stiffness * beyond, stiffness, beyond, -stiffness
+
+    def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
+        """Places on either side that the motion passes now and then."""
+        sides = np.quantile(seen.d, [0.7, 0.9, 0.97, 0.3, 0.1, 0.03])
+        reached = [q for q, sign in zip(sides, (1, 1, 1, -1, -1, -1), strict=True) if sign * q > 0]
+        return [{"position": float(q)} for q in reached]
+
+
+@register
 class SoftClearance(PortLaw):
     """Stop that is met gradually: a gap with rounded corners."""
 
