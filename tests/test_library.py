@@ -39,7 +39,7 @@ class TestChain:
     def test_size_order_and_uniqueness(self):
         library = effect_library(self.model)
         assert len(library) == len(set(library))
-        assert 60 <= len(library) <= 100
+        assert 60 <= len(library) <= 120
         places = list(dict.fromkeys(effect.place for effect in library))
         assert places == ["link1", "link2", "link3", "link4", "mass1", "mass2", "mass3", "force", "v1"]
         assert library[0].kind == "stiffness"

@@ -21,6 +21,7 @@ __all__ = [
     "parameter_uncertainty",
     "pseudo_inverse",
     "standard_deviations",
+    "unmoved",
     "unseen_combinations",
     "wald",
 ]
@@ -79,15 +80,42 @@ def pseudo_inverse(normal: Array, size: Array | None = None) -> tuple[Array, Arr
     [[0.25 0.25]
      [0.25 0.25]] [[0.71 0.71]]
     """
-    size = np.sqrt(np.diag(normal)) if size is None else size
-    size = np.where(size <= 1e-100 * size.max(initial=0.0), 1.0, size)  # not felt: its squares would overflow
-    values, vectors = np.linalg.eigh(normal / np.outer(size, size))
+    values, vectors, seen, size = _directions(normal, size)
     top = values.max(initial=0.0)
-    seen = values > _UNSEEN**2 * top
     inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T / np.outer(size, size)
     lost = vectors[:, ~seen].T
     lost = np.where(np.abs(lost) > 1e-3, lost, 0.0)  # no rounding beside what is truly lost
     return inverse, lost / size, float(np.sqrt(top / max(values.min(initial=top), 1e-300)))
+
+
+def unmoved(normal: Array, point: Array, home: Array) -> Array:
+    """A point with what the data do not see as it is at another one.
+
+    Parameters
+    ----------
+    normal : ndarray, shape (p, p)
+        J'J with the priors.
+    point, home : ndarray, shape (p,)
+        Where a fit ended, and where it would be without data.
+
+    Examples
+    --------
+    Two coefficients of which the data see only the sum:
+
+    >>> print(unmoved(np.ones((2, 2)), np.array([1e6 + 1, -1e6]), np.zeros(2)).round(6))
+    [0.5 0.5]
+    """
+    _, vectors, seen, size = _directions(normal)
+    lost = vectors[:, ~seen]
+    return np.asarray(point - lost @ (lost.T @ ((point - home) * size)) / size)
+
+
+def _directions(normal: Array, size: Array | None = None) -> tuple[Array, Array, NDArray[np.bool_], Array]:
+    """Eigenvalues and eigenvectors in unit columns, which of them the data see, and the norms of columns."""
+    size = np.sqrt(np.diag(normal)) if size is None else size
+    size = np.where(size <= 1e-100 * size.max(initial=0.0), 1.0, size)  # not felt: its squares would overflow
+    values, vectors = np.linalg.eigh(normal / np.outer(size, size))
+    return values, vectors, values > _UNSEEN**2 * values.max(initial=0.0), size
 
 
 def covariance(normal: Array, middle: Array | None = None, size: Array | None = None) -> Array:

@@ -17,12 +17,14 @@ from ..engine.structure import Structure
 from ..exceptions import IdentifiabilityWarning, warn
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
-from .covariance import parameter_uncertainty, standard_deviations, unseen_combinations
+from .covariance import parameter_uncertainty, standard_deviations, unmoved, unseen_combinations
 from .doubts import stands_still
 from .problem import Problem
 from .refinement import EstimatedParameter, Refinement
 
 __all__ = ["fit_of", "output_weights", "package"]
+
+_FLAT = 1e-9  # share of the cost: rounding, where the valley has led far away
 
 
 def output_weights(
@@ -47,7 +49,7 @@ def output_weights(
 def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
     """The `Refinement` of a finished fit."""
     structure, problem, result, roles = fit.structure, fit.problem, fit.result, fit.roles
-    point = result.x
+    point = result.x = _unmoved(problem, result.x)
     theta, starts = problem.unpack(point)
     residuals, slopes, columns = zip(*problem.own_blocks(point), strict=True)
     precision = problem.precision
@@ -90,6 +92,18 @@ def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
         warnings=found,
         of_responses=not problem.in_time,
     )
+
+
+def _unmoved(problem: Problem, point: Array) -> Array:
+    """A minimum with what the record does not see where it began: a valley that is flat leads anywhere."""
+    evaluation = problem.evaluate(point)
+    jacobian = evaluation.condensed[1]
+    if not (evaluation.finite and np.isfinite(jacobian).all()):
+        return point
+    home = problem.pack(problem.prior_mean, np.zeros((len(problem.records), problem.n_states)))
+    found = problem.inside(unmoved(jacobian.T @ jacobian, point, home))
+    flat = problem.cost(found) <= problem.cost(point) * (1.0 + _FLAT)
+    return found if flat else point
 
 
 def _rows(
