@@ -127,7 +127,8 @@ def as_time_grid(dt: Any, timepts: Any, n_samples: int) -> tuple[float, Array]:
         k = int(np.argmax(steps <= 0))
         raise DataError(
             f"timepts does not increase from sample {k} ({times[k]:.9g} s) "
-            f"to sample {k + 1} ({times[k + 1]:.9g} s); sort the record and remove doubled samples"
+            f"to sample {k + 1} ({times[k + 1]:.9g} s); sort the record and remove doubled samples, "
+            "let Measurement.from_timestamps do it, or give dt in place of the times"
         )
     mean = step_of(times, n_samples - 1)
     _check_regular(times, steps, mean)

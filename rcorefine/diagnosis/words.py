@@ -125,6 +125,8 @@ def next_step(found: Diagnosis | Improvement) -> str:
     better = "better = found.refine(); print(better)"
     if isinstance(found, Improvement):
         return better.replace("refine()", "refinement") if found.effects else "found.plot()"
+    if found.verdict == "adequate" and found.left_to_noise:  # numbers that are far off leave the same
+        return 'print(rco.refine(found.base, found.records, free="linear", tolerance=0.5))'
     if found.verdict == "adequate":
         return "rco.compare(found.base, found.records[0]).plot()  # what is left to noise"
     if found.verdict == "ambiguous" and not found.base.of_responses:
