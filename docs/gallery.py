@@ -17,14 +17,13 @@ from rcorefine.exceptions import DivergenceError
 from rcorefine.exercises.record import hidden_outputs, noisy, record_of
 
 SAMPLES, NOISE, LOSS = 2000, 0.01, 0.25
-WITHOUT = {
-    "custom",
-    "tabulated",
-    "coefficient",
-    "model_parameter",
-    "magnetic_force",
-}  # need what only you know
-CONSTANTS = {"radiation": {"temperature": 300.0}}
+WITHOUT = {  # need what only you know: where that is told
+    "custom": "a function of yours: [a law of your own](../laws.md)",
+    "tabulated": "a force whose law is open, from `found.law()`: [what a verdict promises](../verdicts.md)",
+    "coefficient": "an entry of A or B, where states mean nothing: [how to](../howto.md)",
+    "model_parameter": "a number of a right-hand side: [a nonlinear model](../nonlinear_models.md)",
+}
+CONSTANTS = {"radiation": {"temperature": 300.0}, "magnetic_force": {"gap": 3.0, "current": 1.0}}
 FAMILIES = {
     "mechanical": "Springs, dampers and friction",
     "first_order": "Losses and flows of stores",
@@ -59,6 +58,10 @@ def plant(sort):
 def values(effect, size, sort):
     """Coefficients: those that shape the law about the motion, the others of this size."""
     _, _, blank, _, d, v, signal = plant(sort)
+    if effect.kind == "output_range":
+        return [-0.6 * size, size]
+    if effect.kind == "input_power":
+        return [1.0 + size, 0.6 * signal]
     if effect.kind == "hidden_mode":
         return [0.3 * size, 0.3 * size * 0.5, 0.3 * size * 64.0]
     typical = {
@@ -89,11 +92,11 @@ def sized(effect, sort):
         except (DivergenceError, np.linalg.LinAlgError, rco.ModelError):
             size /= 3.0
             continue
-        missed = float(np.std(outputs - plain) / np.std(plain))
+        missed = float(np.sqrt(np.mean((outputs - plain) ** 2)) / np.std(plain))
         if abs(missed / LOSS - 1) < 0.25:
             return found, outputs
         ratio = LOSS / max(missed, 1e-12)
-        shrinks = effect.kind.endswith("saturation") or effect.kind.endswith("rate_limit")
+        shrinks = effect.kind.endswith(("saturation", "rate_limit", "output_range"))
         size *= float(np.clip(ratio ** (-0.5 if shrinks else 0.8), 0.05, 20))
     return None
 
@@ -107,15 +110,16 @@ def shown(sort):
         if sort in law.where and kind not in WITHOUT:
             effect = rco.Effect(kind, place, fixed=CONSTANTS.get(kind))
             made = sized(effect, sort)
-            if made is not None:
-                found[kind] = (effect, *made)
+            if made is None:
+                raise RuntimeError(f"no size of {kind} costs the model a quarter of the output")
+            found[kind] = (effect, *made)
     return found
 
 
 def confused(kind, sort):
     """The three laws at the same place whose change of the output is most alike, with the likeness."""
     plain = plant(sort)[3]
-    change = {k: (y - plain).ravel() - (y - plain).mean() for k, (_, _, y) in shown(sort).items()}
+    change = {k: (y - plain).ravel() for k, (_, _, y) in shown(sort).items()}
     own = change[kind]
     alike = {
         k: abs(own @ other) / np.linalg.norm(own) / np.linalg.norm(other)
@@ -129,7 +133,9 @@ def draw(kind, sort, path):
     """Time, frequency response at two levels, and what the law does to the motion or the signal."""
     model, _, blank, plain = plant(sort)[:4]
     effect, found, outputs = shown(sort)[kind]
-    figure, axes = plt.subplots(1, 3, figsize=(11, 3.2), layout="constrained")
+    figure, grid = plt.subplots(2, 2, figsize=(8.6, 5.6), layout="constrained")
+    axes = [grid[0, 0], grid[0, 1], grid[1, 0], grid[1, 1]]
+    axes[3].sharex(axes[1])
     part = slice(0, 400)
     axes[0].plot(blank.timepts[part], outputs[0, part], color=GRAY, lw=3, label="plant with it")
     axes[0].plot(blank.timepts[part], plain[0, part], color=RED, lw=1, ls="--", label="model")
@@ -148,9 +154,13 @@ def draw(kind, sort, path):
         seen = (frd.omega > 0) & (frd.omega < 0.5 * np.pi / blank.dt)
         axes[1].loglog(frd.omega[seen], np.abs(frd.frdata[0, 0][seen]), ".", ms=3, color=color,
                        label=f"record, input x {factor:g}")  # fmt: skip
+        axes[3].semilogx(frd.omega[seen], np.angle(frd.frdata[0, 0][seen], deg=True), ".", ms=3, color=color)
     omega = frd.omega[seen]
-    axes[1].loglog(omega, np.abs(model.system(1j * omega)), color=RED, lw=1, ls="--", label="model")
-    axes[1].set(xlabel="frequency [rad/s]", ylabel="magnitude", title="Frequency response")
+    response = model.system(1j * omega)
+    axes[1].loglog(omega, np.abs(response), color=RED, lw=1, ls="--", label="model")
+    axes[1].set(ylabel="magnitude", title="Frequency response")
+    axes[3].semilogx(omega, np.angle(response, deg=True), color=RED, lw=1, ls="--")
+    axes[3].set(xlabel="frequency [rad/s]", ylabel="phase [deg]", yticks=[-180, -90, 0, 90, 180])
     axes[1].legend(fontsize="small")
     if sort in ("input", "output"):
         axes[2].plot(plain[0], outputs[0], ".", ms=2, color=BLUE)
@@ -175,7 +185,7 @@ def draw(kind, sort, path):
         axes[2].set(xlabel=f"{what} [{unit}]", title="Against the motion")
     for ax in axes:
         ax.grid(alpha=0.3)
-    figure.savefig(path, dpi=90)
+    figure.savefig(path, dpi=100)
     plt.close(figure)
 
 
@@ -187,6 +197,11 @@ def diagnosed(kind, sort):
     offered = [effect, *(shown(sort)[other][0] for other, _ in confused(kind, sort))]
     found = rco.diagnose(model, record, candidates=offered)
     said = [s for s in found.sentences() if not s.startswith("LOOK")][:2]
+    if found.best is not None and found.best.effect != effect and found.verdict == "effect":
+        said.append(
+            f"The name is that of {found.best.effect.kind}: on this record it does the work of {kind}; what "
+            "is left is too little, or a constant that the nuisance offset takes up. Another amplitude tells."
+        )
     if found.verdict == "adequate" and effect.spec.holds_constant:
         said.append("The nuisance offset that every fit has took it up; offset=False leaves it to be found.")
     return found.verdict, said
@@ -197,6 +212,7 @@ def page(kind, sort, folder):
     law = KINDS[kind]
     model, place = plant(sort)[:2]
     effect, found, _ = shown(sort)[kind]
+    fixed = f", fixed={CONSTANTS[kind]}" if kind in CONSTANTS else ""
     draw(kind, sort, folder / f"{kind}.png")
     rows = "".join(
         f"| `{c.name}` | {model.unit(effect, c.name)} | {c.explanation} | {value:.3g} |\n"
@@ -224,7 +240,7 @@ all of it: where the two differ, no linear model fits both.
 ## How it is found
 
 ```text
-effect = rco.Effect("{kind}", "{place}")
+effect = rco.Effect("{kind}", "{place}"{fixed})
 found = rco.diagnose(model, data, candidates=[effect, ...])  # verdict: {verdict}
 ```
 
@@ -276,6 +292,8 @@ def write(folder):
         names = "\n".join(kinds)
         tree = f"```{{toctree}}\n:hidden:\n\n{names}\n```"
         parts.append(f"\n## {title}\n\n| effect | what it is |\n| --- | --- |\n{lines}\n{tree}\n")
+    told = "".join(f"| `{kind}` | {where} |\n" for kind, where in WITHOUT.items())
+    parts.append(f"\n## Laws that are yours\n\n| effect | what it is |\n| --- | --- |\n{told}")
     index.write_text("".join(parts), encoding="utf-8")
 
 
