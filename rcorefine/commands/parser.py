@@ -45,9 +45,9 @@ _JSON = {
     "ranking (effect: kind and place; coefficients, std, fit_before, fit_after, p_value, "
     "probability), none_of_these, places, ambiguous, parameters (as in improve), tests and "
     "winner_tests (name, statistic, dof, p_value), detectable (effect, coefficient, smallest, unit), "
-    "significance, notes, checks (status, what, where, figure, sentence), report.",
+    "significance, notes, checks (status, what, where, figure, sentence), next_step, report.",
     "improve": " (3 sentences), record, verdict, "
-    "message, checks (as in diagnose), steps (action, effect, coefficients, std, train_rmse, choice_rmse, "
+    "message, checks (as in diagnose), next_step, steps (action, effect, coefficients, std, train_rmse, choice_rmse, "
     "validation_rmse, rivals), parameters (name, kind, place, role, initial, value, "
     "coefficient, std, unit), hold, system (A, B, C, D, inputs, outputs, states), report.",
     "refine": " (3 sentences), record, parameters "

@@ -157,7 +157,7 @@ class CodeExports:
         target = None if path is None else as_path(path)
         structure, theta, _ = self.simulation_structure()
         remarks = [
-            f"{row.name} at {row.place}: {row.value:.6g} +/- {row.std:.2g} {row.unit}".rstrip()
+            f"{row.name} at {row.place}: {row.value:.6g} +- {row.std:.2g} {row.unit}".rstrip()
             + (f" (was {row.initial:.6g})" if row.initial else "")
             for row in self.parameters
         ]
