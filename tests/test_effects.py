@@ -235,7 +235,11 @@ class TestEffect:
     @pytest.mark.parametrize(
         "arguments, keywords, message",
         [
-            (("friction", "a"), {}, "effect 'friction'; near it: coulomb_friction, .*; the kinds are stiffness"),
+            (
+                ("friction", "a"),
+                {},
+                "effect 'friction'; near it: coulomb_friction, .*; the kinds are stiffness",
+            ),
             ((["damping"], "a"), {}, "unknown kind"),
             (("damping", 3), {}, r"ports\(model\)"),
             (("damping", " "), {}, "must be the name"),

@@ -47,8 +47,8 @@ _JSON = {
     "winner_tests (name, statistic, dof, p_value), detectable (effect, coefficient, smallest, unit), "
     "significance, notes, checks (status, what, where, figure, sentence), next_step, report.",
     "improve": " (3 sentences), record, verdict, "
-    "message, checks (as in diagnose), next_step, steps (action, effect, coefficients, std, train_rmse, choice_rmse, "
-    "validation_rmse, rivals), parameters (name, kind, place, role, initial, value, "
+    "message, checks (as in diagnose), next_step, steps (action, effect, coefficients, std, "
+    "train_rmse, choice_rmse, validation_rmse, rivals), parameters (name, kind, place, role, initial, value, "
     "coefficient, std, unit), hold, system (A, B, C, D, inputs, outputs, states), report.",
     "refine": " (3 sentences), record, parameters "
     "(as in improve), hold, system, fit, rmse, initial_fit, success, message, warnings, report. The exit "
