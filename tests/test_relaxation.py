@@ -1,4 +1,4 @@
-"""What gives way with a delay, or on one side: named on plants of this file, integrated by Runge-Kutta here."""
+"""What gives way with a delay, or on one side: plants of this file, integrated by Runge-Kutta here."""
 
 from __future__ import annotations
 
