@@ -84,11 +84,11 @@ class Bordered:
             np.where(seen, 1.0 / np.where(seen, values + by, 1.0), 0.0) for by in (damping, 0.0)
         )
         # what the records leave of the common unknowns once their own follow
-        left = common - np.einsum("rik,rk,rjk->ij", turned, plain, turned, optimize=True)
+        left = common - _through(turned, plain)
         level, along = np.linalg.eigh(left)
         along = along[:, level > _UNSEEN * top]
         damped = common + damping * np.eye(g.size)
-        damped -= np.einsum("rik,rk,rjk->ij", turned, inverse, turned, optimize=True)
+        damped -= _through(turned, inverse)
         push = along.T @ (g - np.einsum("rik,rk->i", turned, inverse * pushed))
         moved = -along @ np.linalg.solve(along.T @ damped @ along, push)
         follow = -np.einsum("rij,rj->ri", vectors, inverse * (pushed + np.einsum("rij,i->rj", turned, moved)))
@@ -102,4 +102,9 @@ class Bordered:
         seen = values > _UNSEEN * values.max(initial=0.0)
         turned = (self.cross * own[:, None, :]) @ vectors
         inverse = np.where(seen, 1.0 / np.where(seen, values, 1.0), 0.0)
-        return np.asarray(self.common - np.einsum("rik,rk,rjk->ij", turned, inverse, turned, optimize=True))
+        return np.asarray(self.common - _through(turned, inverse))
+
+
+def _through(turned: Array, inverse: Array) -> Array:
+    """Sum over the records of T diag(d) T', of T (R, p, n) and d (R, n)."""
+    return np.asarray(np.tensordot(turned * inverse[:, None, :], turned, axes=((0, 2), (0, 2))))

@@ -17,35 +17,50 @@ from ...inference.refinement import Refinement
 from ...models.operating_point import ordered_record
 from ...systems.linear import Array
 
-__all__ = ["rmse_on"]
+__all__ = ["Errors"]
 
 
-def rmse_on(refinement: Refinement, records: Sequence[Measurement], horizon: float | None) -> Array:
-    """Root mean square of the free run's residual, (n_y,), in the windows that `compare` chooses.
+class Errors:
+    """Root mean squares of the free run's residual, in the windows that `compare` chooses.
 
-    Of frequency responses that of the points, over their noise.
+    Of frequency responses those of the points, over their noise. Every rival is held against the present
+    model, and each stage asks again: what a record left of a model is worked out once.
 
     Parameters
     ----------
-    refinement : Refinement
-        The model.
-    records : sequence of Measurement
-        Records, or frequency responses.
-    horizon : float, optional
+    horizon : float or None
         Length of the free runs (s).
     """
-    linear = refinement.physical_model.linear
-    if in_frequency(records):
-        return _rms_of_points(refinement, records)
-    found = []
-    for record in records:
-        ordered = record_for(record, match_channels(linear, record))
-        try:
-            with unheard(ExcitationWarning):  # parts are cut here: what they lack is nothing a user chose
-                found.append(np.atleast_2d(compare(refinement, ordered, horizon=horizon).residual))
-        except DivergenceError:
-            return np.full(linear.n_outputs, np.inf)
-    return np.asarray(np.sqrt(np.mean(np.concatenate(found, axis=1) ** 2, axis=1)))
+
+    def __init__(self, horizon: float | None) -> None:
+        self.horizon = horizon
+        # beside it what has these numbers, so that nothing else gets them
+        self._known: dict[tuple[int, int], tuple[Array | None, Refinement, Measurement]] = {}
+
+    def __call__(self, refinement: Refinement, records: Sequence[Measurement]) -> Array:
+        """Error of a model on records, (n_y,); inf where it diverges."""
+        if in_frequency(records):
+            return _rms_of_points(refinement, records)
+        found = []
+        for record in records:
+            left = self._left(refinement, record)
+            if left is None:
+                return np.full(refinement.physical_model.linear.n_outputs, np.inf)
+            found.append(left)
+        return np.asarray(np.sqrt(np.mean(np.concatenate(found, axis=1) ** 2, axis=1)))
+
+    def _left(self, refinement: Refinement, record: Measurement) -> Array | None:
+        """Residual of a record, None where the model diverges."""
+        key = id(refinement), id(record)
+        if key not in self._known:
+            ordered = record_for(record, match_channels(refinement.physical_model.linear, record))
+            try:
+                with unheard(ExcitationWarning):  # parts are cut here: what they lack is nothing a user chose
+                    left = np.atleast_2d(compare(refinement, ordered, horizon=self.horizon).residual)
+            except DivergenceError:
+                left = None
+            self._known[key] = left, refinement, record
+        return self._known[key][0]
 
 
 def _rms_of_points(refinement: Refinement, responses: Sequence[Any]) -> Array:

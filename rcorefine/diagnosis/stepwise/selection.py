@@ -24,7 +24,7 @@ from ..diagnose import investigate
 from ..excitation import no_motion
 from ..holds import best_hold
 from ..result import Diagnosis
-from .errors import rmse_on
+from .errors import Errors
 from .improvement import Step
 from .parts import Parts
 
@@ -105,6 +105,7 @@ class StepwiseSelection:
         self._holds: dict[str | None, str] = {}
         self._visited: set[Key] = {frozenset()}
         self._verdicts: dict[Key, str] = {}
+        self._errors = Errors(settings["horizon"])
         self.current = self._held(start)
         self.steps = [self._step(None, "start", "", ())]
 
@@ -155,7 +156,7 @@ class StepwiseSelection:
     def log_error(self, refinement: Refinement, *parts: list[Measurement]) -> float:
         """Mean over the outputs of the log error of the free run."""
         records = [record for part in parts for record in part]
-        return float(np.mean(np.log(rmse_on(refinement, records, self.settings["horizon"]) + 1e-300)))
+        return float(np.mean(np.log(self._errors(refinement, records) + 1e-300)))
 
     def rise(self, refinement: Refinement, *parts: list[Measurement]) -> float:
         """By how much a model's log error is above that of the present one."""
@@ -291,12 +292,12 @@ class StepwiseSelection:
 
     def _measured(self, step: Step, refinement: Refinement) -> Step:
         """The step with a model, and the figures of that model."""
-        horizon, effect = self.settings["horizon"], step.effect
+        effect = step.effect
         return replace(
             step,
-            train_rmse=refinement.rmse.copy() if self.in_time else rmse_on(refinement, self.parts.fit, None),
-            choice_rmse=rmse_on(refinement, self.parts.choose, horizon),
-            validation_rmse=rmse_on(refinement, self.parts.judge, horizon),
+            train_rmse=refinement.rmse.copy() if self.in_time else self._errors(refinement, self.parts.fit),
+            choice_rmse=self._errors(refinement, self.parts.choose),
+            validation_rmse=self._errors(refinement, self.parts.judge),
             coefficients={} if effect is None else coefficients_of(effect, refinement),
             std={} if effect is None else coefficients_of(effect, refinement, "std"),
             refinement=refinement,
