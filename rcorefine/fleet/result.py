@@ -221,10 +221,11 @@ def _words(effect: FleetEffect) -> str:
     """What the fleet has of one coefficient."""
     held = len(effect.machines)
     if effect.sort == "common":
-        alike = f"differs by {effect.spread:.3g} between them" if effect.spread > 0 else "is the same in all"
+        differs = f"differs by {effect.spread:.3g} between them, beyond the errors"
+        alike = differs if effect.spread > 0 else "is the same in all, within the errors"
         return (
             f"Common: {effect.label}, {with_error(effect.mean, effect.std, effect.unit)} over {held} of "
-            f"{effect.n_machines} machine(s); it {alike} beyond the errors ({chance(effect.p_alike, 'p')})."
+            f"{effect.n_machines} machine(s); it {alike} ({chance(effect.p_alike, 'p')})."
         )
     some = effect.standing_out or effect.machines
     names = ", ".join(machine.machine for machine in some[:5]) + (", ..." if len(some) > 5 else "")
