@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from bokeh.models import ColumnDataSource, PlainText, Range1d
+from bokeh.models import ColumnDataSource, FixedTicker, PlainText, Range1d
 from bokeh.plotting import figure
 
 from ..comparison.failure_map.residual_force import ResidualForce
@@ -181,6 +181,7 @@ class BodePicture:
         if self.measured is None:
             return
         w, i, j = self.measured.omega, self.output, self.input
+        self.upper.xaxis.ticker = self.lower.xaxis.ticker = _ticks(w)
         G, std = self.measured.response[i, j], self.measured.std
         spread = 2.0 * std[i, j] if std is not None else np.zeros(w.size)
         self._put("measured", w, G, spread)
@@ -194,6 +195,16 @@ class BodePicture:
         self.sources[name].data = {
             "w": w, "size": size, "phase": phase, "low": low, "high": size + spread
         }  # fmt: skip
+
+
+def _ticks(w: Array) -> FixedTicker:
+    """Powers of ten of a logarithmic axis, with 2 and 5 between them where there are few."""
+    w = w[w > 0]
+    first, last = int(np.floor(np.log10(w[0]))), int(np.ceil(np.log10(w[-1])))
+    between = (1.0, 2.0, 5.0) if last - first <= 3 else (1.0,)
+    powers = [10.0**k for k in range(first, last + 1)]
+    minor = [m * power for power in powers for m in range(2, 10)]
+    return FixedTicker(ticks=[m * power for power in powers for m in between], minor_ticks=minor)
 
 
 _BODE_WORDS = {"measured": "measured, 2 std", "initial": "initial model", "present": "present model"}
