@@ -10,8 +10,10 @@ from ..effects.effect import Effect
 from ..inference.descent import descend
 from ..inference.fitted import FittedModel
 from ..inference.levels import Levels
+from ..inference.problem import Problem
 from ..inference.sensitivities import Candidate
 from ..inference.whitening import Whitener
+from ..systems.linear import Array
 from .candidate_fit import LACK, CandidateFit, price
 from .starts import force_along, gain_for, imitated
 
@@ -82,11 +84,26 @@ def _same_force(special: CandidateFit, general: CandidateFit, level: float) -> b
     if special.effect.spec.at_channel:  # no force at all: what its further coefficients gain has decided
         return True
     simple, more = (force_along(r.candidate, r.descent.point) for r in (special, general))
-    if simple is None or more is None:
-        return False
+    if simple is None or more is None:  # what it does to the outputs tells, where no force is known
+        without, one, other = (
+            _outputs(special.candidate.fitted.problem, special.candidate.fitted.point),
+            _outputs(special.candidate.problem, special.descent.point),
+            _outputs(general.candidate.problem, general.descent.point),
+        )
+        return bool(np.linalg.norm(other - one) <= level * np.linalg.norm(one - without))
     one, other = (force - np.median(force) for *_, force in (simple, more))
     apart = np.sort(np.abs(other - one - np.median(other - one)))[: int(_MOVING * one.size)]
     return bool(np.linalg.norm(apart) <= level * np.linalg.norm(one))
+
+
+def _outputs(problem: Problem, point: Array) -> Array:
+    """What a model does at a point, all records and outputs in units of their noise."""
+    theta, starts = problem.unpack(point)
+    runs = [
+        engine.run(theta, start, sensitivity=False, check=False).outputs * problem.weights[:, None]
+        for engine, start in zip(problem.engines, starts, strict=True)
+    ]
+    return np.concatenate([run.ravel() for run in runs])
 
 
 def said_of_families(rivals: Sequence[CandidateFit], held: dict[int, int]) -> list[str]:

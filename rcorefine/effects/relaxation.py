@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from math import inf
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -32,6 +34,7 @@ class MaxwellElement(AbsorbedLaw):
         "An {elastic} that loses its {moved} with time is coupled in at {place}.",
     )
     linear = True
+    contains = MappingProxyType({"stiffness": {"time_constant": inf}, "damping": {"time_constant": 0.0}})
     needs = frozenset(["velocity"])
     inner_states = 1
     belongs_to = "stiffness"
@@ -72,6 +75,7 @@ class HiddenStore(AbsorbedLaw):
         "A {store} that the model lacks is coupled to {place}: it takes up and gives back with a delay.",
     )
     linear = True
+    contains = MappingProxyType({"mass": {"damping": inf}, "damping": {"mass": inf}})
     needs = frozenset(["velocity"])
     inner_states = 1
     belongs_to = "mass"
