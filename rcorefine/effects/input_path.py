@@ -104,7 +104,6 @@ class InputSmoothing(InputLaw):
     formula = "r(k) = a r(k-1) + (1 - a) w(k), a = exp(-dt/T), w -> r"
     explanation = "The input {place} is smoothed sample by sample, or all sensors are, which looks the same."
     secant = True
-    on_request = True  # a command that a program makes, or readings that one has made
 
     @staticmethod
     def law(w, z_start, step, time_constant):  # type: ignore[no-untyped-def]

@@ -68,7 +68,7 @@ def effect_library(
     has neither spring nor another link at that mass; masses, hidden modes and constant
     forces between two masses; laws that need to know more than a model says (`gravity`,
     `cogging`, `magnetic_force`, `radiation`, `load_friction`, `play`, `input_play`, `input_rate_limit`,
-    `input_smoothing`, `input_power`); `custom` laws (which need a law); entries of A that a port explains.
+    `input_power`); `custom` laws (which need a law); entries of A that a port explains.
     Effects that act exactly alike are listed once, at the place whose parameter they change
     (in a series circuit, resistance at the resistor).
 
