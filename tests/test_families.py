@@ -11,13 +11,40 @@ from rcorefine.diagnosis import families, judging
 from rcorefine.diagnosis.candidate_fits import CandidateFits
 from rcorefine.effects import KINDS
 from rcorefine.effects.along_motion import unit_forces
+from rcorefine.engine.engine import Engine
+from rcorefine.engine.structure import Structure
 from rcorefine.inference.levels import levels
 
 LIMITS = {"displacement": 1e-6, "velocity": 1e3, "softness": 0.1, "static_ratio": 1.0}
 NESTED = [(law.name, inside) for law in KINDS.values() if not law.at_channel for inside in law.contains]
+# linear laws with a state of their own, and where they are one without: their coefficients, and its own
+LINEAR = {
+    ("maxwell_element", "stiffness"): ([30.0, 1e4], [30.0]),
+    ("maxwell_element", "damping"): ([2e5, 1e-5], [2.0]),
+    ("hidden_store", "mass"): ([0.5, 1e5], [0.5]),
+    ("hidden_store", "damping"): ([1e5, 0.5], [0.5]),
+}
 
 
-@pytest.mark.parametrize(("general", "special"), NESTED)
+@pytest.mark.parametrize(("general", "special"), LINEAR)
+def test_a_linear_law_contains_what_it_says(rng, general, special):
+    """At the limit the outputs are the same."""
+    one_mass = rco.mass_spring_damper([1.0], [0.8], [100.0])
+    store = rco.thermal_network([2.0], {(1, 0): 3.0}, ambient_input=False)
+    model, place = (one_mass, "link1") if "mechanical" in KINDS[general].where else (store, "T1")
+    data = rco.Measurement(rng.standard_normal((1, 400)), np.zeros((1, 400)), dt=0.02)
+    without, one, other = (
+        Engine(Structure(model, [rco.Effect(kind, place)] if kind else []), data)
+        .run(np.array(values))
+        .outputs
+        for kind, values in zip(
+            ("", special, general), ([], *reversed(LINEAR[general, special])), strict=True
+        )
+    )
+    assert np.linalg.norm(other - one) < 0.01 * np.linalg.norm(one - without) > 0
+
+
+@pytest.mark.parametrize(("general", "special"), sorted(set(NESTED) - set(LINEAR)))
 def test_a_law_contains_what_it_says(general, special):
     """Along any motion the force of the special case is one of the general law's."""
     t = np.linspace(0.0, 20.0, 4000)
