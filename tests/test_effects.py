@@ -235,15 +235,11 @@ class TestEffect:
     @pytest.mark.parametrize(
         "arguments, keywords, message",
         [
-<<<<<<< HEAD
             (
                 ("friction", "a"),
                 {},
                 "effect 'friction'; near it: coulomb_friction, .*; the kinds are stiffness",
             ),
-=======
-            (("friction", "a"), {}, "unknown kind of effect 'friction'; near it: coulomb_friction, "),
->>>>>>> 82390a6 (A law that contains another one is no rival where their outputs are the same, either)
             ((["damping"], "a"), {}, "unknown kind"),
             (("damping", 3), {}, r"ports\(model\)"),
             (("damping", " "), {}, "must be the name"),
