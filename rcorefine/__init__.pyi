@@ -42,6 +42,7 @@ from .models.builders import (
 )
 from .models.conversion import physical, ports
 from .models.library import effect_library
+from .models.modal_files import modal_model
 from .models.parameters import NominalParameter
 from .models.physical_model import PhysicalModel
 from .models.ports import Port
@@ -99,6 +100,7 @@ __all__ = [
     "localize_damage",
     "mass_spring_damper",
     "mechanical",
+    "modal_model",
     "physical",
     "ports",
     "quarter_car",

@@ -596,6 +596,17 @@ CALLS: dict[str, Call] = {
         M=[2.0, 1.0],
         K=[[3.0, -1.0], [-1.0, 1.0]],
     ),
+    "modal_model": Call(
+        lambda: rco.modal_model,
+        lambda: {"path": files()["a.npz"], "inputs": "1:3"},
+        {
+            "path": is_path,
+            **dict.fromkeys(("inputs", "outputs"), is_texts),
+            **dict.fromkeys(("sensors", "name"), is_text),
+            "modal_mass": is_numbers,
+        },
+        work="rcorefine.models.modal_files.read_uff_modes",
+    ),
     "series_rlc": _builder(
         rco.series_rlc,
         {"R": is_level, "L": is_positive, "C": is_positive, "sensors": is_texts},

@@ -148,7 +148,7 @@ def test_universal_files(tmp_path):
         rco.FrequencyResponse.from_uff(universal(pyuff, path, rsp=(2,)))
 
 
-def test_modes_of_a_universal_file_are_refused_with_what_to_do(tmp_path):
+def test_modes_of_a_universal_file_are_no_response(tmp_path):
     pytest.importorskip("pyuff")
     lines = [
         "    -1",
@@ -157,5 +157,5 @@ def test_modes_of_a_universal_file_are_refused_with_what_to_do(tmp_path):
         "         1         2         3         8         2         3",
         "    -1",
     ]
-    with pytest.raises(rco.DataError, match=r"type 55 are modes.*mechanical"):
+    with pytest.raises(rco.DataError, match=r"type 55 are modes.*modal_model"):
         rco.FrequencyResponse.from_uff(write(tmp_path / "modes.uff", "\n".join([*lines, ""])))

@@ -401,3 +401,63 @@ def test_what_a_bag_does_not_hold_is_named(tmp_path):
         Measurement.from_rosbag(file, effort, "/imu/angular_velocity/z")
     with pytest.raises(FileNotFoundError):
         Measurement.from_rosbag(tmp_path / "none.bag", effort, "/imu/angular_velocity/z")
+
+
+# ---------------------------------------------------------------- times of clocks and calendars
+@pytest.mark.parametrize(
+    "cells",
+    [
+        ["2024-03-31T01:59:59.75+01:00", "2024-03-31T02:00:00+01:00", "2024-03-31T03:00:00.25+02:00"],
+        ["2024-12-31 23:59:59.75", "2025-01-01 00:00:00", "2025-01-01 00:00:00.25"],
+        ["31.12.24 23:59:59,75", "01.01.25 00:00:00,00", "01.01.25 00:00:00,25"],
+        ["3/4/2024 1:00:00.5 PM", "3/4/2024 1:00:00.75 PM", "3/4/2024 1:00:01 PM"],
+        ["11:59:59.75 AM", "12:00:00.00 PM", "12:00:00.25 PM"],
+        ["23:59:59.75", "00:00:00", "00:00:00.25"],
+    ],
+)
+@pytest.mark.parametrize("delimiter", [",", ";"])
+def test_times_of_a_clock(tmp_path, cells, delimiter):
+    rows = [delimiter.join([f'"{cell}"', "1.5", str(k)]) for k, cell in enumerate(cells)]
+    data = read(tmp_path, "\n".join([delimiter.join("tuy"), *rows]), time="t", dt=None)
+    assert data.dt == 0.25
+    assert data.timepts[0] == 0
+    assert data.outputs.tolist() == [[0, 1, 2]]
+    assert f"counted from {cells[0]}" in data.notes[0]
+    assert Measurement([1.5] * 3, range(3), timepts=cells).dt == 0.25
+
+
+@pytest.mark.parametrize(
+    "cells, message",
+    [
+        (
+            ["10:00:00", "10:00:01", "x"],
+            "line 4, column 't' .* is no time like the first one, '10:00:00': 'x'",
+        ),
+        (["10:00:00", "10:00:01 AM"], "line 3.*no time like"),
+        (["10:00:00", "25:00:01"], "line 3.*no such hour"),
+        (["1/2/24 10:00:00", "2/2/24 10:00:00"], "either order; write the year first"),
+        (["1/2/24 10:00:00", "13/2/24 10:00:00", "1/14/24 10:00:00"], "dates that no order explains"),
+        (["10:00:00", "09:00:00"], "does not increase"),
+    ],
+)
+def test_times_that_cannot_be_told(tmp_path, cells, message):
+    with pytest.raises(DataError, match=message):
+        read(tmp_path, "t,u,y\n" + "".join(f"{cell},1,2\n" for cell in cells), time="t", dt=None)
+
+
+def test_times_of_pandas_and_datetime():
+    pd = pytest.importorskip("pandas")
+    zoned = pd.date_range("2024-03-31T01:59:59.75", periods=6, freq="250ms", tz="Europe/Berlin")
+    plain = zoned.tz_convert("UTC").tz_localize(None)
+    for times in (zoned, plain, plain - plain[0], zoned.astype(str), list(zoned.to_pydatetime())):
+        frame = pd.DataFrame({"t": times, "u": range(6), "y": range(6)})
+        assert Measurement.from_frame(frame, "u", "y", time="t").dt == 0.25
+        assert Measurement.from_timestamps(times, range(6), range(6)).dt == 0.25
+    with pytest.raises(DataError, match="not finite at sample 2"):
+        Measurement(range(6), range(6), timepts=plain.where(np.arange(6) != 2))
+
+
+def test_utf_16(tmp_path):
+    data = read(tmp_path, "u;y\n1,5;2\n3;4\n", encoding="utf-16")
+    assert data.inputs.tolist() == [[1.5, 3]]
+    assert "read as UTF-16" in data.notes[0]

@@ -61,3 +61,17 @@ def test_an_effect_is_found_at_the_output():
     # x'' + .4 x' + 9 x = 6 u is a mass of 1/6 in the input's unit: its spring goes from 9/6 to 8/6
     change = found.parameters[0]
     assert change.coefficient == pytest.approx(-1 / 6, abs=4 * change.std)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "num, den",
+    [([1e-16, 5e-16], [1, 2, 1, 3]), ([1e-20, 1.0], [1, 2, 1]), ([2, 0, 1], [1, 1, 1]), ([3], [2])],
+)
+def test_no_coefficient_is_lost(num, den):
+    transfer = ct.tf(num, den)
+    with pytest.warns(rco.ConversionWarning):
+        system = realized(transfer)
+    at = 1j * np.array([0.1, 3.0])
+    np.testing.assert_allclose(system(at), transfer(at), rtol=1e-9)
+    assert system.nstates == len(den) - 1

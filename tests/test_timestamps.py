@@ -223,3 +223,15 @@ def test_what_comes_late_or_twice_is_no_clock(seed):
         found = Measurement.from_timestamps(t[order], w[order], y[order])
         np.testing.assert_allclose(found.outputs, plain.outputs, atol=1e-12)
         np.testing.assert_allclose(found.inputs, plain.inputs, atol=1e-9)
+
+
+def test_the_grid_lies_on_the_switches_of_a_held_input():
+    """A command every 0.1 s by one clock, samples by another that began 3 ms later: nothing is shared out."""
+    rng = np.random.default_rng(0)
+    t = 0.003 + 0.02 * np.arange(400) + 0.002 * rng.random(400)
+    command = rng.standard_normal(81)
+    data = Measurement.from_timestamps(
+        0.1 * np.arange(81), command, np.sin(t), output_timepts=t, dt=0.02, longest_gap=0.2
+    )
+    assert np.abs(data.inputs.T - command).min(axis=1).max() < 1e-9
+    np.testing.assert_allclose(data.timepts[0], 0.02, atol=1e-12)

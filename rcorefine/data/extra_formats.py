@@ -16,7 +16,7 @@ from .columns import Columns, vectors
 from .columns import read_mat as read_old_mat
 from .matlab import Other
 
-__all__ = ["read_hdf5", "read_mat", "read_tdms", "read_uff", "read_uff_responses"]
+__all__ = ["read_hdf5", "read_mat", "read_tdms", "read_uff", "read_uff_modes", "read_uff_responses"]
 
 
 def read_hdf5(path: Any, names: Sequence[str], reader: str = "from_hdf5") -> Columns:
@@ -134,16 +134,18 @@ def read_uff(
     )
 
 
-def _sets_of(path: Any, sets: Sequence[int] | None) -> tuple[list[int], list[dict[str, Any] | None]]:
-    """Types of all data sets of a universal file, and those asked for (all for None) that are of type 58."""
+def _sets_of(
+    path: Any, sets: Sequence[int] | None, kind: int = 58
+) -> tuple[list[int], list[dict[str, Any] | None]]:
+    """Types of all data sets of a universal file, and those asked for (all for None) that are of one type."""
     pyuff = needed("pyuff", "formats", "from_uff")
     with open(path, "rb"):
         pass
     try:
         file = pyuff.UFF(str(path))
-        kinds = [int(kind) for kind in file.get_set_types()]
+        kinds = [int(one) for one in file.get_set_types()]
         asked = range(len(kinds)) if sets is None else sets
-        return kinds, [file.read_sets(k) if k < len(kinds) and kinds[k] == 58 else None for k in asked]
+        return kinds, [file.read_sets(k) if k < len(kinds) and kinds[k] == kind else None for k in asked]
     except Exception as error:
         raise DataError(
             f"{path} is not a universal file that pyuff can read, or it is damaged: {error}"
@@ -206,11 +208,19 @@ def _sorted(path: Any, sets: Sequence[int] | None) -> tuple[_Found, _Found]:
 
 
 def _modes(kinds: Sequence[int]) -> str:
-    """What to do with modes."""
-    if 55 not in kinds:
+    """Where modes are read."""
+    if _MODE not in kinds:
         return ""
-    return (
-        " Sets of type 55 are modes, not a measurement: make a model of them, with A and B of one block "
-        "[[0, 1], [-w^2, -2 z w]] per mode and its shape in B and C (control.ss), or give M, C and K to "
-        "rcorefine.mechanical, which keeps the lowest modes (n_modes)"
-    )
+    return " Sets of type 55 are modes, a model and not a measurement: rcorefine.modal_model reads them"
+
+
+_MODE, _ANALYSES = 55, (2, 3, 7)  # normal modes, complex ones of first and of second order
+
+
+def read_uff_modes(path: Any) -> list[dict[str, Any]]:
+    """Modes (data sets of type 55) of a universal file."""
+    kinds, read = _sets_of(path, None, _MODE)
+    modes = [one for one in read if one is not None and one.get("analysis_type") in _ANALYSES]
+    if not modes:
+        raise DataError(f"{path} holds no modes (type 55 of a modal analysis); its sets are of types {kinds}")
+    return modes

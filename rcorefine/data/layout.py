@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from itertools import islice
 
 from ..exceptions import DataError
+from .clock_times import is_clock_time
 from .units import is_unit, split_unit
 
 __all__ = ["Layout", "find_layout", "rows_of"]
@@ -51,6 +52,10 @@ class Layout:
     decimal: str
     header: str
     units_line: int | None
+
+    def cells_of(self, line: str) -> dict[str, str]:
+        """What stands in a line in the columns asked for."""
+        return dict(zip(self.places, _asked(line, self.places, self.delimiter), strict=True))
 
     @property
     def text(self) -> str:
@@ -187,7 +192,7 @@ def _numbers_follow(
     row = _next(lines, index)
     if row is not None and _all_units(_asked(lines[row], places, split_at)):
         row = _next(lines, row + 1)
-    return row is not None and all(map(_NUMBER.fullmatch, _asked(lines[row], places, split_at)))
+    return row is not None and all(map(_is_value, _asked(lines[row], places, split_at)))
 
 
 def _first_numbers(
@@ -197,9 +202,13 @@ def _first_numbers(
     for index, line in enumerate(lines):
         for split_at in _DELIMITERS if delimiter is None else delimiter:
             row = _cells(line, split_at)
-            if len(row) == len(cells) and all(_NUMBER.fullmatch(row[place]) for place in places.values()):
+            if len(row) == len(cells) and all(_is_value(row[place]) for place in places.values()):
                 return index, split_at
     raise DataError(f"{here} has no line of {len(cells)} cells, as header= names, with numbers in them")
+
+
+def _is_value(cell: str) -> bool:
+    return _NUMBER.fullmatch(cell) is not None or is_clock_time(cell)
 
 
 def _next(lines: list[str], index: int) -> int | None:

@@ -41,8 +41,8 @@ class Measurement(Result, RecordReaders, RecordParts):
     dt : float, optional
         Sampling time in s. Either `dt` or `timepts` must be given.
     timepts : array_like of shape (N,), optional
-        Times in s. They must lie on a regular grid; rounding up to 2 % of a
-        sample is accepted and the regular grid is held.
+        Times in s, or dates. They must lie on a regular grid; rounding up to
+        2 % of a sample is accepted and the regular grid is held.
     hold : {"zoh", "foh", "bandlimited"}
         How the input runs between samples: constant (a D/A converter),
         straight lines, or band-limited (an analog input behind an

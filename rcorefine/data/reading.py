@@ -43,7 +43,7 @@ class RecordReaders(LabReaders):
         Parameters
         ----------
         path : str or path
-            Text file in UTF-8, or else in Latin-1 (Windows-1252); other
+            Text file in UTF-8, UTF-16 (with its mark), or else in Latin-1 (Windows-1252); other
             columns than those named are not looked at. Lines before the
             header are skipped; ``name:value`` pairs and the clock of a serial
             monitor (``12:00:01.250 ->``) are taken off.
@@ -52,7 +52,8 @@ class RecordReaders(LabReaders):
             "F [N]" in full, where the header says ``F [N]``.
         time : str, optional
             Column of times, in s or in the unit that its header names (ms,
-            min, ...); else give `dt`.
+            min, ...), or of a clock (``10:15:30.250 PM``) with or without the
+            date and the time zone; else give `dt`.
         dt : float, optional
             Sampling time in s.
         delimiter : str, optional

@@ -13,6 +13,7 @@ from scipy.signal import fftconvolve
 from ..arguments import as_array, as_choice, as_number
 from ..exceptions import DataError
 from ..systems.linear import Array
+from .clock_times import in_seconds
 from .signals import HOLDS, step_of
 
 __all__ = ["Resampled", "Stamped", "as_stamps", "checked_grid", "decimated", "regular"]
@@ -138,10 +139,7 @@ def as_stamps(values: Any, name: str) -> Array:
     DataError
         If one is missing, or there are fewer than four.
     """
-    dates = np.asarray(values) if isinstance(values, np.ndarray) else None
-    if dates is not None and dates.dtype.kind == "M" and dates.size:
-        values = (dates - dates.min()) / np.timedelta64(1, "s")
-    stamps = as_array(values, f"{name} (in seconds)", finite=False)
+    stamps = as_array(in_seconds(values), f"{name} (in seconds)", finite=False)
     if stamps.ndim != 1:
         raise ct.ControlDimension(f"{name} has shape {stamps.shape}; give one time per sample, shape (N,)")
     if not np.isfinite(stamps).all():
@@ -188,8 +186,8 @@ def regular(
     step = min(steps)
     dt = max(steps) if dt is None else dt
     factor = 1 if dt <= 1.1 * step else int(np.ceil(dt / step * (1 - 1e-9)))
-    ends = [*outputs, *(() if held else inputs)]
-    first, last = max(one.times[0] for one in [*inputs, *outputs]), min(one.times[-1] for one in ends)
+    first = _start(inputs, outputs, dt / factor, held)
+    last = min(one.times[-1] for one in [*outputs, *(() if held else inputs)])
     count = int(np.floor((last - first) / (dt / factor) * (1 + 1e-12))) + 1
     if last <= first or count < 2:
         spans = " and ".join(f"{s.name} ({s.times[0]:g} ... {s.times[-1]:g} s)" for s in [*inputs, *outputs])
@@ -201,7 +199,7 @@ def regular(
             f"dt = {dt:g} s makes {count} samples of stamps {step:.6g} s apart, and nothing is known between "
             "these; give a longer dt"
         )
-    grid = first + dt / factor * np.arange(count)
+    grid: Array = first + dt / factor * np.arange(count, dtype=float)
     fine_y = np.array([_spline(one.times, row, grid) for one in outputs for row in one.rows])
     at, through = grid, _spline
     how = "inputs: a cubic spline"
@@ -231,6 +229,20 @@ def regular(
     except DataError as reason:
         raise DataError(f"dt = {dt:g} s is too long for stamps {step:.6g} s apart: {reason}") from reason
     return slow._replace(dt=dt, notes=(*notes, *slow.notes))
+
+
+def _start(inputs: Sequence[Stamped], outputs: Sequence[Stamped], step: float, held: bool) -> float:
+    """First time of the grid, which lies where held inputs switch: so nothing of a switch is shared out."""
+    first = max(float(one.times[0]) for one in [*inputs, *outputs])
+    if not held:
+        return first
+    switches = [one.times[1:][np.diff(one.rows, axis=1).any(axis=0)] for one in inputs]
+    turns = (np.concatenate([*switches, [first]]) - first) / step
+    found = (
+        float(np.angle(np.mean(np.exp(2j * np.pi * turns[:-1])))) / (2.0 * np.pi) if turns.size > 1 else 0.0
+    )
+    share = found % 1.0
+    return first if share > 1.0 - 1e-6 else first + share * step  # rounding is no whole step
 
 
 def _in_order(signals: Stamped, last: bool, notes: list[str]) -> Stamped:

@@ -11,6 +11,7 @@ import numpy as np
 from ..arguments import as_array, as_number
 from ..exceptions import DataError
 from ..systems.linear import Array
+from .clock_times import in_seconds
 
 __all__ = ["HOLDS", "as_signals", "as_time_grid", "check_finite", "check_sizes", "default_labels", "step_of"]
 
@@ -177,7 +178,7 @@ def _check_regular(times: Array, steps: Array, mean: float) -> None:
 
 
 def _as_times(timepts: Any, n_samples: int) -> Array:
-    times = as_array(timepts, "timepts (in seconds)", finite=False)
+    times = as_array(in_seconds(timepts), "timepts (in seconds)", finite=False)
     if times.ndim == 2 and 1 in times.shape:
         times = times.ravel()
     if times.shape != (n_samples,):

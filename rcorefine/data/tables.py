@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from operator import methodcaller
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 from ..arguments import as_choice, as_text, as_texts, shown
 from ..exceptions import DataError
 from ..systems.linear import Array
+from .clock_times import is_clock_time, seconds_of
 from .columns import Columns
 from .layout import Layout, find_layout, rows_of
 from .serial_logs import unwrapped
@@ -34,7 +36,7 @@ def read_csv(
     Parameters
     ----------
     path : str or path
-        Text file in UTF-8, or else in Windows-1252 (which holds Latin-1).
+        Text file in UTF-8, in UTF-16 with its mark, or else in Windows-1252 (which holds Latin-1).
     names : sequence of str
         Columns to read; the others are not looked at.
     delimiter, decimal, header
@@ -43,7 +45,8 @@ def read_csv(
     Returns
     -------
     Columns
-        One array of shape (N,) per name, its units, and what was taken for what.
+        One array of shape (N,) per name, its units, and what was taken for what; times of a clock
+        or calendar are in seconds from the first.
 
     Raises
     ------
@@ -68,18 +71,29 @@ def read_csv(
         body.pop()
     if not body:
         raise DataError(f"{path} has a header but no data lines")
-    table = _by_numpy(body, layout)
-    if table is None:
-        found = list(_by_line(body, layout, f"{path}, line"))
-        table = np.array(found).T.copy()
+    here = f"{path}, line"
+    first = layout.cells_of(body[0])
+    clocks = {name: layout.places[name] for name, cell in first.items() if is_clock_time(cell)}
+    read = {}
+    for name, place in clocks.items():
+        read[name], how = _by_clock(body, layout, here, name, place)
+        more = (*more, f"{name!r} holds times of {how}")
+    layout = replace(layout, places={k: v for k, v in layout.places.items() if k not in clocks})
+    if layout.places:
+        table = _by_numpy(body, layout)
+        if table is None:
+            table = np.array(list(_by_line(body, layout, here))).T.copy()
+        read |= dict(zip(layout.places, table, strict=True))
     said = f"{Path(path).name}: " + "; ".join((layout.text, *notes, *more))
-    return Columns(dict(zip(names, table, strict=True)), layout.units, (said,))
+    return Columns({name: read[name] for name in names}, layout.units, (said,))
 
 
 def _text(path: Any) -> tuple[str, tuple[str, ...]]:
     """The file, and how it was decoded where that is not plain."""
     raw = Path(path).read_bytes()
     try:
+        if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+            return raw.decode("utf-16"), ("read as UTF-16",)
         if b"\0" in raw:
             raise DataError(f"{path} is not a text file in UTF-8 or Latin-1 (it holds zero bytes)")
         return raw.decode("utf-8-sig"), ()
@@ -117,6 +131,15 @@ def _by_numpy(body: list[str], layout: Layout) -> Array | None:
         return None
     whole = len(table) == len(body) and np.isfinite(table).all()
     return np.ascontiguousarray(table.T) if whole else None
+
+
+def _by_clock(body: list[str], layout: Layout, here: str, name: str, place: int) -> tuple[Array, str]:
+    """Seconds of a column of times of a clock, and how they were read."""
+    cells, places = [], []
+    for line, row in rows_of(body, layout.delimiter, here, layout.first):
+        cells.append(row[place].strip() if place < len(row) else "")
+        places.append(f"{here} {line}, column {name!r} ({place + 1})")
+    return seconds_of(cells, places)
 
 
 def _by_line(body: list[str], layout: Layout, here: str) -> Iterator[list[float]]:

@@ -142,8 +142,9 @@ class Effect:
                 number = as_number(value, where, error=ModelError)
                 if argument == "prior" and number <= 0:
                     raise ModelError(f"{where} is a standard deviation and must be positive, not {number}")
-                if argument == "fixed" and key in constants and number <= 0:
-                    raise ModelError(f"{where} must be positive, not {number}")
+                if argument == "fixed" and key in constants and not number > 0:
+                    if number or key not in self.spec.from_zero:
+                        raise ModelError(f"{where} must be positive, not {number}")
                 if argument != "prior" and key in coefficients:
                     lower, upper = self.bounds(key)
                     if not lower <= number <= upper:

@@ -93,6 +93,7 @@ class Radiation(PortLaw):
         Coefficient("radiation", "force/velocity^4", explanation="emissivity times area times 5.67e-8"),
     )
     constants = MappingProxyType({"temperature": 293.15})
+    from_zero = frozenset(["temperature"])  # of a state that is an absolute temperature itself
     formula = "f = t ((T0 + x)^4 - T0^4), T0 the absolute `temperature` where x = 0"
     explanation = "Heat is radiated at {place}, by the fourth power of the absolute temperature."
     on_request = True  # only who knows that the state is a temperature can say so

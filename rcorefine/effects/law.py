@@ -1,7 +1,6 @@
 """What a law is: its words, its coefficients, and all that the rest of the package asks of it.
 
-Sign convention at a port: f is the resisting force, so a positive coefficient means more resistance
-(stiffness, damping, friction), and damage is negative.
+Sign convention at a port: f is the resisting force: a positive coefficient resists, and damage is negative.
 """
 
 from __future__ import annotations
@@ -105,7 +104,7 @@ class Law:
         Numbers to estimate.
     constants : mapping
         Names of numbers that are never estimated, with their default; None is
-        chosen from the data. They can be set through ``Effect(..., fixed=...)``.
+        chosen from the data. ``Effect(..., fixed=...)`` sets them: positive, those in `from_zero` zero too.
     linear : bool
         Whether the refined model stays linear with constant coefficients.
     formula : str
@@ -175,6 +174,7 @@ class Law:
     where: ClassVar[frozenset[str]]
     coefficients: tuple[Coefficient, ...]
     constants: ClassVar[Mapping[str, float | None]] = MappingProxyType({})
+    from_zero: ClassVar[frozenset[str]] = frozenset()
     linear: ClassVar[bool] = False
     formula: ClassVar[str]
     explanation: ClassVar[str]

@@ -43,7 +43,8 @@ def realized(transfer: ct.TransferFunction) -> ct.StateSpace:
     ['x', 'x_rate']
     """
     try:
-        system = ct.ss(transfer, name=transfer.name)
+        one = transfer.ninputs * transfer.noutputs == 1
+        system = _companion(transfer) if one else ct.ss(transfer, name=transfer.name)
     except (ct.ControlMIMONotImplemented, ct.ControlSlycot, ValueError, TypeError) as error:
         raise ModelError(
             f"transfer function {transfer.name!r} has no state space here ({error}); "
@@ -58,6 +59,22 @@ def realized(transfer: ct.TransferFunction) -> ct.StateSpace:
         stacklevel=2,
     )
     return system
+
+
+def _companion(transfer: ct.TransferFunction) -> ct.StateSpace:
+    """Controllable canonical form of all its coefficients; `scipy.signal.tf2ss` drops small leading ones."""
+    (num,), (den,) = (np.trim_zeros(np.ravel(part), "f")[None] for part in ct.tfdata(transfer))
+    n = den.size - 1
+    if num.size > n + 1:
+        raise ValueError("it is non-proper: its numerator is of the higher degree")
+    num = np.concatenate([np.zeros(n + 1 - num.size), num]) / den[0]
+    den = den / den[0]
+    A = np.eye(n, k=-1)
+    A[:1] = -den[1:]
+    return ct.ss(
+        A, np.eye(n, 1), (num[1:] - num[0] * den[1:])[None], num[0], transfer.dt,
+        inputs=transfer.input_labels, outputs=transfer.output_labels, name=transfer.name,
+    )  # fmt: skip
 
 
 def _by_output(system: ct.StateSpace) -> ct.StateSpace:
