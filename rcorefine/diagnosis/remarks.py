@@ -10,6 +10,7 @@ from ..inference.covariance import wald
 from ..inference.descent import descend
 from ..inference.fitted import FittedModel, coefficient_covariance
 from ..inference.levels import Levels
+from ..inference.refinement import EstimatedParameter, Refinement
 from ..inference.sensitivities import Candidate
 from ..systems.linear import Array
 from ..words import chance, with_error
@@ -94,12 +95,19 @@ def not_known(race: CandidateFits, levels: Levels) -> str:
     refinement = race.model().refinement
     rows = estimates(refinement, effect)
     sizes = [row for name, row in rows.items() if name not in effect.spec.shaping] or list(rows.values())
-    at = [refinement.parameters.index(row) for row in sizes]
-    values = np.array([row.coefficient for row in sizes])
-    if not at or wald(values, refinement.covariance[np.ix_(at, at)]) <= levels.known:
+    asked = [sizes, *([rows[name]] for name in effect.spec.essential if name in rows)]
+    unknown = next((group for group in asked if group and not _known(refinement, group, levels)), None)
+    if unknown is None:
         return ""
-    found = ", ".join(with_error(row.coefficient, row.std) for row in sizes)
+    found = ", ".join(with_error(row.coefficient, row.std) for row in unknown)
     return f"{effect.label} would pass, but the record does not determine it ({found}): it is not named."
+
+
+def _known(refinement: Refinement, rows: Sequence[EstimatedParameter], levels: Levels) -> bool:
+    """Whether estimates are together more than chance."""
+    at = [refinement.parameters.index(row) for row in rows]
+    values = np.array([row.coefficient for row in rows])
+    return wald(values, refinement.covariance[np.ix_(at, at)]) <= levels.known
 
 
 def fit_remarks(race: CandidateFits) -> list[str]:

@@ -64,6 +64,7 @@ class HiddenMode(AbsorbedLaw):
     linear = True
     needs = frozenset(["velocity"])
     inner_states = 2
+    essential = ("mass", "stiffness")
     senses = frozenset({"position", "velocity", "acceleration"})
     belongs_to = "mass"
     states = ("stretch", "velocity")

@@ -144,6 +144,9 @@ class Law:
         Linear laws that it contains, which do not float beside it.
     contains : mapping of str to mapping
         Laws that are special cases of it, each with the shape at which it is that law.
+    essential : tuple of str
+        Coefficients each of which the record must determine for the law to be named: with any of them unknown
+        it is another law and a constant, which the start of its own state holds.
     with_offset : str
         Law that it equals together with a constant offset at the place.
     jumps : bool
@@ -194,6 +197,7 @@ class Law:
     on_request: ClassVar[bool] = False
     covers: ClassVar[tuple[str, ...]] = ()
     contains: ClassVar[Mapping[str, Mapping[str, float]]] = MappingProxyType({})
+    essential: ClassVar[tuple[str, ...]] = ()
     with_offset: ClassVar[str] = ""
     jumps: ClassVar[bool] = False
     turns: ClassVar[bool] = False

@@ -37,6 +37,7 @@ class MaxwellElement(AbsorbedLaw):
     contains = MappingProxyType({"stiffness": {"time_constant": inf}, "damping": {"time_constant": 0.0}})
     needs = frozenset(["velocity"])
     inner_states = 1
+    essential = ("stiffness", "time_constant")
     belongs_to = "stiffness"
     states = ("stretch",)
     secant = True
@@ -78,6 +79,7 @@ class HiddenStore(AbsorbedLaw):
     contains = MappingProxyType({"mass": {"damping": inf}, "damping": {"mass": inf}})
     needs = frozenset(["velocity"])
     inner_states = 1
+    essential = ("mass", "damping")
     belongs_to = "mass"
     states = ("level",)
     secant = True
