@@ -160,9 +160,9 @@ class InputDeadzone(InputLaw):
         return w - side * threshold, 1.0, -side
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
-        """Levels that the input often crosses."""
+        """Levels that the input often crosses, and one below: it may have two levels alone."""
         w = np.abs(seen.signal[seen.signal != 0])
-        levels = np.quantile(w, [0.05, 0.2, 0.4, 0.6]) if w.size else [0.1]
+        levels = np.quantile(w, [0.2, 0.2, 0.4, 0.6]) * [0.5, 1.0, 1.0, 1.0] if w.size else [0.1]
         return [{"threshold": float(q)} for q in levels]
 
 
@@ -191,8 +191,9 @@ class InputSaturation(InputLaw):
         return side * limit, 0.0, side
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
-        """Limits that the input reaches."""
-        return [{"limit": float(q)} for q in np.quantile(np.abs(seen.signal), [0.97, 0.85, 0.6])]
+        """Limits that the input reaches, and one below: it may have two levels alone."""
+        levels = np.quantile(np.abs(seen.signal), [0.97, 0.85, 0.6]) * [1.0, 1.0, 0.7]
+        return [{"limit": float(q)} for q in levels]
 
 
 @register
