@@ -25,6 +25,11 @@ def plants() -> list[rco.PhysicalModel]:
     ]
 
 
+def tested(path: Path) -> ct.StateSpace:
+    """Modes of a hammer test."""
+    return rco.modal_model(path, "7:3", sensors="acceleration")
+
+
 def door(model: rco.PhysicalModel, data: rco.Measurement) -> list[str]:
     """What is odd, and where effects could act."""
     looked: rco.Check = rco.check(model, data)

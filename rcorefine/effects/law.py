@@ -31,8 +31,7 @@ class Coefficient:
     lower, upper : float
         Bounds that physics sets, infinite where it sets none.
     default_start : float or None
-        Value to start an estimate from; None where it must be found from data, because the error
-        does not feel the coefficient there or has several valleys.
+        Value to start an estimate from; None where it must be found from data.
     explanation : str
         What the number means.
     shapes : bool
@@ -98,13 +97,11 @@ class Law:
     name : str
         Name, as in ``Effect("coulomb_friction", "link2")``: that of the class.
     where : frozenset of str
-        Kinds of places: ``"mechanical"``, ``"first_order"`` (ports),
-        ``"input"``, ``"output"`` (channels), ``"any"`` (an entry of A, or any port).
+        ``"mechanical"``, ``"first_order"`` (ports), ``"input"``, ``"output"``, ``"any"`` (entry of A, port).
     coefficients : tuple of Coefficient
         Numbers to estimate.
     constants : mapping
-        Names of numbers that are never estimated, with their default; None is
-        chosen from the data. ``Effect(..., fixed=...)`` sets them: positive, those in `from_zero` zero too.
+        Numbers never estimated, by default from the data (None); ``fixed=`` sets them (`from_zero`: also 0).
     linear : bool
         Whether the refined model stays linear with constant coefficients.
     formula : str
@@ -145,8 +142,7 @@ class Law:
     contains : mapping of str to mapping
         Laws that are special cases of it, each with the shape at which it is that law.
     essential : tuple of str
-        Coefficients each of which the record must determine for the law to be named: with any of them unknown
-        it is another law and a constant, which the start of its own state holds.
+        Coefficients each of which the record must determine: else it is another law and a constant.
     with_offset : str
         Law that it equals together with a constant offset at the place.
     jumps : bool
@@ -154,7 +150,7 @@ class Law:
     turns : bool
         Whether the force depends on the direction of the motion.
     width_share : float or None
-        Width over which a jump or a root is smoothed, as a share of the rms velocity; None for none.
+        Width of a smoothed jump or root, as a share of the rms velocity; None for none.
     secant : bool
         Whether its effect is a difference from where it starts: it has no value at which it is absent.
     needs_law : bool
@@ -164,7 +160,7 @@ class Law:
     delays : bool
         Whether it shifts its signal in time.
     drifts : tuple of str
-        Coefficients that are shares by which the inputs' clock runs ahead of the record's.
+        Shares by which the inputs' clock runs ahead of the record's.
     of_record : bool
         Whether it is a fault of the record as a whole, which `diagnose` asks for itself.
     signal : str

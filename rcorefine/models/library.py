@@ -80,7 +80,7 @@ def effect_library(
     >>> from rcorefine import dc_motor
     >>> motor = dc_motor(gain=2.0, time_constant=0.5, inputs="voltage")
     >>> library = effect_library(motor, places="voltage")
-    >>> print(library[4].explanation)
+    >>> print(library[5].explanation)
     The input voltage has a dead zone: small values do nothing, and larger ones lose that much.
     """
     physical = as_physical(model, dt=dt)

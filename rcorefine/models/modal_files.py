@@ -104,6 +104,9 @@ def modal_model(
     """
     path = as_path(path)
     wanted = [as_texts(inputs, "inputs"), () if outputs is None else as_texts(outputs, "outputs")]
+    for what, names in zip(("inputs", "outputs"), wanted, strict=True):
+        if len(set(names)) < len(names):
+            raise ct.ControlArgument(f"{what} must be different degrees of freedom, not {', '.join(names)}")
     as_choice(sensors, "sensors", _SENSORS)
     if name is not None:
         as_text(name, "name", empty=False)
