@@ -59,7 +59,7 @@ def in_seconds(values: Any) -> Any:
     if times.ndim != 1 or not times.size:
         return values
     if times.dtype.kind == "M":
-        times = times - times[np.argmin(np.where(np.isnat(times), np.datetime64("9999"), times))]
+        times = times - np.fmin.reduce(times)  # the earliest that is none of NaT
     if times.dtype.kind == "m":
         return times / np.timedelta64(1, "s")
     cells = times.tolist()
