@@ -117,3 +117,20 @@ def test_a_delay_gains_nothing_by_what_it_hides():
     problem = Problem(structure, [data], np.ones(1), **free)
     costs = [problem.cost(problem.pack(np.array([d]), np.zeros((1, 1)))) for d in (0.0, 1.0, 10.0, 90.0)]
     np.testing.assert_allclose(costs, 200.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize("late", [3, 30])
+def test_a_dead_time_of_one_path_is_found_and_its_end_left_open(rng, late):
+    """Through one input and one output of a linear plant it acts alike at either end."""
+    n, before, tau = 240, 200, 12.0
+    u = np.repeat(rng.uniform(-1, 1, (n + before) // 8), 8)
+    y, kept = np.zeros(u.size), np.exp(-1 / tau)
+    for k in range(1, u.size):
+        y[k] = kept * y[k - 1] + (1 - kept) * 2.0 * u[max(k - 1 - late, 0)]
+    y, u = y[before:], u[before:]
+    model = ct.ss([[-1 / tau]], [[2 / tau]], [[1]], 0, inputs="heat", outputs="T", states="T")
+    noisy = y + 0.02 * y.std() * rng.standard_normal(n)
+    found = rco.diagnose(model, rco.Measurement(u, noisy, dt=1.0, input_labels="heat", output_labels="T"))
+    assert found.verdict == "ambiguous"
+    assert {e.kind for e in found.ambiguous} == {"input_delay", "output_delay"}
+    assert abs(found.best.coefficients["delay"] - late) < 4 * found.best.std["delay"] + 1e-3

@@ -96,19 +96,19 @@ def shortlist(
     for battery in batteries:
         tests = battery.each(candidates)
         scores.append(tests)
-        order = sorted(range(len(tests)), key=lambda i: _rank(tests[i]))
+        order = sorted(range(len(tests)), key=lambda i: (tests[i].p_value, -tests[i].statistic))
         chosen += order[:_SHORT]
         chosen += sorted(order, key=lambda i: tests[i].p_equal)[: _SHORT // 2]  # what acts on few samples
         place = candidates[order[0]].effect.place
         chosen += [i for i, c in enumerate(candidates) if c.effect.place == place]
     chosen += [i for i, c in enumerate(candidates) if c.effect.spec.of_record]
+    linear = batteries[0].fitted.structure.linear_model
+    if linear.B.shape[1] == linear.C.shape[0] == 1:  # what is linear acts alike at either end of one path
+        path = [i for i, c in enumerate(candidates) if c.effect.spec.at_channel and c.effect.spec.linear]
+        chosen += path if set(path) & set(chosen) else []
     if not batteries[0].fitted.problem.in_time:  # no score is right for a peak that moved by its width
         chosen += [i for i, c in enumerate(candidates) if c.effect.spec.linear or c.effect.spec.delays]
     return list(dict.fromkeys(chosen)), scores[0]
-
-
-def _rank(test: FTest) -> tuple[float, float]:
-    return test.p_value, -test.statistic
 
 
 def fit_candidates(

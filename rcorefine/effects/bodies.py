@@ -10,7 +10,8 @@ import numpy as np
 
 from ..systems.linear import Array
 from .absorbed import AbsorbedLaw, Assembly, Site
-from .law import Coefficient, Seen, positive, register
+from .law import Coefficient, positive, register
+from .seen import Seen
 
 
 @register

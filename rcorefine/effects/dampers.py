@@ -10,7 +10,8 @@ from typing import Any
 from .absorbed import AbsorbedLaw, Assembly, Site, nominal_is_left
 from .flows import ROOT_WIDTH
 from .formula import PortLaw
-from .law import Coefficient, Seen, positive, register
+from .law import Coefficient, positive, register
+from .seen import Seen
 
 
 @register

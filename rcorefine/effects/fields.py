@@ -9,7 +9,8 @@ from types import MappingProxyType
 import numpy as np
 
 from .formula import PortLaw
-from .law import Coefficient, Seen, positive, register
+from .law import Coefficient, positive, register
+from .seen import Seen
 
 
 @register

@@ -8,7 +8,8 @@ from types import MappingProxyType
 import numpy as np
 
 from .formula import PortLaw
-from .law import Coefficient, Seen, register
+from .law import Coefficient, register
+from .seen import Seen
 
 ROOT_WIDTH = 1e-3  # of the rms level: a root has no slope at zero
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from .formula import PortLaw
 from .friction import SEEN_TO_FADE, SIGN_WIDTH
-from .law import Coefficient, Seen, positive, register
+from .law import Coefficient, positive, register
+from .seen import Seen
 
 
 @register

@@ -1,6 +1,7 @@
 """What a law is: its words, its coefficients, and all that the rest of the package asks of it.
 
-Sign convention at a port: f is the resisting force: a positive coefficient resists, and damage is negative.
+Sign convention at a port: f is the resisting force, so a positive coefficient means more resistance
+(stiffness, damping, friction), and damage is negative.
 """
 
 from __future__ import annotations
@@ -11,11 +12,12 @@ from dataclasses import dataclass
 from functools import cache
 from math import inf
 from types import MappingProxyType
-from typing import Any, ClassVar, Protocol, TypeVar, cast
+from typing import Any, ClassVar, TypeVar, cast
 
 from ..systems.linear import Array
+from .seen import Seen
 
-__all__ = ["KINDS", "Coefficient", "Law", "Seen", "instance_of", "positive", "register"]
+__all__ = ["KINDS", "Coefficient", "Law", "instance_of", "positive", "register"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +33,8 @@ class Coefficient:
     lower, upper : float
         Bounds that physics sets, infinite where it sets none.
     default_start : float or None
-        Value to start an estimate from; None where it must be found from data.
+        Value to start an estimate from; None where it must be found from data, because the error
+        does not feel the coefficient there or has several valleys.
     explanation : str
         What the number means.
     shapes : bool
@@ -55,40 +58,6 @@ def positive(name: str, unit_rule: str, explanation: str, *, lower: float = 0.0,
     return Coefficient(name, unit_rule, lower, default_start=None, explanation=explanation, **more)
 
 
-class Seen(Protocol):
-    """What a record tells about a place, for the starts of a law's coefficients."""
-
-    dt: float
-
-    @property
-    def signal(self) -> Array:
-        """Record of the channel, shape (N,)."""
-
-    @property
-    def d(self) -> Array:
-        """Displacement at the port."""
-
-    @property
-    def v(self) -> Array:
-        """Velocity at the port."""
-
-    @property
-    def peaks(self) -> Array:
-        """Frequencies in rad/s of the highest peaks of what the model leaves of the outputs."""
-
-    @property
-    def drifts(self) -> Sequence[float]:
-        """Share of the time by which the lag of the outputs behind the free run grows, where it is seen."""
-
-    @property
-    def pull(self) -> float:
-        """Rms force that accelerates the port, 1 where it moves nothing."""
-
-    @property
-    def mobility(self) -> float:
-        """Largest acceleration per force at the port."""
-
-
 class Law:
     """A law that can be missing from a model.
 
@@ -97,11 +66,13 @@ class Law:
     name : str
         Name, as in ``Effect("coulomb_friction", "link2")``: that of the class.
     where : frozenset of str
-        ``"mechanical"``, ``"first_order"`` (ports), ``"input"``, ``"output"``, ``"any"`` (entry of A, port).
+        Kinds of places: ``"mechanical"``, ``"first_order"`` (ports),
+        ``"input"``, ``"output"`` (channels), ``"any"`` (an entry of A, or any port).
     coefficients : tuple of Coefficient
         Numbers to estimate.
     constants : mapping
-        Numbers never estimated, by default from the data (None); ``fixed=`` sets them (`from_zero`: also 0).
+        Names of numbers that are never estimated, with their default; None is
+        chosen from the data. ``Effect(..., fixed=...)`` sets them: positive, those in `from_zero` zero too.
     linear : bool
         Whether the refined model stays linear with constant coefficients.
     formula : str
@@ -142,7 +113,8 @@ class Law:
     contains : mapping of str to mapping
         Laws that are special cases of it, each with the shape at which it is that law.
     essential : tuple of str
-        Coefficients each of which the record must determine: else it is another law and a constant.
+        Coefficients each of which the record must determine for the law to be named: with one of them unknown
+        it is another law and a constant, which the unknown start of its own state holds.
     with_offset : str
         Law that it equals together with a constant offset at the place.
     jumps : bool
@@ -150,7 +122,7 @@ class Law:
     turns : bool
         Whether the force depends on the direction of the motion.
     width_share : float or None
-        Width of a smoothed jump or root, as a share of the rms velocity; None for none.
+        Width over which a jump or a root is smoothed, as a share of the rms velocity; None for none.
     secant : bool
         Whether its effect is a difference from where it starts: it has no value at which it is absent.
     needs_law : bool
@@ -160,7 +132,7 @@ class Law:
     delays : bool
         Whether it shifts its signal in time.
     drifts : tuple of str
-        Shares by which the inputs' clock runs ahead of the record's.
+        Coefficients that are shares by which the inputs' clock runs ahead of the record's.
     of_record : bool
         Whether it is a fault of the record as a whole, which `diagnose` asks for itself.
     signal : str

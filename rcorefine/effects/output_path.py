@@ -10,7 +10,8 @@ import numpy as np
 
 from .absorbed import AbsorbedLaw, Assembly, Site
 from .formula import FADED, OutputLaw
-from .law import Coefficient, Seen, positive, register
+from .law import Coefficient, positive, register
+from .seen import Seen, delays
 
 
 @register
@@ -63,8 +64,8 @@ class OutputDelay(OutputLaw):
         return values[0] / dt
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
-        """A few samples."""
-        return [{"delay": q * seen.dt} for q in (0.5, 2.5, 6.0)]
+        """A few samples, or as many as the outputs come late."""
+        return delays(seen)
 
 
 @register

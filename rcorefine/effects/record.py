@@ -7,7 +7,8 @@ from types import MappingProxyType
 from typing import Any
 
 from .absorbed import AbsorbedLaw, Assembly, Site
-from .law import Coefficient, Seen, register
+from .law import Coefficient, register
+from .seen import Seen
 
 
 @register

@@ -12,7 +12,8 @@ from scipy.signal import lfilter
 
 from ..systems.linear import Array
 from .absorbed import AbsorbedLaw, Assembly, Site
-from .law import Seen, positive, register
+from .law import positive, register
+from .seen import Seen
 
 _SMALL = 0.03  # of the force that moves the port, to start from
 _PACES = (1.0, 4.0, 0.25)  # time constants, over that of the motion

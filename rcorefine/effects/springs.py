@@ -11,7 +11,8 @@ import numpy as np
 
 from .absorbed import AbsorbedLaw, Assembly, Site, nominal_is_left
 from .formula import PortLaw
-from .law import Coefficient, Seen, positive, register
+from .law import Coefficient, positive, register
+from .seen import Seen
 
 
 @register

@@ -31,7 +31,8 @@ _FAR = 1e12  # times the largest value of an output in the record: no model of i
 _RUNS_AWAY = 100.0  # times: from there on the motion tells of the growth only
 _BEYOND = 1e100  # nor any state here, whatever its unit
 _WHOLE = 0.05  # of a sample by which an estimated delay may exceed a whole number and count as one
-_HIDDEN = 0.1  # of a record, at most: a law that may leave out more explains what is odd by looking away
+# share of a record that may hang on what was before it; of later windows a law could choose what to hide
+_HIDDEN, _HIDDEN_LATER = 0.5, 0.1
 _NODES_FOR_DELAY = 8  # nodes per sample where an output is interpolated, or edges of inputs fall between them
 
 
@@ -238,7 +239,8 @@ class Engine:
             if isinstance(law, InputLaw | OutputLaw) and not self._known_start:
                 values = [float(s.value(theta, index, name)) for name in law.coefficient_names]
                 count = law.unseen(self.data.dt, *values)
-                hidden = at < np.ceil(np.clip(count - _WHOLE, 0.0, _HIDDEN * at.size))
+                most = _HIDDEN_LATER if self.data.elapsed else _HIDDEN
+                hidden = at < np.ceil(np.clip(count - _WHOLE, 0.0, most * at.size))
                 labels = s.linear_model.output_labels
                 everywhere = isinstance(law, InputLaw)
                 found[slice(None) if everywhere else labels.index(effect.place)] &= ~hidden

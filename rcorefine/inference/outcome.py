@@ -101,7 +101,10 @@ def _unmoved(problem: Problem, point: Array) -> Array:
     if not (evaluation.finite and np.isfinite(jacobian).all()):
         return point
     home = problem.pack(problem.prior_mean, np.zeros((len(problem.records), problem.n_states)))
-    found = problem.inside(unmoved(jacobian.T @ jacobian, point, home))
+    found = unmoved(jacobian.T @ jacobian, point, home)
+    if np.array_equal(found, point):
+        return point
+    found = problem.inside(found)
     flat = problem.cost(found) <= problem.cost(point) * (1.0 + _FLAT)
     return found if flat else point
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
@@ -19,14 +18,13 @@ from ..engine.response_engine import channel_signal, engine_on, port_phasors, sa
 from ..engine.structure import Structure
 from ..models.operating_point import sensed
 from ..systems.linear import Array
+from .lags import common_lag, growing_lags
 from .problem import Problem
 
 __all__ = ["Motion", "estimated_motion", "far_starts", "law_widths", "shape_starts"]
 
 _AT_REST = 0.01  # of the largest rms velocity among several records
 _MOST_STARTS = 24
-_MOST_DRIFT, _DRIFTS = 0.02, 300  # share by which clocks may run apart, and how many are tried on each side
-_SLIP = 0.5  # radians at the end of the record from one to the next
 
 
 class Motion:
@@ -208,6 +206,12 @@ class _Seen:
         return np.asarray(frequency[found[np.argsort(info["prominences"])[::-1][:3]]])
 
     @property
+    def lag(self) -> float:
+        if isinstance(self._motion.data, ResponseRecord):
+            return 0.0
+        return common_lag(Structure(self._structure.model), self._motion.data)
+
+    @property
     def drifts(self) -> list[float]:
         if isinstance(self._motion.data, ResponseRecord):
             return []
@@ -222,46 +226,6 @@ class _Seen:
     @property
     def mobility(self) -> float:
         return float(np.abs(self._structure.model.port(self._place).act).max())
-
-
-def growing_lags(structure: Structure, records: Sequence[Measurement]) -> list[float]:
-    """Share of the time by which outputs come ahead of the free run, the best of a scan.
-
-    A phase that slips by more than half a period leaves a fit no gradient, so every share is tried.
-
-    Parameters
-    ----------
-    structure : Structure
-        Model.
-    records : sequence of Measurement
-        Records.
-
-    Returns
-    -------
-    list of float
-        Empty where the free run does not move, or has no bounds.
-    """
-    pairs = []
-    for record in records:
-        run = Engine(structure, record).run(np.zeros(structure.n_parameters), sensitivity=False, check=False)
-        if run.blew_up >= 0 or not np.isfinite(run.outputs).all():
-            return []
-        passed = record.elapsed + record.dt * np.arange(record.n_samples)
-        pairs += [(passed, y, free) for y, free in zip(record.outputs, run.outputs, strict=True)]
-    slips = [float(t[-1] * np.std(np.gradient(x, t)) / np.std(x)) for t, _, x in pairs if np.ptp(x) > 0]
-    if not slips:
-        return []
-    step = _SLIP / max(slips)
-    most = min(int(_MOST_DRIFT / step), _DRIFTS)
-    tried = step * np.arange(-most, most + 1)
-    alike = [sum(_correlation(y, np.interp(t * (1 + s), t, x)) for t, y, x in pairs) for s in tried]
-    return [float(tried[int(np.argmax(alike))])]
-
-
-def _correlation(one: Array, other: Array) -> float:
-    one, other = one - one.mean(), other - other.mean()
-    size = float(np.linalg.norm(one) * np.linalg.norm(other))
-    return float(one @ other) / max(size, 1e-300)
 
 
 def far_starts(problem: Problem, structure: Structure, theta: Array) -> list[Array]:
