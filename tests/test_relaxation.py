@@ -75,3 +75,19 @@ def test_a_wall_that_stores_heat(rng):
     assert abs(damping.value - 0.9) < 4 * damping.std
     # offsets of heat and surroundings act alike: what of them no record sees stays where it was
     assert all(abs(q.value) < 1.0 for q in fitted.parameters if q.role == "offset")
+
+
+def test_nothing_is_named_that_moves_the_free_run_away():
+    """Squeezed, a spring stiffens; pulled, it lets go: in time the mass is gone, and no law tells where."""
+    rng, model = np.random.default_rng(2), rco.mass_spring_damper([3.0], [4.0], [700.0])
+    push = 25.0 * np.repeat(rng.uniform(-1, 1, 117), 6)[:700]
+
+    def rate(x, k):
+        missing = 30.0 * (np.expm1(x[0] / 0.03) - x[0] / 0.03)
+        return np.array([x[1], (push[k] - 700.0 * x[0] - 4.0 * x[1] - missing) / 3.0])
+
+    d = marched(rate, np.zeros(2), 700, 0.01, inner=12)[:, 0]
+    assert np.abs(d).max() > 1e20
+    noisy = d + 0.01 * d.std() * rng.standard_normal(700)
+    found = rco.diagnose(model, rco.Measurement(push, noisy, dt=0.01, input_labels=model.linear.input_labels))
+    assert found.verdict == "unexplained"

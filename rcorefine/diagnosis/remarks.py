@@ -21,6 +21,7 @@ from .residual_tests import TestedResidual
 __all__ = ["amplitude_test", "fit_remarks", "not_known", "remarks"]
 
 _SHOWN = 8  # rows of the ranking that are printed
+_RISEN = 0.02  # log of the error: what explains a record does not move the free run away from it
 _OTHER_AMPLITUDE = 1.3  # rms of the inputs over that of another record
 
 
@@ -98,9 +99,18 @@ def not_known(race: CandidateFits, levels: Levels) -> str:
     asked = [sizes, *([rows[name]] for name in effect.spec.essential if name in rows)]
     unknown = next((group for group in asked if group and not _known(refinement, group, levels)), None)
     if unknown is None:
-        return ""
+        if race.ratio or _rise(race.fitted.refinement.fit, refinement.fit) <= _RISEN:
+            return ""
+        return f"{effect.label} would pass, but the free run is further off with it: it is not named."
     found = ", ".join(with_error(row.coefficient, row.std) for row in unknown)
     return f"{effect.label} would pass, but the record does not determine it ({found}): it is not named."
+
+
+def _rise(before: Array, after: Array) -> float:
+    """By how much the log of the error is larger, as a mean over the outputs that have a fit."""
+    told = np.isfinite(before) & np.isfinite(after)
+    left, more = (np.maximum(100.0 - fit[told], 1e-9) for fit in (before, after))
+    return float(np.mean(np.log(more / left))) if told.any() else 0.0
 
 
 def _known(refinement: Refinement, rows: Sequence[EstimatedParameter], levels: Levels) -> bool:
