@@ -17,6 +17,7 @@ from .structure import Structure
 
 __all__ = ["brief_modes", "estimate_initial_state"]
 
+_RATIOS = (0.1, 0.01)  # observer gains on the way to the free run, high to low
 _BRIEF = 0.63  # what is left of a mode after a sample, if a hundredth is left after ten
 _TELLS = 0.5  # of the spread of an output that the free run from rest may leave, if the model's modes count
 _WIDE = 1000.0  # standard deviations of how a brief mode starts, over the largest motion that it shows
@@ -108,7 +109,7 @@ def estimate_initial_state(
         calm[engine.structure.port_columns] = 0.0  # without its nonlinear forces: a safe first guess
     prior = np.zeros((0, engine.structure.n_states))
 
-    def rows(theta: Array, point: Array) -> Rows:
+    def rows(theta: Array, point: Array, gain: Array | None = gain) -> Rows:
         run = engine.run(theta, point, sensitivity=False, initial_state=True, gain=gain, use=use, check=False)
         error = (weights * (run.outputs - engine.data.outputs)).ravel()
         slopes = (weights[:, :, None] * run.sensitivity).reshape(error.size, -1)
@@ -128,4 +129,15 @@ def estimate_initial_state(
         found = linear()
     if engine.structure.is_linear:
         return found.point
-    return descend(partial(rows, theta), found.point, evaluations=20).point
+    whole = partial(rows, theta)
+    # where the linear part alone explains little, its start may lie beyond every motion: rest is nearer then
+    nearer = min(found.point, rest, key=lambda point: _square(whole(point).residual))
+    for ratio in _RATIOS if gain is None else ():  # a free run far off has valleys; one that is led has few
+        lead = observer_gain(engine.structure, theta, engine.data, ratio)
+        if np.isfinite(lead).all():
+            nearer = descend(partial(rows, theta, gain=lead), nearer, evaluations=12).point
+    return descend(whole, nearer, evaluations=40).point
+
+
+def _square(residual: Array) -> float:
+    return float(residual @ residual)
