@@ -148,6 +148,11 @@ class FormulaLaw(Law):
         return 0.0
 
     @property
+    def moves_on(self) -> bool:
+        """Whether what comes out of it moves on between samples while its signal is held."""
+        return "held" in self.arguments and "held" in self.signals
+
+    @property
     def feels_time(self) -> bool:
         """Whether the formula takes the time between the values of its signal."""
         return "step" in self.arguments and "step" in self.signals

@@ -265,9 +265,9 @@ class InputRateLimit(InputLaw):
 
     It moves towards the command at that rate until it has reached it. Before the record it stands at the
     command's first value (at zero where the initial state is given as zero). Between samples the command
-    is what the record's hold says. A held one is chased over the sample, and what acts is the mean over the
-    sample: exact but for what the model tells apart within a sample. Else it runs in straight lines
-    between the nodes of the engine, exact at them but for where it turns between two.
+    is what the record's hold says. A held one is chased over the sample, and what acts are straight lines
+    over the substeps of the engine: exact but for how it turns within one. Else it runs in straight lines
+    between their nodes, exact at them but for where it turns between two.
     """
 
     where = frozenset(["input"])

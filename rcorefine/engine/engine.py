@@ -183,9 +183,9 @@ class Engine:
                 )
             return _trajectory(Yout, np.zeros((N, ny, p + n if apart else p)), X, F, 0)
         arguments: list[Any] = [
-            *at.substep, *at.laws, drive.W, drive.nodes, drive.Wout, dW, dWout, driven, self._measured, flags,
-            K, self._resets, *at.outputs, x, np.zeros(s.n_ports + ny), S, self.substeps, Yout, SY, X, F,
-            _BEYOND, *at.field,
+            *at.substep, *at.laws, drive.W, drive.course, drive.Wout, dW, dWout, driven, self._measured,
+            flags, K, self._resets, *at.outputs, x, np.zeros(s.n_ports + ny), S, self.substeps, Yout, SY, X,
+            F, _BEYOND, *at.field,
         ]  # fmt: skip
         with np.errstate(all="ignore"):  # it notices what overflows; plain Python is as silent as compiled
             blew_up = kernels.march(*arguments)

@@ -52,10 +52,14 @@ def interpolate_band_limited(w: Array, factor: int) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drive:
-    """Input nodes of all substeps, values at the samples, and their derivatives."""
+    """Inputs over all substeps, values at the samples, and their derivatives.
+
+    `course` says how a substep finds its own in W, as `march` takes it: 0 held, a row each; 1 straight from
+    its row to the next; 2 straight between two rows of its own.
+    """
 
     W: Array
-    nodes: bool
+    course: int
     Wout: Array
     dW: Array
     dWout: Array
@@ -102,8 +106,9 @@ class InputSignal:
         self._base = np.ascontiguousarray(np.vstack([held, np.ones((1, held.shape[1]))]).T)
         self._base_out = np.ascontiguousarray(np.vstack([inputs, np.ones((1, n))]).T)
         empty, none = np.zeros((0, *self._base.shape)), np.zeros((0, *self._base_out.shape))
-        nodes, driven = self._fine is not None, np.zeros(0, dtype=np.int64)
-        self._as_given = Drive(self._base, nodes, self._base_out, empty, none, driven)
+        self._as_given = Drive(
+            self._base, int(self._fine is not None), self._base_out, empty, none, np.zeros(0, dtype=np.int64)
+        )
 
     def drive(self, structure: Structure, theta: Array) -> Drive:
         """Input nodes with the structure's dead zones, saturations and delays."""
@@ -111,7 +116,10 @@ class InputSignal:
         drift, drifts = clock_drift(structure, theta)
         if not statics and not drifts:
             return self._as_given
-        W, Wout = self._base.copy(), self._base_out.copy()
+        laws = [structure.effects[index].spec for index, _ in statics]
+        moving = self._fine is None and any(isinstance(law, InputLaw) and law.moves_on for law in laws)
+        course = 2 if moving else self._as_given.course
+        W, Wout = np.repeat(self._base, 2 if moving else 1, axis=0), self._base_out.copy()
         driven: list[int] = []
         dW: list[Array] = []
         dWout: list[Array] = []
@@ -122,7 +130,7 @@ class InputSignal:
             signal, slopes = self._statics(structure, theta, here, channel, samples)
             delay, column = _delay(structure, theta, here)
             signals = [signal, *slopes.values()]
-            at_nodes, at_samples, by_delay, by_drift = self._shifted(np.array(signals), delay, drift)
+            at_nodes, at_samples, by_delay, by_drift = self._shifted(np.array(signals), delay, drift, moving)
             W[:, channel], Wout[:, channel] = at_nodes[0], at_samples[0]
             derivatives = list(zip(slopes, at_nodes[1:], at_samples[1:], strict=True))
             derivatives += [(column, *by_delay), *((which, *by_drift) for which in drifts)]
@@ -134,7 +142,7 @@ class InputSignal:
         shape, shape_out = (0, *W.shape), (0, *Wout.shape)
         return Drive(
             W,
-            self._fine is not None,
+            course,
             Wout,
             np.array(dW) if dW else np.zeros(shape),
             np.array(dWout) if dWout else np.zeros(shape_out),
@@ -149,11 +157,9 @@ class InputSignal:
         point = structure.model.operating_point
         value = signal
         held = self._fine is None
-        time: dict[str, Any] = {
-            "step": self.dt if held else self.dt / self.substeps,
-            "held": held,
-            "settled": (point is not None) + (self._before > 0),
-        }
+        step = self.dt / (1 if held else self.substeps)
+        lead = int(point is not None)
+        settled = lead + (self._before > 0)
         if point is not None:  # laws see absolute values; before the record the input stood at the point
             level = point.inputs[channel]
             value = np.concatenate([[level], signal + level])
@@ -162,8 +168,13 @@ class InputSignal:
             law = structure.effects[index].spec
             if law.delays or not isinstance(law, InputLaw):
                 continue
+            if held and law.moves_on and step == self.dt:  # from here on in halves of substeps
+                spread = np.repeat([1, 2 * self.substeps], [lead, value.size - lead])
+                value, slopes = np.repeat(value, spread), np.repeat(slopes, spread, axis=1)
+                step /= 2 * self.substeps
+            values = structure.law_values(theta, index)
             value, own, slopes = law.through(
-                value, *structure.law_values(theta, index), slopes=slopes, **time
+                value, *values, slopes=slopes, step=step, held=held, settled=settled
             )
             found = structure.law_columns(index)
             free = [c for c, column in enumerate(found) if column >= 0]
@@ -175,47 +186,64 @@ class InputSignal:
         return value, dict(zip(columns, slopes, strict=True))
 
     def _shifted(
-        self, signals: Array, delay: float, drift: float
+        self, signals: Array, delay: float, drift: float, moving: bool
     ) -> tuple[Array, Array, tuple[Array, Array], tuple[Array, Array]]:
         """Signals (k, points) at the nodes and samples, taken at other times, and what these do to the first.
 
         At time t of the record they are what they were at t - delay + drift t. The derivatives are those by
         the delay and by the drift, at the nodes and at the samples.
         """
-        n = self.inputs.shape[1]
-
-        def times(grid: NDArray[Any]) -> Array:
-            return np.asarray(grid - delay + drift * (self.begin + grid))
-
-        samples = times(np.arange(n) * self.dt)
         if self._fine is None:
-            # Held input: the mean over each substep, so that no impulse is lost where
-            # the delayed edge falls inside a substep.
-            grid: NDArray[Any] = np.arange((n - 1) * self.substeps + 1) * (self.dt / self.substeps)
-            edges, knots = times(grid), np.arange(n + 1) * self.dt
-            width = self.dt / self.substeps * (1.0 + drift)
-            means = []
-            for signal in signals:
-                area = np.concatenate([[0.0], np.cumsum(signal) * self.dt])
-                integral = np.interp(edges, knots, area)
-                integral += np.minimum(edges, 0.0) * self._before * signal[0]
-                integral += np.maximum(edges - knots[-1], 0.0) * signal[-1]
-                means.append(np.diff(integral) / width)
-            levels = np.hstack([self._before * signals[:, :1], signals])  # before, then of each sample
-            held = levels[:, np.clip(np.floor(samples / self.dt + 1e-9).astype(int), -1, n - 1) + 1]
-            at_edges = levels[0][np.clip(np.floor(edges / self.dt + 1e-9).astype(int), -1, n - 1) + 1]
-            by_delay = -np.diff(at_edges) / width
-            by_drift = np.diff(at_edges * (self.begin + grid)) / width - means[0] / (1.0 + drift)
-            return np.array(means), held, (by_delay, np.zeros(n)), (by_drift, np.zeros(n))
+            return self._means(signals, delay, drift, moving)
         step = self.dt / self.substeps
         grid = np.arange(signals.shape[1]) * step
-        shifted = times(grid)
+        shifted = grid - delay + drift * (self.begin + grid)
         at_nodes = np.array([np.interp(shifted, grid, s, left=self._before * s[0]) for s in signals])
         cell = np.clip(np.floor(shifted / step + 1e-9).astype(int), 0, len(grid) - 2)
         known = (shifted >= 0) & (shifted <= grid[-1])
         rate = np.where(known, np.diff(signals[0])[cell] / step, 0.0)
         by_delay, by_drift = ((r, r[:: self.substeps]) for r in (-rate, rate * (self.begin + grid)))
         return at_nodes, at_nodes[:, :: self.substeps], by_delay, by_drift
+
+    def _means(
+        self, signals: Array, delay: float, drift: float, moving: bool
+    ) -> tuple[Array, Array, tuple[Array, Array], tuple[Array, Array]]:
+        """As `_shifted`, of held signals: the means over the substeps.
+
+        So no impulse is lost where a delayed edge falls inside a substep. Where an actuator is `moving`
+        they are straight lines with the means of both halves of the substep, which a ramp is itself.
+        """
+        n, size = self.inputs.shape[1], signals.shape[1]  # size: of samples, or of halves of substeps
+        parts = self.substeps * (2 if moving else 1)
+        grid: NDArray[Any] = np.arange((n - 1) * parts + 1) * (self.dt / parts)
+        samples, edges = (t - delay + drift * (self.begin + t) for t in (np.arange(n) * self.dt, grid))
+        span, width = self.dt * n / size, self.dt / parts * (1.0 + drift)
+        knots = np.arange(size + 1) * span
+        means = np.empty((len(signals), edges.size - 1))
+        for mean, signal in zip(means, signals, strict=True):
+            integral = np.interp(edges, knots, np.concatenate([[0.0], np.cumsum(signal) * span]))
+            integral += np.minimum(edges, 0.0) * self._before * signal[0]
+            integral += np.maximum(edges - knots[-1], 0.0) * signal[-1]
+            mean[:] = np.diff(integral) / width
+        levels = np.hstack([self._before * signals[:, :1], signals])  # before, then of each
+
+        def cell(when: Array) -> NDArray[np.int64]:
+            return np.asarray(np.clip(np.floor(when / span + 1e-9), -1, size - 1) + 1, dtype=np.int64)
+
+        held, at_edges = levels[:, cell(samples)], levels[0][cell(edges)]
+        by_delay = -np.diff(at_edges) / width
+        by_drift = np.diff(at_edges * (self.begin + grid)) / width - means[0] / (1.0 + drift)
+        if moving:
+            means, by_delay, by_drift = _lines(means), _lines(by_delay), _lines(by_drift)
+            if size > n:  # it does not jump
+                held = np.hstack([means[:, ::parts], means[:, -1:]])
+        return means, held, (by_delay, np.zeros(n)), (by_drift, np.zeros(n))
+
+
+def _lines(means: Array) -> Array:
+    """Both ends of the straight line that has the means (..., 2 k) of both halves of each interval."""
+    first, second = means[..., ::2], means[..., 1::2]
+    return np.stack([1.5 * first - 0.5 * second, 1.5 * second - 0.5 * first], axis=-1).reshape(means.shape)
 
 
 def _refine(w: Array, factor: int) -> Array:

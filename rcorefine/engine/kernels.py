@@ -62,8 +62,8 @@ def march(
     values,  # (m, 6)             its coefficients; 1 where it feels the inputs; 1 where it jumps
     columns,  # (m, 4)            their rows in the sensitivity, -1 where fixed
     widths,  # (m,)
-    W,  # (rows, nw)              input nodes of the substeps
-    nodes,  # bool                True: linear between W[i] and W[i+1]; False: W[i] held
+    W,  # (rows, nw)              inputs over the substeps
+    course,  # int                0: W[i] held; 1: straight from W[i] to W[i + 1]; 2: W[2 i] to W[2 i + 1]
     Wout,  # (N, nw)              input at the samples
     dW,  # (r, rows, nw)          derivative of W for the parameters in `driven`
     dWout,  # (r, N, nw)
@@ -303,8 +303,8 @@ def march(
         if k == samples - 1:
             break
         for s in range(substeps):
-            row = k * substeps + s
-            after = row + 1 if nodes else row
+            row = (k * substeps + s) * max(course, 1)
+            after = row + min(course, 1)
             grade, piece, count = 0, 0, 1
             while piece < count:
                 M, Psi1, Q = Ms[grade], Psi1s[grade], Qs[grade]

@@ -184,8 +184,8 @@ def advance(sizes, fixed, packed, counters, block, frozen, record, laws):
                 enter(through, S)
                 blew_up = march(
                     Ms, laws.dMs, laws.pieces, laws.linear, O, laws.dO, laws.P, laws.dP, laws.codes,
-                    laws.values, laws.columns, laws.widths, Wn, laws.foh, Wout, dW, dWout, affected,
-                    measured, unused, none, np.zeros((0, 0)), laws.outcodes, laws.outvalues,
+                    laws.values, laws.columns, laws.widths, Wn, int(laws.foh), Wout, dW, dWout,
+                    affected, measured, unused, none, np.zeros((0, 0)), laws.outcodes, laws.outvalues,
                     laws.outcolumns, x, z, through,
                     laws.substeps, Y, shown, X0, F0, limit,
                     0, np.zeros((1, 0)), np.zeros(0, dtype=np.int64),

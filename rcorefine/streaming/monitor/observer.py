@@ -173,7 +173,7 @@ class Observer:
         limit = 1e12 * (1.0 + float(np.abs(x).max(initial=0.0) + np.abs(Y).max() + np.abs(W).max()))
         blew_up = march(
             self._Ms, self._dMs, self._pieces, disc.linear, disc.O, disc.dO, disc.P, disc.dP, *self._laws,
-            np.ascontiguousarray(drive.W[skip * self.substeps :]), drive.nodes,
+            np.ascontiguousarray(drive.W[skip * self.substeps * max(drive.course, 1) :]), drive.course,
             np.ascontiguousarray(drive.Wout[skip:]), none, none, np.zeros(0, dtype=np.int64),
             measured, flags, self.gain, np.zeros((0, 0)), *self._out, x, z, np.zeros((0, n)), self.substeps,
             Yout, SY, X, F, limit, *field_numbers(s, self.theta),
