@@ -16,6 +16,8 @@ Sizes that do not fit raise `control.ControlDimension` and wrong types
 `control.ControlArgument`, as python-control itself does.
 """
 
+import os
+import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -72,6 +74,7 @@ class IdentifiabilityWarning(RCOWarning):
     """The data cannot see a combination of the parameters."""
 
 
+_HERE = os.path.dirname(os.path.abspath(__file__)) + os.sep
 _UNHEARD: ContextVar[tuple[type[RCOWarning], ...]] = ContextVar("unheard", default=())
 
 
@@ -89,7 +92,10 @@ def unheard(category: type[RCOWarning] = RCOWarning) -> Iterator[None]:
         _UNHEARD.reset(before)
 
 
-def warn(message: str, category: type[RCOWarning], stacklevel: int = 1) -> None:
-    """Warn as `warnings.warn` does, if that is to be heard."""
+def warn(message: str, category: type[RCOWarning]) -> None:
+    """Warn as `warnings.warn` does, if that is to be heard, of the line that called the package."""
     if not issubclass(category, _UNHEARD.get()):
-        warnings.warn(message, category, stacklevel=stacklevel + 1)
+        level, frame = 1, sys._getframe()
+        while frame.f_back is not None and frame.f_code.co_filename.startswith(_HERE):
+            level, frame = level + 1, frame.f_back
+        warnings.warn(message, category, stacklevel=level)

@@ -7,8 +7,9 @@ import math
 import control as ct
 import numpy as np
 
-__all__ = ["chance", "estimate", "frequency_text", "phase_text", "with_error"]
+__all__ = ["chance", "counted", "estimate", "frequency_text", "phase_text", "with_error"]
 
+_SURE = 0.995  # where two digits would make it a certainty
 _MOST = 6  # significant digits of an estimate, however well it is known
 
 
@@ -28,12 +29,38 @@ def chance(p_value: float, symbol: str = "") -> str:
 
     Examples
     --------
-    >>> chance(0.01234), chance(0.0), chance(0.01234, "p")
-    ('0.012', '< 1e-300', 'p = 0.012')
+    >>> chance(0.01234), chance(0.0), chance(0.01234, "p"), chance(0.9998, "p")
+    ('0.012', '< 1e-300', 'p = 0.012', 'p > 0.99')
     """
     if p_value <= 0:
         return f"{symbol} < 1e-300".strip()
+    if p_value >= _SURE:
+        return f"{symbol} > 0.99".strip()
     return f"{symbol} = {p_value:.2g}" if symbol else f"{p_value:.2g}"
+
+
+def counted(number: int, what: str, several: str = "") -> str:
+    """A number of things, in the singular where it is one.
+
+    Parameters
+    ----------
+    number : int
+        How many.
+    what : str
+        One of them.
+    several : str
+        More of them, where an s behind it will not do.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> counted(1, "step"), counted(3, "step"), counted(0, "frequency", "frequencies")
+    ('1 step', '3 steps', '0 frequencies')
+    """
+    return f"{number} {what if number == 1 else several or what + 's'}"
 
 
 def frequency_text(*omega: float) -> str:

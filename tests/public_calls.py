@@ -434,9 +434,7 @@ CALLS: dict[str, Call] = {
     "Measurement.deviation": Call(
         _method(record, "deviation"), dict, {"inputs": or_none(is_numbers), "outputs": or_none(is_numbers)}
     ),
-    "Measurement.check_excitation": Call(
-        _method(record, "check_excitation"), dict, {"purpose": is_text, "stacklevel": is_whole}
-    ),
+    "Measurement.check_excitation": Call(_method(record, "check_excitation"), dict, {"purpose": is_text}),
     "Measurement.decimate": Call(_method(record, "decimate"), lambda: {"factor": 2}, {"factor": is_whole}),
     "Measurement.from_timestamps": Call(
         lambda: MEASURE.from_timestamps,

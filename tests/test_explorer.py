@@ -349,7 +349,7 @@ def test_ends_by_interruption(tmp_path):
 
 def test_shows_itself_in_a_notebook():
     page = rco.explore(chain(), record(200))
-    assert "missed after 0 step(s)" in repr(page)
+    assert "missed after 0 steps" in repr(page)
 
 
 def test_the_extra_is_named_where_it_is_missing(monkeypatch):

@@ -165,7 +165,7 @@ def _on_record(
         for name, hold in zip(names, holds, strict=True)
         if hold != data.hold
     ]
-    data.check_excitation("compare", stacklevel=3)
+    data.check_excitation("compare")
     hidden = _hidden(models, channels, data, x0, windows[0].stop)
     made = []
     for each, flat, places, name in zip(models, linear, channels, names, strict=True):

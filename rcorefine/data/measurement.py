@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import control as ct
 import numpy as np
 
-from ..arguments import as_choice, as_labels, as_number, as_text, as_texts, as_vector, as_whole
+from ..arguments import as_choice, as_labels, as_number, as_text, as_texts, as_vector
 from ..exceptions import ExcitationWarning, warn
 from ..results import Options, Result, picture, show
 from ..systems.linear import Array
@@ -189,15 +189,13 @@ class Measurement(Result, RecordReaders, RecordParts):
         """Length of the record in s, N dt."""
         return self.n_samples * self.dt
 
-    def check_excitation(self, purpose: str = "the record", stacklevel: int = 2) -> tuple[str, ...]:
+    def check_excitation(self, purpose: str = "the record") -> tuple[str, ...]:
         """Warn about inputs that never change, and name them.
 
         Parameters
         ----------
         purpose : str
             What the record is used for, opens the message.
-        stacklevel : int
-            As in `warnings.warn`, counted from the caller.
 
         Returns
         -------
@@ -211,7 +209,6 @@ class Measurement(Result, RecordReaders, RecordParts):
             settles, but nothing of what that input drives.
         """
         as_text(purpose, "purpose")
-        as_whole(stacklevel, "stacklevel", most=1000)
         still = tuple(
             label
             for label, row in zip(self.input_labels, self.inputs, strict=True)
@@ -225,7 +222,6 @@ class Measurement(Result, RecordReaders, RecordParts):
                 f"{purpose}: constant over all {self.n_samples} samples: {values}. The record shows how the "
                 "system settles (a free decay), not what this input drives; vary the input to learn that",
                 ExcitationWarning,
-                stacklevel=stacklevel + 1,
             )
         return still
 

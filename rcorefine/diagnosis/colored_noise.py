@@ -82,7 +82,7 @@ def left_to_noise(battery: TestedResidual, levels: Levels) -> str:
     if memory == 0.0 or (fit >= levels.colored_fit and memory < levels.colored_size):
         return ""
     run = "The prediction" if battery.fitted.refinement.led else "The free run"
-    order, problem = max(battery.whitener.orders), battery.fitted.problem
+    problem = battery.fitted.problem
     residuals = battery.fitted.residuals(battery.ratio)
     line = spectral_line(residuals, problem.records[0].dt) if problem.in_time else None
     pure = ""
@@ -92,12 +92,22 @@ def left_to_noise(battery: TestedResidual, levels: Levels) -> str:
             f" {100 * share:.0f} % of that rest is a line at {at}: an unmeasured force or a "
             "disturbance of that frequency."
         )
+    lasts = ""
+    if problem.in_time:
+        lasts = f" of about {_memory_of(battery.whitener) * problem.records[0].dt:.2g} s"
     return (
-        f"{run} explains only {fit:.3g} % of the record; the rest passes for noise with a memory "
-        f"(order {order}), {memory:.2g} times as large as what is new in each sample.{pure} If the "
-        "sensor has no such noise, the model is wrong there: give a record with another input, steps "
-        "or a sweep."
+        f"{run} explains only {fit:.3g} % of the record. The rest passes for noise with a memory{lasts}, "
+        f"{memory:.2g} times as large as what is new in each sample: that is why no test fires.{pure} If "
+        "neither the sensor nor anything unmeasured (a draft, a load) wanders like that, the model is wrong "
+        "there: what comes again when the record is repeated is the model's, and one with steps up and down, "
+        "or a sweep, shows what it is."
     )
+
+
+def _memory_of(whitener: Whitener) -> float:
+    """Samples over which noise with these filters forgets itself to 1/e, by its slowest mode."""
+    slowest = max(float(np.abs(np.roots(a)).max()) for a in whitener.filters if a.size > 1)
+    return -1.0 / float(np.log(min(slowest, 1.0 - 1e-9)))
 
 
 def is_drowned(battery: TestedResidual, levels: Levels) -> bool:

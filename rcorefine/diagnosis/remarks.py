@@ -128,7 +128,7 @@ def fit_remarks(race: CandidateFits) -> list[str]:
         bound += run.at_bound(rival.candidate.problem)
         if not rival.settled and rival is not race.rivals[0]:
             loose.append(rival.effect.label)
-    said = [f"At a bound, and so no estimate: {', '.join(dict.fromkeys(bound))}."] if bound else []
+    said = [f"At its bound, and so no estimate: {', '.join(dict.fromkeys(bound))}."] if bound else []
     best = race.rivals[0]
     if not best.settled:  # it would only win by more
         said.append(f"Not converged, so its numbers are not final: {best.effect.label}.")

@@ -130,7 +130,6 @@ def address(
             f"{label} cannot be compiled and is called in Python, which is some hundred times slower: "
             f"{str(error).strip().splitlines()[0]}",
             RCOWarning,
-            stacklevel=2,
         )
     return code_of(plain)
 

@@ -13,12 +13,14 @@ DOMAINS: Mapping[str, Mapping[str, str]] = MappingProxyType(
     {
         "mechanical": {},
         "rotational": {
+            "force": "torque",
             "linear": "viscous friction",
             "store": "inertia",
             "spring": "torsional stiffness",
             "constant": "constant torque",
         },
         "first_order": {
+            "force": "flow",
             "state": "state",
             "loss": "loss",
             "linear": "loss in proportion",
@@ -26,6 +28,7 @@ DOMAINS: Mapping[str, Mapping[str, str]] = MappingProxyType(
             "constant": "constant loss",
         },
         "current": {
+            "force": "voltage",
             "state": "current",
             "loss": "voltage drop",
             "linear": "series resistance",
@@ -37,6 +40,7 @@ DOMAINS: Mapping[str, Mapping[str, str]] = MappingProxyType(
             "constant": "constant voltage",
         },
         "voltage": {
+            "force": "current",
             "state": "voltage",
             "loss": "leakage",
             "linear": "leak conductance",
@@ -44,6 +48,7 @@ DOMAINS: Mapping[str, Mapping[str, str]] = MappingProxyType(
             "constant": "constant current",
         },
         "thermal": {
+            "force": "heat flow",
             "state": "temperature",
             "loss": "heat loss",
             "linear": "heat loss",
@@ -51,6 +56,7 @@ DOMAINS: Mapping[str, Mapping[str, str]] = MappingProxyType(
             "constant": "constant heat loss",
         },
         "hydraulic": {
+            "force": "flow",
             "state": "level",
             "loss": "outflow",
             "linear": "outflow in proportion",

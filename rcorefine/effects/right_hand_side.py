@@ -170,7 +170,6 @@ class Field:
                     f"the functions of {self.functions.label} cannot be compiled and are called in Python, "
                     f"which is some hundred times slower: {str(error).strip().splitlines()[0]}",
                     RCOWarning,
-                    stacklevel=2,
                 )
             else:
                 self.speed = "compiled"

@@ -135,7 +135,7 @@ class Structure:
             high = min(high, widths[1] * self.constants[index])
         self._position[index, name] = len(self.parameters)
         single = len(effect.coefficients) == 1
-        label = effect.label if single else f"{effect.label}: {name}"
+        label = effect.label if single else f"{name} of {effect.label}"
         self.parameters.append(Parameter(index, name, label, low, high))
 
     # ------------------------------------------------------------------- values

@@ -11,6 +11,7 @@ from typing import Any
 from ..arguments import as_flag, as_whole
 from ..data.measurement import Measurement
 from ..extras import needed
+from ..words import counted
 from .exploration import Exploration
 from .look import PAGE
 
@@ -143,10 +144,8 @@ class Explorer:
         return self._shown._repr_mimebundle_(include, exclude)
 
     def __repr__(self) -> str:
-        steps = len(self.exploration.steps) - 1
-        return (
-            f"<Explorer: {self.exploration.error:.3g} % missed after {steps} step(s); .show() opens the page>"
-        )
+        steps = counted(len(self.exploration.steps) - 1, "step")
+        return f"<Explorer: {self.exploration.error:.3g} % missed after {steps}; .show() opens the page>"
 
 
 def _free(port: int) -> int:

@@ -14,7 +14,7 @@ import control as ct
 from ..arguments import as_text
 from ..exceptions import ModelError
 from ..results import Options, Result, picture, show
-from ..words import chance, with_error
+from ..words import chance, counted, with_error
 from .comparison import FleetEffect, MachineEffect, Trend
 from .conditions import Breach, breaches
 from .row import SurveyRow
@@ -117,10 +117,10 @@ class Survey(Result):
         -------
         list of str
         """
-        counted = Counter(row.verdict for row in self.rows if row.error is None)
-        verdicts = ", ".join(f"{word} {n}" for word, n in counted.most_common())
+        words = Counter(row.verdict for row in self.rows if row.error is None)
+        verdicts = ", ".join(f"{word} {n}" for word, n in words.most_common())
         said = [
-            f"{len(self.rows)} record(s) of {len(self.machines)} machine(s)"
+            f"{counted(len(self.rows), 'record')} of {counted(len(self.machines), 'machine')}"
             + (f": {verdicts}." if verdicts else ".")
         ]
         if self.failed:
@@ -225,7 +225,7 @@ def _words(effect: FleetEffect) -> str:
         alike = differs if effect.spread > 0 else "is the same in all, within the errors"
         return (
             f"Common: {effect.label}, {with_error(effect.mean, effect.std, effect.unit)} over {held} of "
-            f"{effect.n_machines} machine(s); it {alike} ({chance(effect.p_alike, 'p')})."
+            f"{counted(effect.n_machines, 'machine')}; it {alike} ({chance(effect.p_alike, 'p')})."
         )
     some = effect.standing_out or effect.machines
     names = ", ".join(machine.machine for machine in some[:5]) + (", ..." if len(some) > 5 else "")

@@ -280,6 +280,6 @@ def unseen_combinations(
                 slope = C[i, j] / C[j, j]
                 found.append(
                     f"{names[j]} and {names[i]} cannot be told apart (correlation {rho:+.4f}): the record "
-                    f"determines {names[i]} {-slope:+.3g} x {names[j]}"
+                    f"determines {names[i]} {'-' if slope > 0 else '+'} {abs(slope):.3g} x {names[j]}"
                 )
     return found

@@ -85,7 +85,7 @@ def doubted(found: Refinement, fit: Any, again: Callable[[list[Measurement]], An
     if not said:
         return found
     for sentence in said:
-        warn(sentence, IdentifiabilityWarning, stacklevel=3)
+        warn(sentence, IdentifiabilityWarning)
     if worthless:
         message = f"Not to be trusted: {'; '.join(said)}. {found.message}"
         found = replace(found, success=False, message=message)

@@ -64,7 +64,7 @@ def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
     settled = np.isfinite(problem.prior_sd) & offsets
     found = tuple(unseen_combinations(unsure, theta, names, spread, settled))
     for sentence in found:
-        warn(sentence, IdentifiabilityWarning, stacklevel=4)
+        warn(sentence, IdentifiabilityWarning)
     fit_percent, rmse = fit_of(problem.records, [r / problem.weights[:, None] for r in residuals])
     message = str(result.message) if result.status <= 0 else "Converged."
     if result.status == 0:

@@ -339,7 +339,8 @@ class Refinement(ReportedModel, CodeExports):
         ]
         if self.hold is not None:
             lines.append(f"The inputs are taken with hold={self.hold!r}, whatever a record declares.")
-        return lines + list(self.warnings)
+        # what an estimate means nothing for stands in its message
+        return lines + [f"Warning: {said}." for said in self.warnings if said not in self.message]
 
 
 def _percent(fit: Array) -> str:

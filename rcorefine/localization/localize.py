@@ -158,7 +158,7 @@ def localize_damage(
     records = [ordered_record(physical, r) for r in as_records(data)]
     for record in records:
         check_channels(physical.linear, record)
-        record.check_excitation("localize_damage", stacklevel=2)
+        record.check_excitation("localize_damage")
     with own_arithmetic():
         segments, note = windows(physical, records, horizon)
         nominal = nominal_values(model, physical)
@@ -178,7 +178,7 @@ def localize_damage(
         tests = residual_tests(joint)
         result = assessed(joint, rows, decision, tests, rule, significance, power, ranking, note)
     for group in result.groups:
-        warn(f"the record sees only together: {', '.join(group)}", IdentifiabilityWarning, stacklevel=2)
+        warn(f"the record sees only together: {', '.join(group)}", IdentifiabilityWarning)
     return result
 
 

@@ -129,7 +129,6 @@ def modal_model(
             f"{path}: every modal mass is 1: shapes of unit modal mass, or never filled in; "
             "give modal_mass= if responses are not to scale",
             ConversionWarning,
-            stacklevel=2,
         )
     blocks = [_block(mode, *wanted) for mode in modes]
     A = np.zeros((2 * len(modes), 2 * len(modes)))
@@ -177,7 +176,6 @@ def _mode(path: Any, k: int, one: dict[str, Any], masses: Array | None) -> _Mode
                 f"{here}: its loss factor {loss:g} is taken as a damping ratio of {loss / 2:g}, which holds "
                 "at the resonance",
                 ConversionWarning,
-                stacklevel=3,
             )
         w, ratio = 2.0 * np.pi * w, ratio or loss / 2.0
         if any(abs(value.imag) > 1e-6 * abs(value) for value in shape.values()):

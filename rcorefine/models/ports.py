@@ -9,7 +9,7 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_array, as_flag, as_text, shown
-from ..effects.domains import domain_of
+from ..effects.domains import DOMAINS, domain_of
 from ..exceptions import ModelError
 from ..results import Row
 from ..systems.linear import Array
@@ -149,6 +149,11 @@ class Port(Row):
     def domain(self) -> str:
         """Field whose words fit here, by the unit of what it senses; its kind where that is unknown."""
         return domain_of(self.kind, self.velocity_unit)
+
+    @property
+    def acts_by(self) -> str:
+        """What acts here, as its field calls it: a force, a torque, a flow, a heat flow, ..."""
+        return DOMAINS[self.domain].get("force", "force")
 
     @property
     def is_relative(self) -> bool:

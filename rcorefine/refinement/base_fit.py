@@ -48,7 +48,7 @@ def base_fit(
     if not in_frequency(ordered):
         for record in ordered:
             check_channels(physical.linear, record)
-            record.check_excitation("diagnose", stacklevel=3)
+            record.check_excitation("diagnose")
     segments, note = windows(physical, ordered, horizon)
     chosen = assemble(physical, kept, (), free, tolerance, offset_variants(physical, ordered[0], offset)[0])
     constants = dict(getattr(model, "constants", {}))

@@ -143,7 +143,7 @@ def refine(
     if in_time:
         for record in records:
             check_channels(physical.linear, record)
-            record.check_excitation("refine", stacklevel=2)
+            record.check_excitation("refine")
     initial = start_above(physical, x0)
     if substeps is not None:
         substeps = as_whole(substeps, "substeps", least=1, most=_MOST_SUBSTEPS)

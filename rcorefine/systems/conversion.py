@@ -181,7 +181,6 @@ def _inverse_hold(phi: Array, gamma: Array, step: float, where: str) -> tuple[Ar
             f"{where} converts to continuous time with a relative error of {mismatch:.1g} only, because its "
             "A is nearly singular or far from normal; sample faster, or remove states without effect",
             ConversionWarning,
-            stacklevel=3,
         )
     log = log / step
     return log[:n, :n] * scale[:, None] / scale, log[:n, n:] * scale[:, None] * columns
@@ -239,7 +238,6 @@ def _check_poles(phi: Array, step: float, where: str) -> None:
             f"{math.pi / step:.4g} rad/s; if the mode really lies above it, the continuous model "
             "is wrong (aliasing). Sample faster to be sure",
             ConversionWarning,
-            stacklevel=4,
         )
 
 

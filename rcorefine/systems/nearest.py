@@ -57,7 +57,6 @@ def nearest_continuous(model: LinearModel) -> LinearModel:
             f"system {model.name!r} has no continuous model of its order: pole(s) at {shown} have no real "
             f"logarithm. They were moved to z = {_FAST:g}, the static gain kept; discrete_system is exact",
             ConversionWarning,
-            stacklevel=3,
         )
     try:
         return LinearModel.from_statespace(d2c(moved.to_statespace()))
@@ -66,7 +65,6 @@ def nearest_continuous(model: LinearModel) -> LinearModel:
             warn(
                 f"{error}. The bilinear transformation was taken instead; discrete_system is exact",
                 ConversionWarning,
-                stacklevel=3,
             )
         return LinearModel.from_statespace(d2c(moved.to_statespace(), method="tustin"))
 

@@ -56,7 +56,6 @@ def realized(transfer: ct.TransferFunction) -> ct.StateSpace:
         f"{', '.join(system.state_labels)}, after which the places are named. Give a control.StateSpace in "
         "physical coordinates to find effects at other places",
         ConversionWarning,
-        stacklevel=2,
     )
     return system
 

@@ -8,7 +8,7 @@ import numpy as np
 from ..diagnosis.checks.row import warned
 from ..diagnosis.stepwise.improvement import Improvement
 from ..diagnosis.words import next_step
-from ..words import with_error
+from ..words import counted, with_error
 from .figures import Frame, draws
 from .tables import Table, Told, root_mean_square, tells
 
@@ -28,7 +28,7 @@ def improvement_told(found: Improvement) -> Told:
         errors = (step.train_rmse, step.choice_rmse, step.validation_rmse)
         rows.append([f"{i} {step.name}", value, *(f"{root_mean_square(e):.4g}" for e in errors)])
     odd, said = warned(found.checks), found.sentences()
-    above = [f"Improvement in {len(found.steps) - 1} step(s): {found.verdict.upper()}", *odd]
+    above = [f"Improvement in {counted(len(found.steps) - 1, 'step')}: {found.verdict.upper()}", *odd]
     following = f"Next: {next_step(found)}"
     table = Table(headers, rows, f"Improvement: {found.verdict}", [*odd, *said, following])
     return above, table, [*said, following]
@@ -73,7 +73,9 @@ def plot_staircase(improvement: Improvement, frame: Frame) -> ct.ControlPlot:
         ax.set_xticks(range(len(steps)), [step.name for step in steps], rotation=25, ha="right")
         unit = improvement.output_units[0] if len(improvement.output_units) == 1 else ""
         ax.set_ylabel(f"RMS error [{unit}]" if unit else "RMS error")
-        ax.set_title(frame.title or f"The error falls: {improvement.verdict} after {len(steps) - 1} step(s)")
+        ax.set_title(
+            frame.title or f"The error falls: {improvement.verdict} after {counted(len(steps) - 1, 'step')}"
+        )
         ax.grid(True, axis="y", alpha=0.4)
         place = frame.legend_loc if isinstance(frame.legend_loc, str) else "upper right"
         legend = ax.legend(loc=place) if frame.legends else None

@@ -10,7 +10,7 @@ import numpy as np
 from ..fleet.comparison import FleetEffect
 from ..fleet.result import Survey
 from ..fleet.row import SurveyRow
-from ..words import with_error
+from ..words import counted, with_error
 from .figures import BAND, Frame, draws, plain, unit_text
 from .tables import Table, Told, number, tells
 
@@ -36,7 +36,7 @@ def survey_told(found: Survey) -> Told:
     order = sorted(found.rows, key=lambda row: (row.error is None, row.machine not in out, not row.effects))
     said = found.sentences()
     left = len(order) - _SHOWN
-    more = [f"... and {left} row(s) more in `rows` and `to_dataframe()`."] if left > 0 else []
+    more = [f"... and {counted(left, 'row')} more in `rows` and `to_dataframe()`."] if left > 0 else []
     headers = ["machine", "record", "verdict", "effect", "coefficient", "prob.", "s"]
     title = f"Survey ({found.task}): {said[0]}"
     below = [*more, *said[1:]]

@@ -7,6 +7,7 @@ import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
+from itertools import zip_longest
 from typing import Any, TypeVar
 
 import numpy as np
@@ -67,7 +68,7 @@ def text_table(
 ) -> str:
     """Table in plain text of at most 80 columns.
 
-    To fit, text that stands in every row is told above, and the widest text columns are cut.
+    To fit, text that stands in every row is told above, and the widest text columns take several lines.
 
     Parameters
     ----------
@@ -107,26 +108,32 @@ def text_table(
                 alike.insert(0, f"{header}: {cell}")
     widths = [max(len(row[i]) for row in table) for i in range(len(table[0]))]
     while sum(widths) + 2 * (len(widths) - 1) > WIDTH:
-        # names are cut rather than figures
+        # names take several lines rather than figures
         widest = max(range(len(widths)), key=lambda i: (i < left, widths[i]) if widths[i] > 8 else (False, 0))
         if widths[widest] <= 8:
             break
         widths[widest] -= 1
     lines = []
     for index, row in enumerate(table):
-        cells = [clip(cell, size) for cell, size in zip(row, widths, strict=True)]
-        lines.append(
-            "  ".join(
-                cell.ljust(size) if i < left else cell.rjust(size)
-                for i, (cell, size) in enumerate(zip(cells, widths, strict=True))
-            ).rstrip()
-        )
+        cells = [_lines(cell, size) for cell, size in zip(row, widths, strict=True)]
+        for parts in zip_longest(*cells, fillvalue=""):
+            lines.append(
+                "  ".join(
+                    part.ljust(size) if i < left else part.rjust(size)
+                    for i, (part, size) in enumerate(zip(parts, widths, strict=True))
+                ).rstrip()
+            )
         if index == 0:
             lines.append("  ".join("-" * size for size in widths))
     titles = ([] if title is None else title.split("\n")) + ([", ".join(alike)] if alike else [])
     above = [line for part in titles for line in textwrap.wrap(part, WIDTH)]
     below = [line for note in notes for line in textwrap.wrap(note, WIDTH, subsequent_indent="  ")]
     return "\n".join([*above, *lines, *below])
+
+
+def _lines(cell: str, size: int) -> list[str]:
+    """A cell as lines of at most `size` characters: names are whole, a word too long is broken."""
+    return textwrap.wrap(" ".join(cell.split()), size, break_on_hyphens=False) or [""]
 
 
 def _width(table: Sequence[Sequence[str]]) -> int:

@@ -22,11 +22,17 @@ _MEANINGS = {
     "odd velocity": "grows more than in proportion to speed, as drag does",
     "one side of velocity": "differs with the direction of motion",
     "root": "follows the square root, as an outflow does",
-    "beyond": "sets in beyond that, as a stop or a hardening spring does",
-    "beyond, one side": "sets in beyond that on one side only, as a stop does",
+    "beyond": "sets in beyond a limit, as a stop or a hardening spring does",
+    "beyond, one side": "sets in beyond a limit on one side only, as a stop does",
     "odd displacement": "grows more than in proportion to displacement, as a hardening spring does",
     "even displacement": "grows to one side, as an asymmetric spring does",
     "one side": "differs between the two sides, as a crack or a loose contact does",
+}
+_OF_STORES = {
+    "dry": "changes its sign with the state, and hardly its size",
+    "dry by direction": "jumps where the state changes its sign, by different steps",
+    "odd velocity": "grows more than in proportion to the state, as radiation or a turbulent leak does",
+    "beyond": "sets in beyond a limit, as an overflow does",
 }
 
 
@@ -66,7 +72,8 @@ class ForceLaw:
     @property
     def meaning(self) -> str:
         """What a force of this law does."""
-        return _MEANINGS[self.name]
+        of_store = self.values.get("axis") == "x"
+        return _OF_STORES.get(self.name, _MEANINGS[self.name]) if of_store else _MEANINGS[self.name]
 
 
 def laws_at(place: Port, d: Array, v: Array) -> list[tuple[ForceLaw, list[Array]]]:

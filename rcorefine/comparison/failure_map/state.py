@@ -71,6 +71,7 @@ def forces_at_places(scene: ModelOnRecord) -> list[Finding]:
             for c in groups[k]
         ]
         whole = scene.evidence.linear(together)
+        followed = "motion" if place.kind == "mechanical" else "state"
         found.append(
             Finding(
                 "place",
@@ -79,7 +80,7 @@ def forces_at_places(scene: ModelOnRecord) -> list[Finding]:
                 whole,
                 len(together),
                 count,
-                f"A force at {place.name} that follows the motion there would explain "
+                f"A {place.acts_by} at {place.name} that follows the {followed} there would explain "
                 f"{100 * scene.evidence.share_of_error(scene.evidence.whole(whole)):.3g} % of the error.",
                 {"place": place.name, "kind": "force"},
             )
@@ -240,6 +241,6 @@ def _finding(place: Port, law: ForceLaw, one: Explanation, tried: int) -> Findin
         one,
         law.dof,
         tried,
-        f"The force that the model lacks at {place.name} {law.meaning} ({law.where}).",
+        f"The {place.acts_by} that the model lacks at {place.name} {law.meaning} ({law.where}).",
         {"place": place.name, "law": law.name, "kind": "state", **law.values},
     )

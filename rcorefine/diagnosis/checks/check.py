@@ -25,6 +25,7 @@ from ...models.physical_model import PhysicalModel
 from ...progress import Progress
 from ...refinement.base_fit import base_fit
 from ...systems.linear import LinearModel
+from ...words import counted
 from ..case import Case
 from ..ranking import detectable
 from ..residual_tests import TestedResidual
@@ -208,7 +209,7 @@ def _information_rows(shown: tuple[Detectable, ...], model: PhysicalModel | None
             OK,
             "information",
             "",
-            f"of {len(shown)} effects",
+            f"{counted(len(shown), 'effect')} tried",
             f"Would show with 95 % probability: {best}, and others (.detectable).",
         )
     )
@@ -218,7 +219,7 @@ def _information_rows(shown: tuple[Detectable, ...], model: PhysicalModel | None
                 LOOK,
                 "information",
                 "",
-                f"{len(blind)} blind",
+                f"{len(blind)} not seen",
                 f"The record does not see these even if they double: {', '.join(blind[:4])}.",
             )
         )

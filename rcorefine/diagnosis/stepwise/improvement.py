@@ -111,12 +111,9 @@ class Improvement(ReportedModel):
         for i, label in enumerate(self.output_labels):
             before, after = first.validation_rmse[i], last.validation_rmse[i]
             unit = f" {self.output_units[i]}" if self.output_units[i] else ""
-            lines.append(
-                f"Error of {label} on the part that took part in nothing: {before:.4g} -> {after:.4g}{unit}"
-                f" ({100 * (after / before - 1):+.0f} %)."
-                if before > 0
-                else f"{label} had no error."
-            )
+            fell = f" -> {after:.4g}{unit} ({100 * (after / before - 1):+.0f} %)" if before > 0 else unit
+            error = f"{before:.4g}{fell if len(self.steps) > 1 else unit}"
+            lines.append(f"Error of {label} on the part that took part in nothing: {error}.")
         for i, step in enumerate(self.steps):
             if step.effect is not None and step.rivals and step.action != "drop":
                 others = ", ".join(effect.label for effect in step.rivals)

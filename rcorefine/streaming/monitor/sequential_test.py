@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...inference.levels import levels
+from ...models.physical_model import PhysicalModel
 from ...systems.linear import Array
 from ...words import with_error
 from .alarm import Alarm, MonitorRow
@@ -125,7 +126,7 @@ class Watch:
                 if self._sure() or waited >= self.patience * self.period:
                     self.confirmed = True
                     self.found = replace(self.found, sample=sample - 1, time=(sample - 1) * self.dt)
-                    self._state()
+                    self._state(stream.observer.structure.model)
                 else:
                     last = self.crossed + 1 + round(self.patience * self.period)
                     self.next_naming = min(self.next_naming, last)
@@ -188,7 +189,7 @@ class Watch:
         rows = [replace(row, probability=float(share)) for row, share in zip(rows, p, strict=True)]
         self.rows = sorted(rows, key=lambda row: (-row.probability, -row.log_likelihood))
         self.gains = all_gains
-        self._state()
+        self._state(stream.observer.structure.model)
 
     def change(self, stream: Stream) -> float:
         """Log-likelihood ratio of a change, 0 at the threshold; never less than when it rang."""
@@ -196,7 +197,7 @@ class Watch:
         at_alarm = 0.5 * (self.found.statistic**2 - self.found.threshold**2)
         return max(at_alarm, float(standing(stream)[1].max()))
 
-    def _state(self) -> None:
+    def _state(self, model: PhysicalModel) -> None:
         """Put the best row into the alarm; of those that explain the change as well there, the simplest."""
         assert self.found is not None
         best, near = self.rows[0], 0.5 * levels().rival
@@ -218,7 +219,7 @@ class Watch:
             probability=row.probability,
         )
         others = tuple(other.effect.kind for other in alike if other is not row)
-        self.found = replace(found, sentence=_sentence(found, others))
+        self.found = replace(found, sentence=_sentence(found, model, others))
 
     def follow(self, stream: Stream) -> None:
         """Fit the named effect to the last periods alone; end the alarm where it is gone."""
@@ -245,15 +246,19 @@ class Watch:
         assert self.found is not None
         gone = replace(self.found, ended=stream.n_samples * self.dt)
         if self.confirmed:
-            self.past = [*self.past, replace(gone, sentence=_sentence(gone))][-_MOST_PAST:]
+            self.past = [
+                *self.past,
+                replace(gone, sentence=_sentence(gone, stream.observer.structure.model)),
+            ][-_MOST_PAST:]
         self.found, self.confirmed, self.rows, self.gains = None, False, [], None
         self.value = self.std = float("nan")
         stream.restart(start, state)
 
 
-def _sentence(alarm: Alarm, others: tuple[str, ...] = ()) -> str:
+def _sentence(alarm: Alarm, model: PhysicalModel, others: tuple[str, ...] = ()) -> str:
     figures = ", ".join(
-        f"{name} {with_error(value, alarm.std[name])}" for name, value in alarm.coefficients.items()
+        f"{name} {with_error(value, alarm.std[name], model.unit(alarm.effect, name))}"
+        for name, value in alarm.coefficients.items()
     )
     alike = f"; {', '.join(others)} would explain it as well" if others else ""
     ended = "" if alarm.ended is None else f" It was gone by t = {alarm.ended:.6g} s."

@@ -9,7 +9,7 @@ from ...data.response_record import in_frequency
 from ...diagnosis.diagnose import diagnose
 from ...diagnosis.result import Diagnosis
 from ...inference.refinement import Refinement
-from ...words import chance
+from ...words import chance, counted
 from ..check import odd
 from ..tables import Table, number
 from .answers import diagnosis_answer
@@ -50,8 +50,9 @@ def report_diagnosis(found: Diagnosis, *, title: str | None, code: str | None) -
     ]
     every: list[Any] = list(found.records)
     samples = sum(r.omega.size if in_frequency(r) else r.n_samples for r in every)
-    of = ("response(s)", "frequencies") if found.base.of_responses else ("record(s)", "samples")
-    about = f"model {linear.name}, {len(found.records)} {of[0]}, {samples} {of[1]}"
+    responses, many = found.base.of_responses, len(found.records)
+    given = counted(many, "response") if responses else counted(many, "record")
+    about = f"model {linear.name}, {given}, {samples} {'frequencies' if responses else 'samples'}"
     return Page(title or f"Diagnosis of {linear.name}: {found.verdict}", about, answer, fine, sections)
 
 

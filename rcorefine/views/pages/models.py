@@ -13,7 +13,7 @@ from ...data.measurement import Measurement
 from ...data.response_record import in_frequency
 from ...diagnosis.stepwise.improvement import Improvement
 from ...inference.refinement import Refinement
-from ...words import with_error
+from ...words import counted, with_error
 from ..check import odd
 from ..responses import responses_table
 from ..tables import Table, number, root_mean_square
@@ -122,8 +122,8 @@ def _report_model(
     first, last = models
     linear = last.physical_model.linear
     about = (
-        f"model {linear.name}: {linear.n_states} states, {linear.n_inputs} input(s), "
-        f"{linear.n_outputs} output(s)"
+        f"model {linear.name}: {counted(linear.n_states, 'state')}, {counted(linear.n_inputs, 'input')}, "
+        f"{counted(linear.n_outputs, 'output')}"
     )
     records = [] if data is None else [data]
     if data is None:

@@ -12,7 +12,7 @@ import control as ct
 from ...arguments import as_flag, as_path
 from ...fleet.result import Survey
 from ...results import shows
-from ...words import chance
+from ...words import chance, counted
 from ..figures import Frame, plain, style, unit_text
 from ..survey import row_cells
 from ..tables import Table, number
@@ -169,7 +169,7 @@ def _machine_page(found: Survey, machine: str) -> Page:
         Section("The fleet", [Links([("all machines", _INDEX)])]),
     ]
     out = any(one.stands_out for _, one in mine) or any(trend.grows for trend in trends)
-    return Page(machine, f"{len(rows)} record(s)", [_line(found, machine)], not out, sections)
+    return Page(machine, counted(len(rows), "record"), [_line(found, machine)], not out, sections)
 
 
 def _course(found: Survey, machine: str) -> ct.ControlPlot:
