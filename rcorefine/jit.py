@@ -11,12 +11,15 @@ import ctypes
 import gc
 import os
 from collections.abc import Callable
+from functools import cache
+from types import FunctionType
 from typing import Any, TypeVar
 
 __all__ = [
     "FASTMATH",
     "NUMBA",
     "address_of",
+    "by_address",
     "call_at",
     "compiled",
     "compiled_law",
@@ -76,26 +79,33 @@ def compiled(function: _Function) -> _Function:
     """
     if _NUMBA is None:
         return function
-    options = {"fastmath": FASTMATH, "error_model": "numpy", "no_cfunc_wrapper": True}
+    dispatcher = _dispatcher(function)
+
+    # For each kernel numba makes a second function that takes Python's objects, and compiles it anew for each
+    # constant that it is given: where a kernel calls a kernel both are in vain, so there it is another one.
+    @cache
+    def within() -> Any:
+        return _dispatcher(_renamed(function), no_cpython_wrapper=True)
+
+    def template(args: Any, kws: Any) -> Any:
+        return within().get_call_template([_NUMBA.types.unliteral(one) for one in args], kws)
+
+    dispatcher.get_call_template = template
+    dispatcher.get_overload = lambda signature: within().get_overload(signature)
+    return dispatcher  # type: ignore[no-any-return]
+
+
+def _dispatcher(function: Callable[..., Any], **more: bool) -> Any:
+    """What numba compiles when it is first called."""
+    options = {"fastmath": FASTMATH, "error_model": "numpy", "no_cfunc_wrapper": True, **more}
     try:
         found = _NUMBA.njit(cache=True, **options)(function)
     except RuntimeError:  # no file or no folder to cache in, as in an interactive session
         found = _NUMBA.njit(**options)(function)
-    return _soon_compiled(found)  # type: ignore[no-any-return]
-
-
-def _soon_compiled(dispatcher: Any) -> Any:
-    """Have a kernel compiled in three quarters of numba's time: once, and without the garbage collector.
-
-    numba compiles a function anew for each constant that a kernel hands to it, and makes so many
-    lasting objects that a seventh of its time goes into looking for garbage among them.
-    """
-    template, build = dispatcher.get_call_template, dispatcher.compile
-
-    def template_of_types(args: Any, kws: Any) -> Any:
-        return template([_NUMBA.types.unliteral(one) for one in args], kws)
+    build = found.compile
 
     def undisturbed(signature: Any) -> Any:
+        # numba makes so many lasting objects that looking for garbage among them is a seventh of its time
         collects = gc.isenabled()
         gc.disable()
         try:
@@ -104,8 +114,22 @@ def _soon_compiled(dispatcher: Any) -> Any:
             if collects:
                 gc.enable()
 
-    dispatcher.get_call_template, dispatcher.compile = template_of_types, undisturbed
-    return dispatcher
+    found.compile = undisturbed
+    return found
+
+
+def _renamed(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The same function under another name, for its file in numba's cache has the name only."""
+    found = FunctionType(
+        function.__code__,
+        function.__globals__,
+        function.__name__,
+        function.__defaults__,
+        function.__closure__,
+    )
+    found.__qualname__ = f"{function.__qualname__}.within"
+    found.__module__ = function.__module__
+    return found
 
 
 # Assigning one array to a part of another is short in Python, and long to compile: numba brings its checks
@@ -186,6 +210,55 @@ def _plain_number_at(address: int, index: int) -> float:
 
 
 number_at: Any = _plain_number_at if _NUMBA is None else _number_at()
+
+
+def by_address(kernel: Callable[..., int], signature: str) -> tuple[Callable[..., int], Callable[[], int]]:
+    """How kernels call a large one that is compiled once, and not into each of them again.
+
+    Parameters
+    ----------
+    kernel : callable
+        Compiled kernel that returns a whole number.
+    signature : str
+        Its types, as numba writes them.
+
+    Returns
+    -------
+    call : callable
+        ``call(address, ...)`` in kernels.
+    address : callable
+        The address in this process, without arguments.
+    """
+    if _NUMBA is None:
+        return lambda address, *given: kernel(*given), lambda: 0
+    from numba import types
+    from numba.core import imputils, sigutils
+    from numba.extending import intrinsic
+
+    kinds, whole = sigutils.normalize_signature(signature)
+
+    def lower(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        convention = context.call_conv
+        function = builder.inttoptr(given[0], convention.get_function_type(whole, kinds).as_pointer())
+        values = [builder.extract_value(given[1], i) for i in range(len(kinds))]
+        status, found = convention.call_function(builder, function, whole, kinds, values)
+        with builder.if_then(status.is_error, likely=False):
+            convention.return_status_propagate(builder, status)
+        return imputils.impl_ret_untracked(context, builder, whole, found)
+
+    def call(typing, address, *given):  # type: ignore[no-untyped-def]
+        for i, (one, kind) in enumerate(zip(given, kinds, strict=True)):
+            if one != kind:
+                raise _NUMBA.core.errors.TypingError(f"argument {i} is {one}, not {kind}")
+        return whole(types.int64, types.StarArgTuple(given)), lower
+
+    @cache
+    def address() -> int:
+        kernel.compile(kinds)  # type: ignore[attr-defined]
+        found = kernel.overloads[kinds]  # type: ignore[attr-defined]
+        return int(found.library.get_pointer_to_function(found.fndesc.llvm_func_name))
+
+    return intrinsic(call), address
 
 
 def compiled_law(function: _Function) -> _Function:

@@ -7,7 +7,7 @@ import importlib
 import numpy as np
 import pytest
 
-from rcorefine.jit import NUMBA, compiled
+from rcorefine.jit import NUMBA, by_address, compiled
 from rcorefine.streaming.rcmr import products
 from rcorefine.streaming.rcmr.arrays import Design
 from rcorefine.streaming.rcmr.stage import start
@@ -140,6 +140,27 @@ def test_a_constant_argument_compiles_no_kernel_anew():
     types = importlib.import_module("numba").types
     kernel = compiled(lambda values, by: values[0] - by)
     for constant in (types.literal(2), types.literal(3), types.int64):
-        kernel.get_call_template((types.float64[::1], constant), {})
+        within = kernel.get_call_template((types.float64[::1], constant), {})[0]
+    assert len(within.cases) == 1
+    assert not kernel.signatures  # a kernel that kernels call is not made callable from Python, too
     assert kernel(np.array([5.0]), 2) == 3.0
     assert len(kernel.signatures) == 1
+
+
+@pytest.mark.numba
+@pytest.mark.skipif(not NUMBA, reason="numba is not installed or switched off")
+def test_a_kernel_is_called_by_its_address_with_its_own_types_only():
+    numba = importlib.import_module("numba")
+
+    def checked(values, by):
+        if by == 0:
+            raise ValueError("by is zero")
+        return int(values[0]) // by
+
+    call, address = by_address(compiled(checked), "int64(f8[::1], i8)")
+    caller = compiled(lambda at, values, by: 1 + call(at, values, by))
+    assert caller(address(), np.array([7.0]), 2) == 4
+    with pytest.raises(ValueError, match="by is zero"):
+        caller(address(), np.array([7.0]), 0)
+    with pytest.raises(numba.core.errors.TypingError, match=r"argument 1 is float64, not int64"):
+        caller(address(), np.array([7.0]), 2.0)

@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from ..effects.compiled import COUNT, evaluate
-from ..jit import compiled, put, put_rows
+from ..jit import by_address, compiled, put, put_rows
 from .products import add, add_forcing, add_rows, apply, clear, multiply, solve_in_place, take
 
-__all__ = ["march"]
+__all__ = ["address_of_march", "march", "march_at"]
 
 
 @compiled
@@ -465,3 +465,14 @@ def march(
             if not abs(x[j]) < limit:
                 return k + 1
     return -1
+
+
+_TYPES = """int64(
+    f8[:, :, ::1], f8[:, :, :, ::1], i8, i8[::1], f8[:, ::1], f8[:, :, ::1], f8[:, ::1], f8[:, :, ::1],
+    i8[::1], f8[:, ::1], i8[:, ::1], f8[::1], f8[:, ::1], i8, f8[:, ::1], f8[:, :, ::1], f8[:, :, ::1],
+    i8[::1], f8[:, ::1], u1[:, ::1], f8[:, ::1], f8[:, ::1], i8[::1], f8[:, ::1], i8[:, ::1], f8[::1],
+    f8[::1], f8[:, ::1], i8, f8[:, ::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], f8,
+    i8, f8[:, ::1], i8[::1])"""
+
+#: The march in a kernel, and the address that this takes: inside of that it would be compiled once more.
+march_at, address_of_march = by_address(march, _TYPES)

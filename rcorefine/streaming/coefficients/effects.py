@@ -13,6 +13,7 @@ from ...arguments import as_whole
 from ...effects.effect import Effect
 from ...effects.formula import InputLaw, OutputLaw
 from ...effects.several import as_effects
+from ...engine.kernels import address_of_march
 from ...engine.structure import Structure
 from ...exceptions import ModelError
 from ...models.consistency import check_stream_hold, refuse_discrete
@@ -205,8 +206,8 @@ def compile_kernel(setup: EffectsSetup, memory: CoefficientMemory) -> Kernel:
         statics[i, 2 : 2 + len(law.coefficients)] = s.law_columns(index)
         levels[i, : len(found)] = found
     laws = Laws(
-        np.stack([disc.M, fine.M]), np.stack([disc.dM, fine.dM]), pieces, disc.linear, disc.O, disc.dO,
-        disc.P, disc.dP, codes, values, columns, widths,
+        address_of_march(), np.stack([disc.M, fine.M]), np.stack([disc.dM, fine.dM]), pieces, disc.linear,
+        disc.O, disc.dO, disc.P, disc.dP, codes, values, columns, widths,
         statics, levels, outcodes, outvalues, outcolumns, setup.substeps, hold == "foh", dt,
     )  # fmt: skip
     return Kernel(sizes, np.concatenate(head), laws, floor)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...effects.compiled import raise_pending
-from ...engine.kernels import march
+from ...engine.kernels import march_at
 from ...jit import compiled, put
 from ...systems.linear import Array
 from ..gaps import Block
@@ -182,9 +182,9 @@ def advance(sizes, fixed, packed, counters, block, frozen, record, laws):
                     drive(ring, laws.statics, laws.levels, laws.substeps, laws.foh, laws.dt, inputs)
                 through, shown = (S_all, SY_all) if uncertain else (S_few, SY_few)
                 enter(through, S)
-                blew_up = march(
-                    Ms, laws.dMs, laws.pieces, laws.linear, O, laws.dO, laws.P, laws.dP, laws.codes,
-                    laws.values, laws.columns, laws.widths, Wn, int(laws.foh), Wout, dW, dWout,
+                blew_up = march_at(
+                    laws.march, Ms, laws.dMs, laws.pieces, laws.linear, O, laws.dO, laws.P, laws.dP,
+                    laws.codes, laws.values, laws.columns, laws.widths, Wn, int(laws.foh), Wout, dW, dWout,
                     affected, measured, unused, none, np.zeros((0, 0)), laws.outcodes, laws.outvalues,
                     laws.outcolumns, x, z, through,
                     laws.substeps, Y, shown, X0, F0, limit,

@@ -16,12 +16,13 @@ __all__ = ["Laws", "enter", "fill", "march_of", "push", "read", "shift_matrices"
 class Laws(NamedTuple):
     """A model with laws, discretized: as the engine's `march` takes it.
 
-    Ms, dMs, O, dO, P, dP, pieces, codes, values, columns, widths, outcodes, outvalues, outcolumns,
-    substeps : as there; linear : coefficients that the matrices depend on; statics, levels : laws of
-    the inputs and their coefficients, as `input_laws` takes them; foh : whether inputs are linear
-    between samples; dt : sampling time.
+    march : address of that; Ms, dMs, O, dO, P, dP, pieces, codes, values, columns, widths, outcodes,
+    outvalues, outcolumns, substeps : as there; linear : coefficients that the matrices depend on;
+    statics, levels : laws of the inputs and their coefficients, as `input_laws` takes them; foh : whether
+    inputs are linear between samples; dt : sampling time.
     """
 
+    march: int
     Ms: Array
     dMs: Array
     pieces: int
