@@ -53,7 +53,8 @@ def unit_forces(
         return [np.asarray(simple, dtype=float)]
     if not isinstance(law, PortLaw) or law.needs_starts or (law.feels_inputs and w is None):
         return None
-    inputs = np.zeros((d.size, 0)) if w is None else np.ascontiguousarray(w.T)
+    # a copy: a read-only view would have the kernel compiled once more
+    inputs = np.zeros((d.size, 0)) if w is None else np.array(w.T, order="C")
     d, v = np.ascontiguousarray(d, dtype=float), np.ascontiguousarray(v, dtype=float)
     columns: list[Array] = []
     for shape in shapes if law.shaping else [{}]:
