@@ -10,7 +10,10 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import stat
+import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from types import FunctionType
 from typing import Any, TypeVar
@@ -98,10 +101,7 @@ def compiled(function: _Function) -> _Function:
 def _dispatcher(function: Callable[..., Any], **more: bool) -> Any:
     """What numba compiles when it is first called."""
     options = {"fastmath": FASTMATH, "error_model": "numpy", "no_cfunc_wrapper": True, **more}
-    try:
-        found = _NUMBA.njit(cache=True, **options)(function)
-    except RuntimeError:  # no file or no folder to cache in, as in an interactive session
-        found = _NUMBA.njit(**options)(function)
+    found = _kept(_NUMBA.njit, function, **options)
     build = found.compile
 
     def undisturbed(signature: Any) -> Any:
@@ -116,6 +116,36 @@ def _dispatcher(function: Callable[..., Any], **more: bool) -> Any:
 
     found.compile = undisturbed
     return found
+
+
+def _kept(decorator: Callable[..., Any], function: Callable[..., Any], *given: Any, **options: Any) -> Any:
+    """Have numba keep what it compiles: beside the file, at home, or in a folder of its own."""
+    before = _NUMBA.config.CACHE_DIR
+    for find in (lambda: before, _own_folder):
+        try:
+            _NUMBA.config.CACHE_DIR = find()
+            return decorator(*given, cache=True, **options)(function)
+        except RuntimeError:  # no file, as in an interactive session, or no folder that can be written to
+            continue
+        finally:
+            _NUMBA.config.CACHE_DIR = before
+    return decorator(*given, **options)(function)
+
+
+@cache
+def _own_folder() -> str:
+    """A temporary folder where nobody else can write, for what lies there is run; empty if there is none."""
+    if not hasattr(os, "getuid"):
+        return ""
+    try:
+        folder = os.path.join(tempfile.gettempdir(), f"rcorefine-{os.getuid()}")
+        with suppress(FileExistsError):
+            os.mkdir(folder, 0o700)
+        found = os.lstat(folder)
+    except OSError:
+        return ""
+    own = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077
+    return folder if own else ""
 
 
 def _renamed(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -282,9 +312,9 @@ def address_of(function: Callable[..., None], cache: bool) -> tuple[int, Any]:
     real, row = types.float64, types.CPointer(types.float64)
     signature = types.void(real, real, real, real, row, real, row, types.int64, row)
     try:
-        try:
-            found = _NUMBA.cfunc(signature, cache=cache, error_model="numpy")(function)
-        except RuntimeError:  # no file or no folder to cache in
+        if cache:
+            found = _kept(_NUMBA.cfunc, function, signature, error_model="numpy")
+        else:
             found = _NUMBA.cfunc(signature, error_model="numpy")(function)
     except _NUMBA.core.errors.NumbaError as error:
         raise TypeError(str(error)) from error

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import importlib
+import os
+import tempfile
 
 import numpy as np
 import pytest
 
-from rcorefine.jit import NUMBA, by_address, compiled
+from rcorefine.jit import NUMBA, _own_folder, by_address, compiled
 from rcorefine.streaming.rcmr import products
 from rcorefine.streaming.rcmr.arrays import Design
 from rcorefine.streaming.rcmr.stage import start
@@ -164,3 +166,29 @@ def test_a_kernel_is_called_by_its_address_with_its_own_types_only():
         caller(address(), np.array([7.0]), 0)
     with pytest.raises(numba.core.errors.TypingError, match=r"argument 1 is float64, not int64"):
         caller(address(), np.array([7.0]), 2.0)
+
+
+@pytest.mark.numba
+@pytest.mark.skipif(not (NUMBA and hasattr(os, "getuid")), reason="needs numba and users")
+def test_kernels_are_kept_where_neither_package_nor_home_can_be_written_to(monkeypatch, tmp_path):
+    caching = importlib.import_module("numba.core.caching")
+    impl = caching.CompileResultCacheImpl  # as where no other place is left
+    given = [one for one in impl._locator_classes if "UserProvided" in one.__name__]
+    monkeypatch.setattr(impl, "_locator_classes", given)
+    monkeypatch.setattr(caching.config, "CACHE_DIR", "")
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    folder = tmp_path / f"rcorefine-{os.getuid()}"
+    for mode, kept in ((0o777, False), (0o700, True)):
+        _own_folder.cache_clear()
+        folder.mkdir(exist_ok=True)
+        folder.chmod(mode)
+        assert compiled(_twice)(2.0) == 4.0
+        assert any(folder.rglob("*.nbi")) == kept  # not where somebody else could lay down what is run
+    again = compiled(_twice)
+    assert again(3.0) == 6.0
+    assert sum(again._cache_hits.values()) == 1
+    _own_folder.cache_clear()
+
+
+def _twice(value):
+    return 2.0 * value

@@ -191,7 +191,8 @@ class FormulaLaw(Law):
         slopes : ndarray, shape (q, N)
             Derivatives of the value.
         """
-        signal = np.ascontiguousarray(signal, dtype=float)
+        # a copy: a read-only view would have the kernel compiled once more
+        signal = np.array(signal, dtype=float, order="C")
         row = np.zeros((1, MAX_COEFFICIENTS))
         row[0, : len(values)] = values
         passed = np.zeros((0, signal.size)) if slopes is None else np.array(slopes, dtype=float)
