@@ -27,7 +27,9 @@ from .structure import Structure
 
 __all__ = ["Engine", "Trajectory"]
 
-_FAR = 1e12  # times the largest value of an output in the record: no model of it goes there
+# times the largest value of an output in the record: no model of it goes there; where a right-hand side that
+# is not linear does (in a unit of a thousandth at the utmost), it runs away within samples
+_FAR, _FAR_OF_FIELD = 1e12, 1e5
 _RUNS_AWAY = 100.0  # times: from there on the motion tells of the growth only
 _BEYOND = 1e100  # nor any state here, whatever its unit
 _WHOLE = 0.05  # of a sample by which an estimated delay may exceed a whole number and count as one
@@ -109,6 +111,9 @@ class Engine:
         self._level = np.zeros(structure.n_outputs) if point is None else point.outputs
         self._measured += self._level
         self._largest = np.abs(self._measured).max(axis=0, initial=0.0)
+        # a record to be filled in has no size
+        far = _FAR if structure.field is None else _FAR_OF_FIELD
+        self._far = np.where(self._largest > 0, far * self._largest, np.inf)
         self._nowhere = np.zeros(self._measured.shape, dtype=np.uint8)
 
     def run(
@@ -185,15 +190,13 @@ class Engine:
         arguments: list[Any] = [
             *at.substep, *at.laws, drive.W, drive.course, drive.Wout, dW, dWout, driven, self._measured,
             flags, K, self._resets, *at.outputs, x, np.zeros(s.n_ports + ny), S, self.substeps, Yout, SY, X,
-            F, _BEYOND, *at.field,
+            F, _BEYOND, self._far, *at.field,
         ]  # fmt: skip
         with np.errstate(all="ignore"):  # it notices what overflows; plain Python is as silent as compiled
             blew_up = kernels.march(*arguments)
         raise_pending()
         if apart:
             SY = np.concatenate([SY, self._decay(at, theta, K, N if blew_up < 0 else blew_up)], axis=2)
-        beyond = self._beyond(Yout, _FAR)
-        blew_up = min((int(at) for at in (blew_up, beyond) if at >= 0), default=-1)
         if blew_up >= 0 and check:
             raise DivergenceError(
                 f"the simulation left all bounds at sample {blew_up} (t = {blew_up * self.data.dt:.6g} s): "
@@ -246,21 +249,15 @@ class Engine:
                 found[slice(None) if everywhere else labels.index(effect.place)] &= ~hidden
         return found
 
-    def _beyond(self, Y: Array, times: float) -> int:
-        """First sample at which an output (N, n_y) is so many times as large as any in the record, or -1."""
-        levels = self._largest
-        if np.abs(Y).max(initial=0.0) <= times * levels.min(initial=np.inf):
-            return -1
-        far = np.abs(Y) > times * np.where(levels > 0, levels, np.inf)  # a record to be filled in has none
-        return int(far.any(axis=1).argmax()) if far.any() else -1
-
     def state_sizes(self, theta: Array) -> Array:
         """What counts as one in each state without nonlinear forces, whatever its unit, shape (n,)."""
         calm = theta.copy()
         if not self.structure.is_linear:
             calm[self.structure.port_columns] = 0.0
         run = self.run(calm, sensitivity=False, histories=True, check=False)
-        end = self._beyond((run.outputs + self._level[:, None]).T, _RUNS_AWAY)
+        outputs, far = run.outputs.T + self._level, np.where(self._largest > 0, self._largest, np.inf)
+        away = ~(np.abs(outputs) <= _RUNS_AWAY * far).all(axis=1)
+        end = int(away.argmax()) if away.any() else -1
         reached = np.abs(run.states[:, : end if end > 0 else None]).max(axis=1, initial=0.0)
         if (reached > 0).all():
             return np.asarray(reached)

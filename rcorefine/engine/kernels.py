@@ -14,6 +14,8 @@ from .products import add, add_forcing, add_rows, apply, clear, multiply, solve_
 
 __all__ = ["address_of_march", "march", "march_at"]
 
+_NO_FORCES = 1e-6  # of their squares: what is left of an equation that has no solution
+
 
 @compiled
 def _force_jacobian(J, parts, Q, slopes, m):
@@ -84,11 +86,15 @@ def march(
     X,  # (N, n) or (0, n)
     F,  # (N, all) or (0, all)
     limit,  # stop when a state exceeds this
+    far,  # (ny,)                 or an output this
     field,  # int                 code of the field, as `evaluate` takes it
     fvalues,  # (1, nq)           its parameters
     fcolumns,  # (nq,)            their rows in the sensitivity, -1 where fixed
 ):
-    """March over the record; return the first sample that blew up, or -1."""
+    """March over the record; return the first sample that blew up, or -1.
+
+    Where a field leaves no forces at the end of a substep the motion has run away within it.
+    """
     n = x.shape[0]
     nw = Wout.shape[1]
     m = codes.shape[0]
@@ -270,6 +276,8 @@ def march(
                             if outcolumns[i, c] >= 0:
                                 sy[outcolumns[i, c], i] += shown[i, 9 + c]
                 Yout[k, i] = y[i]
+                if not abs(y[i]) <= far[i]:
+                    return k
                 for q in range(p):
                     SY[k, i, q] = sy[q, i]
                 if use[k, i] and slope != 0.0:
@@ -371,6 +379,8 @@ def march(
                         for i in range(m + nf):
                             f[i] = trial[i]
                             trial[i] = f[i] - newton[0, i]
+                    if nf > 0 and not best <= _NO_FORCES * (level * level + 1e-300):
+                        return k + 1
                     put(f, 0, trial)
                     put(step, ends, f)
                     if grade == 0 and pieces > 1:

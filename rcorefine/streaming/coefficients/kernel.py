@@ -141,7 +141,7 @@ def advance(sizes, fixed, packed, counters, block, frozen, record, laws):
         inputs = inputs_of(laws.statics, laws.substeps, laws.foh, nu, kept)
         Wn, Wout, dW, dWout, affected = inputs.W, inputs.Wout, inputs.dW, inputs.dWout, inputs.driven
         Ms, O, Y, S_all, SY_all, S_few, SY_few, measured, unused, none, X0, F0 = march_of(sizes, laws)
-    w = np.ones(nu)
+    w, anywhere = np.ones(nu), np.full(ny, np.inf)
     for k in range(block.inputs.shape[0]):
         put(w, 0, block.inputs[k])
         if counters[0] == 0:
@@ -187,7 +187,7 @@ def advance(sizes, fixed, packed, counters, block, frozen, record, laws):
                     laws.codes, laws.values, laws.columns, laws.widths, Wn, int(laws.foh), Wout, dW, dWout,
                     affected, measured, unused, none, np.zeros((0, 0)), laws.outcodes, laws.outvalues,
                     laws.outcolumns, x, z, through,
-                    laws.substeps, Y, shown, X0, F0, limit,
+                    laws.substeps, Y, shown, X0, F0, limit, anywhere,
                     0, np.zeros((1, 0)), np.zeros(0, dtype=np.int64),
                 )  # fmt: skip
                 if blew_up >= 0:

@@ -176,7 +176,7 @@ class Observer:
             np.ascontiguousarray(drive.W[skip * self.substeps * max(drive.course, 1) :]), drive.course,
             np.ascontiguousarray(drive.Wout[skip:]), none, none, np.zeros(0, dtype=np.int64),
             measured, flags, self.gain, np.zeros((0, 0)), *self._out, x, z, np.zeros((0, n)), self.substeps,
-            Yout, SY, X, F, limit, *field_numbers(s, self.theta),
+            Yout, SY, X, F, limit, np.full(ny, np.inf), *field_numbers(s, self.theta),
         )  # fmt: skip
         raise_pending()
         if blew_up >= 0:
