@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import operator
 import os
 import stat
 import tempfile
@@ -17,6 +18,8 @@ from contextlib import suppress
 from functools import cache
 from types import FunctionType
 from typing import Any, TypeVar
+
+import numpy as np
 
 __all__ = [
     "FASTMATH",
@@ -289,6 +292,31 @@ def by_address(kernel: Callable[..., int], signature: str) -> tuple[Callable[...
         return int(found.library.get_pointer_to_function(found.fndesc.llvm_func_name))
 
     return intrinsic(call), address
+
+
+def _entries_by_list() -> None:
+    """Teach numba ``x[[0, 2]]``, as users pick states in what a model shows."""
+    types = _NUMBA.types
+
+    def picked(x, index):  # type: ignore[no-untyped-def]
+        if not (isinstance(x, types.Array) and x.ndim == 1 and isinstance(index, types.List)):
+            return None
+        if not isinstance(index.dtype, types.Integer):
+            return None
+
+        def entries(x, index):  # type: ignore[no-untyped-def]
+            found = np.empty(len(index), x.dtype)
+            for i in range(len(index)):
+                found[i] = x[index[i]]
+            return found
+
+        return entries
+
+    _NUMBA.extending.overload(operator.getitem)(picked)
+
+
+if _NUMBA is not None:
+    _entries_by_list()
 
 
 def compiled_law(function: _Function) -> _Function:

@@ -12,6 +12,8 @@ from rcorefine.engine import leading, tangent
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
 from rcorefine.exceptions import ModelError, RCOWarning
+from rcorefine.inference.problem import Problem
+from rcorefine.inference.search import sufficient_steps
 from rcorefine.jit import NUMBA
 
 DT = 0.02
@@ -354,3 +356,51 @@ def test_the_params_of_a_model_are_candidates():
     """Nothing says whether the winding pulls harder or its current is larger."""
     library = rco.effect_library(pendulum())
     assert {e.place for e in library if e.kind == "model_parameter"} == {"m", "c", "l"}
+
+
+def falling(t, x, u, params):
+    return np.array([-params["a"] * x[0] + params["b"] * x[0] ** 3 + u[0]])
+
+
+def escaped(u, dt):
+    """When x' = -x + x^3 / 2 + u from rest is beyond all bounds, by scipy; the input is held."""
+    x, big = 0.0, 1e4
+    for k, push in enumerate(u):
+        run = solve_ivp(
+            lambda t, x, push=push: -x + 0.5 * x**3 + push, (0.0, dt), [x], rtol=1e-9, max_step=dt / 20,
+            events=lambda t, x: abs(x[0]) - big,
+        )  # fmt: skip
+        x = float(run.y[0, -1])
+        if abs(x) >= 0.99 * big or run.status != 0:
+            return k
+    return None
+
+
+def test_a_run_that_leaves_the_record_for_good_is_over():
+    model = ct.nlsys(falling, None, params={"a": 1.0, "b": 0.5}, states=["q"], inputs=["u"], outputs=["q"])
+    rng = np.random.default_rng(21)
+    u = np.repeat(rng.uniform(-2.0, 2.0, 40), 20)
+    gone = escaped(u, 0.05)
+    assert 0 < gone < 700
+    y = np.convolve(u, np.exp(-0.05 * np.arange(100)) * 0.05)[: u.size]
+    data = rco.Measurement(u, y, dt=0.05, input_labels="u", output_labels="q")
+    for substeps in (8, 32):  # a coarse one finds another root of its equations, and goes on from there
+        run = Engine(Structure(model), data, substeps=substeps).run(np.zeros(0), check=False)
+        assert abs(run.blew_up - gone) <= 1
+        assert not np.isfinite(run.outputs[:, run.blew_up + 1 :]).any()
+    # nor do finer substeps help: they were doubled until the time was gone
+    problem = Problem(Structure(model), [data], np.ones(1), substeps=8, initial=np.zeros(1))
+    assert sufficient_steps(lambda s, n, _: problem.like(None, substeps=n), [data], problem, np.zeros(0)) == 8
+
+
+@pytest.mark.skipif(not NUMBA, reason="compares what numba compiles")
+def test_states_picked_by_a_list_are_compiled():
+    model = ct.nlsys(
+        lambda t, x, u, params: np.array([x[1], -x[0], x[0] - x[2] + u[0]]),
+        lambda t, x, u, params: x[[2, -3]],
+        params={"a": 1.0}, states=3, inputs=1, outputs=2,
+    )  # fmt: skip
+    field = rco.physical(model).operating_point.field
+    assert field.speed == "compiled"
+    shown = field.table(field.nominal, np.array([0.3, -0.7, 1.1, 0.0]))[3:, 0]
+    np.testing.assert_allclose(shown, [0.0, 0.0], atol=1e-12)  # the linear part has all of it

@@ -168,7 +168,7 @@ class Field:
             except (TypeError, ValueError) as error:
                 warn(
                     f"the functions of {self.functions.label} cannot be compiled and are called in Python, "
-                    f"which is some hundred times slower: {str(error).strip().splitlines()[0]}",
+                    f"which is some hundred times slower: {_reason(error)}",
                     RCOWarning,
                 )
             else:
@@ -203,6 +203,12 @@ _ENTRY = """
 def evaluate(_d, _v, _d_start, _z_start, _p, _width, _w, _nw, _out):
     fill(carray(_p, ({q},)), carray(_w, ({z},)), _width, carray(_out, ({rows}, {columns})))
 """
+
+
+def _reason(error: BaseException) -> str:
+    """The line of a message of numba that says what is wrong."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return next((line for line in lines if not line.startswith(("Failed in", "During"))), lines[0])
 
 
 def _row(values: Any, size: int) -> Array:

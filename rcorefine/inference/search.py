@@ -261,7 +261,9 @@ def step_matters(coarse: Problem, fine: Problem, point: Array) -> float:
     evaluation = coarse.evaluate(point)
     finer = fine.evaluate(point)
     if not (evaluation.finite and finer.finite):
-        return np.inf if evaluation.finite or finer.finite else 0.0  # what runs away at either is no fault of it
+        return (
+            np.inf if evaluation.finite or finer.finite else 0.0
+        )  # what runs away at either is no fault of it
     n = coarse.n_points
     difference = finer.residual[:n] - evaluation.residual[:n]
     turned, jacobian = evaluation.turned(difference)
