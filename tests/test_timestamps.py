@@ -235,3 +235,29 @@ def test_the_grid_lies_on_the_switches_of_a_held_input():
     )
     assert np.abs(data.inputs.T - command).min(axis=1).max() < 1e-9
     np.testing.assert_allclose(data.timepts[0], 0.02, atol=1e-12)
+
+
+def test_a_file_with_a_jittered_clock_needs_one_line(tmp_path):
+    rng = np.random.default_rng(5)
+    t = np.arange(300) * 0.02 + rng.uniform(-0.003, 0.003, 300)
+    u, y = np.sign(np.sin(3.0 * t)), np.sin(5.0 * t)
+    path = tmp_path / "log.csv"
+    path.write_text("t,u,y\n" + "".join(f"{a!r},{b!r},{c!r}\n" for a, b, c in np.c_[t, u, y].tolist()))
+    with pytest.raises(
+        rco.DataError, match=r"time=\.\.\., dt=0\.02.*from_timestamps\(timepts, inputs, outputs"
+    ):
+        rco.Measurement.from_csv(path, "u", "y", time="t")
+    data = rco.Measurement.from_csv(path, "u", "y", time="t", dt=0.02)
+    assert data.dt == 0.02
+    assert data.name == "log"
+    assert len(data.notes) > 1  # how the file was read, and what was done to the stamps
+    np.testing.assert_allclose(data.outputs[0], np.sin(5.0 * data.timepts), atol=1e-4)
+    by_hand = rco.Measurement.from_timestamps(t, u, y, dt=0.02)
+    np.testing.assert_array_equal(data.inputs, by_hand.inputs)
+    frame = {"t": t, "u": u, "y": y}
+    np.testing.assert_array_equal(
+        rco.Measurement.from_frame(frame, "u", "y", time="t", dt=0.02).outputs, data.outputs
+    )
+    regular = frame | {"t": np.arange(300) * 0.02}
+    with pytest.raises(rco.DataError, match="contradicts"):
+        rco.Measurement.from_frame(regular, "u", "y", time="t", dt=0.01)

@@ -13,6 +13,7 @@ import numpy as np
 from ..arguments import as_path
 from .columns import Columns, names_of, read_npz, wanted_columns
 from .extra_formats import read_mat
+from .signals import is_irregular
 from .units import seconds_per
 
 __all__ = ["FileReaders"]
@@ -26,6 +27,10 @@ class FileReaders:
     if TYPE_CHECKING:
 
         def __init__(self, inputs: Any, outputs: Any, **options: Any) -> None: ...
+
+        @classmethod
+        def from_timestamps(cls, timepts: Any, inputs: Any, outputs: Any, **options: Any) -> Self:
+            """As `RecordReaders` has it."""
 
     @classmethod
     def from_mat(
@@ -163,4 +168,6 @@ class FileReaders:
             "notes": notes,
         }
         signals = (np.array([values[name] for name in names]) for names in (w_names, y_names))
+        if times is not None and dt is not None and is_irregular(times):
+            return cls.from_timestamps(times, *signals, dt=dt, **(own | options))
         return cls(*signals, dt=dt, timepts=times, **(own | options))

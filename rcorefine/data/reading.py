@@ -55,7 +55,8 @@ class RecordReaders(LabReaders):
             min, ...), or of a clock (``10:15:30.250 PM``) with or without the
             date and the time zone; else give `dt`.
         dt : float, optional
-            Sampling time in s.
+            Sampling time in s. Beside `time` it is the grid to which jittered, lost or doubled stamps are
+            brought, as by `from_timestamps`; regular ones it must not contradict.
         delimiter : str, optional
             Default: what splits the header into the names (comma, semicolon,
             tab, bar, blanks).
@@ -95,6 +96,9 @@ class RecordReaders(LabReaders):
         (0.1, ('rpm',), array([[1.5, 1.5]]))
         >>> data.notes[0]
         'motor.csv: header in line 3, units in line 4, cells separated by semicolon, decimal comma'
+        >>> _ = path.write_text("t,U,n\n0,1,0\n0.11,1,5\n0.19,1,9\n0.3,1,12\n0.41,1,13\n0.5,1,14\n")
+        >>> rco.Measurement.from_csv(path, "U", "n", time="t", dt=0.1).n_samples  # the clock jitters
+        6
         """
         return cls._read(
             read_csv, path, inputs, outputs, time, dt, options,
@@ -307,5 +311,5 @@ class RecordReaders(LabReaders):
         found = regular(*clocks, dt, hold, longest_gap)
         return cls(
             found.inputs, found.outputs, dt=found.dt, timepts=found.timepts, hold=found.hold,
-            **({"notes": found.notes} | options),
+            **(options | {"notes": (*options.get("notes", ()), *found.notes)}),
         )  # fmt: skip

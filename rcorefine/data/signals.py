@@ -129,7 +129,8 @@ def as_time_grid(dt: Any, timepts: Any, n_samples: int) -> tuple[float, Array]:
         raise DataError(
             f"timepts does not increase from sample {k} ({times[k]:.9g} s) "
             f"to sample {k + 1} ({times[k + 1]:.9g} s); sort the record and remove doubled samples, "
-            "let Measurement.from_timestamps do it, or give dt in place of the times"
+            "let Measurement.from_timestamps do it (from a file: time= and dt= together), "
+            "or give dt in place of the times"
         )
     mean = step_of(times, n_samples - 1)
     _check_regular(times, steps, mean)
@@ -154,9 +155,22 @@ def step_of(times: Array, count: int) -> float:
     return next((step for step in shorter if abs(step - mean) <= open_), float(f"{mean:.12g}"))
 
 
+def is_irregular(timepts: Any) -> bool:
+    """Whether times (N,) go back, stand still or leave the regular grid; not where they are no numbers."""
+    times = np.ravel(as_array(in_seconds(timepts), "timepts (in seconds)", finite=False))
+    if times.size < 3 or not np.isfinite(times).all():
+        return False
+    mean = float(times[-1] - times[0]) / (times.size - 1)
+    return bool((np.diff(times) <= 0).any() or _off_grid(times, mean).max() > GRID_TOLERANCE * mean)
+
+
+def _off_grid(times: Array, mean: float) -> Array:
+    return np.asarray(np.abs(times - times[0] - mean * np.arange(times.size)))
+
+
 def _check_regular(times: Array, steps: Array, mean: float) -> None:
     """Refuse times off the regular grid, naming the step that differs most."""
-    off_grid = np.abs(times - times[0] - mean * np.arange(times.size))
+    off_grid = _off_grid(times, mean)
     if off_grid.max() <= GRID_TOLERANCE * mean:
         return
     usual = float(np.sort(steps)[(steps.size - 1) // 2])  # a lower median: one of the steps, for two as well
@@ -172,8 +186,10 @@ def _check_regular(times: Array, steps: Array, mean: float) -> None:
             f"sample {k} (t = {times[k]:.9g} s) is {off_grid[k]:.3g} s off the regular grid of {mean:.6g} s"
         )
     raise DataError(
-        f"time is irregular: {where}. Bring it to a regular grid "
-        "(Measurement.from_timestamps), or use a stretch without the gap"
+        f"time is irregular: {where}. Bring it to a regular grid: from a file or frame by "
+        f"time=..., dt={usual:.3g} together, from arrays by "
+        f"rco.Measurement.from_timestamps(timepts, inputs, outputs, dt={usual:.3g}); "
+        "or use a stretch without the gap"
     )
 
 
