@@ -14,6 +14,7 @@ from .products import add, add_forcing, add_rows, apply, clear, multiply, solve_
 
 __all__ = ["address_of_march", "march", "march_at"]
 
+_OUTSIDE = 2e-5  # of `far`: within it what is left of an equation is rounding, as at rest
 _NO_FORCES = 1e-6  # of their squares: what is left of an equation that has no solution
 
 
@@ -177,6 +178,7 @@ def march(
 
     stale = True
     first = True
+    outside = False
     for k in range(samples):
         if J.shape[0] > 0:
             put(x_before, 0, x)
@@ -278,6 +280,7 @@ def march(
                 Yout[k, i] = y[i]
                 if not abs(y[i]) <= far[i]:
                     return k
+                outside = (outside and i > 0) or abs(y[i]) > _OUTSIDE * far[i]
                 for q in range(p):
                     SY[k, i, q] = sy[q, i]
                 if use[k, i] and slope != 0.0:
@@ -379,7 +382,7 @@ def march(
                         for i in range(m + nf):
                             f[i] = trial[i]
                             trial[i] = f[i] - newton[0, i]
-                    if nf > 0 and not best <= _NO_FORCES * (level * level + 1e-300):
+                    if nf > 0 and outside and not best <= _NO_FORCES * (level * level + 1e-300):
                         return k + 1
                     put(f, 0, trial)
                     put(step, ends, f)
