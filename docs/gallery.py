@@ -70,6 +70,10 @@ def values(effect, size, sort):
         "signal": 0.6 * signal,
         "s": 3 * blank.dt,
     }
+    names = {coefficient.name for coefficient in effect.spec.coefficients}
+    if {"static_ratio", "displacement"} <= names:
+        # bristles give over D while the motion turns through the static part, within vs/a: vs^2 > a D tells it
+        typical["velocity"] = 2 * np.sqrt(typical["position"] * np.std(np.gradient(v, blank.dt)))
     found, scale = [], size
     for coefficient in effect.spec.coefficients:
         if coefficient.shapes and len(effect.coefficients) > 1:
@@ -201,6 +205,12 @@ def diagnosed(kind, sort):
         said.append(
             f"The name is that of {found.best.effect.kind}: on this record it does the work of {kind}; what "
             "is left is too little, or a constant that the nuisance offset takes up. Another amplitude tells."
+        )
+    if {"static_ratio", "displacement"} <= set(effect.coefficients):
+        said.append(
+            "The motion here takes longer to turn through the static part (vs/a, a the acceleration) than the "
+            "bristles take to give (D/vs). Where it is faster, no record tells the static part from plain "
+            "hysteresis: such a force ends as hysteresis, or unexplained."
         )
     if found.verdict == "adequate" and effect.spec.holds_constant:
         said.append("The nuisance offset that every fit has took it up; offset=False leaves it to be found.")
