@@ -72,7 +72,7 @@ def values(effect, size, sort):
     }
     names = {coefficient.name for coefficient in effect.spec.coefficients}
     if {"static_ratio", "displacement"} <= names:
-        # bristles give over D while the motion turns through the static part, within vs/a: vs^2 > a D tells it
+        # bristles give over D while the motion turns through the static part, in vs/a: vs^2 > a D
         typical["velocity"] = 2 * np.sqrt(typical["position"] * np.std(np.gradient(v, blank.dt)))
     found, scale = [], size
     for coefficient in effect.spec.coefficients:
@@ -208,9 +208,9 @@ def diagnosed(kind, sort):
         )
     if {"static_ratio", "displacement"} <= set(effect.coefficients):
         said.append(
-            "The motion here takes longer to turn through the static part (vs/a, a the acceleration) than the "
-            "bristles take to give (D/vs). Where it is faster, no record tells the static part from plain "
-            "hysteresis: such a force ends as hysteresis, or unexplained."
+            "The motion here takes longer to turn through the static part (vs/a, a the acceleration) than "
+            "the bristles take to give (D/vs). Where it is faster, no record tells the static part from "
+            "plain hysteresis: such a force ends as hysteresis, or unexplained."
         )
     if found.verdict == "adequate" and effect.spec.holds_constant:
         said.append("The nuisance offset that every fit has took it up; offset=False leaves it to be found.")
