@@ -94,7 +94,7 @@ def left_to_noise(battery: TestedResidual, levels: Levels) -> str:
         )
     lasts = ""
     if problem.in_time:
-        lasts = f" of about {_memory_of(battery.whitener) * problem.records[0].dt:.2g} s"
+        lasts = f" of about {float(f'{_memory_of(battery.whitener) * problem.records[0].dt:.2g}'):g} s"
     return (
         f"{run} explains only {fit:.3g} % of the record. The rest passes for noise with a memory{lasts}, "
         f"{memory:.2g} times as large as what is new in each sample: that is why no test fires.{pure} If "
