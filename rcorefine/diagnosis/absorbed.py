@@ -64,8 +64,8 @@ def numbers_that_moved(rows: Sequence[EstimatedParameter]) -> str:
     more = f" and {len(sure) - _MOST} more" if len(sure) > _MOST else ""
     far = far_numbers(sure)
     doubt = (
-        f" {', '.join(far[:_MOST])} moved so far that they may stand in for a law at a place that the model "
-        "does not show: declare its links with physical(...)."
+        f" {', '.join(far[:_MOST])} moved so far that {'it' if len(far) == 1 else 'they'} may stand in for a "
+        "law at a place that the model does not show: declare its links with physical(...)."
     )
     return (
         f"Moved by more than chance, if the sensors are as the model has them: {', '.join(said)}{more}."

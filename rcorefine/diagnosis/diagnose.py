@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 import control as ct
-import numpy as np
 
 from ..arguments import as_share
 from ..arithmetic import own_arithmetic
@@ -15,34 +14,37 @@ from ..data.measurement import Measurement
 from ..data.response_record import in_frequency
 from ..effects.effect import Effect
 from ..effects.several import as_effects
-from ..exceptions import IdentifiabilityWarning, unheard
+from ..exceptions import IdentifiabilityWarning, ModelError, unheard
 from ..inference.assembly import check_settings
 from ..inference.f_tests import FTest
 from ..inference.refinement import Refinement
-from ..inference.sensitivities import Candidate, candidate_columns
+from ..inference.sensitivities import candidate_columns
 from ..inference.windows import about_noise, as_data, check_validation, spread_lines
 from ..models.conversion import as_physical, under_control
 from ..progress import Progress
 from ..refinement.base_fit import base_fit
 from .candidate_fits import CandidateFits, fit_candidates, shortlist
-from .case import Case
+from .case import Case, not_held
 from .checks.check import looks
-from .colored_noise import is_drowned, left_to_noise, takes_error_for_color
+from .colored_noise import is_drowned, takes_error_for_color
 from .dead_sensors import without_dead_sensors
 from .excitation import no_motion, not_excited
-from .families import hosts, said_of_families
-from .floating import floating, outdone, rivals_of_numbers
-from .judging import Judged, judge, outweighed, pair_hint, second_chance, with_special_cases
-from .open_law import open_law, probabilities
+from .floating import (
+    beside_the_law,
+    floating,
+    gains_by_numbers,
+    outdone,
+    rivals_of_numbers,
+    with_a_gain,
+)
+from .judging import Judged, judge, second_chance, with_special_cases
+from .naming import named
 from .places import in_race
-from .ranking import in_free_run, ranking
-from .remarks import amplitude_test, fit_remarks, not_known, remarks
 from .residual_tests import TestedResidual, run_tests
 from .result import Diagnosis
 from .unmeasured_force import Explained
-from .verdict import overall, tied, verdict
+from .verdict import overall
 from .without_a_law import (
-    about_hold,
     adequate,
     earned_beside,
     numbers_instead,
@@ -126,7 +128,9 @@ def diagnose(
     (``control.config.defaults["rcorefine.off"]``). If the residual then passes, the verdict is
     "parameters", unless a single effect explains the record as well: a log-likelihood
     within 4.6 of that of all the numbers, averaged over their prior. Rivals are compared by
-    their likelihood under the whitening filter of the best one.
+    their likelihood under the whitening filter of the best one. Where neither the numbers nor a law
+    explain the record, every law is tried once more while the numbers float: then `base` is the model
+    with its numbers fitted, and the notes list those that moved.
 
     An output of several that shows nothing in any record (constant, stopped, or noise alone) is left out with
     all that belongs to it; the notes say which and why, and `Diagnosis.records` holds what was kept.
@@ -240,7 +244,7 @@ def investigate(
     if mended is not None:
         return mended, None
     if numbers is not None and not rivals_of_numbers(case, numbers, scored):
-        return parameters(case, numbers, tests), None
+        return parameters(case, numbers.refinement, numbers.tests, tests), None
     batteries = [free_run, *(TestedResidual(case.fitted, r) for r in case.observers)]
     chosen, scores = shortlist(scored, batteries)
     race = fit_candidates(case.fitted, [scored[i] for i in chosen], progress=progress)
@@ -253,7 +257,7 @@ def investigate(
         if force is not None or numbers is not None or not is_drowned(free_run, case.levels):
             return adequate(case, Explained(free_run, scored, tests)), None
         lost = Judged(judged.race, [], False)  # it passes as the model does: that says nothing
-        return _named(case, lost, scored, scores, batteries, validation, tests), race
+        return named(case, lost, scored, scores, batteries, validation, tests), race
     if force is not None:
         earned = earned_beside(case, force, judged)
         if earned is None:
@@ -261,11 +265,20 @@ def investigate(
         judged = earned
     plainer = numbers_instead(case, numbers, floated, judged)
     if plainer is not None:
-        return parameters(case, plainer, tests), None
-    other = None if judged.passed else _with_zeros_sought(case, judged, validation)
-    if other is None:
-        judged = judged if judged.passed else second_chance(case, judged, scored, chosen)
-    return other or (_named(case, judged, scored, scores, batteries, validation, tests), judged.race)
+        return parameters(case, plainer.refinement, plainer.tests, tests), None
+    if not judged.passed:
+        told = _with_zeros_sought(case, judged, validation) or _beside_numbers(
+            case, floated, validation, tests
+        )
+        if told is not None:
+            return told
+        judged = second_chance(case, judged, scored, chosen)
+    found = named(case, judged, scored, scores, batteries, validation, tests)
+    if gains_by_numbers(found, floated):
+        again = _beside_numbers(case, floated, validation, tests, unnamed=True)
+        if again is not None:
+            return again
+    return found, judged.race
 
 
 def _unseen(case: Case, base: Refinement) -> Diagnosis | None:
@@ -277,14 +290,11 @@ def _unseen(case: Case, base: Refinement) -> Diagnosis | None:
     return Diagnosis("ambiguous", (), alike, (), (), (), force_ratio=0.0, notes=(still,), **case.about)
 
 
-def _with_zeros_sought(
-    case: Case, judged: Judged, validation: Measurement | None
-) -> tuple[Diagnosis, CandidateFits | None] | None:
-    """The diagnosis with offsets wherever laws want them, where that says more."""
-    base = zeros_sought(case, judged)
-    if base is None:
-        return None
-    found, race = investigate(
+def _again(
+    case: Case, base: Refinement, validation: Measurement | None, thorough: bool
+) -> tuple[Diagnosis, CandidateFits | None]:
+    """The same asked of the model fitted otherwise."""
+    return investigate(
         base,
         case.records,
         asked=case.library,
@@ -292,52 +302,39 @@ def _with_zeros_sought(
         settings=case.settings,
         significance=case.significance,
         progress=case.progress,
-        thorough=case.thorough,
+        thorough=thorough,
     )
+
+
+def _with_zeros_sought(
+    case: Case, judged: Judged, validation: Measurement | None
+) -> tuple[Diagnosis, CandidateFits | None] | None:
+    """The diagnosis with offsets wherever laws want them, where that says more."""
+    base = zeros_sought(case, judged)
+    if base is None:
+        return None
+    found, race = _again(case, base, validation, case.thorough)
     explains = found.verdict != "unexplained"
     return (found, race) if explains or gains_by_zeros(case, judged, race) else None
 
 
-def _named(
+def _beside_numbers(
     case: Case,
-    judged: Judged,
-    scored: Sequence[Candidate],
-    scores: Sequence[FTest],
-    batteries: Sequence[TestedResidual],
+    floated: Refinement | None,
     validation: Measurement | None,
     tests: Sequence[FTest],
-) -> Diagnosis:
-    """The ranking, who is tied, and what the tests of the winner make of it."""
-    race = judged.race
-    likelihoods = [rival.log_likelihood for rival in race.rivals]
-    p_of = {c.effect: test.p_value for c, test in zip(scored, scores, strict=True)}
-    lacks = [0.0 if rival.settled else rival.lack for rival in race.rivals]
-    ties = tied(likelihoods, lacks, case.levels)
-    held = hosts(race.rivals, ties, case.levels)
-    alike = tuple(race.rivals[i].effect for i in ties if i not in held)
-    several = judged.passed and len(case.records) > 1
-    agreement, sentence = amplitude_test(race, case.levels) if several else (1.0, "")
-    unknown = not_known(race, case.levels) if judged.passed else ""
-    passed = judged.passed and not unknown
-    word = verdict(passed, agreement, len(alike), case.levels, judged.against)
-    with case.progress.step("free forces"):
-        law = open_law(race) if word == "unexplained" and case.thorough and case.in_time else None
-    odds = (judged.beside, judged.elsewhere) if judged.passed else (-np.inf, -np.inf)
-    shares, none, places = probabilities(race, *odds, law)
-    if word == "unexplained":  # none is printed for what fails its own tests
-        shares, none = np.full(len(shares), np.nan), 1.0
-    shown = in_free_run(race) if word == "unexplained" and case.thorough else race
-    p_values = [p_of[rival.effect] for rival in shown.rivals]
-    if word == "unexplained" and not case.in_time:  # laws that fail do not tell where
-        places = {}
-    rows = ranking(shown, p_values, shares, case.base, validation, case.settings["horizon"])
-    notes = [*about_hold(case), *fit_remarks(race), *remarks(race, scored, batteries)]
-    notes += said_of_families(race.rivals, held)
-    notes += [said for said in (sentence, unknown, outweighed(judged, case.levels)) if said]
-    if case.thorough and word == "unexplained":
-        with case.progress.step("pairs"):
-            notes += pair_hint(case, judged, scored)
-    own = {"force_ratio": race.ratio, "notes": tuple(notes), **case.about}
-    own["left_to_noise"] = "" if judged.tests else left_to_noise(batteries[0], case.levels)
-    found = Diagnosis(word, rows, alike, tuple(tests), tuple(judged.tests), (), **own)
-    return replace(found, none_of_these=none, places=places, open_law=None if law is None else law.law)
+    unnamed: bool = False,
+) -> tuple[Diagnosis, CandidateFits | None] | None:
+    """The diagnosis while all numbers of the model float, where a law then has a name, or none is asked."""
+    if floated is None or not case.thorough or not not_held(case.library, floated.effects):
+        return None
+    try:
+        found, race = _again(case, floated, validation, unnamed)
+    except ModelError:  # floated to where no observer leads it, or it runs away within a sample
+        return None
+    if not unnamed and found.verdict not in ("effect", "ambiguous"):
+        return None
+    gains = with_a_gain(case, found)
+    if gains is not None:
+        return parameters(case, gains, found.winner_tests, tests), race
+    return replace(found, tests=tuple(tests), notes=(beside_the_law(found), *found.notes)), race

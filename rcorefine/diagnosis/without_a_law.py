@@ -100,7 +100,8 @@ def under_another_hold(case: Case, rival: Floated | None) -> Diagnosis | None:
     numbers = explaining_numbers(other, floating(other))
     if numbers is None or likelihood(numbers.battery) < least:
         return None
-    return replace(parameters(other, numbers, tests), notes=(sentence,))
+    mended = parameters(other, numbers.refinement, numbers.tests, tests)
+    return replace(mended, notes=(sentence,))
 
 
 def likelihood(battery: TestedResidual) -> float:
@@ -117,11 +118,13 @@ def about_hold(case: Case) -> list[str]:
     return [sentence] if sentence else []
 
 
-def parameters(case: Case, numbers: Floated, tests: Sequence[FTest]) -> Diagnosis:
+def parameters(
+    case: Case, refinement: Refinement, passed: Sequence[FTest], tests: Sequence[FTest]
+) -> Diagnosis:
     """Moved numbers explain the records: these show no need for a law."""
     return Diagnosis(
-        "parameters", (), (), tuple(tests), tuple(numbers.tests), (), force_ratio=0.0,
-        floated=numbers.refinement, notes=tuple(about_hold(case)), **case.about,
+        "parameters", (), (), tuple(tests), tuple(passed), (), force_ratio=0.0,
+        floated=refinement, notes=tuple(about_hold(case)), **case.about,
     )  # fmt: skip
 
 

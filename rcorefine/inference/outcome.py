@@ -125,6 +125,8 @@ def _rows(
             and np.count_nonzero(structure.model.port(effect.place).velocity) == 1
         ):
             base, name = structure.inertia(effect.place), f"m[{effect.place}]"
+        if effect.spec.relative and known is None and role == "linear":
+            base, name = 1.0, f"gain[{effect.place}]"
         rows.append(
             EstimatedParameter(
                 name,
