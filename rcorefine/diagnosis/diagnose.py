@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import control as ct
@@ -14,7 +15,7 @@ from ..data.measurement import Measurement
 from ..data.response_record import in_frequency
 from ..effects.effect import Effect
 from ..effects.several import as_effects
-from ..exceptions import IdentifiabilityWarning, ModelError, unheard
+from ..exceptions import IdentifiabilityWarning, unheard
 from ..inference.assembly import check_settings
 from ..inference.f_tests import FTest
 from ..inference.refinement import Refinement
@@ -23,20 +24,14 @@ from ..inference.windows import about_noise, as_data, check_validation, spread_l
 from ..models.conversion import as_physical, under_control
 from ..progress import Progress
 from ..refinement.base_fit import base_fit
+from .beside_numbers import beside_numbers, open_beside_numbers
 from .candidate_fits import CandidateFits, fit_candidates, shortlist
-from .case import Case, not_held
+from .case import Case
 from .checks.check import looks
 from .colored_noise import is_drowned, takes_error_for_color
 from .dead_sensors import without_dead_sensors
 from .excitation import no_motion, not_excited
-from .floating import (
-    beside_the_law,
-    floating,
-    gains_by_numbers,
-    outdone,
-    rivals_of_numbers,
-    with_a_gain,
-)
+from .floating import floating, outdone, rivals_of_numbers
 from .judging import Judged, judge, second_chance, with_special_cases
 from .naming import named
 from .places import in_race
@@ -45,6 +40,7 @@ from .result import Diagnosis
 from .unmeasured_force import Explained
 from .verdict import overall
 from .without_a_law import (
+    Answer,
     adequate,
     earned_beside,
     numbers_instead,
@@ -52,7 +48,7 @@ from .without_a_law import (
     under_another_hold,
     without_a_law,
 )
-from .zeros import gains_by_zeros, zeros_sought
+from .zeros import with_zeros_sought
 
 __all__ = ["diagnose", "investigate"]
 
@@ -232,12 +228,7 @@ def investigate(
     passed = case.passes(tests, case.fitted)
     doubtful = passed and takes_error_for_color(free_run, scored, case.levels)
     if passed and not doubtful:
-        fine = adequate(case, Explained(free_run, scored, tests))
-        if thorough or overall(tests, equal=True) >= significance:
-            return fine, None
-        # few samples carry it, fault or noise: whoever holds another record asks the candidates there
-        short = [scored[i] for i in shortlist(scored, [free_run])[0]]
-        return fine, fit_candidates(case.fitted, short, progress=progress)
+        return _fine(case, Explained(free_run, scored, tests))
     floated = floating(case)
     force, numbers = without_a_law(case, free_run, floated, doubtful)
     mended = under_another_hold(case, numbers) if force is None else None
@@ -266,19 +257,41 @@ def investigate(
     plainer = numbers_instead(case, numbers, floated, judged)
     if plainer is not None:
         return parameters(case, plainer.refinement, plainer.tests, tests), None
-    if not judged.passed:
-        told = _with_zeros_sought(case, judged, validation) or _beside_numbers(
-            case, floated, validation, tests
-        )
-        if told is not None:
-            return told
-        judged = second_chance(case, judged, scored, chosen)
-    found = named(case, judged, scored, scores, batteries, validation, tests)
-    if gains_by_numbers(found, floated):
-        again = _beside_numbers(case, floated, validation, tests, unnamed=True)
-        if again is not None:
-            return again
-    return found, judged.race
+    tell = partial(
+        named, case, scored=scored, scores=scores, batteries=batteries, validation=validation, tests=tests
+    )
+    if judged.passed:
+        return tell(judged), judged.race
+    insist = partial(second_chance, case, judged, scored, chosen)
+    return _none_passing(case, judged, floated, tests, partial(_again, case, validation), insist, tell)
+
+
+def _fine(case: Case, explained: Explained) -> Answer:
+    """Nothing is missing, or few samples carry it, fault or noise: another record may ask the candidates."""
+    fine = adequate(case, explained)
+    if case.thorough or overall(explained.tests, equal=True) >= case.significance:
+        return fine, None
+    short = [explained.scored[i] for i in shortlist(explained.scored, [explained.battery])[0]]
+    return fine, fit_candidates(case.fitted, short, progress=case.progress)
+
+
+def _none_passing(
+    case: Case,
+    judged: Judged,
+    floated: Refinement | None,
+    tests: Sequence[FTest],
+    again: Callable[[Refinement, bool], Answer],
+    insist: Callable[[], Judged],
+    tell: Callable[[Judged], Diagnosis],
+) -> Answer:
+    """The diagnosis where no law passes: of a model that knows less, or by trying harder."""
+    elsewhere = with_zeros_sought(case, judged, again)
+    elsewhere = elsewhere or beside_numbers(case, judged, floated, tests, again)
+    if elsewhere is not None:
+        return elsewhere
+    judged = insist()
+    found = tell(judged)
+    return open_beside_numbers(case, found, floated, again) or (found, judged.race)
 
 
 def _unseen(case: Case, base: Refinement) -> Diagnosis | None:
@@ -290,9 +303,7 @@ def _unseen(case: Case, base: Refinement) -> Diagnosis | None:
     return Diagnosis("ambiguous", (), alike, (), (), (), force_ratio=0.0, notes=(still,), **case.about)
 
 
-def _again(
-    case: Case, base: Refinement, validation: Measurement | None, thorough: bool
-) -> tuple[Diagnosis, CandidateFits | None]:
+def _again(case: Case, validation: Measurement | None, base: Refinement, thorough: bool) -> Answer:
     """The same asked of the model fitted otherwise."""
     return investigate(
         base,
@@ -304,37 +315,3 @@ def _again(
         progress=case.progress,
         thorough=thorough,
     )
-
-
-def _with_zeros_sought(
-    case: Case, judged: Judged, validation: Measurement | None
-) -> tuple[Diagnosis, CandidateFits | None] | None:
-    """The diagnosis with offsets wherever laws want them, where that says more."""
-    base = zeros_sought(case, judged)
-    if base is None:
-        return None
-    found, race = _again(case, base, validation, case.thorough)
-    explains = found.verdict != "unexplained"
-    return (found, race) if explains or gains_by_zeros(case, judged, race) else None
-
-
-def _beside_numbers(
-    case: Case,
-    floated: Refinement | None,
-    validation: Measurement | None,
-    tests: Sequence[FTest],
-    unnamed: bool = False,
-) -> tuple[Diagnosis, CandidateFits | None] | None:
-    """The diagnosis while all numbers of the model float, where a law then has a name, or none is asked."""
-    if floated is None or not case.thorough or not not_held(case.library, floated.effects):
-        return None
-    try:
-        found, race = _again(case, floated, validation, unnamed)
-    except ModelError:  # floated to where no observer leads it, or it runs away within a sample
-        return None
-    if not unnamed and found.verdict not in ("effect", "ambiguous"):
-        return None
-    gains = with_a_gain(case, found)
-    if gains is not None:
-        return parameters(case, gains, found.winner_tests, tests), race
-    return replace(found, tests=tuple(tests), notes=(beside_the_law(found), *found.notes)), race

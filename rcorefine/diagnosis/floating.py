@@ -19,29 +19,24 @@ from ..inference.sensitivities import Candidate, candidate_columns, parameter_co
 from ..inference.starts import estimated_motion
 from ..models.library import effect_library
 from ..refinement.base_fit import base_fit
-from ..refinement.refine import refine, refit
+from ..refinement.refine import refine
 from ..systems.linear import Array
-from .absorbed import numbers_that_moved
 from .candidate_fit import log_likelihood, prior_cost
 from .candidate_fits import STRONG, CandidateFits, fit_candidates
 from .case import Case, not_held
 from .colored_noise import gain_over_color
 from .places import in_race
 from .residual_tests import TestedResidual, passed_without_library, run_tests
-from .result import Diagnosis
 from .verdict import keeps_name, overall
 
 __all__ = [
     "Floated",
     "as_good",
-    "beside_the_law",
     "explaining_numbers",
     "floating",
-    "gains_by_numbers",
     "is_number",
     "outdone",
     "rivals_of_numbers",
-    "with_a_gain",
 ]
 
 _OWN = 1e-4  # share of a column that no other number explains, below which it is none of its own
@@ -234,35 +229,6 @@ def rivals_of_numbers(case: Case, numbers: Floated, scored: Sequence[Candidate])
     tried += [scored[i] for gain, i in sorted(laws, reverse=True)[:_LAWS] if gain > least]
     race = fit_candidates(case.fitted, tried, progress=case.progress) if tried else None
     return race is not None and as_good(case, race, numbers)
-
-
-def gains_by_numbers(found: Diagnosis, floated: Refinement | None) -> bool:
-    """Whether the numbers of the model take more from the error than any law, or force without one."""
-    if found.verdict != "unexplained" or floated is None or not found.ranking:
-        return False
-    fits = [float(np.mean(row.refinement.fit)) for row in found.ranking]
-    fits += [found.open_law.fit_after] if found.open_law is not None else []
-    return bool(np.mean(floated.fit) > max(fits))
-
-
-def with_a_gain(case: Case, found: Diagnosis) -> Refinement | None:
-    """The model whose numbers float, where a gain is all that it lacks: that is one more of its numbers."""
-    if found.verdict != "effect" or found.best is None or not found.best.effect.spec.relative:
-        return None
-    model, gain = found.best.refinement, found.best.effect
-    roles = ["linear" if e == gain else role for e, role in zip(model.effects, model.roles, strict=True)]
-    return refit(replace(model, roles=tuple(roles)), case.records, elsewhere=False, **case.options)
-
-
-def beside_the_law(found: Diagnosis) -> str:
-    """What is said where a law is sought while all numbers of the model float."""
-    best = found.best
-    with_law = found.verdict in ("effect", "ambiguous") and best is not None
-    said = "No law alone explains the record, nor do the numbers of the model: these float beside every law."
-    if best is None or not with_law:
-        return said
-    rows = [row for row in best.refinement.parameters if row.role == "linear"]
-    return f"{said} {numbers_that_moved(rows)}"
 
 
 def is_number(effect: Effect) -> bool:

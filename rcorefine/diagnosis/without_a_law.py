@@ -11,6 +11,7 @@ from ..inference.f_tests import FTest
 from ..inference.refinement import Refinement
 from ..inference.sensitivities import candidate_columns
 from ..refinement.refine import refit
+from .candidate_fits import CandidateFits
 from .case import Case
 from .colored_noise import gain_over_color, left_to_noise
 from .floating import Floated, as_good, explaining_numbers, floating, is_number, outdone
@@ -21,15 +22,19 @@ from .result import Diagnosis
 from .unmeasured_force import Explained, explaining_force
 
 __all__ = [
+    "Answer",
     "about_hold",
     "adequate",
     "earned_beside",
+    "gains",
     "likelihood",
     "numbers_instead",
     "parameters",
     "under_another_hold",
     "without_a_law",
 ]
+
+Answer = tuple[Diagnosis, CandidateFits | None]  # with the refitted rivals, where there were any
 
 
 def without_a_law(
@@ -102,6 +107,14 @@ def under_another_hold(case: Case, rival: Floated | None) -> Diagnosis | None:
         return None
     mended = parameters(other, numbers.refinement, numbers.tests, tests)
     return replace(mended, notes=(sentence,))
+
+
+def gains(case: Case, judged: Judged, other: CandidateFits | None) -> bool:
+    """Whether candidates of a model that was fitted otherwise explain clearly more than the best one here."""
+    if other is None:
+        return False
+    mine, theirs = (likelihood(TestedResidual(j.model(), j.ratio)) for j in (judged.race, other))
+    return theirs >= mine + case.levels.force
 
 
 def likelihood(battery: TestedResidual) -> float:

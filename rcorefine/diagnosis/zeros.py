@@ -2,21 +2,49 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ..inference.assembly import offsets_everywhere
 from ..inference.refinement import Refinement
 from ..refinement.refine import refit
-from .candidate_fits import CandidateFits
 from .case import Case
 from .judging import Judged
-from .residual_tests import TestedResidual
-from .without_a_law import likelihood
+from .without_a_law import Answer, gains
 
-__all__ = ["gains_by_zeros", "zeros_sought"]
+__all__ = ["with_zeros_sought"]
 
 
-def zeros_sought(case: Case, judged: Judged) -> Refinement | None:
+def with_zeros_sought(
+    case: Case, judged: Judged, again: Callable[[Refinement, bool], Answer]
+) -> Answer | None:
+    """The diagnosis with offsets wherever laws want them, where that says more.
+
+    Parameters
+    ----------
+    case : Case
+        What is asked.
+    judged : Judged
+        The best candidate, which failed its tests.
+    again : callable
+        The same asked of the model fitted otherwise.
+
+    Returns
+    -------
+    found : Diagnosis
+    race : CandidateFits or None
+        None in place of both where nothing is gained.
+    """
+    base = _zeros_sought(case, judged)
+    if base is None:
+        return None
+    found, race = again(base, case.thorough)
+    explains = found.verdict != "unexplained"
+    return (found, race) if explains or gains(case, judged, race) else None
+
+
+def _zeros_sought(case: Case, judged: Judged) -> Refinement | None:
     """The model with a constant offset at every input and output, where zero is doubtful.
 
     Behind a linear model an offset of a sensor is one of an input, or an initial state: it is fitted where
@@ -43,11 +71,3 @@ def zeros_sought(case: Case, judged: Judged) -> Refinement | None:
     offsets = offsets_everywhere(case.base.physical_model, case.ordered)
     with case.progress.step("offsets elsewhere"):
         return refit(case.base, case.records, offsets=offsets, elsewhere=False, **case.options)
-
-
-def gains_by_zeros(case: Case, judged: Judged, other: CandidateFits | None) -> bool:
-    """Whether candidates explain more where zero is sought."""
-    if other is None:
-        return False
-    mine, theirs = (likelihood(TestedResidual(j.model(), j.ratio)) for j in (judged.race, other))
-    return theirs >= mine + case.levels.force

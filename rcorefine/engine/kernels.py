@@ -485,7 +485,7 @@ _TYPES = """int64(
     i8[::1], f8[:, ::1], i8[:, ::1], f8[::1], f8[:, ::1], i8, f8[:, ::1], f8[:, :, ::1], f8[:, :, ::1],
     i8[::1], f8[:, ::1], u1[:, ::1], f8[:, ::1], f8[:, ::1], i8[::1], f8[:, ::1], i8[:, ::1], f8[::1],
     f8[::1], f8[:, ::1], i8, f8[:, ::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], f8,
-    i8, f8[:, ::1], i8[::1])"""
+    f8[::1], i8, f8[:, ::1], i8[::1])"""
 
 #: The march in a kernel, and the address that this takes: inside of that it would be compiled once more.
 march_at, address_of_march = by_address(march, _TYPES)

@@ -1,0 +1,115 @@
+"""A law is missing and the numbers of the model are off besides: every law again while they float."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..exceptions import ModelError
+from ..inference.f_tests import FTest
+from ..inference.refinement import Refinement
+from ..refinement.refine import refit
+from .absorbed import numbers_that_moved
+from .case import Case, not_held
+from .judging import Judged
+from .result import Diagnosis
+from .without_a_law import Answer, gains, parameters
+
+__all__ = ["beside_numbers", "open_beside_numbers"]
+
+
+def beside_numbers(
+    case: Case,
+    judged: Judged,
+    floated: Refinement | None,
+    tests: Sequence[FTest],
+    again: Callable[[Refinement, bool], Answer],
+) -> Answer | None:
+    """The diagnosis while all numbers float, where a law then has a name and explains clearly more.
+
+    Parameters
+    ----------
+    case : Case
+        What is asked.
+    judged : Judged
+        The best candidate, which failed its tests.
+    floated : Refinement or None
+        Of `floating`.
+    tests : sequence of FTest
+        Tests of the model as it is.
+    again : callable
+        The same asked of the model fitted otherwise.
+
+    Returns
+    -------
+    found : Diagnosis
+    race : CandidateFits or None
+        None in place of both where nothing is gained.
+    """
+    answer = _asked(case, floated, again, False)
+    if answer is None:
+        return None
+    found, race = answer
+    if found.verdict not in ("effect", "ambiguous") or not gains(case, judged, race):
+        return None
+    further = _with_a_gain(case, found)
+    if further is not None:
+        return parameters(case, further, found.winner_tests, tests), race
+    return _told(found, tests), race
+
+
+def open_beside_numbers(
+    case: Case,
+    found: Diagnosis,
+    floated: Refinement | None,
+    again: Callable[[Refinement, bool], Answer],
+) -> Answer | None:
+    """The same of a diagnosis without a name, where the numbers explain more than any law or free force."""
+    answer = _asked(case, floated, again, True) if _gains_by_numbers(found, floated) else None
+    return None if answer is None else (_told(answer[0], found.tests), answer[1])
+
+
+def _asked(
+    case: Case, floated: Refinement | None, again: Callable[[Refinement, bool], Answer], thorough: bool
+) -> Answer | None:
+    if floated is None or not case.thorough or not not_held(case.library, floated.effects):
+        return None
+    try:
+        return again(floated, thorough)
+    except ModelError:  # floated to where no observer leads it, or it runs away within a sample
+        return None
+
+
+def _told(found: Diagnosis, tests: Sequence[FTest]) -> Diagnosis:
+    return replace(found, tests=tuple(tests), notes=(_in_words(found), *found.notes))
+
+
+def _gains_by_numbers(found: Diagnosis, floated: Refinement | None) -> bool:
+    """Whether the numbers of the model take more from the error than any law, or force without one."""
+    if found.verdict != "unexplained" or floated is None or not found.ranking:
+        return False
+    fits = [float(np.mean(row.refinement.fit)) for row in found.ranking]
+    fits += [found.open_law.fit_after] if found.open_law is not None else []
+    return bool(np.mean(floated.fit) > max(fits))
+
+
+def _with_a_gain(case: Case, found: Diagnosis) -> Refinement | None:
+    """The model whose numbers float, where a gain is all that it lacks: that is one more of its numbers."""
+    if found.verdict != "effect" or found.best is None or not found.best.effect.spec.relative:
+        return None
+    model, gain = found.best.refinement, found.best.effect
+    roles = ["linear" if e == gain else role for e, role in zip(model.effects, model.roles, strict=True)]
+    return refit(replace(model, roles=tuple(roles)), case.records, elsewhere=False, **case.options)
+
+
+def _in_words(found: Diagnosis) -> str:
+    """What is said where a law is sought while all numbers of the model float."""
+    best = found.best
+    with_law = found.verdict in ("effect", "ambiguous") and best is not None
+    said = "No law alone explains the record, nor do the numbers of the model: these float beside every law."
+    if best is None or not with_law:
+        return said
+    rows = [row for row in best.refinement.parameters if row.role == "linear"]
+    return f"{said} {numbers_that_moved(rows)}"
