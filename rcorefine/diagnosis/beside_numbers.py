@@ -19,6 +19,8 @@ from .without_a_law import Answer, gains, parameters
 
 __all__ = ["beside_numbers", "open_beside_numbers"]
 
+_MATTERS = 0.2  # of what numbers are off by: those that move less take up what a law lacks in form
+
 
 def beside_numbers(
     case: Case,
@@ -28,6 +30,9 @@ def beside_numbers(
     again: Callable[[Refinement, bool], Answer],
 ) -> Answer | None:
     """The diagnosis while all numbers float, where a law then has a name and explains clearly more.
+
+    Numbers that hardly move are not off: they take up what that law lacks, as a cubic spring in place of
+    a sine, and it is not named.
 
     Parameters
     ----------
@@ -52,7 +57,8 @@ def beside_numbers(
     if answer is None:
         return None
     found, race = answer
-    if found.verdict not in ("effect", "ambiguous") or not gains(case, judged, race):
+    is_named = found.verdict in ("effect", "ambiguous")
+    if not (is_named and _are_off(case, found) and gains(case, judged, race)):
         return None
     further = _with_a_gain(case, found)
     if further is not None:
@@ -69,6 +75,15 @@ def open_beside_numbers(
     """The same of a diagnosis without a name, where the numbers explain more than any law or free force."""
     answer = _asked(case, floated, again, True) if _gains_by_numbers(found, floated) else None
     return None if answer is None else (_told(answer[0], found.tests), answer[1])
+
+
+def _are_off(case: Case, found: Diagnosis) -> bool:
+    """Whether a number is off beside the law, for certain and by what matters."""
+    least, sure = _MATTERS * case.levels.off, case.levels.moved
+    rows = () if found.best is None else found.best.refinement.parameters
+    return any(
+        abs(r.coefficient) > max(sure * r.std, least * abs(r.initial)) for r in rows if r.role == "linear"
+    )
 
 
 def _asked(
