@@ -72,9 +72,14 @@ def open_beside_numbers(
     floated: Refinement | None,
     again: Callable[[Refinement, bool], Answer],
 ) -> Answer | None:
-    """The same of a diagnosis without a name, where the numbers explain more than any law or free force."""
+    """The same of a diagnosis without a name, where the numbers explain more than any law or free force.
+
+    It gets no name here either: what deserves one has got it from `beside_numbers`.
+    """
     answer = _asked(case, floated, again, True) if _gains_by_numbers(found, floated) else None
-    return None if answer is None else (_told(answer[0], found.tests), answer[1])
+    if answer is None or answer[0].verdict != "unexplained":
+        return None
+    return _told(answer[0], found.tests), answer[1]
 
 
 def _are_off(case: Case, found: Diagnosis) -> bool:

@@ -263,7 +263,7 @@ def step_matters(coarse: Problem, fine: Problem, point: Array) -> float:
     if not (evaluation.finite and finer.finite):
         return (
             np.inf if evaluation.finite or finer.finite else 0.0
-        )  # what runs away at either is no fault of it
+        )  # what runs away at both is no fault of it
     n = coarse.n_points
     difference = finer.residual[:n] - evaluation.residual[:n]
     turned, jacobian = evaluation.turned(difference)
