@@ -22,6 +22,7 @@ from ..systems.linear import Array
 from . import kernels
 from .controlled import sample_jumps, start_columns
 from .inputs import BAND_LIMITED_FACTOR, InputSignal, clock_drift
+from .linear_march import linear_march
 from .setting import Setting, setting
 from .structure import Structure
 
@@ -171,7 +172,8 @@ class Engine:
         x = np.zeros(n) if x0 is None else np.array(x0, dtype=float)
         lead = self.lead if gain is None else gain
         # initial states of what is linear add what no input and no other state changes
-        apart = initial_state and use is None and not (m or s.output_statics or self._resets.size)
+        lawless = not (m or s.output_statics or self._resets.size)
+        apart = initial_state and use is None and lawless
         p -= n if apart else 0
         S = start_columns(s, p) if initial_state and not apart else np.zeros((p, n))
         flags, K = self._corrections(lead, use)
@@ -187,14 +189,8 @@ class Engine:
                     "other coefficients or bound them"
                 )
             return _trajectory(Yout, np.zeros((N, ny, p + n if apart else p)), X, F, 0)
-        arguments: list[Any] = [
-            *at.substep, *at.laws, drive.W, drive.course, drive.Wout, dW, dWout, driven, self._measured,
-            flags, K, self._resets, *at.outputs, x, np.zeros(s.n_ports + ny), S, self.substeps, Yout, SY, X,
-            F, _BEYOND, self._far, *at.field,
-        ]  # fmt: skip
-        with np.errstate(all="ignore"):  # it notices what overflows; plain Python is as silent as compiled
-            blew_up = kernels.march(*arguments)
-        raise_pending()
+        signals = drive.W, drive.course, drive.Wout, dW, dWout, driven, self._measured, flags, K
+        blew_up = self._march(at, signals, x, (S, self.substeps, Yout, SY, X), None if lawless else F)
         if apart:
             SY = np.concatenate([SY, self._decay(at, theta, K, N if blew_up < 0 else blew_up)], axis=2)
         if blew_up >= 0 and check:
@@ -206,6 +202,21 @@ class Engine:
             if np.isfinite(Yout[:, channel]).all():  # where it blew up there is nothing to shift
                 self._delay_output(theta, index, channel, Yout, SY, sensitivity)
         return _trajectory(Yout - self._level, SY, X, F, blew_up)
+
+    def _march(
+        self, at: Setting, signals: tuple[Any, ...], x: Array, into: tuple[Any, ...], F: Array | None
+    ) -> int:
+        """March over the record; what laws there are leave their forces in F."""
+        s = self.structure
+        z = np.zeros(s.n_ports + s.n_outputs)
+        given: list[Any] = [*at.linear, *signals, x, *into, _BEYOND, self._far]
+        if F is not None:
+            given = [*at.substep, *at.laws, *signals, self._resets, *at.outputs, x, z, *into, F]
+            given += [_BEYOND, self._far, *at.field]
+        with np.errstate(all="ignore"):  # it notices what overflows; plain Python is as silent as compiled
+            blew_up: int = linear_march(*given) if F is None else kernels.march(*given)
+        raise_pending()
+        return blew_up
 
     def _decay(self, at: Setting, theta: Array, gain: Array, until: int) -> Array:
         """Derivatives (N, n_y, n) by the initial states of a linear model, up to a sample."""

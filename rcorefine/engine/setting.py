@@ -40,6 +40,12 @@ class Setting:
     field: tuple[Any, ...]
     finite: bool
 
+    @property
+    def linear(self) -> tuple[Any, ...]:
+        """What `linear_march` takes of them."""
+        M, dM, _, rows, O, dO = self.substep[:6]
+        return M[0], dM[0], rows, O, dO
+
     def decay(self, substeps: int, gain: Array, samples: int) -> Array:
         """What a unit of each initial state adds to the outputs of a linear model, (N, n_y, n).
 
