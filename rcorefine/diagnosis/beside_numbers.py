@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,8 +12,8 @@ from ..inference.f_tests import FTest
 from ..inference.refinement import Refinement
 from ..refinement.refine import refit
 from .absorbed import numbers_that_moved
+from .asking import Ask, Unanswered
 from .case import Case, not_held
-from .judging import Judged
 from .result import Diagnosis
 from .without_a_law import Answer, gains, parameters
 
@@ -22,64 +22,51 @@ __all__ = ["beside_numbers", "open_beside_numbers"]
 _MATTERS = 0.2  # of what numbers are off by: those that move less take up what a law lacks in form
 
 
-def beside_numbers(
-    case: Case,
-    judged: Judged,
-    floated: Refinement | None,
-    tests: Sequence[FTest],
-    again: Callable[[Refinement, bool], Answer],
-) -> Answer | None:
-    """The diagnosis while all numbers float, where a law then has a name and explains clearly more.
+def beside_numbers(first: Unanswered, again: Ask) -> Answer | Unanswered | None:
+    """The same asked while all numbers float: the name that a law then has, if it explains clearly more.
 
     Numbers that hardly move are not off: they take up what that law lacks, as a cubic spring in place of
     a sine, and it is not named.
 
     Parameters
     ----------
-    case : Case
-        What is asked.
-    judged : Judged
-        The best candidate, which failed its tests.
-    floated : Refinement or None
-        Of `floating`.
-    tests : sequence of FTest
-        Tests of the model as it is.
+    first : Unanswered
+        The best candidate failed its tests.
     again : callable
         The same asked of the model fitted otherwise.
 
     Returns
     -------
-    found : Diagnosis
-    race : CandidateFits or None
-        None in place of both where nothing is gained.
+    Answer, Unanswered or None
+        None where nothing is gained.
     """
-    answer = _asked(case, floated, again, False)
-    if answer is None:
+    case, floated = first.case, first.floated
+    if floated is None or not case.thorough or not not_held(case.library, floated.effects):
         return None
+    try:
+        answer = again(floated, False)
+    except ModelError:  # floated to where no observer leads it, or it runs away within a sample
+        return None
+    if isinstance(answer, Unanswered):
+        return answer
     found, race = answer
     is_named = found.verdict in ("effect", "ambiguous")
-    if not (is_named and _are_off(case, found) and gains(case, judged, race)):
+    if not (is_named and _are_off(case, found) and gains(case, first.judged, race)):
         return None
     further = _with_a_gain(case, found)
     if further is not None:
-        return parameters(case, further, found.winner_tests, tests), race
-    return _told(found, tests), race
+        return parameters(case, further, found.winner_tests, first.tests), race
+    return _told(found, first.tests), race
 
 
 def open_beside_numbers(
-    case: Case,
-    found: Diagnosis,
-    floated: Refinement | None,
-    again: Callable[[Refinement, bool], Answer],
+    found: Diagnosis, floated: Refinement | None, beside: Unanswered | None
 ) -> Answer | None:
-    """The same of a diagnosis without a name, where the numbers explain more than any law or free force.
-
-    It gets no name here either: what deserves one has got it from `beside_numbers`.
-    """
-    answer = _asked(case, floated, again, True) if _gains_by_numbers(found, floated) else None
-    if answer is None or answer[0].verdict != "unexplained":
+    """What `beside_numbers` left open, where the numbers explain more than any law or free force alone."""
+    if beside is None or not _gains_by_numbers(found, floated):
         return None
-    return _told(answer[0], found.tests), answer[1]
+    other, race = replace(beside, case=replace(beside.case, thorough=True)).told()
+    return _told(other, found.tests), race
 
 
 def _are_off(case: Case, found: Diagnosis) -> bool:
@@ -89,17 +76,6 @@ def _are_off(case: Case, found: Diagnosis) -> bool:
     return any(
         abs(r.coefficient) > max(sure * r.std, least * abs(r.initial)) for r in rows if r.role == "linear"
     )
-
-
-def _asked(
-    case: Case, floated: Refinement | None, again: Callable[[Refinement, bool], Answer], thorough: bool
-) -> Answer | None:
-    if floated is None or not case.thorough or not not_held(case.library, floated.effects):
-        return None
-    try:
-        return again(floated, thorough)
-    except ModelError:  # floated to where no observer leads it, or it runs away within a sample
-        return None
 
 
 def _told(found: Diagnosis, tests: Sequence[FTest]) -> Diagnosis:

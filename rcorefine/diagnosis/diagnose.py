@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -17,37 +17,19 @@ from ..effects.effect import Effect
 from ..effects.several import as_effects
 from ..exceptions import IdentifiabilityWarning, unheard
 from ..inference.assembly import check_settings
-from ..inference.f_tests import FTest
 from ..inference.refinement import Refinement
-from ..inference.sensitivities import candidate_columns
 from ..inference.windows import about_noise, as_data, check_validation, spread_lines
 from ..models.conversion import as_physical, under_control
 from ..progress import Progress
 from ..refinement.base_fit import base_fit
+from .asking import Ask, Unanswered, ask
 from .beside_numbers import beside_numbers, open_beside_numbers
-from .candidate_fits import CandidateFits, fit_candidates, shortlist
+from .candidate_fits import CandidateFits
 from .case import Case
 from .checks.check import looks
-from .colored_noise import is_drowned, takes_error_for_color
 from .dead_sensors import without_dead_sensors
-from .excitation import no_motion, not_excited
-from .floating import floating, outdone, rivals_of_numbers
-from .judging import Judged, judge, second_chance, with_special_cases
-from .naming import named
-from .places import in_race
-from .residual_tests import TestedResidual, run_tests
 from .result import Diagnosis
-from .unmeasured_force import Explained
-from .verdict import overall
-from .without_a_law import (
-    Answer,
-    adequate,
-    earned_beside,
-    numbers_instead,
-    parameters,
-    under_another_hold,
-    without_a_law,
-)
+from .without_a_law import Answer, gains
 from .zeros import with_zeros_sought
 
 __all__ = ["diagnose", "investigate"]
@@ -217,101 +199,39 @@ def investigate(
         a fault that few samples alone would show.
     """
     case = Case.prepare(base, records, asked, settings, significance, progress, thorough)
-    unknown = _unseen(case, base)
-    if unknown is not None:
-        return unknown, None
-    with progress.step("tests"):
-        near = in_race(case.fitted, case.library, (0.0, *case.observers))
-        scored = candidate_columns(case.fitted, near, case.motions[0], (0.0, *case.observers))
-        free_run = TestedResidual(case.fitted)
-        tests = run_tests(free_run, scored, case.motions, len(case.library) - len(near))
-    passed = case.passes(tests, case.fitted)
-    doubtful = passed and takes_error_for_color(free_run, scored, case.levels)
-    if passed and not doubtful:
-        return _fine(case, Explained(free_run, scored, tests))
-    floated = floating(case)
-    force, numbers = without_a_law(case, free_run, floated, doubtful)
-    mended = under_another_hold(case, numbers) if force is None else None
-    if mended is not None:
-        return mended, None
-    if numbers is not None and not rivals_of_numbers(case, numbers, scored):
-        return parameters(case, numbers.refinement, numbers.tests, tests), None
-    batteries = [free_run, *(TestedResidual(case.fitted, r) for r in case.observers)]
-    chosen, scores = shortlist(scored, batteries)
-    race = fit_candidates(case.fitted, [scored[i] for i in chosen], progress=progress)
-    race = race and with_special_cases(race, scored, progress)
-    if race is None:
-        return Diagnosis("unexplained", (), (), tuple(tests), (), (), force_ratio=0.0, **case.about), None
-    with progress.step("tests"):
-        judged = judge(case, race)
-    if doubtful and not outdone(judged.race, free_run, case.levels.color):
-        if force is not None or numbers is not None or not is_drowned(free_run, case.levels):
-            return adequate(case, Explained(free_run, scored, tests)), None
-        lost = Judged(judged.race, [], False)  # it passes as the model does: that says nothing
-        return named(case, lost, scored, scores, batteries, validation, tests), race
-    if force is not None:
-        earned = earned_beside(case, force, judged)
-        if earned is None:
-            return adequate(case, force), None
-        judged = earned
-    plainer = numbers_instead(case, numbers, floated, judged)
-    if plainer is not None:
-        return parameters(case, plainer.refinement, plainer.tests, tests), None
-    tell = partial(
-        named, case, scored=scored, scores=scores, batteries=batteries, validation=validation, tests=tests
-    )
-    if judged.passed:
-        return tell(judged), judged.race
-    insist = partial(second_chance, case, judged, scored, chosen)
-    return _none_passing(case, judged, floated, tests, partial(_again, case, validation), insist, tell)
+    answer = ask(case, validation)
+    if isinstance(answer, Unanswered):
+        answer = _none_passing(answer, partial(_ask_otherwise, case, validation))
+    return answer
 
 
-def _fine(case: Case, explained: Explained) -> Answer:
-    """Nothing is missing, or few samples carry it, fault or noise: another record may ask the candidates."""
-    fine = adequate(case, explained)
-    if case.thorough or overall(explained.tests, equal=True) >= case.significance:
-        return fine, None
-    short = [explained.scored[i] for i in shortlist(explained.scored, [explained.battery])[0]]
-    return fine, fit_candidates(case.fitted, short, progress=case.progress)
-
-
-def _none_passing(
-    case: Case,
-    judged: Judged,
-    floated: Refinement | None,
-    tests: Sequence[FTest],
-    again: Callable[[Refinement, bool], Answer],
-    insist: Callable[[], Judged],
-    tell: Callable[[Judged], Diagnosis],
-) -> Answer:
-    """The diagnosis where no law passes: of a model that knows less, or by trying harder."""
-    elsewhere = with_zeros_sought(case, judged, again)
-    elsewhere = elsewhere or beside_numbers(case, judged, floated, tests, again)
-    if elsewhere is not None:
-        return elsewhere
-    judged = insist()
-    found = tell(judged)
-    return open_beside_numbers(case, found, floated, again) or (found, judged.race)
-
-
-def _unseen(case: Case, base: Refinement) -> Diagnosis | None:
-    """The verdict on records in which nothing moves."""
-    still = case.in_time and (no_motion(case.ordered) or not_excited(base, case.ordered))
-    if not still:
-        return None
-    alike = tuple(case.library)
-    return Diagnosis("ambiguous", (), alike, (), (), (), force_ratio=0.0, notes=(still,), **case.about)
-
-
-def _again(case: Case, validation: Measurement | None, base: Refinement, thorough: bool) -> Answer:
+def _ask_otherwise(
+    case: Case, validation: Measurement | None, base: Refinement, thorough: bool
+) -> Answer | Unanswered:
     """The same asked of the model fitted otherwise."""
-    return investigate(
-        base,
-        case.records,
-        asked=case.library,
-        validation=validation,
-        settings=case.settings,
-        significance=case.significance,
-        progress=case.progress,
-        thorough=thorough,
-    )
+    given = (case.settings, case.significance, case.progress, thorough)
+    return ask(Case.prepare(base, case.records, case.library, *given), validation)
+
+
+def _none_passing(first: Unanswered, again: Ask) -> Answer:
+    """The diagnosis where no likely law passes: any law, beside what the model knows less, trying harder."""
+    first = first.with_the_rest()
+    if first.judged.passed:
+        return first.told()
+    zeros = with_zeros_sought(first, again)
+    if isinstance(zeros, Unanswered):
+        beside = beside_numbers(zeros, again)
+        if isinstance(beside, tuple):
+            return beside
+        if gains(first.case, first.judged, zeros.judged.race):
+            return _finished(zeros.with_the_rest(), beside)
+    elif zeros is not None:
+        return zeros
+    beside = beside_numbers(first, again)
+    return beside if isinstance(beside, tuple) else _finished(first, beside)
+
+
+def _finished(open_: Unanswered, beside: Unanswered | None) -> Answer:
+    """The diagnosis after what may be wrong with the fits; `beside` is the same while the numbers float."""
+    answer = open_.told() if open_.judged.passed else open_.insisted().told()
+    return open_beside_numbers(answer[0], open_.floated, beside) or answer

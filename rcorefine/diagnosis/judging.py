@@ -12,7 +12,7 @@ from ..inference.f_tests import FTest
 from ..inference.fitted import FittedModel
 from ..inference.levels import Levels
 from ..inference.sensitivities import Candidate, candidate_columns
-from ..inference.starts import Motion, estimated_motion
+from ..inference.starts import estimated_motion
 from ..progress import Progress
 from .beside import Beside
 from .candidate_fits import CandidateFits, fit_candidates
@@ -33,6 +33,7 @@ __all__ = [
     "pair_hint",
     "second_chance",
     "with_special_cases",
+    "with_the_rest",
 ]
 
 _PAIRS = 3  # seconds that are tried for a hint
@@ -123,10 +124,8 @@ def beside_force(case: Case, first: Judged) -> Judged | None:
     winner = race.model()
     if case.excess(winner) > levels.noise_excess:
         return None
-    likely = likely_forces(winner, TestedResidual(winner), levels.force_beside, levels)[:2]
-    moved = [Motion(winner.structure, winner.theta, m.data) for m in case.motions] if likely else []
-    for led in likely:
-        if passed_without_library(led, moved, levels.hopeless) is None:
+    for led in likely_forces(winner, TestedResidual(winner), levels.force_beside, levels)[:2]:
+        if _hopeless(case, led):
             continue  # no refit mends that, and all candidates take long
         again = fit_candidates(race.fitted.forced(led.fitted.force_at), [], led.ratio, entered=race.rivals)
         if again is not None:
@@ -134,6 +133,13 @@ def beside_force(case: Case, first: Judged) -> Judged | None:
             if judged.passed:
                 return replace(judged, elsewhere=_left_to_force(judged.race, race))
     return None
+
+
+def _hopeless(case: Case, battery: TestedResidual) -> bool:
+    """Whether a residual fails the tests that need no candidates by far."""
+    structure, theta = battery.fitted.structure, battery.fitted.theta
+    moved = [estimated_motion(structure, theta, m.data) for m in case.motions]
+    return passed_without_library(battery, moved, case.levels.hopeless) is None
 
 
 def _left_to_force(race: CandidateFits, free: CandidateFits) -> float:
@@ -153,8 +159,8 @@ def _left_to_force(race: CandidateFits, free: CandidateFits) -> float:
     return float(np.log(share) - np.log1p(-share))
 
 
-def second_chance(case: Case, first: Judged, scored: Sequence[Candidate], chosen: Sequence[int]) -> Judged:
-    """What may be wrong when the winner fails: an unmeasured force, a stuck fit, a name left out.
+def with_the_rest(case: Case, first: Judged, scored: Sequence[Candidate], chosen: Sequence[int]) -> Judged:
+    """The winner of all candidates, with those that their scores had left out.
 
     Parameters
     ----------
@@ -170,29 +176,48 @@ def second_chance(case: Case, first: Judged, scored: Sequence[Candidate], chosen
     Returns
     -------
     Judged
+        The first one again where none of them comes nearer.
+    """
+    race = first.race
+    rest = [c for i, c in enumerate(scored) if i not in set(chosen)] + list(race.left)
+    again = fit_candidates(race.fitted, rest, entered=race.rivals, progress=case.progress)
+    if again is None:
+        return first
+    if _ahead(again, race):
+        return judge(case, again)
+    return first if case.thorough else Judged(again, first.tests, False)
+
+
+def second_chance(case: Case, first: Judged, scored: Sequence[Candidate]) -> Judged:
+    """What may be wrong when the winner fails: an unmeasured force, or a stuck fit.
+
+    Parameters
+    ----------
+    case : Case
+        What is asked.
+    first : Judged
+        The winner that failed.
+    scored : sequence of Candidate
+        All candidates.
+
+    Returns
+    -------
+    Judged
         One that passes, or the last that failed.
     """
     beside = beside_force(case, first)
     if beside is not None:
         return beside
-    race, fitted = first.race, first.race.fitted
-    rest = [c for i, c in enumerate(scored) if i not in set(chosen)] + list(race.left)
-    again = fit_candidates(fitted, rest, entered=race.rivals, progress=case.progress)
-    if again is not None and _ahead(again, race):
-        judged = judge(case, again)
-        if judged.passed:
-            return judged
-        first, race = judged, again
+    race = first.race
     if not case.thorough or any(r.candidate.problem.dwells for r in race.rivals[:3]):
-        return Judged(again, first.tests, False) if again is not None else first
+        return first
     # what the winner's own residual points at counts among those that may be stuck
     pointed = [c for c in scored if any(t.name == f"library (most: {c.effect.label})" for t in first.tests)]
     stuck = list(dict.fromkeys([*(r.candidate for r in race.rivals[:3]), *pointed]))
-    again = fit_candidates(fitted, stuck, entered=race.rivals, thorough=True, progress=case.progress)
+    again = fit_candidates(race.fitted, stuck, entered=race.rivals, thorough=True, progress=case.progress)
     if again is not None and _ahead(again, race):
         judged = judge(case, again)
-        if judged.passed:
-            return judged
+        return judged if judged.passed else first
     return first
 
 
@@ -222,11 +247,17 @@ def pair_hint(case: Case, judged: Judged, scored: Sequence[Candidate]) -> list[s
     rest = not_held([c.effect for c in scored], [first])
     if not rest:
         return []
-    second = candidate_columns(fitted, rest, case.motions[0], (0.0, *case.observers))
-    tests = TestedResidual(fitted).each(second)
+    scored = candidate_columns(fitted, rest, case.motions[0], (0.0,))
+    tests = TestedResidual(fitted).each(scored)
     order = np.argsort([t.p_value for t in tests], kind="stable")[:_PAIRS]
-    pair = fit_candidates(fitted, [second[i] for i in order], race.ratio)
-    if pair is None or not judge(case, pair).passed:
+    likely = [rest[i] for i in order]
+    second = candidate_columns(fitted, likely, case.motions[0], (0.0, *case.observers))
+    pair = fit_candidates(fitted, second, race.ratio)
+    if (
+        pair is None
+        or _hopeless(case, TestedResidual(pair.model(), race.ratio))
+        or not judge(case, pair).passed
+    ):
         return []
     return [
         f"A pair would pass every test: {first.label} with {pair.rivals[0].effect.label}. Pairs are flexible "

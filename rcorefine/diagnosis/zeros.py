@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from ..inference.assembly import offsets_everywhere
 from ..inference.refinement import Refinement
 from ..refinement.refine import refit
+from .asking import Ask, Unanswered
 from .case import Case
 from .judging import Judged
 from .without_a_law import Answer, gains
@@ -16,32 +15,29 @@ from .without_a_law import Answer, gains
 __all__ = ["with_zeros_sought"]
 
 
-def with_zeros_sought(
-    case: Case, judged: Judged, again: Callable[[Refinement, bool], Answer]
-) -> Answer | None:
-    """The diagnosis with offsets wherever laws want them, where that says more.
+def with_zeros_sought(first: Unanswered, again: Ask) -> Answer | Unanswered | None:
+    """The same asked with offsets wherever laws want them.
 
     Parameters
     ----------
-    case : Case
-        What is asked.
-    judged : Judged
-        The best candidate, which failed its tests.
+    first : Unanswered
+        The best candidate failed its tests.
     again : callable
         The same asked of the model fitted otherwise.
 
     Returns
     -------
-    found : Diagnosis
-    race : CandidateFits or None
-        None in place of both where nothing is gained.
+    Answer, Unanswered or None
+        An answer only if it says more; None where zero is not in doubt.
     """
-    base = _zeros_sought(case, judged)
+    base = _zeros_sought(first.case, first.judged)
     if base is None:
         return None
-    found, race = again(base, case.thorough)
-    explains = found.verdict != "unexplained"
-    return (found, race) if explains or gains(case, judged, race) else None
+    answer = again(base, first.case.thorough)
+    if isinstance(answer, Unanswered):
+        return answer
+    explains = answer[0].verdict != "unexplained"
+    return answer if explains or gains(first.case, first.judged, answer[1]) else None
 
 
 def _zeros_sought(case: Case, judged: Judged) -> Refinement | None:
