@@ -14,7 +14,7 @@ from .case import Case
 from .colored_noise import is_drowned, takes_error_for_color
 from .excitation import no_motion, not_excited
 from .floating import floating, outdone, rivals_of_numbers
-from .judging import Judged, judge, second_chance, with_special_cases, with_the_rest
+from .judging import Judged, judge, pair_hint, second_chance, with_special_cases, with_the_rest
 from .naming import named
 from .places import in_race
 from .residual_tests import TestedResidual, run_tests
@@ -80,6 +80,11 @@ class Unanswered:
         """The diagnosis as far as it came."""
         given = (self.judged, self.scored, self.scores, self.batteries, self.validation, self.tests)
         return named(self.case, *given), self.judged.race
+
+    def pairs(self) -> list[str]:
+        """Whether two laws would do: a hint, where it is the last that can be said."""
+        with self.case.progress.step("pairs"):
+            return pair_hint(self.case, self.judged, self.scored)
 
 
 Ask = Callable[[Refinement, bool], "Answer | Unanswered"]  # the same of a model fitted otherwise

@@ -17,7 +17,7 @@ from .case import Case, not_held
 from .result import Diagnosis
 from .without_a_law import Answer, gains, parameters
 
-__all__ = ["beside_numbers", "open_beside_numbers"]
+__all__ = ["beside_numbers", "gains_by_numbers", "told_beside"]
 
 _MATTERS = 0.2  # of what numbers are off by: those that move less take up what a law lacks in form
 
@@ -59,12 +59,17 @@ def beside_numbers(first: Unanswered, again: Ask) -> Answer | Unanswered | None:
     return _told(found, first.tests), race
 
 
-def open_beside_numbers(
-    found: Diagnosis, floated: Refinement | None, beside: Unanswered | None
-) -> Answer | None:
-    """What `beside_numbers` left open, where the numbers explain more than any law or free force alone."""
-    if beside is None or not _gains_by_numbers(found, floated):
-        return None
+def gains_by_numbers(found: Diagnosis, beside: Unanswered) -> bool:
+    """Whether the numbers of the model take more from the error than any law, or force without one."""
+    if found.verdict != "unexplained" or not found.ranking:
+        return False
+    fits = [float(np.mean(row.refinement.fit)) for row in found.ranking]
+    fits += [found.open_law.fit_after] if found.open_law is not None else []
+    return bool(np.mean(beside.case.base.fit) > max(fits))
+
+
+def told_beside(found: Diagnosis, beside: Unanswered) -> Answer:
+    """What `beside_numbers` left open, with the tests of the model as it is."""
     other, race = replace(beside, case=replace(beside.case, thorough=True)).told()
     return _told(other, found.tests), race
 
@@ -80,15 +85,6 @@ def _are_off(case: Case, found: Diagnosis) -> bool:
 
 def _told(found: Diagnosis, tests: Sequence[FTest]) -> Diagnosis:
     return replace(found, tests=tuple(tests), notes=(_in_words(found), *found.notes))
-
-
-def _gains_by_numbers(found: Diagnosis, floated: Refinement | None) -> bool:
-    """Whether the numbers of the model take more from the error than any law, or force without one."""
-    if found.verdict != "unexplained" or floated is None or not found.ranking:
-        return False
-    fits = [float(np.mean(row.refinement.fit)) for row in found.ranking]
-    fits += [found.open_law.fit_after] if found.open_law is not None else []
-    return bool(np.mean(floated.fit) > max(fits))
 
 
 def _with_a_gain(case: Case, found: Diagnosis) -> Refinement | None:

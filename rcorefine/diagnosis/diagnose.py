@@ -23,7 +23,7 @@ from ..models.conversion import as_physical, under_control
 from ..progress import Progress
 from ..refinement.base_fit import base_fit
 from .asking import Ask, Unanswered, ask
-from .beside_numbers import beside_numbers, open_beside_numbers
+from .beside_numbers import beside_numbers, gains_by_numbers, told_beside
 from .candidate_fits import CandidateFits
 from .case import Case
 from .checks.check import looks
@@ -233,5 +233,11 @@ def _none_passing(first: Unanswered, again: Ask) -> Answer:
 
 def _finished(open_: Unanswered, beside: Unanswered | None) -> Answer:
     """The diagnosis after what may be wrong with the fits; `beside` is the same while the numbers float."""
-    answer = open_.told() if open_.judged.passed else open_.insisted().told()
-    return open_beside_numbers(answer[0], open_.floated, beside) or answer
+    last = open_ if open_.judged.passed else open_.insisted()
+    found, race = last.told()
+    if last.judged.passed or not last.case.thorough:
+        return found, race
+    if beside is not None and gains_by_numbers(found, beside):
+        last = beside
+        found, race = told_beside(found, beside)
+    return replace(found, notes=(*found.notes, *last.pairs())), race

@@ -13,7 +13,7 @@ from ..inference.sensitivities import Candidate
 from .case import Case
 from .colored_noise import left_to_noise
 from .families import hosts, said_of_families
-from .judging import Judged, outweighed, pair_hint
+from .judging import Judged, outweighed
 from .open_law import open_law, probabilities
 from .ranking import in_free_run, ranking
 from .remarks import amplitude_test, fit_remarks, not_known, remarks
@@ -82,9 +82,6 @@ def named(
     notes = [*about_hold(case), *fit_remarks(race), *remarks(race, scored, batteries)]
     notes += said_of_families(race.rivals, held)
     notes += [said for said in (sentence, unknown, outweighed(judged, case.levels)) if said]
-    if case.thorough and word == "unexplained":
-        with case.progress.step("pairs"):
-            notes += pair_hint(case, judged, scored)
     own = {"force_ratio": race.ratio, "notes": tuple(notes), **case.about}
     own["left_to_noise"] = "" if judged.tests else left_to_noise(batteries[0], case.levels)
     found = Diagnosis(word, rows, alike, tuple(tests), tuple(judged.tests), (), **own)
