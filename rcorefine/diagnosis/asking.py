@@ -79,7 +79,7 @@ class Unanswered:
     def told(self) -> Answer:
         """The diagnosis as far as it came."""
         given = (self.judged, self.scored, self.scores, self.batteries, self.validation, self.tests)
-        return named(self.case, *given), self.judged.race
+        return Answer(named(self.case, *given), self.judged.race)
 
     def pairs(self) -> list[str]:
         """Whether two laws would do: a hint, where it is the last that can be said."""
@@ -106,7 +106,7 @@ def ask(case: Case, validation: Measurement | None) -> Answer | Unanswered:
     """
     unknown = _unseen(case)
     if unknown is not None:
-        return unknown, None
+        return Answer(unknown)
     with case.progress.step("tests"):
         near = in_race(case.fitted, case.library, (0.0, *case.observers))
         scored = candidate_columns(case.fitted, near, case.motions[0], (0.0, *case.observers))
@@ -120,30 +120,30 @@ def ask(case: Case, validation: Measurement | None) -> Answer | Unanswered:
     force, numbers = without_a_law(case, free_run, floated, doubtful)
     mended = under_another_hold(case, numbers) if force is None else None
     if mended is not None:
-        return mended, None
+        return Answer(mended)
     if numbers is not None and not rivals_of_numbers(case, numbers, scored):
-        return parameters(case, numbers.refinement, numbers.tests, tests), None
+        return Answer(parameters(case, numbers.refinement, numbers.tests, tests))
     batteries = [free_run, *(TestedResidual(case.fitted, r) for r in case.observers)]
     chosen, scores = shortlist(scored, batteries)
     race = fit_candidates(case.fitted, [scored[i] for i in chosen], progress=case.progress)
     race = race and with_special_cases(race, scored, case.progress)
     if race is None:
-        return Diagnosis("unexplained", (), (), tuple(tests), (), (), force_ratio=0.0, **case.about), None
+        return Answer(Diagnosis("unexplained", (), (), tuple(tests), (), (), force_ratio=0.0, **case.about))
     with case.progress.step("tests"):
         judged = judge(case, race)
     if doubtful and not outdone(judged.race, free_run, case.levels.color):
         if force is not None or numbers is not None or not is_drowned(free_run, case.levels):
-            return adequate(case, Explained(free_run, scored, tests)), None
+            return Answer(adequate(case, Explained(free_run, scored, tests)))
         lost = Judged(judged.race, [], False)  # it passes as the model does: that says nothing
-        return named(case, lost, scored, scores, batteries, validation, tests), race
+        return Answer(named(case, lost, scored, scores, batteries, validation, tests), race)
     if force is not None:
         earned = earned_beside(case, force, judged)
         if earned is None:
-            return adequate(case, force), None
+            return Answer(adequate(case, force))
         judged = earned
     plainer = numbers_instead(case, numbers, floated, judged)
     if plainer is not None:
-        return parameters(case, plainer.refinement, plainer.tests, tests), None
+        return Answer(parameters(case, plainer.refinement, plainer.tests, tests))
     open_ = Unanswered(case, judged, floated, scored, scores, chosen, batteries, tests, validation)
     return open_.told() if judged.passed else open_
 
@@ -152,9 +152,9 @@ def _fine(case: Case, explained: Explained) -> Answer:
     """Nothing is missing, or few samples carry it, fault or noise: another record may ask the candidates."""
     fine = adequate(case, explained)
     if case.thorough or overall(explained.tests, equal=True) >= case.significance:
-        return fine, None
+        return Answer(fine)
     short = [explained.scored[i] for i in shortlist(explained.scored, [explained.battery])[0]]
-    return fine, fit_candidates(case.fitted, short, progress=case.progress)
+    return Answer(fine, fit_candidates(case.fitted, short, progress=case.progress))
 
 
 def _unseen(case: Case) -> Diagnosis | None:

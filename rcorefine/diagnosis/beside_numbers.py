@@ -41,7 +41,7 @@ def beside_numbers(first: Unanswered, again: Ask) -> Answer | Unanswered | None:
         None where nothing is gained.
     """
     case, floated = first.case, first.floated
-    if floated is None or not case.thorough or not not_held(case.library, floated.effects):
+    if floated is None or not not_held(case.library, floated.effects):
         return None
     try:
         answer = again(floated, False)
@@ -49,14 +49,14 @@ def beside_numbers(first: Unanswered, again: Ask) -> Answer | Unanswered | None:
         return None
     if isinstance(answer, Unanswered):
         return answer
-    found, race = answer
+    found, race = answer.found, answer.race
     is_named = found.verdict in ("effect", "ambiguous")
     if not (is_named and _are_off(case, found) and gains(case, first.judged, race)):
         return None
     further = _with_a_gain(case, found)
     if further is not None:
-        return parameters(case, further, found.winner_tests, first.tests), race
-    return _told(found, first.tests), race
+        return Answer(parameters(case, further, found.winner_tests, first.tests), race)
+    return Answer(_told(found, first.tests), race)
 
 
 def gains_by_numbers(found: Diagnosis, beside: Unanswered) -> bool:
@@ -70,8 +70,8 @@ def gains_by_numbers(found: Diagnosis, beside: Unanswered) -> bool:
 
 def told_beside(found: Diagnosis, beside: Unanswered) -> Answer:
     """What `beside_numbers` left open, with the tests of the model as it is."""
-    other, race = replace(beside, case=replace(beside.case, thorough=True)).told()
-    return _told(other, found.tests), race
+    other = replace(beside, case=replace(beside.case, thorough=True)).told()
+    return Answer(_told(other.found, found.tests), other.race)
 
 
 def _are_off(case: Case, found: Diagnosis) -> bool:

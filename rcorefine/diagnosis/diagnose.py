@@ -24,7 +24,6 @@ from ..progress import Progress
 from ..refinement.base_fit import base_fit
 from .asking import Ask, Unanswered, ask
 from .beside_numbers import beside_numbers, gains_by_numbers, told_beside
-from .candidate_fits import CandidateFits
 from .case import Case
 from .checks.check import looks
 from .dead_sensors import without_dead_sensors
@@ -150,7 +149,7 @@ def diagnose(
             base = base_fit(model, records, **options)
         with steps.step("what is odd"):
             odd = () if in_frequency(records) else looks(seen, given, horizon)
-        found, _ = investigate(
+        found = investigate(
             base,
             records,
             asked=candidates,
@@ -158,7 +157,7 @@ def diagnose(
             settings=options | {"candidates": None if candidates is None else tuple(candidates)},
             significance=significance,
             progress=steps,
-        )
+        ).found
         said = about_noise(base.physical_model, records, live)
         return replace(found, checks=odd, records=tuple(live), notes=(*silent, *found.notes, *said))
 
@@ -173,7 +172,8 @@ def investigate(
     significance: float,
     progress: Progress,
     thorough: bool = True,
-) -> tuple[Diagnosis, CandidateFits | None]:
+    numbers: bool = True,
+) -> Answer:
     """Diagnose a model that was fitted to the records already.
 
     Parameters
@@ -190,18 +190,19 @@ def investigate(
         What does the steps and counts them.
     thorough : bool
         Whether to try harder where no candidate passes, and pairs of them.
+    numbers : bool
+        Whether laws are sought beside numbers of the model that are off, too.
 
     Returns
     -------
-    found : Diagnosis
-    race : CandidateFits or None
-        The refitted rivals, where there were any. Beside "adequate", unless `thorough`, those of
-        a fault that few samples alone would show.
+    Answer
+        Beside "adequate", unless `thorough`, with the refitted rivals of a fault that few samples alone
+        would show.
     """
     case = Case.prepare(base, records, asked, settings, significance, progress, thorough)
     answer = ask(case, validation)
     if isinstance(answer, Unanswered):
-        answer = _none_passing(answer, partial(_ask_otherwise, case, validation))
+        answer = _none_passing(answer, partial(_ask_otherwise, case, validation), numbers)
     return answer
 
 
@@ -213,31 +214,32 @@ def _ask_otherwise(
     return ask(Case.prepare(base, case.records, case.library, *given), validation)
 
 
-def _none_passing(first: Unanswered, again: Ask) -> Answer:
+def _none_passing(first: Unanswered, again: Ask, numbers: bool) -> Answer:
     """The diagnosis where no likely law passes: any law, beside what the model knows less, trying harder."""
     first = first.with_the_rest()
     if first.judged.passed:
         return first.told()
     zeros = with_zeros_sought(first, again)
     if isinstance(zeros, Unanswered):
-        beside = beside_numbers(zeros, again)
-        if isinstance(beside, tuple):
+        beside = beside_numbers(zeros, again) if numbers else None
+        if isinstance(beside, Answer):
             return beside
         if gains(first.case, first.judged, zeros.judged.race):
             return _finished(zeros.with_the_rest(), beside)
     elif zeros is not None:
         return zeros
-    beside = beside_numbers(first, again)
-    return beside if isinstance(beside, tuple) else _finished(first, beside)
+    beside = beside_numbers(first, again) if numbers else None
+    return beside if isinstance(beside, Answer) else _finished(first, beside)
 
 
 def _finished(open_: Unanswered, beside: Unanswered | None) -> Answer:
     """The diagnosis after what may be wrong with the fits; `beside` is the same while the numbers float."""
     last = open_ if open_.judged.passed else open_.insisted()
-    found, race = last.told()
-    if last.judged.passed or not last.case.thorough:
-        return found, race
-    if beside is not None and gains_by_numbers(found, beside):
-        last = beside
-        found, race = told_beside(found, beside)
-    return replace(found, notes=(*found.notes, *last.pairs())), race
+    answer = last.told()
+    if last.judged.passed:
+        return answer
+    if not last.case.thorough:
+        return answer._replace(floated=last.floated)
+    if beside is not None and gains_by_numbers(answer.found, beside):
+        last, answer = beside, told_beside(answer.found, beside)
+    return answer._replace(found=replace(answer.found, notes=(*answer.found.notes, *last.pairs())))

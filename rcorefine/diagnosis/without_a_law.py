@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,7 +35,23 @@ __all__ = [
     "without_a_law",
 ]
 
-Answer = tuple[Diagnosis, CandidateFits | None]  # with the refitted rivals, where there were any
+
+class Answer(NamedTuple):
+    """A diagnosis, and what was fitted for it.
+
+    Attributes
+    ----------
+    found : Diagnosis
+        The diagnosis.
+    race : CandidateFits or None
+        The refitted rivals, where there were any.
+    floated : Refinement or None
+        The model while all its numbers float, where no law explains the records and they may.
+    """
+
+    found: Diagnosis
+    race: CandidateFits | None = None
+    floated: Refinement | None = None
 
 
 def without_a_law(

@@ -36,8 +36,8 @@ def with_zeros_sought(first: Unanswered, again: Ask) -> Answer | Unanswered | No
     answer = again(base, first.case.thorough)
     if isinstance(answer, Unanswered):
         return answer
-    explains = answer[0].verdict != "unexplained"
-    return answer if explains or gains(first.case, first.judged, answer[1]) else None
+    explains = answer.found.verdict != "unexplained"
+    return answer if explains or gains(first.case, first.judged, answer.race) else None
 
 
 def _zeros_sought(case: Case, judged: Judged) -> Refinement | None:

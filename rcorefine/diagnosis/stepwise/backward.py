@@ -82,7 +82,7 @@ def swap_better(ladder: StepwiseSelection, library: list[Effect]) -> bool:
         if ladder.steps[-1].action == "add" and effect is ladder.effects[-1]:
             break  # it has just won against all others
         without = ladder.without(effect)
-        found, _ = ladder.investigate(without, [e for e in library if not _holds(without, e)])
+        found = ladder.investigate(without, [e for e in library if not _holds(without, e)]).found
         if not found.ranking:
             continue
         row = found.ranking[0]

@@ -40,15 +40,19 @@ def climb(ladder: StepwiseSelection, library: list[Effect], most: int) -> str:
     """
     while rest := ladder.rest(library):
         ladder.progress.round(ahead=max(most - len(ladder.effects), 0))
-        found, race = ladder.investigate(ladder.current, rest)
+        found, race, floated = ladder.investigate(ladder.current, rest, numbers=True)
         ladder.learn_verdict(found.verdict)
         if found.floated is not None and ladder.float_numbers(found.floated):
             continue
+        if found.base.roles.count("linear") > ladder.current.roles.count("linear"):
+            ladder.float_numbers(found.base)  # beside them a law has its name
         # one more where that passes every test: an early one may then turn out to be needless
         room = most - len(ladder.effects) + (found.verdict != "unexplained" and most > 1)
         if race is None or room < 1:
             return found.verdict
         choice = _one(ladder, found, race, len(rest))
+        if floated is not None and _numbers_first(ladder, floated, choice):
+            continue
         if choice is None and room > 1 and found.verdict != "adequate":
             choice = _pair(ladder, race, rest)
         if choice is None:
@@ -60,8 +64,10 @@ def climb(ladder: StepwiseSelection, library: list[Effect], most: int) -> str:
 def tabulate(ladder: StepwiseSelection, library: list[Effect]) -> None:
     """The last rung: a force that follows none of the laws, as a table, where it earns its place."""
     rest = ladder.rest(library)
-    found, race = ladder.investigate(ladder.current, rest) if rest else (None, None)
-    if found is None or race is None or found.verdict != "unexplained":
+    if not rest:
+        return
+    found, race, _ = ladder.investigate(ladder.current, rest)
+    if race is None or found.verdict != "unexplained":
         return
     law = open_law(race).law
     if law is None:
@@ -69,6 +75,15 @@ def tabulate(ladder: StepwiseSelection, library: list[Effect]) -> None:
     with_table = refine(ladder.current, ladder.parts.fit, [law.effect], **ladder.settings)
     if ladder.share((law.effect,), with_table) >= ladder.levels.earned:
         ladder.add(Choice((law.effect,), with_table), found.verdict)
+
+
+def _numbers_first(ladder: StepwiseSelection, floated: Refinement, choice: Choice | None) -> bool:
+    """Whether no law passes, and numbers that are off lower the error by clearly more than the best law.
+
+    They are the plainer words: a law that is chosen by error alone makes up for them.
+    """
+    law = 0.0 if choice is None else min(ladder.rise(choice.refinement, ladder.parts.choose), 0.0)
+    return ladder.float_numbers(floated, law - ladder.levels.earned)
 
 
 def _one(ladder: StepwiseSelection, found: Diagnosis, race: CandidateFits, choices: int) -> Choice | None:
@@ -112,7 +127,7 @@ def _pair(ladder: StepwiseSelection, race: CandidateFits, rest: list[Effect]) ->
     found: list[tuple[float, tuple[Effect, Effect], Refinement]] = []
     for one, first in _in_free_run(race, _PAIRS_FROM):
         others = [effect for effect in rest if not same(effect, one)]
-        _, second = ladder.investigate(first, others) if others else (None, None)
+        second = ladder.investigate(first, others).race if others else None
         for two, both in _in_free_run(second, _TRIED) if second is not None else []:
             found.append((ladder.share((one, two), both), (one, two), both))
     for saved, pair, both in sorted(found, key=lambda row: -row[0])[:_REFITTED]:

@@ -19,11 +19,11 @@ from ...inference.windows import windows
 from ...models.operating_point import ordered_record
 from ...progress import Progress
 from ...refinement.refine import refine, refit
-from ..candidate_fits import CandidateFits
 from ..diagnose import investigate
 from ..excitation import no_motion
 from ..holds import best_hold
 from ..result import Diagnosis
+from ..without_a_law import Answer
 from .errors import Errors
 from .improvement import Step
 from .parts import Parts
@@ -118,8 +118,11 @@ class StepwiseSelection:
         """Whether a set of effects was never the present one: no set is walked to twice."""
         return _key(effects) not in self._visited
 
-    def investigate(self, model: Refinement, library: list[Effect]) -> tuple[Diagnosis, CandidateFits | None]:
-        """Diagnosis of a model on the first part: "unexplained" of a trial that cannot be tested."""
+    def investigate(self, model: Refinement, library: list[Effect], *, numbers: bool = False) -> Answer:
+        """Diagnosis of a model on the first part: "unexplained" of a trial that cannot be tested.
+
+        With `numbers`, laws are sought beside numbers of the model that are off, too.
+        """
         about: dict[str, Any] = {
             "settings": {"free": self.free, **self.settings},
             "significance": self.significance,
@@ -132,13 +135,14 @@ class StepwiseSelection:
                 validation=None,
                 progress=self.progress,
                 thorough=False,
+                numbers=numbers,
                 **about,
             )
         except ModelError:  # it runs away within one sample, or no observer leads it
             if model is self.steps[0].refinement:  # as it was given
                 raise
         about |= {"base": model, "records": tuple(self.parts.fit)}
-        return Diagnosis("unexplained", (), (), (), (), (), force_ratio=0.0, **about), None
+        return Answer(Diagnosis("unexplained", (), (), (), (), (), force_ratio=0.0, **about))
 
     def verdict(self, library: Iterable[Effect]) -> str:
         """Verdict on the present set of effects, asked for only where it is not known."""
@@ -146,7 +150,7 @@ class StepwiseSelection:
         if _key(self.effects) not in self._verdicts:
             if not rest:
                 return "unexplained"
-            self.learn_verdict(self.investigate(self.refit(self.current), rest)[0].verdict)
+            self.learn_verdict(self.investigate(self.refit(self.current), rest).found.verdict)
         return self._verdicts[_key(self.effects)]
 
     def learn_verdict(self, verdict: str) -> None:
@@ -218,10 +222,13 @@ class StepwiseSelection:
         rivals = tuple(e for e in choice.ties if not any(same(e, own) for own in choice.effects))
         self.steps += [self._step(effect, action, verdict, rivals) for effect in choice.effects]
 
-    def float_numbers(self, floated: Refinement) -> bool:
-        """Let the numbers of the model float from here on, unless that costs too much where it is chosen."""
+    def float_numbers(self, floated: Refinement, most: float | None = None) -> bool:
+        """Let the numbers of the model float from here on, unless that costs too much where it is chosen.
+
+        It may raise the log error there by `most`; by default what a step on trust may cost.
+        """
         settled = self.refit(floated)
-        if not self.rise(settled, self.parts.choose) < self.levels.spoiled:
+        if not self.rise(settled, self.parts.choose) < (self.levels.spoiled if most is None else most):
             return False
         self.current = settled
         self.steps.append(self._step(None, "parameters", "parameters", ()))
