@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..effects.effect import Effect
 from ..inference.covariance import wald
 from ..inference.descent import descend
 from ..inference.fitted import FittedModel, coefficient_covariance
@@ -18,7 +19,7 @@ from .candidate_fits import CandidateFits
 from .ranking import estimates
 from .residual_tests import TestedResidual
 
-__all__ = ["amplitude_test", "fit_remarks", "not_known", "remarks"]
+__all__ = ["amplitude_test", "essentials_known", "fit_remarks", "not_known", "remarks"]
 
 _SHOWN = 8  # rows of the ranking that are printed
 _RISEN = 0.02  # log of the error: what explains a record does not move the free run away from it
@@ -104,6 +105,12 @@ def not_known(race: CandidateFits, levels: Levels) -> str:
         return f"{effect.label} would pass, but the free run is further off with it: it is not named."
     found = ", ".join(with_error(row.coefficient, row.std) for row in unknown)
     return f"{effect.label} would pass, but the record does not determine it ({found}): it is not named."
+
+
+def essentials_known(refinement: Refinement, effect: Effect, levels: Levels) -> bool:
+    """Whether a record determines each coefficient without which a law is another one."""
+    rows = estimates(refinement, effect) if effect.spec.essential else {}
+    return all(_known(refinement, [rows[name]], levels) for name in effect.spec.essential if name in rows)
 
 
 def _rise(before: Array, after: Array) -> float:

@@ -22,6 +22,7 @@ from ...refinement.refine import refine, refit
 from ..diagnose import investigate
 from ..excitation import no_motion
 from ..holds import best_hold
+from ..remarks import essentials_known
 from ..result import Diagnosis
 from ..without_a_law import Answer
 from .errors import Errors
@@ -325,7 +326,10 @@ def coefficients_of(effect: Effect, refinement: Refinement, what: str = "coeffic
 
 def determined(effects: Iterable[Effect], refinement: Refinement) -> bool:
     """Whether the record determines every coefficient of these effects."""
-    return all(np.isfinite(std) for e in effects for std in coefficients_of(e, refinement, "std").values())
+    stds = {e: coefficients_of(e, refinement, "std") for e in effects}
+    if not all(np.isfinite(std) for own in stds.values() for std in own.values()):
+        return False
+    return all(essentials_known(refinement, e, levels()) for e, own in stds.items() if own)
 
 
 def _key(effects: Iterable[Effect]) -> Key:
