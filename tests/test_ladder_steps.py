@@ -145,7 +145,7 @@ def test_a_trial_that_runs_away_within_a_sample_ends_no_ladder(ladder: StepwiseS
     trial = rco.refine(ladder.current, ladder.parts.fit, [rco.Effect("damping", "link1")])
     is_damper = np.array([row.kind == "damping" for row in trial.parameters])
     wild = replace(trial, theta=np.where(is_damper, -1e6, trial.theta))
-    found, race = ladder.investigate(wild, [rco.Effect("coulomb_friction", "link1")])
+    found, race, _ = ladder.investigate(wild, [rco.Effect("coulomb_friction", "link1")])
     assert (found.verdict, found.ranking, race) == ("unexplained", (), None)
 
 

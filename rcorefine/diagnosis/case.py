@@ -31,10 +31,10 @@ from ..progress import Progress
 from .holds import best_hold
 from .verdict import passes
 
-__all__ = ["Case", "candidates_of", "not_held", "seen_in_responses"]
+__all__ = ["SHORTEST", "Case", "candidates_of", "not_held", "seen_in_responses"]
 
 OBSERVERS = (1.0, 0.1)  # a high gain follows the record, a low one tells candidates apart
-_SHORTEST, _FEWEST = 200, 60  # samples of a record, and values of a frequency response, that can be tested
+SHORTEST, _FEWEST = 200, 60  # samples of a record, and values of a frequency response, that can be tested
 
 
 @dataclass(eq=False)
@@ -99,7 +99,7 @@ class Case:
         """
         physical = base.physical_model
         ordered = [ordered_record(physical, r) for r in records]
-        least = _FEWEST if in_frequency(ordered) else _SHORTEST
+        least = _FEWEST if in_frequency(ordered) else SHORTEST
         for record in ordered:
             if record.n_samples < least:
                 raise DataError(

@@ -40,7 +40,7 @@ def climb(ladder: StepwiseSelection, library: list[Effect], most: int) -> str:
     """
     while rest := ladder.rest(library):
         ladder.progress.round(ahead=max(most - len(ladder.effects), 0))
-        found, race, floated = ladder.investigate(ladder.current, rest, numbers=True)
+        found, race, floated = ladder.investigate(ladder.current, rest, numbers=not ladder.effects)
         ladder.learn_verdict(found.verdict)
         if found.floated is not None and ladder.float_numbers(found.floated):
             continue

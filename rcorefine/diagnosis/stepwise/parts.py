@@ -12,11 +12,12 @@ from ...data.measurement import Measurement
 from ...data.response_record import in_frequency, some_lines
 from ...exceptions import DataError
 from ...inference.windows import spread_lines
+from ..case import SHORTEST
 
 __all__ = ["Parts", "split_in_parts"]
 
 _FIT, _CHOOSE = 0.6, 0.2  # shares of the record; the rest judges
-_LEAST, _FEWEST = 100, 50  # samples of a record, and points of a response, that can be split
+_LEAST, _FEWEST = 30, 50  # samples of a part that chooses or judges, points of a response that can be split
 _EXCERPT, _PIECES = 8000, 4  # samples of a long record on which the ladder climbs
 _SHORTEST, _MOST_RECORDS = 1000, 16  # samples of such a piece, records that it is made of
 
@@ -78,14 +79,18 @@ def split_in_parts(records: Sequence[Measurement], validation: Measurement | Non
         return _lines_in_parts(records, validation)
     fit, choose, judge, learn = [], [], [], []
     for record in records:
-        if record.n_samples < _LEAST:
-            raise DataError(f"a record of {record.n_samples} samples is too short to be split in three")
+        least = SHORTEST + _LEAST + (_LEAST if validation is None else 0)
+        if record.n_samples < least:
+            another = ", or another record as validation=" if validation is None else ""
+            raise DataError(
+                f"record {record.name!r} of {record.n_samples} samples is too short: {SHORTEST} are needed to "
+                f"fit, {_LEAST} to choose by, {_LEAST} to judge by; give at least {least}{another}"
+            )
+        both = record
         if validation is None:
-            both, last = record.split(_FIT + _CHOOSE)
+            both, last = record.split(max(_FIT + _CHOOSE, 0.5 + 0.5 * SHORTEST / record.n_samples))
             judge.append(last)
-        else:
-            both = record
-        first, second = both.split(_FIT / (_FIT + _CHOOSE))
+        first, second = both.split(max(_FIT / (_FIT + _CHOOSE), SHORTEST / both.n_samples))
         fit.append(first)
         choose.append(second)
         learn.append(both)

@@ -1,0 +1,39 @@
+"""How a ladder splits its records: what is fitted can be tested, and something is left to judge by."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rcorefine as rco
+from rcorefine.diagnosis.stepwise.parts import split_in_parts
+
+
+def record(n: int) -> rco.Measurement:
+    return rco.Measurement(np.zeros(n), np.arange(float(n)), dt=1.0, name="run 3")
+
+
+@pytest.mark.parametrize(
+    ("n", "sizes"),
+    [(1000, (600, 200, 200)), (334, (200, 67, 67)), (300, (200, 50, 50)), (260, (200, 30, 30))],
+)
+def test_a_record_is_split_in_three(n: int, sizes: tuple[int, int, int]) -> None:
+    """Three fifths to fit, of a short record the 200 samples that the tests need; in the order of time."""
+    parts = split_in_parts([record(n)], None)
+    pieces = [parts.fit[0], parts.choose[0], parts.judge[0]]
+    assert tuple(piece.n_samples for piece in pieces) == sizes
+    assert np.array_equal(np.concatenate([piece.outputs[0] for piece in pieces]), np.arange(float(n)))
+    assert parts.learn[0].n_samples == sizes[0] + sizes[1]
+
+
+@pytest.mark.parametrize(("n", "sizes"), [(1000, (750, 250)), (230, (200, 30))])
+def test_with_another_record_to_judge_by_all_is_split_in_two(n: int, sizes: tuple[int, int]) -> None:
+    parts = split_in_parts([record(n)], record(100))
+    assert (parts.fit[0].n_samples, parts.choose[0].n_samples) == sizes
+    assert parts.judge[0].n_samples == 100
+
+
+@pytest.mark.parametrize(("n", "validation"), [(259, None), (229, record(100))])
+def test_too_short_a_record_says_what_is_needed(n: int, validation: rco.Measurement | None) -> None:
+    with pytest.raises(rco.DataError, match=f"'run 3' of {n} samples .* give at least {n + 1}"):
+        split_in_parts([record(n)], validation)
