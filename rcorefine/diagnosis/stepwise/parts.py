@@ -83,8 +83,8 @@ def split_in_parts(records: Sequence[Measurement], validation: Measurement | Non
         if record.n_samples < least:
             another = ", or another record as validation=" if validation is None else ""
             raise DataError(
-                f"record {record.name!r} of {record.n_samples} samples is too short: {SHORTEST} are needed to "
-                f"fit, {_LEAST} to choose by, {_LEAST} to judge by; give at least {least}{another}"
+                f"record {record.name!r} of {record.n_samples} samples is too short: {SHORTEST} are needed "
+                f"to fit, {_LEAST} to choose by, {_LEAST} to judge by; give at least {least}{another}"
             )
         both = record
         if validation is None:
