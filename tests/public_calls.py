@@ -23,7 +23,7 @@ import numpy as np
 
 import rcorefine as rco
 
-N, DT = 240, 0.05
+N, DT = 260, 0.05
 
 
 # ------------------------------------------------------------------ what the calls need
