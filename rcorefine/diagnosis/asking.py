@@ -133,7 +133,9 @@ def ask(case: Case, validation: Measurement | None) -> Answer | Unanswered:
         judged = judge(case, race)
     if doubtful and not outdone(judged.race, free_run, case.levels.color):
         if force is not None or numbers is not None or not is_drowned(free_run, case.levels):
-            return Answer(adequate(case, Explained(free_run, scored, tests)))
+            # a color may be noise or a missing law: another record tells, for who has one to choose by
+            unsure = not case.thorough and force is None and numbers is None
+            return Answer(adequate(case, Explained(free_run, scored, tests)), race if unsure else None)
         lost = Judged(judged.race, [], False)  # it passes as the model does: that says nothing
         return Answer(named(case, lost, scored, scores, batteries, validation, tests), race)
     if force is not None:

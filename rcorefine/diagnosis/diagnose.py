@@ -197,7 +197,7 @@ def investigate(
     -------
     Answer
         Beside "adequate", unless `thorough`, with the refitted rivals of a fault that few samples alone
-        would show.
+        would show, or that a color of the noise may hide.
     """
     case = Case.prepare(base, records, asked, settings, significance, progress, thorough)
     answer = ask(case, validation)
