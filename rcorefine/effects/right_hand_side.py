@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +13,10 @@ from ..jit import NUMBA, compiled_law
 from ..systems.linear import Array
 from .absorbed import nominal_is_left
 from .compiled import code_of
+from .expressions import Number
 from .law import Coefficient, Law, register
+from .straight_line import Remainder, StraightLine, straight_line
+from .tracing import as_numbers, tracing
 
 __all__ = ["Field", "ModelParameter", "RightHandSide"]
 
@@ -77,6 +80,21 @@ class RightHandSide:
             shown = np.asarray(_plain(self.output)(t, x, u, params), dtype=float).reshape(-1)
         return np.concatenate([rates, shown])
 
+    def traced(self, x: Sequence[Number], u: Sequence[Number], p: Sequence[Number]) -> list[Number]:
+        """Rates and outputs of symbols, see `Tape`.
+
+        Raises
+        ------
+        Exception
+            Whatever comes of functions that cannot be traced.
+        """
+        states, inputs = np.array(x, dtype=object), np.array(u, dtype=object)
+        params = {**self.others, **dict(zip(self.names, p, strict=True))}
+        rows = as_numbers(tracing(self.update)(0.0, states, inputs, params))
+        if self.output is None:
+            return rows + as_numbers(states[: self.n_outputs])
+        return rows + as_numbers(tracing(self.output)(0.0, states, inputs, params))
+
     def compiled(self) -> _Function:
         """``f(x, u, values, row)``, compiled, which fills a row with rates and outputs."""
         entries = "".join(f"{name!r}: p[{i}], " for i, name in enumerate(self.names))
@@ -110,49 +128,43 @@ class Field:
 
     Parameters
     ----------
-    functions : RightHandSide
-        The model.
-    nominal : ndarray, shape (q,)
-        Its parameters.
-    level : ndarray, shape (n + n_w,)
-        States and inputs about which the linear part stands.
-    linear : ndarray, shape (n + n_y, n + n_w)
-        The linear part, of the outputs without what they read of rates.
-    rate_sensors : ndarray, shape (n_y, n)
-        What outputs read of rates.
-    outputs : ndarray, shape (n_y,)
-        Outputs at the level.
+    of : Remainder
+        The model, and its linear part.
 
     Attributes
     ----------
     code : int
-        What `evaluate` takes: coefficients are the parameters, inputs are states and inputs above the
-        level, and the width says what is wanted: 0 values, 1 derivatives by states and inputs, 2 by
-        parameters too. It writes a table (n + n_y, 2 + n + n_w + q): value, size, derivatives.
+        What `evaluate` takes: coefficients are the parameters, inputs are the `signals` above the level,
+        and the width says what is wanted: 0 values, 1 derivatives by those signals, 2 by parameters too.
+        It writes a table (n_rows, 2 + n_signals + q): value, size, derivatives.
+    rows : ndarray of int
+        Of the rates and, behind them, outputs, those that are not linear.
+    signals : ndarray of int
+        Of the states and, behind them, inputs, those on which they hang.
     speed : str
         "compiled" or "Python".
     """
 
-    def __init__(
-        self,
-        functions: RightHandSide,
-        nominal: Array,
-        level: Array,
-        linear: Array,
-        rate_sensors: Array,
-        outputs: Array,
-    ) -> None:
-        self._made = (functions, nominal, level, linear, rate_sensors, outputs)
-        self.functions, self.nominal = functions, nominal
-        self.n_rows, self.n_signals = linear.shape
-        self.n_columns = _AHEAD + self.n_signals + nominal.size
-        n, x0 = functions.n_states, level
-        numbers = (x0, linear, rate_sensors, outputs)
-        self._fill = fill_of(_tolerant(functions), n, numbers, lambda function: function)
+    def __init__(self, of: Remainder) -> None:
+        self._of = of
+        self.functions, self.nominal = of.functions, of.nominal
+        self._plain = fill_of(_tolerant(of.functions), of, lambda function: function)
+        found = straight_line(of, self._values)
+        everything = np.arange(of.linear.shape[0]), np.arange(of.linear.shape[1])
+        self.rows, self.signals = everything if found is None else (found.rows, found.signals)
+        self.n_rows, self.n_signals = self.rows.size, self.signals.size
+        self.n_columns = _AHEAD + self.n_signals + of.nominal.size
+        self._fill = self._plain if found is None else found.made()
         self.speed = "Python"
-        self.code, self._keep = self._address(n, numbers)
+        self.code, self._keep = self._address(found)
 
-    def _address(self, n: int, numbers: tuple[Array, ...]) -> tuple[int, Any]:
+    def _values(self, z: Array, p: Array) -> Array:
+        """All rows by the functions as they were written."""
+        out = np.zeros((self._of.linear.shape[0], _AHEAD))
+        self._plain(p, z, 0.0, out)
+        return out[:, 0]
+
+    def _address(self, found: StraightLine | None) -> tuple[int, Any]:
         q, z, shape, fill = self.nominal.size, self.n_signals, (self.n_rows, self.n_columns), self._fill
 
         def plain(d: Any, v: Any, d0: Any, z0: Any, p: Any, want: float, w: Any, nw: int, out: Any) -> None:
@@ -160,11 +172,14 @@ class Field:
 
         if NUMBA:
             try:
-                fast = fill_of(self.functions.compiled(), n, numbers, compiled_law)
-                self._compare(fast)
+                if found is None:
+                    fast = fill_of(self.functions.compiled(), self._of, compiled_law)
+                    self._compare(fast)
+                else:
+                    fast = found.made(compiled_law)
                 scope = {"fill": fast, "carray": None}
                 exec(_ENTRY.format(q=q, z=z, rows=shape[0], columns=shape[1]), scope)
-                found = code_of(plain, scope["evaluate"])
+                code = code_of(plain, scope["evaluate"])
             except (TypeError, ValueError) as error:
                 warn(
                     f"the functions of {self.functions.label} cannot be compiled and are called in Python, "
@@ -173,30 +188,37 @@ class Field:
                 )
             else:
                 self.speed = "compiled"
-                return found
+                return code
         return code_of(plain)
 
     def _compare(self, fast: _Function) -> None:
         """Whether the compiled functions say what the plain ones say."""
         for share in (0.0, 1e-3):
-            z = share * np.maximum(np.abs(self._made[2]), 1.0)
-            here, there = (np.zeros((self.n_rows, self.n_columns)) for _ in range(2))
-            self._fill(self.nominal, z, 2.0, here)
+            z = share * np.maximum(np.abs(self._of.level), 1.0)
+            there = np.zeros((self.n_rows, self.n_columns))
             try:
                 fast(self.nominal, z, 2.0, there)
             except Exception as error:  # numba's own errors have no common base
                 raise TypeError(str(error)) from error
-            if not np.allclose(here[:, 0], there[:, 0], rtol=1e-9, atol=1e-12, equal_nan=True):
+            here = self._values(z, self.nominal)
+            if not np.allclose(here, there[:, 0], rtol=1e-9, atol=1e-12, equal_nan=True):
                 raise ValueError("compiled, they give other values than in Python")
 
     def table(self, values: Array, z: Array, want: float = 0.0) -> Array:
-        """Value, size and derivatives of each row at states and inputs above the level."""
+        """Value, size and derivatives of each of the `rows` at `signals` above the level."""
         out = np.zeros((self.n_rows, self.n_columns))
         self._fill(values, z, want, out)
         return out
 
+    def slopes(self, values: Array, z: Array) -> Array:
+        """Derivatives (n + n_y, n + n_w) of all rows at all states and inputs above the level."""
+        found = np.zeros_like(self._of.linear)
+        columns = slice(_AHEAD, _AHEAD + self.n_signals)
+        found[np.ix_(self.rows, self.signals)] = self.table(values, z[self.signals], 1.0)[:, columns]
+        return found
+
     def __reduce__(self) -> tuple[Any, ...]:
-        return Field, self._made
+        return Field, (self._of,)
 
 
 _ENTRY = """
@@ -234,10 +256,11 @@ def _tolerant(functions: RightHandSide) -> _Function:
     return whole
 
 
-def fill_of(whole: _Function, n: int, numbers: tuple[Array, ...], made: _Function) -> _Function:
-    """Function that fills the table, of ``whole(x, u, p, row)`` and `numbers` as `Field` has them."""
+def fill_of(whole: _Function, of: Remainder, made: _Function) -> _Function:
+    """Function that fills the table of all rows by differences of ``whole(x, u, p, row)``."""
+    numbers = (of.level, of.linear, of.rate_sensors, of.outputs)
     level, linear, rate_sensors, outputs = (np.ascontiguousarray(one, dtype=float) for one in numbers)
-    rows, signals = linear.shape
+    n, (rows, signals) = of.functions.n_states, linear.shape
 
     def remainder(z, p, row):  # type: ignore[no-untyped-def]
         both = level + z

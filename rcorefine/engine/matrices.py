@@ -64,8 +64,8 @@ def continuous_matrices(structure: Structure, theta: NDArray[Any]) -> Matrices:
     scales = act_scales(structure, theta)
     into = _absorbed(structure, theta, scales)
     E, P = _ports(structure, into.A.dtype, scales)
-    if field is not None:  # its rows are forces on every state of the model, and then on the outputs
-        E = np.hstack([E, np.eye(n, n0 + ny)])
+    if field is not None:  # its rows are forces on states of the model, and then on outputs
+        E = np.hstack([E, np.eye(n, n0 + ny)[:, field.rows]])
         E[n0:] = 0.0
     Ux, lag_drive = _input_lags(into)
 
@@ -88,7 +88,7 @@ def continuous_matrices(structure: Structure, theta: NDArray[Any]) -> Matrices:
         output = model.port(structure.effects[index].place).output
         G[: output.size, j] += output
     if field is not None:
-        G[:, structure.n_ports + n0 :] += np.eye(ny)
+        G[:, structure.n_ports :] += np.eye(ny, n0 + ny, n0)[:, field.rows]
     for i, state, lag in into.output_lags:
         A[state] = C[i] / lag
         A[state, state] -= 1.0 / lag
@@ -108,7 +108,8 @@ def continuous_matrices(structure: Structure, theta: NDArray[Any]) -> Matrices:
         B[:, nw] -= E[:, laws] @ rest
         D[:, nw] += (1.0 if field is None else into.output_gain) * point.outputs - G[:, laws] @ rest
     if field is not None:  # it takes the states and what the inputs become
-        sense = np.vstack([sense, np.eye(n0, n + nw + 1), np.hstack([Ux, into.Uw])])
+        taken = np.vstack([np.eye(n0, n + nw + 1), np.hstack([Ux, into.Uw])])
+        sense = np.vstack([sense, taken[field.signals]])
     controller = model.controller
     if controller is not None:  # what it adds to the inputs is held in its last states
         held = slice(structure.loop.stop - len(controller.driven), structure.loop.stop)

@@ -71,8 +71,7 @@ def act_scales(structure: Structure, theta: NDArray[Any]) -> dict[str, Any]:
     n, free = base.n_states, [c for c in range(columns.size) if columns[c] >= 0]
 
     def gains(p: Array) -> Array:
-        slopes = field.table(p, np.zeros(field.n_signals), 1.0)[:n, 2 + n : 2 + field.n_signals]
-        return np.asarray(base.B + slopes)
+        return np.asarray(base.B + field.slopes(p, np.zeros(n + base.n_inputs))[:n, n:])
 
     B = gains(values).astype(theta.dtype if theta.size else float)
     for c in free if np.iscomplexobj(theta) else ():

@@ -31,7 +31,7 @@ def growth(model: PhysicalModel, states: Array, record: Measurement) -> float:
     assert point.field is not None
     field = point.field
     along = np.vstack([states[:n], record.inputs]).T
-    slopes = np.array([field.table(field.nominal, z, 1.0)[:n, 2 : 2 + n] for z in along])
+    slopes = np.array([field.slopes(field.nominal, z)[:n, :n] for z in along])
     error, total, least, most = np.eye(n), 0.0, 0.0, 0.0
     for step in exponential((model.linear.A + np.nan_to_num(slopes)) * record.dt):
         error = step @ error

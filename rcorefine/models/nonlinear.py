@@ -12,6 +12,7 @@ import control as ct
 import numpy as np
 
 from ..effects.right_hand_side import Field, ModelParameter, RightHandSide
+from ..effects.straight_line import Remainder, exact_slopes
 from ..exceptions import ModelError
 from ..systems.linear import Array, LinearModel
 from .detection import recognized
@@ -88,15 +89,17 @@ def from_nonlinear(
     point = as_operating_point(given, bare)
     level = np.concatenate([point.states, point.inputs])
     here = _checked(functions, level, nominal, operating_point is None)
-    L = _slopes(functions, level, nominal)
+    L, exact = _slopes(functions, level, nominal), exact_slopes(functions, level, nominal)
     if not np.isfinite(L).all():
         raise ModelError(_NOWHERE.format(label=functions.label, what="have no slope"))
+    if exact is not None and np.allclose(exact, L, rtol=1e-6, atol=1e-9 * np.abs(L).max(initial=0.0)):
+        L = exact  # but not at a corner, nor where symbols took another way through the functions
     linear = bare.with_arrays(A=L[:n, :n], B=L[:n, n:], C=L[n:, :n], D=L[n:, n:])
     model = PhysicalModel(**recognized(linear.to_statespace(), None, declared))
     if operating_point is None or "outputs" not in operating_point:
         point = replace(point, outputs=here[n:])
     straight = np.vstack([L[:n], np.hstack([model.output_state, model.output_input])])
-    field = Field(functions, nominal, level, straight, model.output_rate, point.outputs)
+    field = Field(Remainder(functions, nominal, level, straight, model.output_rate, point.outputs))
     numbers = tuple(
         NominalParameter(name, value, "", ModelParameter.name, name)
         for name, value in zip(names, nominal.tolist(), strict=True)

@@ -1,0 +1,166 @@
+"""Call a user's function with symbols: what it calls of math, numpy and Python then takes them."""
+
+from __future__ import annotations
+
+import builtins
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from types import CellType, FunctionType
+from typing import Any
+
+import numpy as np
+
+from .expressions import Number, Symbolic, Untraceable, maximum, minimum
+
+__all__ = ["as_numbers", "tracing"]
+
+_Function = Callable[..., Any]
+
+
+def tracing(function: _Function) -> _Function:
+    """The function with its modules and helpers replaced by such as take symbols.
+
+    Parameters
+    ----------
+    function : callable
+        As a user wrote it, or compiled by numba.
+
+    Returns
+    -------
+    callable
+        It raises whatever comes of what cannot be traced.
+    """
+    return _Replacing().of(getattr(function, "py_func", function))  # type: ignore[no-any-return]
+
+
+def as_numbers(values: Any) -> list[Number]:
+    """What a function gave, one after the other."""
+    entries = np.asarray(values, dtype=object).reshape(-1).tolist()
+    return [one if isinstance(one, Symbolic) else float(one) for one in entries]
+
+
+class _Replacing:
+    """Functions with what they name outside themselves replaced, each of them once."""
+
+    def __init__(self) -> None:
+        self._made: dict[int, Any] = {}
+
+    def of(self, value: Any) -> Any:
+        """What stands for a value that a function names."""
+        if value is math:
+            return _MATH
+        if value is np:
+            return _NUMPY
+        if id(value) in _PYTHON:
+            return _PYTHON[id(value)]
+        name = getattr(value, "__name__", "")
+        if name in vars(math) and vars(math)[name] is value:
+            return getattr(_MATH, name)
+        value = getattr(value, "py_func", value)
+        if not isinstance(value, FunctionType) or _is_library(value):
+            return value
+        if id(value) not in self._made:
+            self._function(value)
+        return self._made[id(value)]
+
+    def _function(self, function: FunctionType) -> None:
+        scope = {"__builtins__": builtins, **_REPLACED}
+        cells = tuple(CellType() for _ in function.__closure__ or ())
+        made = FunctionType(function.__code__, scope, function.__name__, function.__defaults__, cells)
+        made.__kwdefaults__ = function.__kwdefaults__
+        self._made[id(function)] = made  # before what it names, which may be itself
+        for cell, before in zip(cells, function.__closure__ or (), strict=True):
+            cell.cell_contents = self.of(before.cell_contents)
+        for name, value in function.__globals__.items():
+            if name != "__builtins__":
+                scope[name] = self.of(value) if name in _named(function) else value
+
+
+def _named(function: FunctionType) -> set[str]:
+    """Names that the code uses, with those of functions inside it."""
+    found: set[str] = set()
+    waiting = [function.__code__]
+    while waiting:
+        code = waiting.pop()
+        found.update(code.co_names)
+        waiting += [one for one in code.co_consts if hasattr(one, "co_names")]
+    return found
+
+
+def _is_library(function: FunctionType) -> bool:
+    """Whether it is numpy's own, which works on arrays of objects or not at all."""
+    return (function.__module__ or "").partition(".")[0] == "numpy"
+
+
+class _Math:
+    """The module math, for symbols."""
+
+    def __getattr__(self, name: str) -> Any:
+        plain = getattr(math, name)
+        if not callable(plain):
+            return plain
+
+        def taken(*given: Any) -> Any:
+            if not any(isinstance(one, Symbolic) for one in given):
+                return plain(*given)
+            ufunc = getattr(np, _NUMPY_NAMES.get(name, name), None)
+            if not isinstance(ufunc, np.ufunc):
+                raise Untraceable(name)
+            return ufunc(*given)
+
+        return taken
+
+
+class _Numpy:
+    """The module numpy, whose arrays have room for symbols."""
+
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(np, name)
+        if name in _CHOOSING:
+            return partial(_entry_by_entry, _CHOOSING[name])
+        if name not in _MAKERS:
+            return found
+
+        def made(*given: Any, dtype: Any = None, **more: Any) -> Any:
+            return found(*given[: _MAKERS[name]], dtype=object, **more)
+
+        return made
+
+
+def _entry_by_entry(function: _Function, *given: Any) -> Any:
+    """A function of numbers on arrays of them."""
+    if any(np.ndim(one) for one in given if not isinstance(one, Symbolic)):
+        return np.frompyfunc(function, len(given), 1)(*given)
+    return function(*given)
+
+
+def _clipped(value: Any, low: Any, high: Any) -> Any:
+    return minimum(maximum(value, low), high)
+
+
+def _as_float(value: Any = 0.0) -> Any:
+    return value if isinstance(value, Symbolic) else float(value)
+
+
+def _largest(*given: Any, **more: Any) -> Any:
+    return _extreme(max, maximum, given, more)
+
+
+def _smallest(*given: Any, **more: Any) -> Any:
+    return _extreme(min, minimum, given, more)
+
+
+def _extreme(plain: _Function, symbolic: _Function, given: Sequence[Any], more: dict[str, Any]) -> Any:
+    values = list(given[0]) if len(given) == 1 else given
+    return symbolic(*values) if any(isinstance(one, Symbolic) for one in values) else plain(*given, **more)
+
+
+#: Functions of numpy that choose among numbers: on arrays of objects they would ask which is larger.
+_CHOOSING = {"maximum": maximum, "fmax": maximum, "minimum": minimum, "fmin": minimum, "clip": _clipped}
+#: Functions of numpy that make arrays, with the number of arguments before the type.
+_MAKERS = {"array": 1, "asarray": 1, "zeros": 1, "ones": 1, "empty": 1, "zeros_like": 1, "empty_like": 1}
+_NUMPY_NAMES = {"asin": "arcsin", "acos": "arccos", "atan": "arctan", "asinh": "arcsinh", "pow": "power"}
+_REPLACED: dict[str, Any] = {"float": _as_float, "max": _largest, "min": _smallest}
+_PYTHON = {id(getattr(builtins, name)): stand for name, stand in _REPLACED.items()}
+_MATH, _NUMPY = _Math(), _Numpy()
