@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 from concurrent.futures import ThreadPoolExecutor
 
 import control as ct
@@ -195,3 +196,15 @@ def test_an_offset_of_a_sensor_beside_an_integrator_is_no_effect():
     (level,) = [row for row in found.base.parameters if row.place == "y[1]"]
     assert abs(level.value - 0.5 * size[1, 0]) < 4 * level.std
     assert not [row for row in found.checks if row.what == "closed loop"]  # steps follow nothing
+
+
+def test_a_gain_is_told_as_what_the_sensor_reads(rng):
+    """A swapped wire: the gain of the model has to change by -2, and is -1 then."""
+    model = ct.ss([[-1.0]], [[1.0]], [[1.0]], 0, inputs="u", outputs="y", states=["x"])
+    u = rng.standard_normal(600)
+    _, y = ct.forced_response(model.sample(0.1), inputs=u)
+    noisy = -y + 0.01 * y.std() * rng.standard_normal(600)
+    data = rco.Measurement(u, noisy, dt=0.1, input_labels="u", output_labels="y")
+    found = rco.diagnose(model, data, candidates=[rco.Effect("output_gain", "y")])
+    said = re.search(r"y is then (\S+) times what the model has there", " ".join(str(found).split()))
+    assert float(said[1]) == pytest.approx(-1.0, abs=0.01)

@@ -2,8 +2,10 @@
 
 from types import SimpleNamespace
 
+import control as ct
 import numpy as np
 import pytest
+from scipy.signal import cont2discrete, dlsim
 from test_rivals import friction_record
 
 import rcorefine as rco
@@ -50,7 +52,7 @@ def test_a_law_contains_what_it_says(general, special):
     t = np.linspace(0.0, 20.0, 4000)
     d = 0.3 * np.sin(2.1 * t) + 0.2 * np.sin(3.7 * t)
     v = np.append(0.0, np.diff(d)) / t[1]
-    if "mechanical" not in KINDS[special].where:
+    if "mechanical" not in KINDS[general].where & KINDS[special].where:
         v = np.abs(v)  # a level
     law, shape = KINDS[general], dict(KINDS[general].contains[special])
     if special == "stiffness" and "displacement" in law.shaping:
@@ -123,3 +125,27 @@ def test_what_contains_a_law_that_fails_is_named_where_it_passes(monkeypatch, pa
     assert judged.race.rivals[0].name == named
     assert judged.passed == (named in passing)
     assert race.rivals[0].name == "a"
+
+
+def test_a_rim_below_every_level_is_no_rival_of_a_loss():
+    """A converter's current never turns: what its choke loses could as well spill over a rim at zero."""
+    choke, store, load, lost, volts, dt = 47e-6, 100e-6, 5.0, 0.15, 24.0, 5e-6
+
+    def converter(resistance):
+        A = np.array([[-resistance / choke, -1 / choke], [1 / store, -1 / (load * store)]])
+        return [A, np.array([[volts / choke], [0.0]]), np.array([[0.0, 1.0]]), np.zeros((1, 1))]
+
+    rng = np.random.default_rng(2)
+    duty = 0.5 + 0.06 * np.repeat(rng.standard_normal(40), 25)
+    A, B, C, *_ = cont2discrete(converter(lost), dt)
+    at_rest = np.linalg.solve(np.eye(2) - A, B[:, 0] * duty[0])
+    _, volt, _ = dlsim((A, B, C, np.zeros((1, 1)), dt), duty, x0=at_rest)
+    seen = volt[:, 0] + 0.02 * volt.std() * rng.standard_normal(1000)
+    model = ct.ss(*converter(0.0), states=["iL", "vC"], inputs="d", outputs="v")
+    kinds = ("damping", "threshold_flow", "sqrt_flow")
+    data = rco.Measurement(duty, seen, dt=dt, input_labels="d", output_labels="v")
+    found = rco.diagnose(model, data, candidates=[rco.Effect(kind, "iL") for kind in kinds])
+    assert (found.verdict, found.best.effect) == ("effect", rco.Effect("damping", "iL"))
+    # volts per ampere over what one unit of duty puts across the choke; and the text says so
+    assert found.best.coefficients["damping"] == pytest.approx(lost / volts, rel=0.02)
+    assert f"storage {choke / volts:.4g} from the input d" in str(found).replace("\n", " ")

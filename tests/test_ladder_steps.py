@@ -8,9 +8,10 @@ import control as ct
 import numpy as np
 import pytest
 from hidden.generator import Law, held_motion
+from scipy.signal import cont2discrete, dlsim
 
 import rcorefine as rco
-from rcorefine.diagnosis.stepwise.backward import drop_undetermined, return_trust, shorten
+from rcorefine.diagnosis.stepwise.backward import drop_last, drop_undetermined, return_trust, shorten
 from rcorefine.diagnosis.stepwise.forward import climb
 from rcorefine.diagnosis.stepwise.parts import split_in_parts
 from rcorefine.diagnosis.stepwise.selection import Choice, StepwiseSelection
@@ -100,14 +101,18 @@ def data() -> rco.Measurement:
     return oscillator(8, 800, spring=75.0)
 
 
-@pytest.fixture
-def ladder(data: rco.Measurement) -> StepwiseSelection:
-    """A ladder at its foot; the truth has a softer spring."""
+def at_its_foot(data: rco.Measurement) -> StepwiseSelection:
     settings = {"tolerance": 0.0, "offset": True, "noise": None, "horizon": None}
     parts = split_in_parts([data], None)
     return StepwiseSelection(
         mass(), parts, free=(), settings=settings, significance=0.01, progress=Progress()
     )
+
+
+@pytest.fixture
+def ladder(data: rco.Measurement) -> StepwiseSelection:
+    """The truth has a softer spring."""
+    return at_its_foot(data)
 
 
 def add(ladder: StepwiseSelection, *kinds: str, on_trust: bool = False) -> None:
@@ -138,6 +143,37 @@ def test_what_was_taken_on_trust_goes_wherever_it_stands(ladder: StepwiseSelecti
     return_trust(ladder)
     assert held(ladder) == ["stiffness"]
     assert [step.action for step in ladder.steps[-2:]] == ["drop", "drop"]
+
+
+@pytest.mark.parametrize(("spring", "left"), [(80.0, []), (75.0, ["stiffness"])])
+def test_what_is_left_after_a_drop_has_to_be_worth_its_coefficient(spring: float, left: list[str]) -> None:
+    """Where the spring is not off it goes too, as if nothing had been tried."""
+    ladder = at_its_foot(oscillator(8, 800, spring=spring))
+    add(ladder, "stiffness")
+    add(ladder, "damping")
+    ladder.drop(ladder.effects[1], ladder.without(ladder.effects[1]))
+    drop_last(ladder, 10)
+    assert held(ladder) == left
+    assert len(ladder.steps) == (4 if left else 1)
+
+
+def test_what_the_first_part_cannot_show_is_sought_on_all_that_does_not_judge() -> None:
+    """Two rooms whose second one loses heat that the model lacks, over three of its time constants."""
+    near, out, loss, heat = 60.0, 20.0, 8.0, np.array([3e5, 2e6])  # W/K, J/K
+
+    def rooms(lost: float) -> list[np.ndarray]:
+        flows = np.array([[-near - out, near], [near, -near - lost]])
+        return [flows / heat[:, None], np.array([[1.0], [0.0]]) / heat[:, None], np.eye(2), np.zeros((2, 1))]
+
+    rng = np.random.default_rng(1)
+    power = 600 * np.repeat(rng.standard_normal(30), 60)
+    _, warm, _ = dlsim(cont2discrete(rooms(loss), 60.0), power)
+    seen = warm.T + 0.01 * warm.T.std(axis=1, keepdims=True) * rng.standard_normal((2, 1800))
+    model = ct.ss(*rooms(0.0), states=["T1", "T2"], inputs="P", outputs=["T1", "T2"])
+    data = rco.Measurement(power, seen, dt=60.0, input_labels="P", output_labels=["T1", "T2"])
+    found = rco.improve(model, data, candidates=[rco.Effect("damping", "T1"), rco.Effect("damping", "T2")])
+    assert [(e.kind, e.place) for e in found.effects] == [("damping", "T2")]
+    assert np.allclose(found.steps[-1].validation_rmse, 0.01 * warm.std(axis=0), rtol=0.15)
 
 
 def test_a_trial_that_runs_away_within_a_sample_ends_no_ladder(ladder: StepwiseSelection) -> None:

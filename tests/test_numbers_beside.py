@@ -129,3 +129,26 @@ def test_names_beside_numbers_are_right() -> None:
     assert right >= binom.ppf(0.001, max(named, 1), 0.9)
     assert wrong <= binom.ppf(0.999, max(named, 1), 0.05)
     assert named >= 8
+
+
+def test_numbers_that_do_not_suffice_are_told_before_laws_that_do_less() -> None:
+    """The front tires of a car, softer than the model has them, stand in C and D too, which do not float."""
+    mass, inertia, a, b, speed, rear = 1500.0, 2500.0, 1.2, 1.5, 22.0, 90e3
+
+    def car(front: float) -> list[np.ndarray]:
+        side = [-(front + rear) / (mass * speed), (b * rear - a * front) / (mass * speed) - speed]
+        yaw = [(b * rear - a * front) / (inertia * speed), -(a**2 * front + b**2 * rear) / (inertia * speed)]
+        B, D = np.array([[front / mass], [a * front / inertia]]), np.array([[front / mass], [0.0]])
+        return [np.array([side, yaw]), B, np.array([[side[0], side[1] + speed], [0.0, 1.0]]), D]
+
+    rng = np.random.default_rng(1)
+    steer = 0.03 * np.repeat(rng.standard_normal(30), 30)
+    _, exact, _ = dlsim(cont2discrete(car(60e3), 0.02), steer)
+    seen = exact.T + 0.03 * exact.T.std(axis=1, keepdims=True) * rng.standard_normal((2, 900))
+    model = ct.ss(*car(80e3), states=["vy", "r"], inputs="delta", outputs=["ay", "yawrate"])
+    labels = {"input_labels": "delta", "output_labels": ["ay", "yawrate"]}
+    found = rco.diagnose(model, rco.Measurement(steer, seen, dt=0.02, **labels))
+    assert found.verdict == "unexplained"
+    assert found.base.fit == pytest.approx(97.0, abs=1.0)  # noise of 3 %
+    assert "The numbers alone take the fit from" in str(found).replace("\n", " ")
+    assert "C and D are held meanwhile" in str(found).replace("\n", " ")

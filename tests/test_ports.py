@@ -6,6 +6,7 @@ import control as ct
 import numpy as np
 import pytest
 
+import rcorefine as rco
 from rcorefine.exceptions import ModelError
 from rcorefine.models.conversion import as_physical, ports
 from rcorefine.models.physical_model import PhysicalModel
@@ -449,3 +450,18 @@ class TestPhysicalModel:
         linear = as_physical(chain()).linear
         with pytest.raises(ct.ControlDimension, match="1 states"):
             PhysicalModel(linear, linear.C, 0 * linear.C, linear.D, (port,))
+
+
+@pytest.mark.parametrize(
+    ("unit", "read"),
+    [
+        ("K", ("displacement", "temperature")),
+        ("V", ("displacement", "voltage")),
+        ("", ("displacement", "state")),
+        ("A", ("charge", "current")),
+    ],
+)
+def test_what_a_store_shows_is_called_as_its_field_calls_it(unit, read):
+    """A temperature is no velocity."""
+    store = ct.ss([[-1.0]], [[1.0]], [[1.0]], 0, states=["x"], inputs=["u"], outputs=["y"])
+    assert rco.physical(store, units={"x": unit} if unit else {}).port("x").senses == read

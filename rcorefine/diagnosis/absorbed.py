@@ -10,7 +10,7 @@ from ..inference.levels import levels
 from ..inference.refinement import EstimatedParameter, Refinement
 from ..words import with_error
 
-__all__ = ["far_numbers", "numbers_that_moved", "what_was_absorbed"]
+__all__ = ["far_numbers", "numbers_that_moved", "percent", "what_was_absorbed"]
 
 _MOST = 6  # numbers that are listed
 
@@ -36,8 +36,8 @@ def what_was_absorbed(base: Refinement) -> str:
     if len(moved) > _MOST:
         said.append(f"{len(moved) - _MOST} numbers more")
     return (
-        f"To get there the fit absorbed {', '.join(said)}: the free run of the initial model explains "
-        f"{_percent(base.initial_fit)} of the record, with that {_percent(base.fit)}."
+        f"To get there the fit absorbed {', '.join(said)}: the fit of the free run is "
+        f"{percent(base.initial_fit)} as the model was given, {percent(base.fit)} with that."
     )
 
 
@@ -91,5 +91,6 @@ def _one(row: EstimatedParameter) -> str:
     return f"{row.name} from {row.initial:.4g} to {row.value:.4g}{unit}{change}"
 
 
-def _percent(fit: np.ndarray) -> str:
+def percent(fit: np.ndarray) -> str:
+    """The fit of each output [%]."""
     return " / ".join(f"{value:.4g} %" for value in np.atleast_1d(fit))

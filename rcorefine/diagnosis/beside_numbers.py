@@ -11,7 +11,7 @@ from ..exceptions import ModelError
 from ..inference.f_tests import FTest
 from ..inference.refinement import Refinement
 from ..refinement.refine import refit
-from .absorbed import numbers_that_moved
+from .absorbed import numbers_that_moved, percent
 from .asking import Ask, Unanswered
 from .case import Case, not_held
 from .result import Diagnosis
@@ -38,7 +38,7 @@ def beside_numbers(first: Unanswered, again: Ask) -> Answer | Unanswered | None:
     Returns
     -------
     Answer, Unanswered or None
-        None where nothing is gained.
+        An answer that names nothing is open, too; None where nothing is gained.
     """
     case, floated = first.case, first.floated
     if floated is None or not not_held(case.library, floated.effects):
@@ -50,6 +50,8 @@ def beside_numbers(first: Unanswered, again: Ask) -> Answer | Unanswered | None:
     if isinstance(answer, Unanswered):
         return answer
     found, race = answer.found, answer.race
+    if found.verdict == "unexplained":
+        return answer
     is_named = found.verdict in ("effect", "ambiguous")
     if not (is_named and _are_off(case, found) and gains(case, first.judged, race)):
         return None
@@ -59,18 +61,21 @@ def beside_numbers(first: Unanswered, again: Ask) -> Answer | Unanswered | None:
     return Answer(_told(found, first.tests), race)
 
 
-def gains_by_numbers(found: Diagnosis, beside: Unanswered) -> bool:
+def gains_by_numbers(found: Diagnosis, beside: Answer | Unanswered) -> bool:
     """Whether the numbers of the model take more from the error than any law, or force without one."""
     if found.verdict != "unexplained" or not found.ranking:
         return False
     fits = [float(np.mean(row.refinement.fit)) for row in found.ranking]
     fits += [found.open_law.fit_after] if found.open_law is not None else []
-    return bool(np.mean(beside.case.base.fit) > max(fits))
+    base = beside.case.base if isinstance(beside, Unanswered) else beside.found.base
+    return bool(np.mean(base.fit) > max(fits))
 
 
-def told_beside(found: Diagnosis, beside: Unanswered) -> Answer:
+def told_beside(found: Diagnosis, beside: Answer | Unanswered) -> Answer:
     """What `beside_numbers` left open, with the tests of the model as it is."""
-    other = replace(beside, case=replace(beside.case, thorough=True)).told()
+    other = beside
+    if isinstance(beside, Unanswered):
+        other = replace(beside, case=replace(beside.case, thorough=True)).told()
     return Answer(_told(other.found, found.tests), other.race)
 
 
@@ -98,10 +103,11 @@ def _with_a_gain(case: Case, found: Diagnosis) -> Refinement | None:
 
 def _in_words(found: Diagnosis) -> str:
     """What is said where a law is sought while all numbers of the model float."""
-    best = found.best
-    with_law = found.verdict in ("effect", "ambiguous") and best is not None
     said = "No law alone explains the record, nor do the numbers of the model: these float beside every law."
-    if best is None or not with_law:
-        return said
-    rows = [row for row in best.refinement.parameters if row.role == "linear"]
-    return f"{said} {numbers_that_moved(rows)}"
+    if found.verdict in ("effect", "ambiguous") and found.best is not None:
+        rows = [row for row in found.best.refinement.parameters if row.role == "linear"]
+        return f"{said} {numbers_that_moved(rows)}"
+    before, after = (percent(fit) for fit in (found.base.initial_fit, found.base.fit))
+    said += f" The numbers alone take the fit from {before} to {after}."
+    held = found.base.physical_model.linear.D.any() and not found.base.physical_model.output_rate.any()
+    return f"{said} C and D are held meanwhile: what is off there is not found." if held else said

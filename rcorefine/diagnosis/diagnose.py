@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, TypeGuard
 
 import control as ct
 
@@ -222,17 +222,22 @@ def _none_passing(first: Unanswered, again: Ask, numbers: bool) -> Answer:
     zeros = with_zeros_sought(first, again)
     if isinstance(zeros, Unanswered):
         beside = beside_numbers(zeros, again) if numbers else None
-        if isinstance(beside, Answer):
+        if _names(beside):
             return beside
         if gains(first.case, first.judged, zeros.judged.race):
             return _finished(zeros.with_the_rest(), beside)
     elif zeros is not None:
         return zeros
     beside = beside_numbers(first, again) if numbers else None
-    return beside if isinstance(beside, Answer) else _finished(first, beside)
+    return beside if _names(beside) else _finished(first, beside)
 
 
-def _finished(open_: Unanswered, beside: Unanswered | None) -> Answer:
+def _names(beside: Answer | Unanswered | None) -> TypeGuard[Answer]:
+    """Whether something explains the record while the numbers float."""
+    return isinstance(beside, Answer) and beside.found.verdict != "unexplained"
+
+
+def _finished(open_: Unanswered, beside: Answer | Unanswered | None) -> Answer:
     """The diagnosis after what may be wrong with the fits; `beside` is the same while the numbers float."""
     last = open_ if open_.judged.passed else open_.insisted()
     answer = last.told()
@@ -241,5 +246,8 @@ def _finished(open_: Unanswered, beside: Unanswered | None) -> Answer:
     if not last.case.thorough:
         return answer._replace(floated=last.floated)
     if beside is not None and gains_by_numbers(answer.found, beside):
-        last, answer = beside, told_beside(answer.found, beside)
+        answer = told_beside(answer.found, beside)
+        if isinstance(beside, Answer):
+            return answer
+        last = beside
     return answer._replace(found=replace(answer.found, notes=(*answer.found.notes, *last.pairs())))

@@ -197,7 +197,11 @@ def _beyond(form: FreeForm, ratio: float) -> str:
             forces = [(place, column) for column in make(*fitted.port(place, ratio, i))]
             blocks.append(force_responses(fitted, i, forces, fitted.gain(ratio)))
         best = min(best, (battery.test(words, blocks).p_value, words))
-    return f"The force at {place} is no function of position and velocity: {best[1]}." if best[1] else ""
+    port = fitted.structure.model.port(place)
+    read = " and ".join(
+        name for name, has in zip(port.senses, (port.has_position, port.has_velocity), strict=True) if has
+    )
+    return f"The {port.acts_by} at {place} is no function of the {read}: {best[1]}." if best[1] else ""
 
 
 def _remembered(d: Array, v: Array) -> list[Array]:

@@ -12,6 +12,7 @@ from .verdict import overall
 
 if TYPE_CHECKING:
     from ..inference.f_tests import FTest
+    from ..models.ports import Port
     from .result import Diagnosis
 
 __all__ = ["failed_test", "next_step", "no_test_fires", "sentences"]
@@ -53,7 +54,7 @@ def sentences(found: Diagnosis) -> list[str]:
     """
     alike = ", ".join(effect.label for effect in found.ambiguous)
     if len(found.ambiguous) == 1 and found.best is not None:
-        alike += f", a force at {found.best.effect.place} that follows none of the laws"
+        alike += f", {_force(found)} that follows none of the laws"
     where = "" if found.place is None else f": at {found.place}, with probability {_place(found)}"
     lines = [_VERDICTS[found.verdict].format(best=_best(found), alike=alike, where=where)]
     if found.verdict == "parameters" and far_numbers(found.parameters):
@@ -73,22 +74,13 @@ def sentences(found: Diagnosis) -> list[str]:
             lines.append(f"With the best candidate the residual still fails {failed_test(left)}.")
         if found.verdict == "parameters":
             lines += [numbers_that_moved(found.parameters), _ALIKE]
-        if found.best is not None and found.best.effect.spec.of_record:
-            shares = " and ".join(f"{100 * v:.3g} % {k}" for k, v in found.best.coefficients.items())
-            said = found.best.effect.explanation
-            sure = found.verdict == "effect"
-            lines.append(
-                f"{said} Here it is {shares}: correct the record, not the model."
-                if sure
-                else f"{said} Here it would be {shares}. A clock that is off and numbers that scale all "
-                "rates alike look the same to a record: time the clock itself before a number is changed."
-            )
+        lines += _meaning(found)
         lines += _columns(found)
     place = None if found.best is None or found.verdict == "unexplained" else found.best.effect.place
     hidden = place is not None and found.none_of_these > levels().no_law
     if hidden and not found.force_ratio:
         lines.append(
-            f"A force at {place} that follows none of the laws, though this record hardly "
+            f"A{_force(found)[1:]} that follows none of the laws, though this record hardly "
             f"shows how it departs, has probability {found.none_of_these:.2f}."
         )
     if found.force_ratio:
@@ -186,16 +178,48 @@ def _open_law(found: Diagnosis) -> list[str]:
     if law is None:
         return []
     fits = f"fit {found.ranking[0].fit_before:.4g} -> {law.fit_after:.4g} %"
-    lines = [f"law() tabulates the force {_range(law.effect.law)}: {fits}."]
+    port = found.base.physical_model.port(law.effect.place)
+    lines = [f"law() tabulates the {port.acts_by} {_range(law.effect.law, port)}: {fits}."]
     near = ", ".join(f"{effect.label} {max(share, 0):.0f} %" for effect, share in law.nearest[:3])
-    lines += [f"Of that force explain: {near}."] if near else []
+    lines += [f"Of that {port.acts_by} explain: {near}."] if near else []
     return lines + ([law.beyond] if law.beyond else [])
 
 
-def _range(table: Any) -> str:
+def _range(table: Any, port: Port) -> str:
     """Where the table has its knots: what lies beyond them no record has shown."""
-    named = {"displacements": table.d, "velocities": table.v}
-    return "for " + " and ".join(f"{name} {x[0]:.3g} to {x[-1]:.3g}" for name, x in named.items() if x)
+    knots = zip(port.senses, (table.d, table.v), strict=True)
+    return "for a " + " and a ".join(f"{name} of {x[0]:.3g} to {x[-1]:.3g}" for name, x in knots if x)
+
+
+def _force(found: Diagnosis) -> str:
+    """What acts at the place of the best candidate, in the words of its field."""
+    place = found.best.effect.place if found.best is not None else ""
+    ports = {port.name: port.acts_by for port in found.base.physical_model.ports}
+    return f"a {ports.get(place, 'force')} at {place}"
+
+
+def _meaning(found: Diagnosis) -> list[str]:
+    """What the numbers of the best candidate say, where that is not seen at once."""
+    if found.best is None or (found.verdict == "unexplained" and not found.best.effect.spec.of_record):
+        return []
+    effect, values = found.best.effect, found.best.coefficients
+    if effect.spec.of_record:
+        shares = " and ".join(f"{100 * v:.3g} % {k}" for k, v in values.items())
+        said = effect.explanation
+        return [
+            f"{said} Here it is {shares}: correct the record, not the model."
+            if found.verdict == "effect"
+            else f"{said} Here it would be {shares}. A clock that is off and numbers that scale all "
+            "rates alike look the same to a record: time the clock itself before a number is changed."
+        ]
+    if effect.spec.relative:
+        (gain,) = values.values()
+        return [f"{effect.place} is then {1 + gain:.5g} times what the model has there."]
+    model = found.base.physical_model
+    port = next((port for port in model.ports if port.name == effect.place), None)
+    if port is None or port.force_unit or any(number.physical for number in model.parameters):
+        return []
+    return [f"Scale of the numbers there: {port.description}. physical(..., parameters=...) declares it."]
 
 
 def _columns(found: Diagnosis) -> list[str]:

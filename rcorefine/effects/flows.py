@@ -60,6 +60,7 @@ class ThresholdFlow(PortLaw):
     )
     formula = "f = t max(x - threshold, 0)"
     explanation = "Beyond a certain level something spills over at {place}."
+    contains = MappingProxyType({"damping": {"threshold": 0.0}})  # of a level, which is not negative
     needs = frozenset(["velocity"])
     domains = frozenset(["first_order", "hydraulic"])
 

@@ -156,6 +156,12 @@ class Port(Row):
         return DOMAINS[self.domain].get("force", "force")
 
     @property
+    def senses(self) -> tuple[str, str]:
+        """What is read here, as its field calls it: displacement and velocity, charge and current, ..."""
+        words = DOMAINS[self.domain]
+        return words.get("moved", "displacement"), words.get("state", "velocity")
+
+    @property
     def is_relative(self) -> bool:
         """Whether the force acts between two places (and so on more than one state)."""
         return bool(np.count_nonzero(self.act) > 1)

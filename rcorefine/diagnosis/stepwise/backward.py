@@ -10,7 +10,14 @@ from ...effects.effect import Effect
 from ...inference.refinement import Refinement
 from .selection import StepwiseSelection, coefficients_of, determined, same
 
-__all__ = ["drop_needless", "drop_undetermined", "return_trust", "shorten", "swap_better"]
+__all__ = [
+    "drop_last",
+    "drop_needless",
+    "drop_undetermined",
+    "return_trust",
+    "shorten",
+    "swap_better",
+]
 
 
 Cost = Callable[[Effect, Refinement], float]
@@ -60,6 +67,28 @@ def drop_needless(ladder: StepwiseSelection, choices: int, by_error: bool) -> bo
         ladder.drop(effect, without)
         dropped = True
     return dropped
+
+
+def drop_last(ladder: StepwiseSelection, choices: int) -> None:
+    """Go back to no effect where the one that is left was of use only beside those that were dropped.
+
+    Parameters
+    ----------
+    ladder : StepwiseSelection
+        The climb; is changed.
+    choices : int
+        Candidates that there were.
+    """
+    if len(ladder.effects) != 1 or ladder.steps[-1].action != "drop":
+        return
+    (effect,) = ladder.effects
+    without, parts = ladder.without(effect), ladder.parts
+    size = len(effect.coefficients)
+    risen = ladder.rise(without, parts.fit, parts.choose)
+    lost = 2 * ladder.gain(ladder.current, without)
+    if risen < ladder.levels.earned * size and lost < ladder.price(choices) * size:
+        while ladder.effects:
+            ladder.take_back()
 
 
 def swap_better(ladder: StepwiseSelection, library: list[Effect]) -> bool:

@@ -21,7 +21,7 @@ from ...models.operating_point import ordered_record
 from ...progress import Progress
 from ..case import candidates_of, seen_in_responses
 from ..checks.check import looks
-from .backward import drop_needless, drop_undetermined, return_trust, shorten, swap_better
+from .backward import drop_last, drop_needless, drop_undetermined, return_trust, shorten, swap_better
 from .forward import climb, tabulate
 from .improvement import Improvement
 from .parts import split_in_parts
@@ -159,7 +159,7 @@ def improve(
 def _climb(ladder: StepwiseSelection, library: list[Effect], most: int) -> None:
     """Add; drop and swap until all hold; what was added on trust goes unless the model is adequate."""
     verdict = climb(ladder, library, most)
-    if verdict == "adequate" and ladder.effects and ladder.parts.whole:
+    if verdict == "adequate" and ladder.parts.whole:
         # what remains is noise: the likelihood decides from here on, and needs no second part
         ladder.pool()
         verdict = climb(ladder, library, most)
@@ -172,6 +172,7 @@ def _climb(ladder: StepwiseSelection, library: list[Effect], most: int) -> None:
     if ladder.on_trust and ladder.verdict(library) != "adequate":
         return_trust(ladder)
     shorten(ladder, most)
+    drop_last(ladder, len(library))
 
 
 def _end(ladder: StepwiseSelection) -> list[str]:
