@@ -73,10 +73,9 @@ def gains_by_numbers(found: Diagnosis, beside: Answer | Unanswered) -> bool:
 
 def told_beside(found: Diagnosis, beside: Answer | Unanswered) -> Answer:
     """What `beside_numbers` left open, with the tests of the model as it is."""
-    other = beside
     if isinstance(beside, Unanswered):
-        other = replace(beside, case=replace(beside.case, thorough=True)).told()
-    return Answer(_told(other.found, found.tests), other.race)
+        beside = replace(beside, case=replace(beside.case, thorough=True)).told()
+    return Answer(_told(beside.found, found.tests), beside.race)
 
 
 def _are_off(case: Case, found: Diagnosis) -> bool:
