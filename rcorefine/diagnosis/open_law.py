@@ -183,13 +183,13 @@ def _nearest(race: CandidateFits, form: FreeForm) -> tuple[tuple[Effect, float],
 
 
 def _beyond(form: FreeForm, ratio: float) -> str:
-    """What a force is that no function of position and velocity explains."""
+    """What the table leaves, where memory or time would take up a part of it.
+
+    No certain word: a curve that is finer than the knots leaves the same.
+    """
     fitted, place = form.fitted, form.curve.place
     battery = TestedResidual(fitted, ratio)
-    said = {
-        "it remembers": _remembered,
-        "it changes with time": _slow,
-    }
+    said = {"remembers": _remembered, "changes with time": _slow}
     best: tuple[float, str] = (levels().no_function, "")
     for words, make in said.items():
         blocks = []
@@ -197,11 +197,9 @@ def _beyond(form: FreeForm, ratio: float) -> str:
             forces = [(place, column) for column in make(*fitted.port(place, ratio, i))]
             blocks.append(force_responses(fitted, i, forces, fitted.gain(ratio)))
         best = min(best, (battery.test(words, blocks).p_value, words))
-    port = fitted.structure.model.port(place)
-    read = " and ".join(
-        name for name, has in zip(port.senses, (port.has_position, port.has_velocity), strict=True) if has
-    )
-    return f"The {port.acts_by} at {place} is no function of the {read}: {best[1]}." if best[1] else ""
+    acts = fitted.structure.model.port(place).acts_by
+    finer = "or like a curve finer than its knots"
+    return f"What the table leaves looks like a {acts} that {best[1]}, {finer}." if best[1] else ""
 
 
 def _remembered(d: Array, v: Array) -> list[Array]:

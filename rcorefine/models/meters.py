@@ -102,7 +102,8 @@ def _scale(linear: LinearModel, row: Array, port: Port, parameters: Sequence[Nom
     if port.modal or not force.any() or not row.any():
         return 0.0
     scale = float(row @ force / (force @ force))
-    if np.abs(row - scale * force).max() > _SAME * np.abs(row).max():
+    # entry by entry: a spring in N/m and a damper in N s/m have no common size
+    if np.any(np.abs(row - scale * force) > _SAME * np.maximum(np.abs(row), np.abs(scale * force))):
         return 0.0
     if abs(abs(scale) - 1.0) <= _SAME:
         scale = float(np.sign(scale))
