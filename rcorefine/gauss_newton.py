@@ -57,7 +57,8 @@ def gauss_newton(
     lower, upper : ndarray, shape (p,), or float
         Bounds. An unknown that is pressed against one is left out of the step.
     sizes : ndarray, shape (p,), or float
-        Natural sizes of the unknowns: with them, what is felt does not depend on units.
+        Natural sizes of the unknowns, where their values are no larger: with them, what is felt does not
+        depend on units.
     evaluations : int
         Calls of `evaluate` at most.
     tolerance : float
@@ -87,7 +88,7 @@ def gauss_newton(
         return Minimum(x, cost, rows, False)
     for _ in range(evaluations - 1):
         slope = _slope(rows)
-        step = _step(rows, damping, ~_pressed(x, lower, upper, slope), sizes)
+        step = _step(rows, damping, ~_pressed(x, lower, upper, slope), np.maximum(sizes, np.abs(x)))
         gain = -float(slope @ step) - 0.5 * _square(rows.jacobian, step)
         if done(cost, gain) and damping <= 1e-3:
             converged = True
@@ -126,7 +127,7 @@ def promised(
     """How much the next full step would lower the cost (half g' H^-1 g): small only at a minimum."""
     near, slope = 1e-12 * np.abs(point), _slope(rows)
     active = ~_pressed(point, lower + near, upper - near, slope)
-    return float(-0.5 * slope @ _step(rows, 1e-9, active, sizes))
+    return float(-0.5 * slope @ _step(rows, 1e-9, active, np.maximum(sizes, np.abs(point))))
 
 
 def _pressed(x: Array, lower: Array | float, upper: Array | float, slope: Array) -> NDArray[np.bool_]:

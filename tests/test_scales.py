@@ -160,3 +160,42 @@ def test_answers_do_not_depend_on_units(task, hidden):
         assert answer[0] == plain[0]
         for found, expected in zip(answer[1:], plain[1:], strict=True):
             assert np.allclose(found, expected, rtol=2e-6, atol=1e-9), scales
+
+
+def resonator(length, second, newton):
+    """A spring that hardens by a tenth, about its resonance, also in units of micrometers."""
+    rng = np.random.default_rng(3)
+    n, dt, pieces, hard = 900, 0.5, 20, 0.04
+    t = dt * np.arange(n)
+    w = sum(0.04 * np.sin(f * t + rng.uniform(0, 2 * np.pi)) for f in np.linspace(0.7, 1.4, 12))
+    block = np.zeros((4, 4))
+    block[:2], block[0, 1] = [[0, 0, 0, 0], [-1.0, -0.02, 1.0, 1.0]], 1.0
+    whole = expm(block * dt / pieces / 2)
+    Phi, G, F = whole[:2, :2], whole[:2, 2], whole[:2, 3]
+    x, y = np.zeros(2), np.zeros(n)
+    for i in range(n):
+        y[i] = x[0]
+        for _ in range(pieces):  # the force from the middle of each step: second order
+            middle = Phi @ x + G * w[i] - F * hard * x[0] ** 3
+            whole_step = Phi @ (Phi @ x + G * w[i]) + G * w[i]
+            x = whole_step - (Phi @ F + F) * hard * middle[0] ** 3
+    y += 0.02 * y.std() * rng.standard_normal(n)
+    model = ct.ss(
+        [[0, 1], [-1 / second**2, -0.02 / second]], [[0], [length / second**2 / newton]], [[1.0, 0]], 0,
+        states=["x", "v"], inputs="F", outputs="pos",
+    )  # fmt: skip
+    labels = {"input_labels": "F", "output_labels": "pos"}
+    data = rco.Measurement(w * newton, y * length, dt=dt * second, **labels)
+    kinds = ("stiffness", "cubic_stiffness", "quadratic_damping")
+    found = rco.diagnose(model, data, candidates=[rco.Effect(kind, "x") for kind in kinds])
+    return found, hard * newton / length**3
+
+
+@pytest.mark.parametrize("units", [(1.0, 1.0, 1.0), (1e-6, 1e-5, 1e-6)], ids=str)
+def test_names_do_not_depend_on_units_of_length_time_and_force(units):
+    """Beside offsets of micronewtons 1e12 N/m3 is no coefficient without effect."""
+    found, hardening = resonator(*units)
+    assert (found.verdict, found.best.effect.kind) == ("effect", "cubic_stiffness")
+    row = found.best
+    assert abs(row.coefficients["cubic_stiffness"] - hardening) < 4 * row.std["cubic_stiffness"]
+    assert row.std["cubic_stiffness"] < 0.05 * hardening

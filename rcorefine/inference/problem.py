@@ -327,11 +327,12 @@ class Problem:
         """Column scales that bring the Jacobian at `point` to unit columns."""
         inside = self.inside(point)
         columns = np.linalg.norm(self.coordinates.columns(self.evaluate(inside).condensed[1], inside), axis=0)
-        felt = np.where(np.isfinite(columns), columns, 0.0) * self.sizes
+        reach = np.maximum(np.abs(point), self.sizes)
+        felt = np.where(np.isfinite(columns), columns, 0.0) * reach
         felt = felt > 1e-12 * felt.max(initial=0.0)
         columns = np.where(felt, columns, np.nan)
         level = np.sqrt(self.n_points)
-        return np.asarray(np.where(felt, level / columns, np.maximum(np.abs(point), self.sizes)))
+        return np.asarray(np.where(felt, level / columns, reach))
 
 
 def _bounded(values: Array) -> bool:
