@@ -355,7 +355,9 @@ def test_says_what_is_missing_and_takes_in_what_refine_found(rng):
     monitor.update(w[:4500], y[:4500])
     assert monitor.adequacy.adequate
     assert monitor.adequacy.missing is None
-    assert str(monitor.adequacy) in str(monitor).replace("\n  ", " ")
+    assert monitor.adequacy.sentence in str(monitor).replace("\n  ", " ")
+    assert " ".join(str(monitor.adequacy).split("\n")) == monitor.adequacy.sentence
+    assert max(map(len, str(bare.adequacy).split("\n"))) <= 80
     assert monitor.alarm is None
     monitor.update(w[4500:], y[4500:])
     assert monitor.alarm.effect == rco.Effect("stiffness", "link1")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,7 +60,7 @@ class Adequacy(Row):
     sentence: str
 
     def __str__(self) -> str:
-        return self.sentence
+        return textwrap.fill(self.sentence, 80)
 
 
 def explained(
