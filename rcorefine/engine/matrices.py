@@ -6,7 +6,7 @@ entry is an analytic function of the coefficients, so that a complex step gives 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,7 +23,7 @@ __all__ = ["Matrices", "continuous_matrices", "site_of"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matrices:
-    """Continuous-time matrices; the last column of B and D drives a constant one."""
+    """Continuous-time matrices; the last column of B and D drives a constant one. Stacked, or of one."""
 
     A: NDArray[Any]
     B: NDArray[Any]
@@ -32,6 +32,10 @@ class Matrices:
     D: NDArray[Any]
     G: NDArray[Any]
     P: NDArray[Any]
+
+    def __getitem__(self, which: int) -> Matrices:
+        """One of a stack."""
+        return Matrices(*(getattr(self, name)[which] for name in ("A", "B", "E", "C", "D", "G", "P")))
 
 
 def site_of(structure: Structure, index: int) -> Site:
@@ -57,67 +61,96 @@ def site_of(structure: Structure, index: int) -> Site:
     return Site(act, position, velocity, d_w, v_w, a_w, channel, entry, state, output)
 
 
-def continuous_matrices(structure: Structure, theta: NDArray[Any]) -> Matrices:
-    """Matrices at `theta` (real, or complex for derivatives)."""
+def continuous_matrices(structure: Structure, points: NDArray[Any]) -> Matrices:
+    """Matrices at each of `points` (k, p), real or complex for derivatives, along a first axis."""
     model, n, nw, ny = structure.model, structure.n_states, structure.n_inputs, structure.n_outputs
     n0, field = structure.linear_model.n_states, structure.field
-    scales = act_scales(structure, theta)
-    into = _absorbed(structure, theta, scales)
+    scales = [act_scales(structure, theta) for theta in points]
+    into = _together([_absorbed(structure, *at) for at in zip(points, scales, strict=True)])
     E, P = _ports(structure, into.A.dtype, scales)
     if field is not None:  # its rows are forces on states of the model, and then on outputs
-        E = np.hstack([E, np.eye(n, n0 + ny)[:, field.rows]])
-        E[n0:] = 0.0
+        own = np.eye(n, n0 + ny)[:, field.rows]
+        E = np.concatenate([E, np.repeat(own[None], len(E), axis=0)], axis=2)
+        E[:, n0:] = 0.0
     Ux, lag_drive = _input_lags(into)
 
     # masses are divided by, lagged inputs are states
-    A, Bu, constant = structure.adjusted_rates(into.A, theta), into.Bu, into.constant
+    A, Bu, constant = into.A, into.Bu, into.constant
     if structure.has_mass:
-        solved = np.linalg.solve(into.inertia, np.hstack([A, Bu, E, constant[:, None]]))
-        A, Bu, E, constant = solved[:, :n], solved[:, n : n + nw], solved[:, n + nw : -1], solved[:, -1]
+        whole = np.concatenate([A, Bu, E, constant[:, :, None]], axis=2)
+        solved = np.linalg.solve(into.inertia, whole)
+        A, Bu, E, constant = (
+            solved[:, :, :n], solved[:, :, n : n + nw], solved[:, :, n + nw : -1], solved[:, :, -1],
+        )  # fmt: skip
     B = Bu @ into.Uw
-    B[:, nw] += constant
+    B[:, :, nw] += constant
     A = A + Bu @ Ux
     for state, drive in lag_drive:
-        B[state] += drive
+        B[:, state] += drive
 
     # sensors see states, their rates (accelerometers) and inputs; then come their own lags and laws
     Co, Cr, offset, Ca = _sensors(structure, into)
     C, D, G = Co + Cr @ Ux + Ca @ A, Cr @ into.Uw + Ca @ B, Ca @ E
-    D[:, nw] += offset
+    D[:, :, nw] += offset
     for j, index in enumerate(structure.port_effects):
         output = model.port(structure.effects[index].place).output
-        G[: output.size, j] += output
+        G[:, : output.size, j] += output
     if field is not None:
-        G[:, structure.n_ports :] += np.eye(ny, n0 + ny, n0)[:, field.rows]
+        G[:, :, structure.n_ports :] += np.eye(ny, n0 + ny, n0)[:, field.rows]
     for i, state, lag in into.output_lags:
-        A[state] = C[i] / lag
-        A[state, state] -= 1.0 / lag
-        B[state] = D[i] / lag
-        E[state] = G[i] / lag
-        C[i], D[i], G[i] = 0.0, 0.0, 0.0
-        C[i, state] = 1.0
-    C, D, G = (rows * into.output_gain[:, None] for rows in (C, D, G))
-    D[:, nw] += into.output_offset
-    A, B, E = into.pace * A, into.pace * B, into.pace * E
-    sense = np.hstack([P[:, :n] + P[:, n:] @ Ux, P[:, n:] @ into.Uw])
-    point = model.operating_point
-    if point is not None:  # states and inputs are what they have above it; sensors and ports are absolute
-        sense[:, n + nw] += P[:, :n0] @ point.states + P[:, n:] @ point.inputs
-        rest = forces_at_rest(structure, theta)
-        laws = slice(structure.n_ports)
-        B[:, nw] -= E[:, laws] @ rest
-        D[:, nw] += (1.0 if field is None else into.output_gain) * point.outputs - G[:, laws] @ rest
+        A[:, state] = C[:, i] / lag[:, None]
+        A[:, state, state] -= 1.0 / lag
+        B[:, state] = D[:, i] / lag[:, None]
+        E[:, state] = G[:, i] / lag[:, None]
+        C[:, i], D[:, i], G[:, i] = 0.0, 0.0, 0.0
+        C[:, i, state] = 1.0
+    C, D, G = (rows * into.output_gain[:, :, None] for rows in (C, D, G))
+    D[:, :, nw] += into.output_offset
+    A, B, E = (into.pace[:, None, None] * part for part in (A, B, E))
+    sense = np.concatenate([P[:, :n] + P[:, n:] @ Ux, P[:, n:] @ into.Uw], axis=2)
+    if model.operating_point is not None:
+        _make_absolute(structure, points, into.output_gain, P, Matrices(A, B, E, C, D, G, sense))
     if field is not None:  # it takes the states and what the inputs become
-        taken = np.vstack([np.eye(n0, n + nw + 1), np.hstack([Ux, into.Uw])])
-        sense = np.vstack([sense, taken[field.signals]])
+        states = np.repeat(np.eye(n0, n + nw + 1)[None], len(E), axis=0)
+        taken = np.concatenate([states, np.concatenate([Ux, into.Uw], axis=2)], axis=1)
+        sense = np.concatenate([sense, taken[:, field.signals]], axis=1)
     controller = model.controller
     if controller is not None:  # what it adds to the inputs is held in its last states
         held = slice(structure.loop.stop - len(controller.driven), structure.loop.stop)
         driven = np.array(controller.driven)
-        A[:, held] += B[:, driven]
-        C[:, held] += D[:, driven]
-        sense[:, held] += sense[:, n + driven]
+        A[:, :, held] += B[:, :, driven]
+        C[:, :, held] += D[:, :, driven]
+        sense[:, :, held] += sense[:, :, n + driven]
     return Matrices(A, B, E, C, D, G, sense)
+
+
+def _make_absolute(
+    structure: Structure, points: NDArray[Any], gain: NDArray[Any], P: NDArray[Any], at: Matrices
+) -> None:
+    """States and inputs are what they have above the operating point; sensors and ports are absolute."""
+    point, n, nw = structure.model.operating_point, structure.n_states, structure.n_inputs
+    n0, laws = structure.linear_model.n_states, slice(structure.n_ports)
+    assert point is not None
+    at.P[:, :, n + nw] += P[:, :n0] @ point.states + P[:, n:] @ point.inputs
+    rest = np.array([forces_at_rest(structure, theta) for theta in points])[:, :, None]
+    at.B[:, :, nw] -= (at.E[:, :, laws] @ rest)[:, :, 0]
+    at.D[:, :, nw] += (1.0 if structure.field is None else gain) * point.outputs
+    at.D[:, :, nw] -= (at.G[:, :, laws] @ rest)[:, :, 0]
+
+
+def _together(parts: list[Assembly]) -> Assembly:
+    """What was assembled at several points as one, each array with an axis more in front."""
+    found: dict[str, Any] = {}
+    for name in (entry.name for entry in fields(Assembly)):
+        same = [getattr(part, name) for part in parts]
+        if name in ("input_lags", "output_lags"):
+            lags = zip(*same, strict=True)
+            found[name] = [(*each[0][:2], np.array([lag for _, _, lag in each])) for each in lags]
+        elif isinstance(same[0], list):
+            found[name] = [np.array(each) for each in zip(*same, strict=True)]
+        else:
+            found[name] = np.array(same)
+    return Assembly(**found)
 
 
 def _absorbed(structure: Structure, theta: NDArray[Any], scales: dict[str, Any]) -> Assembly:
@@ -149,6 +182,7 @@ def _absorbed(structure: Structure, theta: NDArray[Any], scales: dict[str, Any])
             into.Bu[:n0] - base.B
         ) @ point.inputs
         into.Uw[:, nw] += into.Uw[:, :nw] @ point.inputs - point.inputs
+    into.A = structure.adjusted_rates(into.A, theta)
     return into
 
 
@@ -156,23 +190,23 @@ def _sensors(structure: Structure, into: Assembly) -> tuple[NDArray[Any], ...]:
     """What the sensors read of x, r, 1 and dx/dt."""
     model, n, nw = structure.model, structure.n_states, structure.n_inputs
     n0 = structure.linear_model.n_states
-    rows = np.zeros((structure.n_outputs, 2 * n + nw + 1), into.A.dtype)
-    rows[:, :n0], rows[:, n : n + nw] = model.output_state, model.output_input
-    rows[:, n + nw + 1 : n + nw + 1 + n0] = model.output_rate
+    rows = np.zeros((len(into.A), structure.n_outputs, 2 * n + nw + 1), into.A.dtype)
+    rows[:, :, :n0], rows[:, :, n : n + nw] = model.output_state, model.output_input
+    rows[:, :, n + nw + 1 : n + nw + 1 + n0] = model.output_rate
     for more in into.felt:
         rows += more
-    return rows[:, :n], rows[:, n : n + nw], rows[:, n + nw], rows[:, n + nw + 1 :]
+    return rows[:, :, :n], rows[:, :, n : n + nw], rows[:, :, n + nw], rows[:, :, n + nw + 1 :]
 
 
 def _ports(
-    structure: Structure, kind: np.dtype[Any], scales: dict[str, Any]
+    structure: Structure, kind: np.dtype[Any], scales: list[dict[str, Any]]
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Where the forces of the other effects act (n, m), and what they sense (2 m, n + n_w)."""
+    """Where the forces of the other effects act (k, n, m), and what they sense (2 m, n + n_w)."""
     n, m, n0 = structure.n_states, structure.n_ports, structure.linear_model.n_states
-    E, P = np.zeros((n, m), kind), np.zeros((2 * m, n + structure.n_inputs), kind)
+    E, P = np.zeros((len(scales), n, m), kind), np.zeros((2 * m, n + structure.n_inputs), kind)
     for row, index in enumerate(structure.port_effects):
         port = structure.model.port(structure.effects[index].place)
-        E[:n0, row] = scales.get(port.name, 1.0) * port.act
+        E[:, :n0, row] = np.outer([one.get(port.name, 1.0) for one in scales], port.act)
         P[row, :n0], P[row, n:] = port.position, port.position_input
         P[m + row, :n0], P[m + row, n:] = port.velocity, port.velocity_input
     return E, P
@@ -180,11 +214,12 @@ def _ports(
 
 def _input_lags(into: Assembly) -> tuple[NDArray[Any], list[tuple[int, NDArray[Any]]]]:
     """Inputs that are states of a lag, as rows on the states, and what drives those states."""
-    Ux = np.zeros((len(into.Uw), len(into.A)), into.A.dtype)
+    points, nw, _ = into.Uw.shape
+    Ux = np.zeros((points, nw, into.A.shape[-1]), into.A.dtype)
     drives = []
     for i, state, lag in into.input_lags:
-        Ux[i, state] = 1.0
-        into.A[state, state] = -1.0 / lag
-        drives.append((state, into.Uw[i] / lag))
-        into.Uw[i] = 0.0
+        Ux[:, i, state] = 1.0
+        into.A[:, state, state] = -1.0 / lag
+        drives.append((state, into.Uw[:, i] / lag[:, None]))
+        into.Uw[:, i] = 0.0
     return Ux, drives

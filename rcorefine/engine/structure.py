@@ -177,7 +177,11 @@ class Structure:
     # ----------------------------------------------------------------- matrices
     def matrices(self, theta: NDArray[Any]) -> Matrices:
         """Continuous-time matrices at `theta` (real, or complex for derivatives)."""
-        return continuous_matrices(self, theta)
+        return self.matrix_stack(theta[None])[0]
+
+    def matrix_stack(self, points: NDArray[Any]) -> Matrices:
+        """The same at each of `points` (k, p) at once, stacked along their first axis."""
+        return continuous_matrices(self, points)
 
     def adjusted_rates(self, A: NDArray[Any], theta: NDArray[Any]) -> NDArray[Any]:
         """State matrix before masses are divided by: a place for rules that tie its entries together."""

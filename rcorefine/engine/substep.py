@@ -43,19 +43,18 @@ def discretized(structure: Structure, theta: Array, step: float, *, derivatives:
     """
     linear = structure.absorbed if derivatives else np.zeros(0, dtype=np.int64)
     key = ("matrices", theta[structure.absorbed].tobytes(), derivatives)
-    make = partial(_matrix_sets, structure, theta, linear)
-    sets = structure.kept(key, make) if structure.jumps else make()  # a piece of it asks for the same
+    make = partial(_along, structure, theta, linear)
+    at = structure.kept(key, make) if structure.jumps else make()  # a piece of it asks for the same
     n, drive = structure.n_states, structure.n_inputs + 1 + structure.n_forces
     size = n + 2 * drive
-    blocks = np.zeros((len(sets), size, size), complex if len(linear) else float)
+    blocks = np.zeros((len(at.A), size, size), at.A.dtype)
     # units of inputs, outputs and forces must not cost digits of A
-    states = _inner_scale(structure, sets[0].A)[:, None]
-    pushes = [states * np.hstack([matrices.B, matrices.E]) for matrices in sets]
-    columns = power_of_two(np.abs(pushes[0]).max(axis=0, initial=0.0))
-    for block, matrices, push in zip(blocks, sets, pushes, strict=True):
-        block[:n, :n] = states * matrices.A / states.T * step
-        block[:n, n : n + drive] = push / columns * step
-        block[n : n + drive, n + drive :] = np.eye(drive)
+    states = _inner_scale(structure, at.A[0].real)[:, None]
+    pushes = states * np.concatenate([at.B, at.E], axis=2)
+    columns = power_of_two(np.abs(pushes[0].real).max(axis=0, initial=0.0))
+    blocks[:, :n, :n] = states * at.A / states.T * step
+    blocks[:, :n, n : n + drive] = pushes / columns * step
+    blocks[:, n : n + drive, n + drive :] = np.eye(drive)
     with np.errstate(over="ignore", invalid="ignore"):  # the engine says so where a model blows up
         exponentials = exponential(blocks)[:, :n, :] / states
         Phi = exponentials[:, :, :n] * states.T
@@ -65,26 +64,26 @@ def discretized(structure: Structure, theta: Array, step: float, *, derivatives:
     M = np.concatenate(
         [Phi, first[:, :, :nw], second[:, :, :nw], first[:, :, nw:], second[:, :, nw:]], axis=2
     )
-    outputs = [np.hstack([s.C, s.D, s.G]) for s in sets]
-    dM = np.imag(M[1:]) / _TINY_STEP
-    dO = np.array([np.imag(o) / _TINY_STEP for o in outputs[1:]]).reshape(len(linear), *outputs[0].shape)
-    dP = np.array([np.imag(s.P) / _TINY_STEP for s in sets[1:]]).reshape(len(linear), *sets[0].P.shape)
+    O = np.concatenate([at.C, at.D, at.G], axis=2)
+    dM, dO, dP = (part[: len(linear)].imag / _TINY_STEP for part in (M, O, at.P))
     if not dP.any():
-        dP = np.zeros((0, *sets[0].P.shape))
+        dP = np.zeros((0, *at.P.shape[1:]))
     M0, dM, O, dO, P, dP = (
-        np.ascontiguousarray(part) for part in (M[0].real, dM, outputs[0].real, dO, sets[0].P, dP)
+        np.ascontiguousarray(part) for part in (M[0].real, dM, O[0].real, dO, at.P[0].real, dP)
     )
     return Discrete(M0, dM, O, dO, P, dP, linear)
 
 
-def _matrix_sets(structure: Structure, theta: Array, linear: NDArray[np.int64]) -> list[Matrices]:
-    """Matrices at `theta`, then a tiny imaginary step away along each parameter that enters them."""
-    points = [theta.astype(float)]
-    for column in linear:
-        shifted = theta.astype(complex)
-        shifted[column] += 1j * _TINY_STEP
-        points.append(shifted)
-    return [structure.matrices(point) for point in points]
+def _along(structure: Structure, theta: Array, linear: NDArray[np.int64]) -> Matrices:
+    """Matrices a tiny imaginary step away from `theta` along each parameter that enters them.
+
+    Their real parts are those at `theta`; without such parameters it is the only point.
+    """
+    if not len(linear):
+        return structure.matrix_stack(theta[None].astype(float))
+    points = np.repeat(theta[None].astype(complex), len(linear), axis=0)
+    points[np.arange(len(linear)), linear] += 1j * _TINY_STEP
+    return structure.matrix_stack(points)
 
 
 def _inner_scale(structure: Structure, A: NDArray[Any]) -> Array:
