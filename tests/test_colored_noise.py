@@ -54,7 +54,7 @@ def test_a_resonance_hides_no_law(seed: int) -> None:
     assert record.kind in [effect.kind for effect in (found.best.effect, *found.ambiguous)]
 
 
-@pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.parametrize("seed", [pytest.param(2, marks=pytest.mark.slow), 3])
 def test_a_swinging_stiffness_is_no_color_of_the_noise(seed: int) -> None:
     """A free run that explains nothing leaves a residual that any filter whitens: no adequate model."""
     rng, dt, sub = np.random.default_rng(seed), 0.01, 50
