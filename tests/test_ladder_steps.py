@@ -84,7 +84,7 @@ def test_a_ladder_never_ends_worse_than_it_began_on_what_judges(seed: int) -> No
 
 def test_a_tied_effect_that_the_choosing_part_contradicts_is_not_taken() -> None:
     """Friction that is there in the first 60 % and gone after them: the likelihood alone is sure."""
-    data = oscillator(3, 1800, friction=0.9, until=1080)
+    data = oscillator(3, 1000, friction=0.9, until=600)
     laws = [rco.Effect(kind, "link1") for kind in ("coulomb_friction", "asymmetric_friction")]
     first = rco.diagnose(mass(), data.split(0.6)[0], candidates=laws)
     assert first.verdict == "effect"  # what merely contains it is no rival

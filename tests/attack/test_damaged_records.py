@@ -9,6 +9,7 @@ import math
 import warnings
 from collections import Counter
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import pytest
@@ -80,6 +81,7 @@ def motion(truth_of, w, law, strength, link, scale):
     return found
 
 
+@cache
 def hidden(seed: int, samples: int) -> Truth:
     """A draw: parameters, law, link, and a strength that moves the outputs by a tenth to a third."""
     rng = np.random.default_rng([189, seed])
