@@ -12,6 +12,10 @@ from test_rco_refiner import DT, SETTINGS, damaged, record_of, state_of, two_by_
 
 import rcorefine as rco
 from rcorefine.streaming import RCORefiner
+from rcorefine.streaming.rcmr.arrays import Plant
+from rcorefine.streaming.rcmr.divergence import explain
+from rcorefine.streaming.rcmr.history import poles_of
+from rcorefine.systems.linear import LinearModel
 
 N = 150
 
@@ -334,3 +338,18 @@ def test_an_outlier_is_no_divergence() -> None:
     made = RCORefiner(example.initial, dt=example.dt, history=True, **example.settings)
     made.update(record.inputs, y)
     assert made.history.performance(3000)[0][0] < 0.5
+
+
+def test_a_path_whose_zeros_overflow_is_explained():
+    """Numbers of a damaged state file: the pencil has no eigenvalues in double precision."""
+    A = np.array([[0.9, 0.1, 0.0, 0.0], [-0.1, 0.9, 0.1, 0.0], [0.0, 0.1, 0.8, 0.1], [0.0, 0.0, -0.1, 0.7]])
+    far, one, none = np.full((4, 1), 1e300), np.eye(4)[:1], np.zeros((1, 1))
+    said = explain(Plant(A, far, far, one, none, none), 1, 8, 1.0, 1, "sample 3", 1.0)
+    assert "cannot be computed" in said
+
+
+def test_a_history_may_hold_a_model_without_poles():
+    good = LinearModel.from_statespace(ct.ss([[-1.0]], [[1.0]], [[1.0]], [[0.0]]))
+    poles = poles_of([good, good.with_arrays(A=np.array([[np.nan]]))], None)
+    assert poles[0, 0] == -1.0
+    assert np.isnan(poles[0, 1])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .arrays import Plant
 from .path import markov_parameters, path_zeros
@@ -37,7 +36,7 @@ def explain(
     prefix = "" if stage == 1 else "static_"
     sentences = [
         f"stage {stage} diverged at {where}; the state before is readable.",
-        _zeros(path_zeros(plant), f"{prefix}markov", markov),
+        _zeros(plant, f"{prefix}markov", markov),
         _place(plant, delay),
         _model(plant),
         f"Scaling: {prefix}learning_rate is {learning_rate:g} in scaled units; raise it tenfold to learn "
@@ -51,7 +50,11 @@ def explain(
     return " ".join(sentence for sentence in sentences if sentence)
 
 
-def _zeros(zeros: NDArray[np.complex128], markov_name: str, markov: int) -> str:
+def _zeros(plant: Plant, markov_name: str, markov: int) -> str:
+    try:
+        zeros = path_zeros(plant)
+    except np.linalg.LinAlgError:  # numbers hundreds of decades apart
+        return "Zeros: those of the path from the correction to the outputs cannot be computed."
     outside = zeros[np.abs(zeros) >= 1.0 - 1e-9]
     if not outside.size:
         largest = float(np.abs(zeros).max()) if zeros.size else 0.0

@@ -112,10 +112,12 @@ def pole_samples(n_samples: int) -> NDArray[np.int64]:
 
 
 def poles_of(models: Sequence[LinearModel], dt: float | None) -> NDArray[np.complex128]:
-    """Poles in rad/s, shape (n, K), each next to the nearest one before."""
+    """Poles in rad/s, shape (n, K), each next to the nearest one before; NaN where a model has none."""
     found: list[NDArray[np.complex128]] = []
     for model in models:
-        poles = np.linalg.eigvals(model.A).astype(complex)
+        poles = np.full(len(model.A), complex(np.nan, np.nan))
+        if np.isfinite(model.A).all():
+            poles = np.linalg.eigvals(model.A).astype(complex)
         if not model.is_continuous:
             with np.errstate(divide="ignore"):
                 poles = np.log(poles) / (1.0 if dt is None else dt)
