@@ -386,7 +386,7 @@ def test_mat_errors_help(tmp_path):
     with pytest.raises(FileNotFoundError):
         Measurement.from_mat(tmp_path / "none.mat", "V1", "V2", dt=1)
     path.write_bytes(b"no MATLAB file" * 20)
-    with pytest.raises(DataError, match="not a MATLAB file"):
+    with pytest.raises(DataError, match="no MATLAB file"):
         Measurement.from_mat(path, "V1", "V2", dt=1)
 
 

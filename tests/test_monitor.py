@@ -483,6 +483,12 @@ def test_saved_or_pickled_in_the_middle_it_goes_on_the_same(tmp_path):
     write_file(tmp_path / "old.npz", content)
     with pytest.raises(rco.DataError, match=r"another version of rcorefine .* let it learn"):
         rco.Monitor.load(tmp_path / "old.npz")
+    for substeps in (1e308, 2**40, 0, True):
+        content = content_of(monitor)
+        content["base"] = {**content["base"], "substeps": substeps}
+        write_file(tmp_path / "far.npz", content)
+        with pytest.raises(rco.DataError, match=r"substeps of the model .*the file is damaged"):
+            rco.Monitor.load(tmp_path / "far.npz")
     (tmp_path / "other.npz").write_bytes(b"nothing")
     with pytest.raises(rco.DataError, match="not a saved|damaged"):
         rco.Monitor.load(tmp_path / "other.npz")

@@ -12,7 +12,8 @@ from ..archives import read_archive
 from ..arguments import as_choice, as_number, as_text, as_texts
 from ..exceptions import DataError
 from ..extras import needed
-from .matlab import Other, read_matlab
+from .apart import Other
+from .matlab import read_matlab
 from .signals import HOLDS
 
 __all__ = ["Columns", "names_of", "read_frame", "read_mat", "read_npz", "vectors", "wanted_columns"]

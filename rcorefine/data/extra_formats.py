@@ -2,66 +2,25 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from ..archives import most_bytes
 from ..arguments import as_number
 from ..exceptions import DataError, MissingExtraError
 from ..extras import needed
+from .apart import read_apart
 from .columns import Columns, vectors
 from .columns import read_mat as read_old_mat
-from .matlab import Other
 
 __all__ = ["read_hdf5", "read_mat", "read_tdms", "read_uff", "read_uff_modes", "read_uff_responses"]
 
 
 def read_hdf5(path: Any, names: Sequence[str], reader: str = "from_hdf5") -> Columns:
     """Named data sets of an HDF5 file: "group/name", or "group.name"."""
-    h5py = needed("h5py", "formats", reader)
-    with open(path, "rb"):  # whether it is there is the system's message
-        pass
-    try:
-        with h5py.File(path, "r") as file:
-            found: dict[str, Any] = {}
-
-            def note(name: str, item: Any) -> None:
-                if hasattr(item, "shape"):
-                    found[name] = item
-
-            file.visititems(note)
-            places = {name: name.replace(".", "/").strip("/") for name in names}
-            texts = {k for k, item in found.items() if item.attrs.get("MATLAB_class", b"") == b"char"}
-            shown = {k: Other("text" if k in texts else str(item.dtype)) for k, item in found.items()}
-            asked = {n: found[k] for n, k in places.items() if k in found and k not in texts}
-            _check_source(path, asked)
-            read = {n: np.asarray(item) for n, item in asked.items()}
-    except DataError:
-        raise
-    except Exception as error:  # h5py fails in a dozen ways on what is damaged
-        raise DataError(
-            f"{path} is not an HDF5 file that h5py can read, or it is damaged: {error}"
-        ) from error
-    return vectors(path, shown | read, names)
-
-
-def _check_source(path: Any, asked: dict[str, Any]) -> None:
-    """What is asked for stands in this file, and is no larger than a file of its size may hold."""
-    for name, item in asked.items():
-        if item.external or item.is_virtual:
-            raise DataError(f"{path}: the data set {name!r} lies in another file; copy its values here")
-    claimed, room = (
-        sum(item.size * item.dtype.itemsize for item in asked.values()),
-        most_bytes(os.path.getsize(path)),
-    )
-    if claimed > room:
-        raise DataError(
-            f"{path}: {', '.join(asked)} claim {claimed} bytes, {room} are allowed in a file of its "
-            "size; save what packs so well without compression"
-        )
+    needed("h5py", "formats", reader)
+    return vectors(path, read_apart(path, "hdf5", "HDF5 file that h5py", names), names)
 
 
 def read_mat(path: Any, names: Sequence[str]) -> Columns:

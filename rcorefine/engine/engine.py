@@ -26,7 +26,9 @@ from .linear_march import linear_march
 from .setting import Setting, setting
 from .structure import Structure
 
-__all__ = ["Engine", "Trajectory"]
+__all__ = ["MOST_SUBSTEPS", "Engine", "Trajectory"]
+
+MOST_SUBSTEPS = 10_000  # of a sample: beyond, no model is one
 
 # times the largest value of an output in the record: no model of it goes there; where a right-hand side that
 # is not linear does (in a unit of a thousandth at the utmost), it runs away within samples

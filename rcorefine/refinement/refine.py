@@ -14,6 +14,7 @@ from ..data.measurement import Measurement
 from ..data.response_record import in_frequency
 from ..effects.effect import Effect
 from ..effects.several import as_effects
+from ..engine.engine import MOST_SUBSTEPS
 from ..engine.simulation import check_channels
 from ..engine.structure import Structure
 from ..inference.assembly import assemble, check_settings, offset_variants, unfold
@@ -29,8 +30,6 @@ from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 
 __all__ = ["refine", "refit"]
-
-_MOST_SUBSTEPS = 10_000
 
 
 def refine(
@@ -146,7 +145,7 @@ def refine(
             record.check_excitation("refine")
     initial = start_above(physical, x0)
     if substeps is not None:
-        substeps = as_whole(substeps, "substeps", least=1, most=_MOST_SUBSTEPS)
+        substeps = as_whole(substeps, "substeps", least=1, most=MOST_SUBSTEPS)
     effects = as_effects(effects, "effects")
     check_settings(
         physical,

@@ -21,6 +21,7 @@ from ..exceptions import DataError, RCOError
 
 __all__ = ["check_course", "check_like", "check_range", "damaged", "fits", "parts_of"]
 
+_WORDS = {int: "a whole number", bool: "true or false", str: "a text", type(None): "nothing"}
 _MOST = 2**53  # of any count: beyond it floats skip whole numbers
 _OURS = (RCOError, ct.ControlArgument, ct.ControlDimension)
 _NOTHING: Mapping[str, str] = MappingProxyType({})
@@ -103,7 +104,7 @@ def check_like(found: Any, fresh: Any, where: str, grown: Mapping[str, str] = _N
         _require(type(found) in (float, int), where, found, "a number")
         _require(math.isfinite(found) or not math.isfinite(fresh), where, found, "finite")
     else:
-        _require(type(found) is type(fresh), where, found, f"a {type(fresh).__name__}")
+        _require(type(found) is type(fresh), where, found, _WORDS.get(type(fresh), type(fresh).__name__))
         if type(fresh) is int:
             check_range(found, min(0, fresh), _MOST, where)
 

@@ -118,7 +118,7 @@ FORMATS = {
     "a.lvm": (labview, lambda p: Measurement.from_csv(p, "volt", "speed", time="X_Value")),
     **{name: written(name) for name in plain.SAMPLES},
 }  # fmt: skip
-SLOW = {name for name in FORMATS if name.endswith(".mat")}  # a process each
+SLOW = {name for name in FORMATS if name.endswith((".mat", ".h5"))}  # a process each
 
 
 # ------------------------------------------------------------------ damage that knows the grammar
@@ -283,6 +283,16 @@ def test_archives_that_unfold_to_hundreds_of_megabytes(tmp_path):
         assert size < ROOM
     scipy.io.savemat(tmp_path / "a.mat", {n: np.zeros(30 << 20) for n in "uy"}, do_compression=True)
     said, size = grown("rco.Measurement.from_mat(sys.argv[1] + '/a.mat', 'u', 'y', dt=0.1)", tmp_path)
+    assert (said, size < ROOM) == ("refused", True), size
+
+
+@pytest.mark.skipif("h5py" in NOT_HERE, reason="h5py")
+def test_damage_on_which_hdf5_fills_the_memory(tmp_path):
+    """A group whose list of names leads back into itself: the library took 23 GB of a file of some kB."""
+    hdf5(tmp_path / "a.h5")
+    content = (tmp_path / "a.h5").read_bytes()
+    (tmp_path / "a.h5").write_bytes(plain.damaged(np.random.default_rng([21, 1487]), content))
+    said, size = grown("rco.Measurement.from_hdf5(sys.argv[1] + '/a.h5', 'rig/u', 'rig/y', dt=0.1)", tmp_path)
     assert (said, size < ROOM) == ("refused", True), size
 
 

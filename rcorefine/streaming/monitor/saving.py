@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...engine.engine import MOST_SUBSTEPS
 from ...engine.structure import Structure
 from ...exceptions import DataError
 from ..gaps import Block
 from ..persistence import storable
-from ..restoring import check_like
+from ..restoring import check_like, check_range
 from .adequacy import Adequacy
 from .alarm import Alarm, MonitorRow
 from .bank import Bank
@@ -93,6 +94,8 @@ def restored(cls: type[Monitor], content: Any) -> Monitor:
             "learned other numbers: make it anew and let it learn, or load it with that version"
         )
     settings, base = dict(content["settings"]), content["base"]
+    check_like(base["substeps"], 1, "substeps of the model")
+    check_range(base["substeps"], 1, MOST_SUBSTEPS, "substeps of the model")
     monitor = cls(_Base(base), settings.pop("candidates"), **settings)
     check_monitor(monitor, content)
     monitor._count, monitor._latest = content["count"], content["latest"]
