@@ -154,12 +154,12 @@ def survey(
                 with bar.counted(len(lacking), "the same effects") as done:
                     work_off(again, list(lacking.values()), submitter, compared, _not_compared, done)
                 rows |= {i: compared[k] for k, i in enumerate(lacking)}
+        return so_far(notes)
     except KeyboardInterrupt as stop:
         left = f"Interrupted: {len(pieces) - len(rows)} of {len(pieces)} record(s) were not examined."
         stop.survey = so_far([left])  # type: ignore[attr-defined]
         stop.add_note(f"{left} What was done is in the attribute `survey` of this exception.")
         raise
-    return so_far(notes)
 
 
 def _known(given: Mapping[str, Any] | None, name: str, function: Any) -> dict[str, Any]:
