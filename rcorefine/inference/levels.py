@@ -84,7 +84,7 @@ class Levels:
         Probability that none of the laws is the true one. Above it the answer says so.
     no_function : float
         p-value of memory, or of a change with time, where a free force is fitted; uniform by chance. Below
-        it the force is called no function of position and velocity.
+        it the answer says so, beside a curve finer than the knots.
     hold : float
         Log of the error that another hold between samples must save, 0 where it is the declared one.
     hold_alike : float
