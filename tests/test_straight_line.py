@@ -1,6 +1,7 @@
 """Functions of a nonlinear model as straight-line code: exact derivatives, and when there is none."""
 
 import math
+from functools import partial
 from math import atan, sin
 
 import control as ct
@@ -61,7 +62,28 @@ def fans(t, x, u, p):
     )
 
 
-@pytest.mark.parametrize("function", [stand, whole, mixed, fans])
+class Plant:
+    """A model as an object, whose functions are its methods."""
+
+    stiffness = 3.0
+
+    def rates(self, t, x, u, p):
+        return np.array([x[1], math.tanh(float(u[0])) - self.stiffness * math.sin(x[0])])
+
+
+def with_a_number(stiffness, t, x, u, p):
+    return [x[1], u.item() - stiffness * math.sin(x[0])]
+
+
+def by_arrays(t, x, u, p):
+    """Entries that only the linear part moves are plain numbers when it is traced once more."""
+    bent = np.sin(x * [1.0, 0.0]) + np.abs(np.array([u[0], 1.0])) ** 3 + np.tanh([x[1], 0.5])
+    return bent + np.maximum(np.array([x[1], 2.0]), 0.5)
+
+
+@pytest.mark.parametrize(
+    "function", [stand, whole, mixed, fans, Plant().rates, partial(with_a_number, 3.0), by_arrays]
+)
 def test_slopes_are_those_of_the_function(function):
     """Against differences of the function as it was written, Richardson's, good to 1e-9."""
     functions = RightHandSide(function, None, ("b",), {}, 2, 0, "this")
@@ -196,3 +218,16 @@ def test_linear_functions_leave_nothing():
     law = [rco.Effect("cubic_stiffness", "q")]
     runs = [Engine(Structure(model, law), data, substeps=2).run(np.array([3.0])).outputs for model in models]
     np.testing.assert_allclose(*runs, rtol=1e-9, atol=1e-12)
+
+
+def test_functions_of_whole_arrays():
+    """A row that is linear is left out, and its state is a number when the others are traced."""
+
+    def rates(t, x, u, p):
+        return np.array([1.0, 0.0]) * x[1] + np.array([0.0, 1.0]) * (
+            u[0] - np.sin(x) @ np.array([p["k"], 0.0])
+        )
+
+    model = ct.nlsys(rates, None, params={"k": 2.0}, states=2, inputs=1, outputs=2)
+    field = rco.physical(model).operating_point.field
+    assert (field.rows.tolist(), field.signals.tolist()) == ([1], [0])

@@ -14,7 +14,7 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-__all__ = ["Number", "Symbolic", "Tape", "Untraceable", "is_number", "maximum", "minimum"]
+__all__ = ["Number", "Symbolic", "Tape", "Untraceable", "as_numpy_calls", "is_number", "maximum", "minimum"]
 
 _MOST = 20_000  # operations: beyond, straight-line code takes longer to compile than it saves
 
@@ -78,20 +78,17 @@ class Symbolic:
             raise Untraceable(f"{ufunc.__name__} {method}")
         if any(isinstance(one, np.ndarray) for one in given):
             return ufunc(*(_entry(one) if isinstance(one, Symbolic) else one for one in given))
-        name = ufunc.__name__
-        if name in _COMPOSED:
-            return _COMPOSED[name](*given)
-        if name in _BY_NUMPY:
-            return self.tape.take(_BY_NUMPY[name], *given)
-        raise Untraceable(name)
+        function = as_numpy_calls(ufunc.__name__)
+        if function is None:
+            raise Untraceable(ufunc.__name__)
+        return function(*given)
 
     def __getattr__(self, name: str) -> Callable[..., Number]:
         """What numpy asks of the entries of an array of objects: ``np.sin(x)`` calls ``x[i].sin()``."""
-        if name in _BY_NUMPY:
-            return lambda *more: self.tape.take(_BY_NUMPY[name], self, *more)
-        if name in _COMPOSED:
-            return lambda *more: _COMPOSED[name](self, *more)
-        raise AttributeError(name)
+        function = as_numpy_calls(name)
+        if function is None:
+            raise AttributeError(name)
+        return partial(function, self)
 
     def _value(self, *_: Any) -> Any:
         raise Untraceable("the value of a number decides")
@@ -173,13 +170,16 @@ _COMPOSED: Final[Mapping[str, Callable[..., Any]]] = {
     "negative": lambda u: -u,
     "square": lambda u: u * u,
     "reciprocal": lambda u: 1.0 / u,
-    **dict.fromkeys(("radians", "deg2rad"), lambda u: u * (math.pi / 180.0)),
-    **dict.fromkeys(("degrees", "rad2deg"), lambda u: u * (180.0 / math.pi)),
+    **dict.fromkeys(["radians", "deg2rad"], lambda u: u * (math.pi / 180.0)),
     "log10": lambda u: _both("log", u) / math.log(10.0),
     "log2": lambda u: _both("log", u) / math.log(2.0),
-    "exp2": lambda u: _both("exp", u * math.log(2.0)),
     "hypot": lambda a, b: _both("sqrt", a * a + b * b),
 }
+
+
+def as_numpy_calls(name: str) -> Callable[..., Any] | None:
+    """What numpy calls so, of numbers of which some may be known; None where there is none."""
+    return partial(_both, _BY_NUMPY[name]) if name in _BY_NUMPY else _COMPOSED.get(name)
 
 
 class Tape:

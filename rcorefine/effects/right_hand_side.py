@@ -136,7 +136,7 @@ class Field:
     code : int
         What `evaluate` takes: coefficients are the parameters, inputs are the `signals` above the level,
         and the width says what is wanted: 0 values, 1 derivatives by those signals, 2 by parameters too.
-        It writes a table (n_rows, 2 + n_signals + q): value, size, derivatives.
+        It writes a table (n_rows, 2 + n_signals + q) that was zero before: value, size, derivatives.
     rows : ndarray of int
         Of the rates and, behind them, outputs, those that are not linear.
     signals : ndarray of int

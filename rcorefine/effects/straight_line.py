@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..systems.linear import Array
-from .expressions import Number, Symbolic, Tape, is_number
+from .expressions import Number, Symbolic, Tape, Untraceable, is_number
 
 if TYPE_CHECKING:
     from .right_hand_side import RightHandSide
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["Remainder", "StraightLine", "exact_slopes", "straight_line"]
 
 _AFFINE = 1e-12  # of a slope: within it the linear part has it
+_LONGEST = 1000  # lines: beyond, they take longer to compile than they save
 _NUMPY = {"asin": "arcsin", "acos": "arccos", "atan": "arctan", "asinh": "arcsinh", "pow": "power"}
 _QUIET = SimpleNamespace(  # math without errors
     **{name: getattr(np, _NUMPY.get(name, name), None) for name in dir(math) if not name.startswith("_")}
@@ -162,9 +163,15 @@ def _source(
     done: set[int] = set()
     lines = [*names, *tape.code([value for _, value in values], done)]
     lines += [f"out[{at}] = {tape.name(value)}" for at, value in values]
+    # entries that are zero everywhere stay as they were made
+    slopes, by_numbers = (
+        [(at, slope) for at, slope in some if not is_number(slope, 0.0)] for some in (slopes, by_numbers)
+    )
     for wanted, entries in ((1.0, slopes), (2.0, by_numbers)):
         lines += [f"if want < {wanted}:", "    return", *tape.code([slope for _, slope in entries], done)]
         lines += [f"out[{at}] = {_finite(tape, slope)}" for at, slope in entries]
+    if len(lines) > _LONGEST:
+        raise Untraceable(f"{len(lines)} lines")
     return "def fill(p, z, want, out):\n" + "".join(f"    {line}\n" for line in lines)
 
 

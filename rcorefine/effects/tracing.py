@@ -6,12 +6,12 @@ import builtins
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
-from types import CellType, FunctionType
+from types import CellType, FunctionType, MethodType
 from typing import Any
 
 import numpy as np
 
-from .expressions import Number, Symbolic, Untraceable, maximum, minimum
+from .expressions import Number, Symbolic, Untraceable, as_numpy_calls, maximum, minimum
 
 __all__ = ["as_numbers", "tracing"]
 
@@ -48,6 +48,10 @@ class _Replacing:
 
     def of(self, value: Any) -> Any:
         """What stands for a value that a function names."""
+        if isinstance(value, MethodType):
+            return MethodType(self.of(value.__func__), value.__self__)
+        if isinstance(value, partial):
+            return partial(self.of(value.func), *value.args, **value.keywords)
         if value is math:
             return _MATH
         if value is np:
@@ -117,8 +121,9 @@ class _Numpy:
 
     def __getattr__(self, name: str) -> Any:
         found = getattr(np, name)
-        if name in _CHOOSING:
-            return partial(_entry_by_entry, _CHOOSING[name])
+        function = _clipped if name == "clip" else as_numpy_calls(name)
+        if function is not None:
+            return partial(_entry_by_entry, function, found)
         if name not in _MAKERS:
             return found
 
@@ -128,8 +133,10 @@ class _Numpy:
         return made
 
 
-def _entry_by_entry(function: _Function, *given: Any) -> Any:
-    """A function of numbers on arrays of them."""
+def _entry_by_entry(function: _Function, plain: _Function, *given: Any, **more: Any) -> Any:
+    """A function of numbers on arrays of which entries may be symbols."""
+    if more or not any(np.asarray(one).dtype == object for one in given):
+        return plain(*given, **more)
     if any(np.ndim(one) for one in given if not isinstance(one, Symbolic)):
         return np.frompyfunc(function, len(given), 1)(*given)
     return function(*given)
@@ -156,8 +163,6 @@ def _extreme(plain: _Function, symbolic: _Function, given: Sequence[Any], more: 
     return symbolic(*values) if any(isinstance(one, Symbolic) for one in values) else plain(*given, **more)
 
 
-#: Functions of numpy that choose among numbers: on arrays of objects they would ask which is larger.
-_CHOOSING = {"maximum": maximum, "fmax": maximum, "minimum": minimum, "fmin": minimum, "clip": _clipped}
 #: Functions of numpy that make arrays, with the number of arguments before the type.
 _MAKERS = {"array": 1, "asarray": 1, "zeros": 1, "ones": 1, "empty": 1, "zeros_like": 1, "empty_like": 1}
 _NUMPY_NAMES = {"asin": "arcsin", "acos": "arccos", "atan": "arctan", "asinh": "arcsinh", "pow": "power"}
