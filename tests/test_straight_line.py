@@ -7,6 +7,7 @@ from math import atan, sin
 import control as ct
 import numpy as np
 import pytest
+from numpy import array, cosh
 
 import rcorefine as rco
 from rcorefine.effects.expressions import Tape, Untraceable
@@ -77,7 +78,12 @@ def with_a_number(stiffness, t, x, u, p):
 
 def by_arrays(t, x, u, p):
     """Entries that only the linear part moves are plain numbers when it is traced once more."""
-    bent = np.sin(x * [1.0, 0.0]) + np.abs(np.array([u[0], 1.0])) ** 3 + np.tanh([x[1], 0.5])
+    bent = (
+        np.sin(x * [1.0, 0.0])
+        + cosh(array([u[0], 0.1]))
+        + np.abs(np.array([u[0], 1.0])) ** 3
+        + np.tanh([x[1], 0.5])
+    )
     return bent + np.maximum(np.array([x[1], 2.0]), 0.5)
 
 

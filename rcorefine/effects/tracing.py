@@ -58,9 +58,10 @@ class _Replacing:
             return _NUMPY
         if id(value) in _PYTHON:
             return _PYTHON[id(value)]
-        name = getattr(value, "__name__", "")
-        if name in vars(math) and vars(math)[name] is value:
-            return getattr(_MATH, name)
+        name = str(getattr(value, "__name__", ""))
+        for module, stand in ((math, _MATH), (np, _NUMPY)):
+            if name and vars(module).get(name) is value:
+                return getattr(stand, name)
         value = getattr(value, "py_func", value)
         if not isinstance(value, FunctionType) or _is_library(value):
             return value
