@@ -40,7 +40,7 @@ def gauss_newton(
     *,
     lower: Array | float = -np.inf,
     upper: Array | float = np.inf,
-    sizes: Array | float = 1.0,
+    sizes: Array | float | Callable[[Array], Array] = 1.0,
     evaluations: int = 20,
     tolerance: float = 1e-6,
     settled: Callable[[float, float], bool] | None = None,
@@ -56,8 +56,8 @@ def gauss_newton(
         Start; moved into the bounds.
     lower, upper : ndarray, shape (p,), or float
         Bounds. An unknown that is pressed against one is left out of the step.
-    sizes : ndarray, shape (p,), or float
-        Natural sizes of the unknowns, where their values are no larger: with them, what is felt does not
+    sizes : ndarray, shape (p,), or float, or callable
+        Natural sizes of the unknowns, or their function of a point: with them, what is felt does not
         depend on units.
     evaluations : int
         Calls of `evaluate` at most.
@@ -88,7 +88,7 @@ def gauss_newton(
         return Minimum(x, cost, rows, False)
     for _ in range(evaluations - 1):
         slope = _slope(rows)
-        step = _step(rows, damping, ~_pressed(x, lower, upper, slope), np.maximum(sizes, np.abs(x)))
+        step = _step(rows, damping, ~_pressed(x, lower, upper, slope), sizes(x) if callable(sizes) else sizes)
         gain = -float(slope @ step) - 0.5 * _square(rows.jacobian, step)
         if done(cost, gain) and damping <= 1e-3:
             converged = True
@@ -127,7 +127,7 @@ def promised(
     """How much the next full step would lower the cost (half g' H^-1 g): small only at a minimum."""
     near, slope = 1e-12 * np.abs(point), _slope(rows)
     active = ~_pressed(point, lower + near, upper - near, slope)
-    return float(-0.5 * slope @ _step(rows, 1e-9, active, np.maximum(sizes, np.abs(point))))
+    return float(-0.5 * slope @ _step(rows, 1e-9, active, sizes))
 
 
 def _pressed(x: Array, lower: Array | float, upper: Array | float, slope: Array) -> NDArray[np.bool_]:

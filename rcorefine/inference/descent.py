@@ -110,11 +110,12 @@ def descend(
         problem.coordinates.of(point),
         lower=low,
         upper=high,
-        sizes=problem.sizes,
+        sizes=problem.sizes_at,
         evaluations=evaluations,
         tolerance=tolerance,
     )
-    lack = promised(run.rows, run.point, low, high, problem.sizes) if np.isfinite(run.cost) else np.inf
+    sizes = problem.sizes_at(run.point)
+    lack = promised(run.rows, run.point, low, high, sizes) if np.isfinite(run.cost) else np.inf
     place = problem.coordinates.point(run.point)
     return Descent(place, run.cost, run.rows.more, run.converged, lack, problem, gain)
 
@@ -122,7 +123,8 @@ def descend(
 def remeasured(problem: Problem, run: Descent, whitener: Whitener) -> Descent:
     """A run as it is, with its cost and what it lacks (log-likelihood) in the metric of a filter."""
     rows = _rows(problem, run.evaluation, run.point, whitener)
-    lack = promised(rows, problem.coordinates.of(run.point), *problem.box(), problem.sizes)
+    at = problem.coordinates.of(run.point)
+    lack = promised(rows, at, *problem.box(), problem.sizes_at(at))
     return replace(run, cost=0.5 * float(rows.residual @ rows.residual), lack=lack)
 
 

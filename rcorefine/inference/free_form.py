@@ -281,7 +281,7 @@ def fit_free_form(
             jacobian = np.block([[J, X], [np.diag(held), zeros], [zeros.T, prior]])
             return Rows(np.concatenate([white, held * (at[:n] - mean), prior @ at[n:]]), jacobian)
 
-        sizes = np.append(fitted.problem.sizes, np.sqrt(found.variance) * np.ones(k))
+        sizes = np.append(fitted.problem.sizes_at(point), np.sqrt(found.variance) * np.ones(k))
         done = gauss_newton(
             rows, np.append(point, values), sizes=sizes, evaluations=_EVALUATIONS, tolerance=1e-4
         )

@@ -73,7 +73,7 @@ def by_logarithms(problem: Problem, point: Array) -> Array:
     for k in range(1, len(engines) + 1) if nonlinear else (len(engines),):
         chosen = [engines[i] for i in loudest[:k]]
         start = gauss_newton(
-            rows, start, lower=low, upper=high, sizes=problem.sizes, evaluations=count, tolerance=1e-4
+            rows, start, lower=low, upper=high, sizes=problem.sizes_at, evaluations=count, tolerance=1e-4
         ).point
     return problem.coordinates.point(start)
 

@@ -327,12 +327,21 @@ class Problem:
         """Column scales that bring the Jacobian at `point` to unit columns."""
         inside = self.inside(point)
         columns = np.linalg.norm(self.coordinates.columns(self.evaluate(inside).condensed[1], inside), axis=0)
-        reach = np.maximum(np.abs(point), self.sizes)
+        reach = self.sizes_at(point)
         felt = np.where(np.isfinite(columns), columns, 0.0) * reach
         felt = felt > 1e-12 * felt.max(initial=0.0)
         columns = np.where(felt, columns, np.nan)
         level = np.sqrt(self.n_points)
-        return np.asarray(np.where(felt, level / columns, reach))
+        return np.asarray(np.where(felt, level / columns, np.maximum(np.abs(point), self.sizes)))
+
+    def sizes_at(self, point: Array) -> Array:
+        """Natural sizes of the unknowns. A coefficient beyond its own is its size; an initial state is not.
+
+        The start of a body too light to be felt would be felt wherever it has strayed to, and stray on.
+        """
+        sizes = self.sizes.copy()
+        sizes[: self.n_theta] = np.maximum(sizes[: self.n_theta], np.abs(point[: self.n_theta]))
+        return sizes
 
 
 def _bounded(values: Array) -> bool:
