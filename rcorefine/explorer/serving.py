@@ -18,6 +18,7 @@ from .look import PAGE
 __all__ = ["Explorer", "explore"]
 
 _HOST = "127.0.0.1"
+_PATIENCE = 5.0  # s that what is served has to end
 
 
 def explore(model: Any, data: Measurement, *, horizon: float | None = None) -> Explorer:
@@ -132,6 +133,11 @@ class Explorer:
         """End the serving, if there is any."""
         if self._served is not None:
             self._served.stop()
+            self._served.join(_PATIENCE)
+            if self._served.is_alive():  # a task that does not take its end: the others have
+                loop = self._served.asyncio_loop
+                with contextlib.suppress(RuntimeError):  # it has ended since
+                    loop.call_soon_threadsafe(loop.stop)
         self._served = None
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> Any:
