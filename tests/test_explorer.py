@@ -44,6 +44,11 @@ MODEL = (
 )
 
 
+def _heeds_interruption() -> None:
+    """As at a terminal: what a script begins in the background ignores Ctrl-C, and hands that on."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 class Served:
     """The command in a process of its own."""
 
@@ -53,8 +58,9 @@ class Served:
         words = [sys.executable, "-m", "rcorefine", "explore", "model.toml", "record.npz", "--dt", "0.02"]
         words += ["--input", "force", "--output", "q1", "--no-browser"]
         self.process = subprocess.Popen(
-            words, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=dict(os.environ)
-        )
+            words, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            env=dict(os.environ), preexec_fn=_heeds_interruption,
+        )  # fmt: skip
         line = self.process.stdout.readline()
         if not line.startswith("Explorer at "):
             raise AssertionError(line + self.process.communicate()[1])
