@@ -57,7 +57,8 @@ def fans(t, x, u, p):
             - np.arcsinh(x[1])
             + np.tan(x[0]) * np.arccos(u[0])
             + abs(x[0] - 1.0)
-            + np.sinh(x[1]),
+            + np.sinh(x[1])
+            + math.atan2(x[0], x[1]) * np.arctan2(2.0, u[0]),
         ],
         dtype=float,
     )

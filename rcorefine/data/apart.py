@@ -69,9 +69,9 @@ def read_apart(
     patience = _PATIENCE + size / _SPEED
     try:
         done = subprocess.run(
-            [sys.executable, "-P", str(_CHILD), reader, os.fspath(path), str(most_bytes(size)), *names],
+            [sys.executable, "-P", str(_CHILD), reader, os.fspath(path), str(most_bytes(size))],
             env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-            stdin=subprocess.DEVNULL,
+            input=json.dumps(list(names)).encode(),  # a command's words bear no NUL, and not any length
             capture_output=True,
             timeout=patience,
             check=False,

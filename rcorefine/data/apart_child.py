@@ -15,8 +15,9 @@ _Arrays = dict[str, np.ndarray[Any, Any]]
 
 
 def main() -> None:
-    """Read the file that is named on the command line, within so many bytes of memory."""
-    reader, path, room, *names = sys.argv[1:]
+    """Read the file that is named on the command line, within so many bytes; what is asked for is input."""
+    reader, path, room = sys.argv[1:]
+    names = json.load(sys.stdin)
     report: dict[str, Any] = {}
     arrays: _Arrays = {}
     try:
@@ -54,7 +55,8 @@ def _hdf5(path: str, room: int, names: list[str], arrays: _Arrays) -> dict[str, 
         file.visititems(note)
         texts = {k for k, item in found.items() if item.attrs.get("MATLAB_class", b"") == b"char"}
         asked = {name: name.replace(".", "/").strip("/") for name in names}
-        asked = {name: k for name, k in asked.items() if k in found and k not in texts}
+        numbers = {k for k, item in found.items() if item.dtype.kind in "biufc"} - texts
+        asked = {name: k for name, k in asked.items() if k in numbers}
         for name, k in asked.items():
             if found[k].external or found[k].is_virtual:
                 return {"refused": f"the data set {name!r} lies in another file; copy its values here"}

@@ -1,7 +1,6 @@
 """Expressions of numbers, with exact derivatives, as straight-line code.
 
-What a function is made of is found by calling it with symbols. `Symbolic` takes part in Python's and
-numpy's arithmetic; what hangs on its value (a comparison, a jump, a conversion) is `Untraceable`.
+A function is called with symbols. What hangs on a value (a comparison, a conversion) is `Untraceable`.
 """
 
 from __future__ import annotations
@@ -159,14 +158,13 @@ _SLOPES: Final[Mapping[str, Callable[[Any, Any], Number]]] = {
 #: The same functions as numpy calls them.
 _BY_NUMPY: Final[Mapping[str, str]] = {
     **{name: name for name in _SLOPES},
-    **{"arcsin": "asin", "arccos": "acos", "arctan": "atan", "arcsinh": "asinh", "absolute": "fabs"},
+    **{"arcsin": "asin", "arccos": "acos", "arctan": "atan", "arcsinh": "asinh", "arctan2": "atan2"},
+    "absolute": "fabs",
     **{"add": "+", "subtract": "-", "multiply": "*", "divide": "/", "power": "**", "float_power": "**"},
 }
 _COMPOSED: Final[Mapping[str, Callable[..., Any]]] = {
-    "maximum": maximum,
-    "minimum": minimum,
-    "fmax": maximum,
-    "fmin": minimum,
+    **dict.fromkeys(["maximum", "fmax"], maximum),
+    **dict.fromkeys(["minimum", "fmin"], minimum),
     "negative": lambda u: -u,
     "square": lambda u: u * u,
     "reciprocal": lambda u: 1.0 / u,
@@ -265,6 +263,9 @@ class Tape:
                 return self.take("+", self.take("*", da, b), self.take("*", a, db))
             case "/":
                 return self.take("/", self.take("-", da, self.take("*", here, db)), b)
+            case "atan2":
+                crossed = self.take("-", self.take("*", da, b), self.take("*", a, db))
+                return self.take("/", crossed, self.take("+", self.take("*", a, a), self.take("*", b, b)))
             case "max":
                 return self.take("pick", a, b, da, db)
             case "min":
@@ -295,7 +296,7 @@ class Tape:
             return f"math.pow({words[0]}, {words[1]})"
         if name == "pick":
             return f"{words[2]} if {words[0]} >= {words[1]} else {words[3]}"
-        return f"{name}({', '.join(words)})" if name in ("max", "min") else f"math.{name}({words[0]})"
+        return f"{'' if name in ('max', 'min') else 'math.'}{name}({', '.join(words)})"
 
     def name(self, value: Number) -> str:
         """What a value is called in the code."""
@@ -345,6 +346,5 @@ def _simplified(name: str, given: tuple[Number, ...]) -> Number | None:
 
 def _same(a: Number, b: Number) -> bool:
     """Whether two are one number."""
-    if isinstance(a, Symbolic) and isinstance(b, Symbolic):
-        return a.at == b.at
-    return not isinstance(a, Symbolic) and not isinstance(b, Symbolic) and a == b
+    at, where = (one.at if isinstance(one, Symbolic) else None for one in (a, b))
+    return at == where if at is not None or where is not None else a == b

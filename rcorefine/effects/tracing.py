@@ -13,9 +13,12 @@ import numpy as np
 
 from .expressions import Number, Symbolic, Untraceable, as_numpy_calls, maximum, minimum
 
-__all__ = ["as_numbers", "tracing"]
+__all__ = ["OF_NUMPY", "as_numbers", "tracing"]
 
 _Function = Callable[..., Any]
+#: What numpy calls the functions of math, where it is another name.
+OF_NUMPY = {"asin": "arcsin", "acos": "arccos", "atan": "arctan", "asinh": "arcsinh"}
+OF_NUMPY |= {"atan2": "arctan2", "pow": "power"}
 
 
 def tracing(function: _Function) -> _Function:
@@ -109,7 +112,7 @@ class _Math:
         def taken(*given: Any) -> Any:
             if not any(isinstance(one, Symbolic) for one in given):
                 return plain(*given)
-            ufunc = getattr(np, _NUMPY_NAMES.get(name, name), None)
+            ufunc = getattr(np, OF_NUMPY.get(name, name), None)
             if not isinstance(ufunc, np.ufunc):
                 raise Untraceable(name)
             return ufunc(*given)
@@ -166,7 +169,6 @@ def _extreme(plain: _Function, symbolic: _Function, given: Sequence[Any], more: 
 
 #: Functions of numpy that make arrays, with the number of arguments before the type.
 _MAKERS = {"array": 1, "asarray": 1, "zeros": 1, "ones": 1, "empty": 1, "zeros_like": 1, "empty_like": 1}
-_NUMPY_NAMES = {"asin": "arcsin", "acos": "arccos", "atan": "arctan", "asinh": "arcsinh", "pow": "power"}
 _REPLACED: dict[str, Any] = {"float": _as_float, "max": _largest, "min": _smallest}
 _PYTHON = {id(getattr(builtins, name)): stand for name, stand in _REPLACED.items()}
 _MATH, _NUMPY = _Math(), _Numpy()

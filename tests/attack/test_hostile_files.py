@@ -312,12 +312,16 @@ def test_data_sets_that_are_not_in_their_file(tmp_path):
         file.create_virtual_dataset("virtual", layout)
         file["away"] = h5py.ExternalLink(str(other), "x")
         file["fine"] = np.arange(10.0)
+        file["words"] = "mm, N"
     with pytest.raises(DataError, match="claim 16000000000 bytes"):
         Measurement.from_hdf5(path, "u", "y", dt=0.1)
     for name, message in (
         ("led", "lies in another file"),
         ("virtual", "lies in another file"),
         ("away", "away"),
+        ("words", "words"),
+        ("nul\0", "nul"),
+        ("long" * 100_000, "long"),
     ):
         with pytest.raises(DataError, match=message):
             Measurement.from_hdf5(path, "fine", name, dt=0.1)
