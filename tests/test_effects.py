@@ -345,7 +345,7 @@ class TestCheck:
             (Effect("input_gain", "q1"), "none of them: force"),
             (Effect("output_gain", "force"), "none of them: q1, q2"),
             (Effect("sqrt_flow", "link1"), "cannot sit at link1, a mechanical port"),
-            (Effect("coefficient", "A[9,9]"), "not an entry of A"),
+            (Effect("coefficient", "A[9,9]"), "no entry of the model"),
         ],
     )
     def test_misplaced(self, effect, message):

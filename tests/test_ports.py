@@ -399,8 +399,11 @@ class TestPhysicalModel:
         assert model.entry("A[2,0]") == model.entry("A[v1,x1]") == (2, 0)
         plain = as_physical(chain(states=["x[0]", "x[1]", "x[2]", "x[3]"]))
         assert plain.entry("A[x[2],x[0]]") == plain.entry("A[2, 0]") == (2, 0)
-        for wrong in ("A[4,0]", "A[0]", "B[0,0]", "A[u,v]"):
-            with pytest.raises(ModelError, match="entry of A"):
+        assert model.entry("B[v1,f]") == (2, 4)
+        assert model.entry("C[y,x1]") == model.entry("C[0,0]") == (4, 0)
+        assert model.entry("D[0,0]") == (4, 4)
+        for wrong in ("A[4,0]", "A[0]", "B[0,1]", "A[u,v]", "E[0,0]", "C[x1,y]"):
+            with pytest.raises(ModelError, match="no entry of the model"):
                 model.entry(wrong)
 
     def test_pickle(self):

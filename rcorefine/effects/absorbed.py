@@ -70,7 +70,7 @@ class Site:
     channel : int
         Of the input or output, -1 elsewhere.
     entry : tuple of int
-        Row and column of an entry of A.
+        Row and column of an entry of [A B; C D].
     state : int
         First of the states that the effect adds.
     output : ndarray, shape (n_y,) or (0,)

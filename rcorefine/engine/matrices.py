@@ -18,7 +18,7 @@ from .point import act_scales, forces_at_rest
 if TYPE_CHECKING:
     from .structure import Structure
 
-__all__ = ["Matrices", "continuous_matrices", "site_of"]
+__all__ = ["Matrices", "continuous_matrices", "entry_among", "site_of"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +49,7 @@ def site_of(structure: Structure, index: int) -> Site:
     elif "output" in where:
         channel = base.output_labels.index(effect.place)
     elif "any" in where:
-        entry = structure.model.entry(effect.place)
+        entry = entry_among(structure, effect.place)
     else:
         port = structure.model.port(effect.place)
         rows = [np.pad(row, (0, n - row.size)) for row in (port.act, port.position, port.velocity)]
@@ -59,6 +59,14 @@ def site_of(structure: Structure, index: int) -> Site:
     state = next((state for state, (owner, _) in added if owner == index), -1)
     (act, position, velocity), (d_w, v_w, a_w) = rows, inputs
     return Site(act, position, velocity, d_w, v_w, a_w, channel, entry, state, output)
+
+
+def entry_among(structure: Structure, place: str) -> tuple[int, int]:
+    """Row and column of an entry in [A B; C D] of the model with all effects, which may add states."""
+    row, column = structure.model.entry(place)
+    own = structure.linear_model.n_states
+    more = structure.n_states - own
+    return row + more * (row >= own), column + more * (column >= own)
 
 
 def continuous_matrices(structure: Structure, points: NDArray[Any]) -> Matrices:
@@ -182,6 +190,8 @@ def _absorbed(structure: Structure, theta: NDArray[Any], scales: dict[str, Any])
             into.Bu[:n0] - base.B
         ) @ point.inputs
         into.Uw[:, nw] += into.Uw[:, :nw] @ point.inputs - point.inputs
+        for read in into.felt:
+            read[:, n + nw] += read[:, :n0] @ point.states + read[:, n : n + nw] @ point.inputs
     into.A = structure.adjusted_rates(into.A, theta)
     return into
 

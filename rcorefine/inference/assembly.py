@@ -20,6 +20,7 @@ from ..engine.free_runs import checked_horizon, integrates
 from ..engine.structure import Structure
 from ..exceptions import ModelError
 from ..models.conversion import as_physical
+from ..models.independence import independent_parameters
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array, LinearModel
 from .refinement import Refinement
@@ -114,7 +115,8 @@ def _floats(parameter: Any, physical: PhysicalModel) -> bool:
 
 
 def _linear_effects(physical: PhysicalModel, free: Any, tolerance: float) -> list[Effect]:
-    everything = [Effect(q.kind, q.place) for q in physical.parameters if _floats(q, physical)]
+    numbers = independent_parameters(physical)
+    everything = [Effect(q.kind, q.place) for q in numbers if _floats(q, physical)]
     if isinstance(free, str):
         if free != "linear":
             raise ct.ControlArgument(f"free must be 'linear' or a list, not {shown(free)}")

@@ -9,6 +9,7 @@ from typing import Any
 import control as ct
 import numpy as np
 
+from ..effects.input_path import InputGain
 from ..exceptions import ModelError
 from ..systems.conversion import d2c
 from ..systems.discretization import check_sampling_time
@@ -21,6 +22,7 @@ from .modes import find_modes
 from .parameters import NominalParameter
 from .ports import Port
 from .readout import find_rate_sensors, read_parameters
+from .weights import read_weights
 
 __all__ = ["displacement_port", "find_ports", "recognized"]
 
@@ -30,13 +32,14 @@ def recognized(sys: ct.StateSpace, dt: float | None, declared: Declared | None =
     linear, tolerance = _in_continuous_time(sys, dt)
     ports, parameters = find_ports(linear, tolerance, declared)
     rate, ports, parameters = find_meters(linear, find_rate_sensors(linear, tolerance), ports, parameters)
+    weights = read_weights(linear, rate, ports, tolerance)
     return {
         "linear": linear,
         "output_state": linear.C - rate @ linear.A if rate.any() else linear.C,
         "output_rate": rate,
         "output_input": linear.D - rate @ linear.B,
         "ports": ports,
-        "parameters": parameters,
+        "parameters": tuple(sorted((*parameters, *weights), key=lambda q: q.kind == InputGain.name)),
     }
 
 

@@ -123,7 +123,7 @@ def _names(what: str, given: Any) -> tuple[str, ...] | None:
 
 
 def _check_entry(physical: PhysicalModel, place: str) -> None:
-    if place.startswith("A["):
+    if place[:2] in ("A[", "B[", "C[", "D["):
         physical.entry(place)
         return
     raise ModelError(f"there is no place {place!r}; the places are {', '.join(physical.places)}")
@@ -242,7 +242,7 @@ def _at_channels(physical: PhysicalModel, asked: tuple[str, ...] | None) -> list
 def _at_entries(
     physical: PhysicalModel, asked: tuple[str, ...] | None, wanted: tuple[str, ...] | None
 ) -> list[Effect]:
-    """Entries of A: those named, or those that are left over when the ports are taken off."""
+    """Entries: those named, or those that are left over when the ports are taken off."""
     named = [place for place in wanted or () if place not in physical.places]
     if asked is not None and Entry.name not in asked:
         return []
@@ -255,6 +255,8 @@ def _at_entries(
         own = {int(np.flatnonzero(port.act)[0]) for port in physical.ports if not _joins(port)}
         # the damping of a first-order state is its diagonal entry already
         listed = [place for place in listed if not _diagonal(physical, place, own)]
+        if len(listed) > _MOST_ENTRIES:  # what the states do to each other goes first
+            listed = [place for place in listed if place.startswith("A")]
         if len(listed) > _MOST_ENTRIES:
             return []
     elif not listed:

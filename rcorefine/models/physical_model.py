@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +14,7 @@ from ..effects.effect import Effect
 from ..effects.entries import Entry
 from ..exceptions import ModelError
 from ..results import Result
+from ..systems.entries import entry_of
 from ..systems.linear import Array, LinearModel
 from .consistency import check_outputs, check_places, check_sizes
 from .controller import Controller
@@ -228,42 +228,25 @@ class PhysicalModel(Result):
         raise ModelError(f"model {self.name!r} has no port {name!r}; its ports are: {known}")
 
     def entry(self, place: str) -> tuple[int, int]:
-        """Row and column of an entry of A, the place of a `coefficient` effect.
+        """Row and column of an entry of [A B; C D], the place of a `coefficient` effect.
 
         Parameters
         ----------
         place : str
-            ``"A[1,0]"``, counted from 0, or with state labels, ``"A[v1,x1]"``.
+            ``"A[1,0]"``, ``"D[0,0]"``, counted from 0 in each matrix, or with labels, ``"A[v1,x1]"``,
+            ``"B[v1,force]"``.
 
         Returns
         -------
         row, column : int
+            Of the four matrices as one, where inputs follow the states and outputs their rates.
 
         Raises
         ------
         ModelError
             If the text is not of this form or the entry does not exist.
         """
-        match = re.fullmatch(r"A\[(.+)\]", as_text(place, "place").strip())
-        labels = self.linear.state_labels
-        if match:
-            pieces = match.group(1).split(",")
-            for cut in range(1, len(pieces)):  # a label may hold a comma itself
-                pair = (",".join(pieces[:cut]).strip(), ",".join(pieces[cut:]).strip())
-                found = [self._state(text) for text in pair]
-                if all(index is not None for index in found):
-                    return found[0], found[1]  # type: ignore[return-value]
-        raise ModelError(
-            f"{place!r} is not an entry of A: write 'A[i,j]' with i and j from 0 to {len(labels) - 1}, "
-            f"or with state labels ({', '.join(labels)})"
-        )
-
-    def _state(self, text: str) -> int | None:
-        if text in self.linear.state_labels:
-            return self.linear.state_labels.index(text)
-        if text.isdecimal() and int(text) < self.linear.n_states:
-            return int(text)
-        return None
+        return entry_of(self.linear, place)
 
     def check(self, effect: Effect) -> Effect:
         """Check that an effect makes sense at its place in this model.
@@ -334,8 +317,9 @@ class PhysicalModel(Result):
         where = effect.spec.where
         if effect.kind == Entry.name:
             row, column = self.entry(effect.place)
-            states = {"row": self.state_units[row], "column": self.state_units[column]}
-            return combine_units("row/(column s)", states)
+            units = {"row": (*self.state_units, *self.output_units)[row]}
+            units["column"] = (*self.state_units, *self.input_units)[column]
+            return combine_units("row/(column s)" if row < self.linear.n_states else "row/column", units)
         if "input" in where:
             index = self.linear.input_labels.index(effect.place)
             return combine_units(rule, {"signal": self.input_units[index]})

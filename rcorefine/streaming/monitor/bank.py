@@ -14,6 +14,7 @@ from ...effects.effect import Effect
 from ...effects.formula import FormulaLaw
 from ...effects.several import as_effects
 from ...engine.engine import Engine
+from ...engine.matrices import entry_among
 from ...engine.structure import Structure
 from ...exceptions import ModelError
 from ...inference.linearized import linearized
@@ -257,9 +258,9 @@ def _columns(
     first = effect.coefficients[0]
     law = effect.spec
     if "any" in law.where and law.is_parameter:
-        row, column = structure.model.entry(effect.place)
-        act = np.eye(n)[row]
-        return [at((act, rate @ act), zero, np.eye(n + nw)[column], first, CODES[law.signal])]
+        row, column = entry_among(structure, effect.place)
+        act, read = np.split(np.eye(n + ny)[row], [n])
+        return [at((act, rate @ act + read), zero, np.eye(n + nw)[column], first, CODES[law.signal])]
     if law.at_channel:
         if "input" in law.where:
             i = structure.linear_model.input_labels.index(effect.place)
