@@ -28,7 +28,7 @@ class Effect:
         Law, a key of `KINDS` (``"coulomb_friction"``, ``"stiffness"``, ...).
     place : str
         Where it acts: a port (``"link2"``, ``"x1-x2"``), an input or an output
-        label, or for `coefficient` an entry ``"A[i,j]"`` counted from 0.
+        label, or for `coefficient` an entry ``"A[i,j]"`` (B, C, D) counted from 0.
     start : mapping of str to float, optional
         Values of coefficients to start an estimate from. For `custom`,
         the names here are the coefficients of the law.

@@ -64,7 +64,8 @@ def refine(
         What to add.
     free : "linear" or sequence
         "linear" lets every linear parameter of the model float (stiffness, damping,
-        input gain, ...); a sequence names some of them (parameter names or effects).
+        input gain, ...) but those that only rescale others; a sequence names some of
+        them (parameter names or effects).
     tolerance : float
         Relative prior standard deviation of the linear parameters; with a positive
         one and nothing in `free`, all of them float within it.
