@@ -24,9 +24,9 @@ from .verdict import overall
 from .without_a_law import (
     Answer,
     adequate,
+    by_numbers,
     earned_beside,
     numbers_instead,
-    parameters,
     under_another_hold,
     without_a_law,
 )
@@ -122,7 +122,7 @@ def ask(case: Case, validation: Measurement | None) -> Answer | Unanswered:
     if mended is not None:
         return Answer(mended)
     if numbers is not None and not rivals_of_numbers(case, numbers, scored):
-        return Answer(parameters(case, numbers.refinement, numbers.tests, tests))
+        return Answer(by_numbers(case, numbers, tests))
     batteries = [free_run, *(TestedResidual(case.fitted, r) for r in case.observers)]
     chosen, scores = shortlist(scored, batteries)
     race = fit_candidates(case.fitted, [scored[i] for i in chosen], progress=case.progress)
@@ -145,7 +145,7 @@ def ask(case: Case, validation: Measurement | None) -> Answer | Unanswered:
         judged = earned
     plainer = numbers_instead(case, numbers, floated, judged)
     if plainer is not None:
-        return Answer(parameters(case, plainer.refinement, plainer.tests, tests))
+        return Answer(by_numbers(case, plainer, tests))
     open_ = Unanswered(case, judged, floated, scored, scores, chosen, batteries, tests, validation)
     return open_.told() if judged.passed else open_
 

@@ -107,6 +107,4 @@ def _in_words(found: Diagnosis) -> str:
         rows = [row for row in found.best.refinement.parameters if row.role == "linear"]
         return f"{said} {numbers_that_moved(rows)}"
     before, after = (percent(fit) for fit in (found.base.initial_fit, found.base.fit))
-    said += f" The numbers alone take the fit from {before} to {after}."
-    held = found.base.physical_model.linear.D.any() and not found.base.physical_model.output_rate.any()
-    return f"{said} C and D are held meanwhile: what is off there is not found." if held else said
+    return f"{said} The numbers alone take the fit from {before} to {after}."

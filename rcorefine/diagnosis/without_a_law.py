@@ -122,7 +122,7 @@ def under_another_hold(case: Case, rival: Floated | None) -> Diagnosis | None:
     numbers = explaining_numbers(other, floating(other))
     if numbers is None or likelihood(numbers.battery) < least:
         return None
-    mended = parameters(other, numbers.refinement, numbers.tests, tests)
+    mended = by_numbers(other, numbers, tests)
     return replace(mended, notes=(sentence,))
 
 
@@ -148,12 +148,18 @@ def about_hold(case: Case) -> list[str]:
     return [sentence] if sentence else []
 
 
+def by_numbers(case: Case, numbers: Floated, tests: Sequence[FTest]) -> Diagnosis:
+    """Moved numbers explain the records, but for what passes for noise with a memory."""
+    left = left_to_noise(numbers.battery, case.levels)
+    return parameters(case, numbers.refinement, numbers.tests, tests, left)
+
+
 def parameters(
-    case: Case, refinement: Refinement, passed: Sequence[FTest], tests: Sequence[FTest]
+    case: Case, refinement: Refinement, passed: Sequence[FTest], tests: Sequence[FTest], left: str = ""
 ) -> Diagnosis:
     """Moved numbers explain the records: these show no need for a law."""
     return Diagnosis(
-        "parameters", (), (), tuple(tests), tuple(passed), (), force_ratio=0.0,
+        "parameters", (), (), tuple(tests), tuple(passed), (), force_ratio=0.0, left_to_noise=left,
         floated=refinement, notes=tuple(about_hold(case)), **case.about,
     )  # fmt: skip
 

@@ -59,6 +59,8 @@ def sentences(found: Diagnosis) -> list[str]:
     lines = [_VERDICTS[found.verdict].format(best=_best(found), alike=alike, where=where)]
     if found.verdict == "parameters" and far_numbers(found.parameters):
         lines = ["The numbers of the model explain the record, moved so far that they may hide a law."]
+    if found.verdict == "parameters" and found.left_to_noise:
+        lines = ["Moved numbers of the model leave what no test tells from noise with a memory."]
     worst = min(found.tests, key=lambda t: t.p_value) if found.tests else None
     if found.verdict == "adequate":
         head = found.left_to_noise or lines[0]
@@ -73,7 +75,7 @@ def sentences(found: Diagnosis) -> list[str]:
             left = min(found.winner_tests, key=lambda t: t.p_value)
             lines.append(f"With the best candidate the residual still fails {failed_test(left)}.")
         if found.verdict == "parameters":
-            lines += [numbers_that_moved(found.parameters), _ALIKE]
+            lines += [found.left_to_noise, numbers_that_moved(found.parameters), _ALIKE]
         lines += _meaning(found)
         lines += _columns(found)
     place = None if found.best is None or found.verdict == "unexplained" else found.best.effect.place
@@ -99,7 +101,7 @@ def sentences(found: Diagnosis) -> list[str]:
             if found.base.of_responses
             else "suggest_experiment() names the record that would tell them apart."
         )
-    return [*lines, *found.notes]
+    return [*filter(None, lines), *found.notes]
 
 
 def next_step(found: Diagnosis | Improvement) -> str:

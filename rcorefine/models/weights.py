@@ -15,6 +15,7 @@ from .ports import Port
 __all__ = ["read_weights"]
 
 _LEFT = 1e-9  # relative size of what cancellation leaves behind
+_ALONG = 1e-6  # of the cosine between two directions that are one: four digits of their entries are kept
 
 
 def read_weights(
@@ -39,8 +40,8 @@ def read_weights(
     Returns
     -------
     list of NominalParameter
-        Not listed is a weight of one, which is how a signal is mounted, and a single one of its input or
-        output, which is a gain.
+        Not listed is a weight of one, which is how a signal is mounted; a single one of its input or
+        output, which is a gain; and those of an input that is a force at a port, which masses divide.
     """
     whole = np.hstack([linear.C, linear.D])
     rest = whole - rate @ np.hstack([linear.A, linear.B])
@@ -52,6 +53,7 @@ def read_weights(
     driven = np.abs(linear.B) > tolerance * np.abs(linear.B).max(axis=0, initial=0.0)
     driven[[item.state for item in find_displacements(linear, tolerance)]] = False  # kinematics
     driven[:, driven.sum(axis=0) == 1] = False
+    driven[:, [_enters(linear.B[:, j], ports) for j in range(linear.n_inputs)]] = False
 
     found = []
     n = linear.n_states
@@ -64,3 +66,10 @@ def read_weights(
             place = f"{name}[{i},{j}]"
             found.append(NominalParameter(place, float(values[i, j]), "", Entry.name, place, False))
     return found
+
+
+def _enters(column: Array, ports: Sequence[Port]) -> bool:
+    """Whether an input acts as the force of a port does."""
+    size = float(np.linalg.norm(column))
+    acts = [port.act / np.linalg.norm(port.act) for port in ports if port.act.any()]
+    return size > 0 and any(abs(act @ column) > (1 - _ALONG) * size for act in acts)
