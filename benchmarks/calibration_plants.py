@@ -348,7 +348,7 @@ CHANNELS = {
     "lag": {"input_lag", "output_lag", "input_smoothing", "output_smoothing"},
     "power": {"input_power"},
     "ingain": {"input_gain", "P"},
-    "clip": {"output_saturation"},
+    "clip": {"output_saturation", "output_range"},  # with an offset behind it the two limits differ
 }
 
 

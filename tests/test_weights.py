@@ -188,3 +188,11 @@ def test_a_monitor_names_the_resistance_that_grew():
     assert monitor.alarm.effect.place == "D[0,0]"
     assert abs(monitor.alarm.since_sample - 3000) < 0.1 * 2 * np.pi * 150 / 0.5  # of the slowest mode's time
     assert monitor.ranking[0].coefficients["value"] == pytest.approx(-0.003, rel=0.1)
+
+
+def test_an_improvement_by_numbers_alone_is_taken_on():
+    record = record_of(battery(0.055, 0.018, 0.03), n=1500)
+    found = rco.improve(battery(), record)
+    assert not found.effects
+    assert len(found.steps) == 2
+    assert found.to_dict()["next_step"].startswith("better = found.refinement")

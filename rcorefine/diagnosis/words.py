@@ -118,7 +118,7 @@ def next_step(found: Diagnosis | Improvement) -> str:
     """
     better = "better = found.refine(); print(better)"
     if isinstance(found, Improvement):
-        return better.replace("refine()", "refinement") if found.effects else "found.plot()"
+        return better.replace("refine()", "refinement") if len(found.steps) > 1 else "found.plot()"
     if found.verdict == "adequate" and found.left_to_noise:  # numbers that are far off leave the same
         return 'print(rco.refine(found.base, found.records, free="linear", tolerance=0.5))'
     if found.verdict == "adequate":
