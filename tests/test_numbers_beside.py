@@ -218,3 +218,5 @@ def test_numbers_that_do_not_suffice_are_told_before_laws_that_do_less() -> None
     assert found.verdict == "unexplained"
     assert found.base.fit.min() > 85 > 60 > found.base.initial_fit.max()
     assert "The numbers alone take the fit from" in str(found).replace("\n", " ")
+    assert found.open_law is None
+    assert found.places[found.place] <= 0.5  # the slip of a tire is at none of the places that it could name

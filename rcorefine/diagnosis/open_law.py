@@ -132,6 +132,8 @@ def probabilities(
             logs.append((place, top + odds))
     if free is not None:
         logs += free.log_likelihoods.items()
+        if free.law is None:  # no force at the best place mends it: as likely it is where the model has none
+            logs.append(("", max(value for _, value in logs)))
     weights = softmax([value for _, value in logs])
     shares: dict[str, float] = {}
     for (place, _), weight in zip(logs, weights, strict=True):

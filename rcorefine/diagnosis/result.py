@@ -118,7 +118,7 @@ class Diagnosis(Reported):
     places : dict
         Probability of each place, the most probable first: what its candidates and the free forces
         tried there have together. To one is missing what an unmeasured force stands for, whose place
-        nobody knows; empty where nothing was ranked.
+        nobody knows, or half where no free force mends the best place; empty where nothing was ranked.
     open_law : OpenLaw or None
         Where the verdict is "unexplained": the force as a table, and the laws nearest to it.
     left_to_noise : str
