@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,7 +26,8 @@ _OWN = 1e-6  # share of what a number does that none before it does, below which
 _POINTS = 4  # in the complex plane for each state
 
 
-def independent_parameters(model: PhysicalModel) -> list[NominalParameter]:
+@lru_cache(maxsize=8)  # by identity: every fit of a model asks for them
+def independent_parameters(model: PhysicalModel) -> tuple[NominalParameter, ...]:
     """The parameters of a model without those that only do again what others do.
 
     Parameters
@@ -35,13 +37,13 @@ def independent_parameters(model: PhysicalModel) -> list[NominalParameter]:
 
     Returns
     -------
-    list of NominalParameter
-        As those of C where those of B are free and a single signal passes, or the gain of an input all
-        of whose weights are free: judged by what they change in the transfer function.
+    tuple of NominalParameter
+        Left out are those of C where those of B are free and a single signal passes, or the gain of an
+        input all of whose weights are free: judged by what they change in the transfer function.
     """
     entries = {q.name: entry_of(model.linear, q.place) for q in model.parameters if q.kind == Entry.name}
     if not any(max(entry) >= model.linear.n_states for entry in entries.values()):
-        return list(model.parameters)
+        return model.parameters
     responses = _Responses(model)
     basis: list[Array] = []
     found = []
@@ -55,7 +57,7 @@ def independent_parameters(model: PhysicalModel) -> list[NominalParameter]:
         if left > _OWN * size:
             basis.append(column / left)
             found.append(q)
-    return found
+    return tuple(found)
 
 
 class _Responses:
@@ -68,13 +70,14 @@ class _Responses:
         low, high = sizes[sizes > 0].min(initial=np.inf), sizes.max(initial=0.0)
         low, high = (low, high) if high > 0 else (1.0, 1.0)
         s = np.geomspace(0.1 * low, 10 * high, _POINTS * (n + 1)) * np.exp(1j * np.pi / 3)
+        away = [at * np.eye(n) - linear.A for at in s]
+        states = np.array([np.linalg.solve(M, linear.B) for M in away])  # (k, n, n_w): of the inputs
+        read = np.array([np.linalg.solve(M.T, linear.C.T).T for M in away]) + model.output_rate
+        ones = np.ones((s.size, 1, 1))
         self.points = s[:, None, None]
-        inverse = np.linalg.inv(s[:, None, None] * np.eye(n) - linear.A)
-        self.states = inverse @ linear.B  # (k, n, n_w): of the inputs
-        read = linear.C @ inverse + model.output_rate
-        self.outputs = np.concatenate([read, np.ones((s.size, 1, 1)) * np.eye(linear.n_outputs)], axis=2)
-        self.inputs = np.concatenate([self.states, np.ones((s.size, 1, 1)) * np.eye(linear.n_inputs)], axis=1)
-        self.whole = linear.C @ self.states + linear.D
+        self.outputs = np.concatenate([read, ones * np.eye(linear.n_outputs)], axis=2)
+        self.inputs = np.concatenate([states, ones * np.eye(linear.n_inputs)], axis=1)
+        self.whole = linear.C @ states + linear.D
         size = np.sqrt(np.mean(np.abs(self.whole) ** 2, axis=0))
         self.scale = 1.0 / np.where(size > 0, size, np.inf)  # each way through the plant counts alike
 

@@ -14,6 +14,7 @@ from .ports import Port
 
 __all__ = ["read_weights"]
 
+_MOST = 60
 _LEFT = 1e-9  # relative size of what cancellation leaves behind
 _ALONG = 1e-6  # of the cosine between two directions that are one: four digits of their entries are kept
 
@@ -42,6 +43,7 @@ def read_weights(
     list of NominalParameter
         Not listed is a weight of one, which is how a signal is mounted; a single one of its input or
         output, which is a gain; and those of an input that is a force at a port, which masses divide.
+        Empty where there are more than 60: shapes of many modes, not numbers that somebody measured.
     """
     whole = np.hstack([linear.C, linear.D])
     rest = whole - rate @ np.hstack([linear.A, linear.B])
@@ -65,7 +67,7 @@ def read_weights(
         for i, j in np.argwhere(which & (np.abs(np.abs(values) - 1.0) > tolerance)).tolist():
             place = f"{name}[{i},{j}]"
             found.append(NominalParameter(place, float(values[i, j]), "", Entry.name, place, False))
-    return found
+    return found if len(found) <= _MOST else []
 
 
 def _enters(column: Array, ports: Sequence[Port]) -> bool:
