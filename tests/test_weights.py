@@ -87,6 +87,17 @@ def test_those_that_float_are_as_many_as_a_record_tells_apart(system):
     assert len(own) == rank == np.linalg.matrix_rank(kept, tol=1e-7) < len(model.parameters)
 
 
+def test_a_mass_that_is_declared_takes_no_ones_place():
+    """Beside gains it does not float itself, so what it could stand in for has to."""
+    plain = ct.ss(
+        [[0, 0, 1, 0], [0, 0, 0, 1], [-20, 10, -0.3, 0.1], [5, -5, 0.05, -0.05]], [[0], [0], [0.5], [0.1]],
+        [[0.6, 0.3, 0, 0]], [[0.02]], states=["x1", "x2", "v1", "v2"],
+    )  # fmt: skip
+    declared = rco.physical(plain, parameters={"m1": ("mass", "x1", 2.0)})
+    floating = {q.name for q in independent_parameters(declared) if q.kind != "mass"}
+    assert floating == {q.name for q in independent_parameters(rco.physical(plain))}
+
+
 def test_matrices_with_an_entry_changed(rng):
     """Also beside a lag, which adds a state between those of the model and its outputs."""
     system = rig(rng)

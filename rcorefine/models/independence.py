@@ -48,6 +48,9 @@ def independent_parameters(model: PhysicalModel) -> tuple[NominalParameter, ...]
     basis: list[Array] = []
     found = []
     for q in model.parameters:
+        if KINDS[q.kind].inertial:  # where gains are it stays: it may not stand in for what floats
+            found.append(q)
+            continue
         column = responses.change(q)
         size = float(np.linalg.norm(column))
         for _ in range(2):  # twice: the first projection leaves rounding of what it takes away
@@ -74,7 +77,6 @@ class _Responses:
         states = np.array([np.linalg.solve(M, linear.B) for M in away])  # (k, n, n_w): of the inputs
         read = np.array([np.linalg.solve(M.T, linear.C.T).T for M in away]) + model.output_rate
         ones = np.ones((s.size, 1, 1))
-        self.points = s[:, None, None]
         self.outputs = np.concatenate([read, ones * np.eye(linear.n_outputs)], axis=2)
         self.inputs = np.concatenate([states, ones * np.eye(linear.n_inputs)], axis=1)
         self.whole = linear.C @ states + linear.D
@@ -93,10 +95,7 @@ class _Responses:
                 sense = np.eye(linear.n_states + linear.n_inputs)[column]
             else:
                 act, sense = self._of_port(self.model.port(q.place), q.kind == Stiffness.name)
-            felt = (sense @ self.inputs)[:, None, :]
-            if KINDS[q.kind].inertial:  # feels the rate of the velocity
-                felt = self.points * felt
-            changed = q.value * (self.outputs @ act)[:, :, None] * felt
+            changed = q.value * (self.outputs @ act)[:, :, None] * (sense @ self.inputs)[:, None, :]
         flat = (changed * self.scale).reshape(-1)
         return np.concatenate([flat.real, flat.imag])
 
