@@ -75,3 +75,15 @@ def test_no_coefficient_is_lost(num, den):
     at = 1j * np.array([0.1, 3.0])
     np.testing.assert_allclose(system(at), transfer(at), rtol=1e-9)
     assert system.nstates == len(den) - 1
+
+
+@pytest.mark.parametrize("question", [rco.compare, rco.check, rco.refine, rco.diagnose, rco.improve])
+def test_its_states_are_told_once_a_call(question):
+    transfer = ct.tf([2, 3], [1, 0.8, 9], inputs="u", outputs="y")
+    w = np.random.default_rng(0).standard_normal(300)
+    y = ct.forced_response(transfer.sample(0.05), np.arange(300) * 0.05, w).outputs
+    y += 0.02 * y.std() * np.random.default_rng(1).standard_normal(300)
+    more = {"free": "linear"} if question is rco.refine else {}
+    with pytest.warns(rco.ConversionWarning) as said:
+        question(transfer, rco.Measurement(w, y, dt=0.05), **more)
+    assert [one.category for one in said] == [rco.ConversionWarning]

@@ -20,7 +20,7 @@ from ..engine.simulation import simulated, structure_of, unjudged_samples
 from ..exceptions import DataError, DivergenceError
 from ..inference.windows import as_data
 from ..models.controller import completed
-from ..models.conversion import as_model, known_physical, under_control
+from ..models.conversion import known_physical, under_control
 from ..systems.linear import Array, LinearModel
 from .failure_map.places import given_places
 from .free_running import controlled, led, runs_of
@@ -117,7 +117,7 @@ def compare(
     responses = in_frequency(data)
     horizon = _checked(data, responses, x0, horizon, controller)
     several = isinstance(model, (list, tuple))
-    models = [under_control(as_model(each), controller, data) for each in (model if several else [model])]
+    models = [under_control(each, controller, data) for each in (model if several else [model])]
     if not models:
         raise ct.ControlArgument("no model to compare; give one StateSpace or a list of them")
     linear = [LinearModel.from_statespace(getattr(each, "system", each)) for each in models]

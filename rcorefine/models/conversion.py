@@ -15,6 +15,7 @@ from ..effects.effect import Effect
 from ..effects.law import KINDS
 from ..exceptions import ModelError
 from ..systems.discretization import check_sampling_time
+from ..systems.realization import realized
 from .controller import as_controller, unrecorded
 from .detection import recognized
 from .link_ports import Declared, weighted
@@ -29,7 +30,9 @@ __all__ = ["as_model", "as_physical", "known_physical", "physical", "ports", "un
 
 
 def as_model(model: Any) -> Any:
-    """The model itself, a nonlinear system of python-control as the physical model that it is."""
+    """The model itself; a transfer function in state space, a nonlinear system as a physical model."""
+    if isinstance(model, ct.TransferFunction):
+        return realized(model)
     return as_known(model) if is_nonlinear(model) else model
 
 
@@ -75,7 +78,8 @@ def as_physical(model: Any, *, dt: float | None = None) -> PhysicalModel:
 
 
 def under_control(model: Any, controller: Any, data: Any) -> Any:
-    """The model with a controller around it, the one that it has if none is given, for such records."""
+    """`as_model`, with the controller around it that is given, or that it has, for such records."""
+    model = as_model(model)
     physical = known_physical(model) if controller is None else as_physical(model)
     known = None if physical is None else physical.controller
     if controller is not None and physical is not None:

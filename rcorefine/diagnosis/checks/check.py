@@ -19,7 +19,7 @@ from ...data.records import as_record
 from ...exceptions import DataError, DivergenceError, unheard
 from ...inference.levels import levels
 from ...inference.sensitivities import candidate_columns
-from ...models.conversion import as_model, as_physical, known_physical, under_control
+from ...models.conversion import as_physical, known_physical, under_control
 from ...models.operating_point import ordered_record
 from ...models.physical_model import PhysicalModel
 from ...progress import Progress
@@ -137,7 +137,6 @@ def _of_record(row: CheckRow, about: str) -> CheckRow:
 
 def _looked_over(model: Any, data: Measurement, horizon: float | None) -> tuple[Measurement, list[CheckRow]]:
     """The record in the order of the model's channels, and its rows without those on information."""
-    model = as_model(model)
     physical = known_physical(model)
     point = None if physical is None else physical.operating_point
     straight = point is None or point.field is None
