@@ -21,11 +21,11 @@ from .engine import Engine, Trajectory
 from .leading import leading_gain
 from .line_balance import LineBalance, remembering
 from .structure import Structure
+from .substep import TINY_STEP, tiny_steps
 
 __all__ = ["ResponseEngine", "channel_signal", "engine_on", "is_linear", "port_phasors", "sampled"]
 
 Complex = NDArray[np.complex128]
-_TINY_STEP = 1e-30
 _PHASES = 16  # of a period of a sine
 _BATCH = 4_000_000  # complex numbers at once (64 MB)
 
@@ -178,15 +178,10 @@ class ResponseEngine:
         s, data = self.structure, self.data.measured
         nw = s.n_inputs
         if not data.dt or data.hold == "bandlimited":
-            sets = []
-            for column in (-1, *columns):
-                shifted = theta.astype(complex)
-                if column >= 0:
-                    shifted[column] += 1j * _TINY_STEP
-                m = s.matrices(shifted)
-                blocks = (m.A, m.B[:, :nw], m.C, m.D[:, :nw])
-                sets.append(tuple(b.real if column < 0 else b.imag / _TINY_STEP for b in blocks))
-            return sets
+            m = tiny_steps(s, theta, columns)
+            blocks = m.A, m.B[:, :, :nw], m.C, m.D[:, :, :nw]
+            slopes = zip(*(block[: columns.size].imag / TINY_STEP for block in blocks), strict=True)
+            return [tuple(block[0].real for block in blocks), *slopes]
         disc = s.discretize(theta, data.dt, derivatives=columns.size > 0)
         n, drive = s.n_states, nw + 1
         found: list[tuple[Array, ...]] = []

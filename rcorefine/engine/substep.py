@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from .matrices import Matrices
     from .structure import Structure
 
-__all__ = ["Discrete", "discretized"]
+__all__ = ["TINY_STEP", "Discrete", "discretized", "tiny_steps"]
 
-_TINY_STEP = 1e-30
+TINY_STEP = 1e-30  #: of the imaginary parts by which derivatives are taken
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +43,7 @@ def discretized(structure: Structure, theta: Array, step: float, *, derivatives:
     """
     linear = structure.absorbed if derivatives else np.zeros(0, dtype=np.int64)
     key = ("matrices", theta[structure.absorbed].tobytes(), derivatives)
-    make = partial(_along, structure, theta, linear)
+    make = partial(tiny_steps, structure, theta, linear)
     at = structure.kept(key, make) if structure.jumps else make()  # a piece of it asks for the same
     n, drive = structure.n_states, structure.n_inputs + 1 + structure.n_forces
     size = n + 2 * drive
@@ -65,7 +65,7 @@ def discretized(structure: Structure, theta: Array, step: float, *, derivatives:
         [Phi, first[:, :, :nw], second[:, :, :nw], first[:, :, nw:], second[:, :, nw:]], axis=2
     )
     O = np.concatenate([at.C, at.D, at.G], axis=2)
-    dM, dO, dP = (part[: len(linear)].imag / _TINY_STEP for part in (M, O, at.P))
+    dM, dO, dP = (part[: len(linear)].imag / TINY_STEP for part in (M, O, at.P))
     if not dP.any():
         dP = np.zeros((0, *at.P.shape[1:]))
     M0, dM, O, dO, P, dP = (
@@ -74,7 +74,7 @@ def discretized(structure: Structure, theta: Array, step: float, *, derivatives:
     return Discrete(M0, dM, O, dO, P, dP, linear)
 
 
-def _along(structure: Structure, theta: Array, linear: NDArray[np.int64]) -> Matrices:
+def tiny_steps(structure: Structure, theta: Array, linear: NDArray[np.int64]) -> Matrices:
     """Matrices a tiny imaginary step away from `theta` along each parameter that enters them.
 
     Their real parts are those at `theta`; without such parameters it is the only point.
@@ -82,7 +82,7 @@ def _along(structure: Structure, theta: Array, linear: NDArray[np.int64]) -> Mat
     if not len(linear):
         return structure.matrix_stack(theta[None].astype(float))
     points = np.repeat(theta[None].astype(complex), len(linear), axis=0)
-    points[np.arange(len(linear)), linear] += 1j * _TINY_STEP
+    points[np.arange(len(linear)), linear] += 1j * TINY_STEP
     return structure.matrix_stack(points)
 
 
