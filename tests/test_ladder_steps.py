@@ -261,3 +261,27 @@ def test_a_sensor_that_shows_the_size_of_the_speed_is_found_behind_a_soft_shaft(
     assert ladder.refinement.parameter("output_rectification").value == pytest.approx(1.0, abs=0.01)
     assert ladder.verdict == "adequate"
     assert ladder.steps[-1].validation_rmse[0] == pytest.approx(0.02 * seen.std(), rel=0.15)
+
+
+def test_an_answer_holds_until_the_model_the_candidates_or_the_records_change(
+    ladder: StepwiseSelection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def answer(model: rco.Refinement, records: object, **_: object) -> object:
+        asked.append(model)
+        return object()
+
+    monkeypatch.setattr("rcorefine.diagnosis.stepwise.selection.investigate", answer)
+    laws = [rco.Effect("stiffness", "link1"), rco.Effect("damping", "link1")]
+    first = ladder.investigate(ladder.current, laws)
+    assert ladder.investigate(ladder.current, list(laws)) is first
+    assert len(asked) == 1
+    others = [
+        ladder.investigate(ladder.current, laws[:1]),
+        ladder.investigate(ladder.current, laws, numbers=True),
+        ladder.investigate(ladder.refit(ladder.current), laws),
+    ]
+    ladder.pool()
+    others.append(ladder.investigate(ladder.current, laws))
+    assert len({id(one) for one in [first, *others]}) == len(asked) == 5

@@ -66,7 +66,7 @@ def tabulate(ladder: StepwiseSelection, library: list[Effect]) -> None:
     rest = ladder.rest(library)
     if not rest:
         return
-    found, race, _ = ladder.investigate(ladder.current, rest)
+    found, race, _ = ladder.investigate(ladder.current, rest, numbers=not ladder.effects)  # as `climb` asked
     if race is None or found.verdict != "unexplained":
         return
     law = open_law(race).law
