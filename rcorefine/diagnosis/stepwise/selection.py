@@ -107,7 +107,7 @@ class StepwiseSelection:
         self._visited: set[Key] = {frozenset()}
         self._verdicts: dict[Key, str] = {}
         self._errors = Errors(settings["horizon"])
-        self._last: tuple[Refinement, Parts, list[Effect], bool, Answer] | None = None
+        self._known: tuple[Refinement, Parts, list[Effect], bool, Answer] | None = None
         self.current = self._held(start)
         self.steps = [self._step(None, "start", "", ())]
 
@@ -123,15 +123,16 @@ class StepwiseSelection:
     def investigate(self, model: Refinement, library: list[Effect], *, numbers: bool = False) -> Answer:
         """Diagnosis of a model on the first part: "unexplained" of a trial that cannot be tested.
 
-        With `numbers`, laws are sought beside numbers of the model that are off, too. The last answer is
-        kept: what ends the climb is asked of once more by who comes after it.
+        With `numbers`, laws are sought beside numbers of the model that are off, too. What was last found
+        about the present model is kept: who comes after the climb asks of where it ended.
         """
-        if self._last is not None:
-            *about, answer = self._last
+        if self._known is not None:
+            *about, answer = self._known
             if about[0] is model and about[1] is self.parts and about[2:] == [library, numbers]:
                 return answer
         answer = self._investigate(model, library, numbers)
-        self._last = model, self.parts, library, numbers, answer
+        if model is self.current:
+            self._known = model, self.parts, library, numbers, answer
         return answer
 
     def _investigate(self, model: Refinement, library: list[Effect], numbers: bool) -> Answer:
