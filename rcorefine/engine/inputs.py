@@ -130,10 +130,15 @@ class InputSignal:
             signal, slopes = self._statics(structure, theta, here, channel, samples)
             delay, column = _delay(structure, theta, here)
             signals = [signal, *slopes.values()]
-            at_nodes, at_samples, by_delay, by_drift = self._shifted(np.array(signals), delay, drift, moving)
+            times: list[tuple[int, Array, Array]] = []
+            if delay or drift or drifts or column >= 0 or moving:
+                at = self._shifted(np.array(signals), delay, drift, moving)
+                at_nodes, at_samples, by_delay, by_drift = at
+                times = [(column, *by_delay), *((which, *by_drift) for which in drifts)]
+            else:
+                at_nodes, at_samples = self._in_time(np.array(signals))
             W[:, channel], Wout[:, channel] = at_nodes[0], at_samples[0]
-            derivatives = list(zip(slopes, at_nodes[1:], at_samples[1:], strict=True))
-            derivatives += [(column, *by_delay), *((which, *by_drift) for which in drifts)]
+            derivatives = [*zip(slopes, at_nodes[1:], at_samples[1:], strict=True), *times]
             for which, fine, coarse in derivatives:
                 if which >= 0:
                     driven.append(which)
@@ -184,6 +189,12 @@ class InputSignal:
             value = value[1:] - (value[0] if structure.balanced else level)
             slopes = slopes[:, 1:] - (slopes[:, :1] if structure.balanced else 0.0)
         return value, dict(zip(columns, slopes, strict=True))
+
+    def _in_time(self, signals: Array) -> tuple[Array, Array]:
+        """Signals (k, points) at the nodes and samples, where nothing delays them."""
+        if self._fine is None:
+            return np.repeat(signals[:, :-1], self.substeps, axis=1), signals
+        return signals, signals[:, :: self.substeps]
 
     def _shifted(
         self, signals: Array, delay: float, drift: float, moving: bool
