@@ -21,6 +21,10 @@ from rcorefine.diagnosis.case import Case
 from rcorefine.inference.windows import as_data, spread_lines
 from rcorefine.models.conversion import under_control
 from rcorefine.progress import Progress
+from rcorefine.engine.free_runs import integrates
+from rcorefine.inference.assembly import offsets_everywhere
+from rcorefine.models.operating_point import ordered_record
+from rcorefine.refinement.refine import refit
 from rcorefine.refinement.base_fit import base_fit
 
 
@@ -30,6 +34,11 @@ def case_of(model, data, candidates=None, controller=None):
     model = under_control(model, controller, data)
     records = spread_lines(given)
     base = base_fit(model, records, **options)
+    ordered = [ordered_record(base.physical_model, r) for r in records]
+    offsets = {e.kind for e, role in zip(base.effects, base.roles) if role == "offset"}
+    if offsets and not integrates(base.physical_model.linear, ordered[0]):
+        everywhere = offsets_everywhere(base.physical_model, ordered)
+        base = refit(base, records, offsets=everywhere, elsewhere=False, tolerance=0.0, noise=None, horizon=None)
     return Case.prepare(base, records, candidates, options | {"candidates": None}, 0.01, Progress(), True)
 
 

@@ -91,7 +91,7 @@ def noise_of(residuals, outputs, steps):
         for dof in DOF:
             v, w, s2 = student(e[a.size - 1 :], dof)
             v = v * n / max(e.size - a.size + 1, 1) - 0.5 * (a.size - 1) * np.log(n) - price
-            if v > best[0] + 3.0:
+            if v > best[0]:
                 full = np.concatenate([np.full(a.size - 1, 1.0), w])
                 best = (v, a, s2, full, f"t{dof:g}")
         level = np.abs(y + row)  # what the model says
@@ -101,7 +101,7 @@ def noise_of(residuals, outputs, steps):
             w /= np.exp(np.mean(np.log(w)))
             v, b, variance = colored(row * w)
             v -= price
-            if v > best[0] + 3.0:
+            if v > best[0]:
                 best = (v, b, variance, w, f"proportional {share:g}")
         if step > 0:
             v = rounded(row - 0.0, step) - price

@@ -80,6 +80,7 @@ class Screen:
         self.jac = jac
         self.basis = Basis.of([j[:, :p][:, flat] for j in jac], [j[:, p:] for j in jac])
         r = white([b for b, _ in blocks], False)
+        self.held_sd = sd[~flat]
         held = np.concatenate([j[:, :p][:, ~flat] for j in jac]) * sd[~flat]
         theta, mean = fitted.theta[~flat], fitted.problem.prior_mean[~flat]
         self.held_at = (theta - mean) / sd[~flat]
@@ -224,7 +225,7 @@ class Screen:
         else:  # parameters that this screen's model holds
             theta[: len(mine)] = mine
             if with_params and finite.sum() == m:
-                theta[finite] = problem.prior_mean[finite] + u[:m] * self.number_sd
+                theta[finite] = problem.prior_mean[finite] + u[:m] * np.concatenate([self.held_sd, self.number_sd])
         # initial states and offsets: least squares of what is left
         p, p_old = problem.n_theta, self.fitted.problem.n_theta
         left = self.raw[:, 0] + (self.raw[:, columns] / self.scale[columns]) @ u if columns else self.raw[:, 0]
@@ -248,14 +249,29 @@ class Screen:
         return values, theta, starts
 
 
+def argument(effect):
+    """What a law is a static curve of: laws of one argument at one place are together one curve."""
+    spec = effect.spec
+    if spec.at_channel:
+        return "signal" if not (spec.delays or spec.linear) else ""
+    if spec.inner_states or not spec.needs:
+        return ""
+    if spec.needs == {"velocity"}:
+        return "jump" if spec.jumps else "velocity"
+    return "position" if spec.needs == {"position"} else ""
+
+
 def compatible(chosen, group):
-    """Whether a group may stand beside others: one member of a family at a place, one lag a set."""
+    """Whether a group may stand beside others: one curve of an argument at a place, one lag a set."""
     e = group.effect
     lag = e.spec.delays or "lag" in e.kind or "smoothing" in e.kind
     for g in chosen:
         o = g.effect
-        if o.place == e.place and (o.kind == e.kind or o.kind in e.spec.contains or e.kind in o.spec.contains):
-            return False
+        if o.place == e.place:
+            if o.kind == e.kind or o.kind in e.spec.contains or e.kind in o.spec.contains:
+                return False
+            if argument(e) and argument(e) == argument(o):
+                return False
         if lag and (o.spec.delays or "lag" in o.kind or "smoothing" in o.kind):
             return False
     return True

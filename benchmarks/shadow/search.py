@@ -11,11 +11,14 @@ from hypotheses import FITTED_SPREAD, Trial, measured, parameters_of, score, ste
 from noise import noise_of
 from screening import Screen, compatible
 
+from rcorefine.diagnosis.beside import Beside
 from rcorefine.diagnosis.case import Case, not_held
 from rcorefine.diagnosis.floating import is_number
 from rcorefine.diagnosis.residual_tests import TestedResidual, run_tests
 from rcorefine.diagnosis.starts import plain_cost
 from rcorefine.diagnosis.verdict import overall
+from rcorefine.effects.along_motion import unit_forces
+from rcorefine.engine.point import forces_at_rest, resting
 from rcorefine.engine.structure import Structure
 from rcorefine.inference.descent import descend
 from rcorefine.inference.fitted import FittedModel, fitted_from
@@ -23,6 +26,7 @@ from rcorefine.inference.sensitivities import candidate_columns
 from rcorefine.inference.search import step_matters
 from rcorefine.inference.starts import estimated_motion
 from rcorefine.inference.whitening import Whitener
+from rcorefine.models.operating_point import sensed
 from rcorefine.refinement.base_fit import base_fit
 
 STRONG = 75.0
@@ -40,6 +44,7 @@ class Search:
         self.trials = []
         self._tested, self._polished, self._kept = {}, set(), []
         self._pruned = set()
+        self.odds = {}
         self.price = np.log(max(len(case.library), 2))
 
     def clock(self, name, start):
@@ -73,7 +78,9 @@ class Search:
         return score(trial, self.base_residual, self.steps, trial.base.problem.n_theta, self.span(trial.base))
 
     def empty(self, base):
-        return self.scored(Trial((), base, base.problem, base.point, base.blocks()))
+        gain = base.gain(0.0)
+        run = descend(base.problem, base.point, gain=gain, evaluations=1)
+        return self._under_own_noise((), base, base.problem, run, gain, 8)
 
     # ------------------------------------------------------------ refits
     def refit(self, effects, base, starts, *, known=(), led=False, evaluations=(8, 8)):
@@ -328,6 +335,8 @@ class Search:
                 effects = (*trial.effects, *(g.effect for g in groups))
                 if frozenset(effects) in tried or len(effects) > 5:
                     continue
+                if not all(compatible([Named(e) for e in trial.effects], g) for g in groups):
+                    continue
                 tried.add(frozenset(effects))
                 values, _, _ = screen.start(groups, False, fitted)
                 problem, absent = base.extended(list(effects), self.motion)
@@ -463,7 +472,17 @@ class Search:
         rest = not_held(self.case.library, fitted.structure.effects)
         motions = [estimated_motion(fitted.structure, fitted.theta, m.data) for m in self.case.motions]
         scored = candidate_columns(fitted, rest, motions[0], (0.0,))
-        tests = run_tests(TestedResidual(fitted), scored, motions)
+        battery = TestedResidual(fitted)
+        tests = run_tests(battery, scored, motions)
+        odds = -np.inf  # of a force of no law at the places of the effects, over the laws
+        if self.fitted.problem.in_time and overall(tests) >= self.case.significance:
+            for place in dict.fromkeys(e.place for e in trial.effects):
+                size = force_at(trial, place)
+                if size is not None:
+                    beside = Beside(battery, place)
+                    tests += beside.tests()
+                    odds = np.logaddexp(odds, beside.odds(size))
+        self.odds[id(trial)] = float(odds)
         self.clock("tests", t)
         return overall(tests), tests
 
@@ -476,6 +495,13 @@ class Search:
             if key not in rows or rows[key][0] < value:
                 rows[key] = value, trial
         return sorted(rows.values(), key=lambda row: -row[0])
+
+
+class Named:
+    """An effect where a group is expected."""
+
+    def __init__(self, effect):
+        self.effect = effect
 
 
 def as_fitted(trial: Trial) -> FittedModel:
@@ -498,3 +524,30 @@ def as_fitted(trial: Trial) -> FittedModel:
     found = FittedModel(refinement, problem, trial.point, trial.base.tolerance, trial.base.force_at)
     found._blocks[0.0] = trial.blocks
     return found
+
+
+def force_at(trial, place):
+    """Force of all effects of a trial at a port, along the motion (N,); None where it is none."""
+    problem, structure = trial.problem, trial.problem.structure
+    if place not in [port.name for port in structure.model.ports]:
+        return None
+    first = len(structure.effects) - len(trial.effects)
+    theta, starts = problem.unpack(trial.point)
+    rest, parts = forces_at_rest(structure, theta), []
+    for engine, start in zip(problem.engines, starts, strict=True):
+        run = engine.run(theta, start, sensitivity=False, histories=True, check=False)
+        total = np.zeros(run.outputs.shape[1])
+        d, v = sensed(structure.model, place, run.states, engine.data.inputs)
+        for k, effect in enumerate(structure.effects[first:], first):
+            if effect.place != place:
+                continue
+            if k in structure.port_effects:
+                at = list(structure.port_effects).index(k)
+                total = total + run.forces[at] - rest[at]
+            elif effect.spec.is_element:
+                unit = unit_forces(effect, d, v, [], rest=resting(structure, place))
+                if unit:
+                    total = total + theta[structure.position(k, effect.coefficients[0])] * unit[0]
+        parts.append(total)
+    found = np.concatenate(parts)
+    return found if np.isfinite(found).all() and found.any() else None

@@ -32,7 +32,7 @@ def verdict(search):
         if value < ordered[0][1][0] - np.log(1 / EXCLUDED):
             break
         p = search.tested(trial)[0]
-        if p < significance:
+        if p < significance or search.odds.get(id(trial), -np.inf) > np.log(1 / EXCLUDED):
             continue
         if not trial.effects:
             return ("parameters" if key else "adequate"), (), float(np.exp(value - total)), p
@@ -49,6 +49,7 @@ def verdict(search):
                         name = t.effects
                     mass = np.logaddexp(mass, v)
         prob = float(np.exp(mass - total))
+        prob /= 1.0 + np.exp(search.odds.get(id(trial), -np.inf))
         ties = [t.effects for _, (v, t) in ordered if v > ordered[0][1][0] - np.log(1 / EXCLUDED)]
         return ("effect" if prob >= 0.5 and len(ties) == 1 or prob >= NAMED else "ambiguous"), name, prob, p
     return "unexplained", (), float(np.exp(ordered[0][1][0] - total)), p0
