@@ -10,6 +10,7 @@ import numpy as np
 from hypotheses import FITTED_SPREAD, Trial, measured, parameters_of, score, steps_of
 from noise import noise_of
 from screening import Screen, compatible
+from verdict import eligible
 
 from rcorefine.diagnosis.beside import Beside
 from rcorefine.diagnosis.case import Case, not_held
@@ -45,6 +46,7 @@ class Search:
         self._tested, self._polished, self._kept = {}, set(), []
         self._pruned = set()
         self.odds = {}
+        self.substeps = 1
         self.price = np.log(max(len(case.library), 2))
 
     def clock(self, name, start):
@@ -86,6 +88,8 @@ class Search:
     def refit(self, effects, base, starts, *, known=(), led=False, evaluations=(8, 8)):
         """Refit a set of effects at a base, from the best of some starts."""
         problem, absent = base.extended(list(effects), self.motion)
+        if self.substeps > problem.substeps and not problem.structure.is_linear:
+            problem = problem.like(substeps=self.substeps)
         p0, structure = base.problem.n_theta, problem.structure
         first = len(structure.effects) - len(effects)
         held = [
@@ -179,7 +183,8 @@ class Search:
 
     @property
     def best(self):
-        return max(self.trials, key=self.posterior)
+        """The most probable of those whose every effect is determined."""
+        return max((x for x in self.trials if eligible(x)), key=self.posterior)
 
     # ------------------------------------------------------------ screening
     def screens(self, fitted, scored, with_numbers):
@@ -265,12 +270,14 @@ class Search:
                     rank += 1
                     self.set(groups, screen, base, tried)
             self.clock("sets", t)
+            self.cores()
             self.polish()
         for _ in range(self.rounds):
             if self.tested(self.best)[0] >= case.significance:
                 break
             before = self.posterior(self.best)
             self.relinearized(self.best, tried)
+            self.cores()
             self.polish()
             if self.posterior(self.best) <= before + 1.0:
                 break
@@ -365,6 +372,41 @@ class Search:
                 self.add(self.refit(effects, base, [], known=points))
         self.clock("relinearized", t)
 
+    def cores(self):
+        """Of the leading sets that hold undetermined members: the members that are determined."""
+        t = time.process_time()
+        for trial in sorted(self.trials, key=self.posterior)[::-1][:4]:
+            if eligible(trial) or len(trial.effects) < 2:
+                continue
+            sure = np.array(trial.surest()) >= 3.0
+            for kept in (np.flatnonzero(sure), *(np.delete(np.arange(len(sure)), i) for i in np.flatnonzero(~sure))):
+                if len(kept):
+                    self.without(trial, list(kept))
+        self.clock("cores", t)
+
+    def without(self, trial, kept):
+        """A trial with some of its effects, from where it stands."""
+        effects = tuple(trial.effects[k] for k in kept)
+        key = frozenset(effects), trial.base is self.fitted, id(trial)
+        if key in self._pruned or not effects:
+            return None
+        self._pruned.add(key)
+        problem, absent = trial.base.extended(list(effects), self.motion)
+        theta, starts = trial.problem.unpack(trial.point)
+        p0 = trial.base.problem.n_theta
+        first = len(trial.problem.structure.effects) - len(trial.effects)
+        own = [theta[k] for i in kept for k, q in enumerate(trial.problem.structure.parameters) if q.effect == first + i]
+        full = np.concatenate([theta[:p0], own])
+        states = np.zeros((len(problem.records), problem.n_states))
+        states[:, : trial.base.problem.n_states] = starts[:, : trial.base.problem.n_states]
+        if len(full) != problem.n_theta:
+            return None
+        same = [x for x in self.trials if frozenset(x.effects) == key[0] and x.base is trial.base]
+        again = self.refit(effects, trial.base, [], known=[problem.inside(problem.pack(full, states)), absent], evaluations=(10, 10))
+        if again is None or (same and self.posterior(again) <= max(self.posterior(x) for x in same)):
+            return None
+        return self.add(again)
+
     def prune(self):
         """The winner without each of its effects."""
         t = time.process_time()
@@ -372,28 +414,9 @@ class Search:
             best = self.best
             if len(best.effects) < 2:
                 break
-            weak = np.argsort(best.surest())
-            gone = False
-            for i in weak[:2]:
-                kept = [k for k in range(len(best.effects)) if k != i]
-                effects = tuple(best.effects[k] for k in kept)
-                if (frozenset(effects), id(best)) in self._pruned:
-                    continue
-                self._pruned.add((frozenset(effects), id(best)))
-                problem, absent = best.base.extended(list(effects), self.motion)
-                theta, starts = best.problem.unpack(best.point)
-                p0 = best.base.problem.n_theta
-                first = len(best.problem.structure.effects) - len(best.effects)
-                own = [theta[k] for k, q in enumerate(best.problem.structure.parameters) if q.effect - first in kept]
-                full = np.concatenate([theta[:p0], own])
-                point = problem.unpack(absent)[1] * 0 + best.base.problem.unpack(best.base.point)[1][:, :1] * 0
-                states = np.zeros((len(problem.records), problem.n_states))
-                n = best.base.problem.n_states
-                states[:, :n] = starts[:, :n]
-                if len(full) == problem.n_theta:
-                    trial = self.add(self.refit(effects, best.base, [], known=[problem.inside(problem.pack(full, states)), absent]))
-                    gone = gone or (trial is not None and self.best is trial)
-            if not gone:
+            for i in np.argsort(best.surest())[:2]:
+                self.without(best, [k for k in range(len(best.effects)) if k != i])
+            if self.best is best:
                 break
         self.clock("prune", t)
 
@@ -420,6 +443,7 @@ class Search:
                 if step_matters(problem, finer, run.point) < 0.25:
                     break
                 problem = finer
+                self.substeps = max(self.substeps, problem.substeps)
                 run = descended(problem, run.point, 6)
         structure = problem.structure
         first = len(structure.effects) - len(trial.effects)
@@ -445,8 +469,8 @@ class Search:
         """Polish the leaders until the order among them holds."""
         t = time.process_time()
         for _ in range(most):
-            top = max(self.posterior(x) for x in self.trials)
-            todo = [x for x in self.trials if x.effects and id(x) not in self._polished and self.posterior(x) > top - near]
+            top = self.posterior(self.best)
+            todo = [x for x in self.trials if x.effects and eligible(x) and id(x) not in self._polished and self.posterior(x) > top - near]
             if not todo:
                 break
             trial = max(todo, key=self.posterior)
