@@ -545,8 +545,14 @@ def as_fitted(trial: Trial) -> FittedModel:
         fit=trial.fit,
         rmse=np.sqrt(np.mean(errors**2, axis=1)),
     )
+    weights = trial.noise.weights if trial.noise is not None else []
+    blocks = trial.blocks
+    if any(np.ptp(w) > 0 for w in weights):
+        plain, problem = problem, problem.like()
+        problem.judged = lambda theta: [j * w for j, w in zip(plain.judged(theta), weights, strict=True)]
+        blocks = [(w * r, w[:, :, None] * j) for w, (r, j) in zip(weights, blocks, strict=True)]
     found = FittedModel(refinement, problem, trial.point, trial.base.tolerance, trial.base.force_at)
-    found._blocks[0.0] = trial.blocks
+    found._blocks[0.0] = blocks
     return found
 
 

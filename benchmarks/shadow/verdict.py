@@ -16,8 +16,9 @@ def verdict(search):
     """(word, effects named, probability, p-value)."""
     significance = search.case.significance
     rows = [(search.posterior(t), t) for t in search.trials if eligible(t)]
-    by_set = {}
+    by_set, variants = {}, {}
     for value, trial in rows:
+        variants.setdefault(frozenset(trial.effects) if trial.effects else trial.base is not search.fitted, []).append((value, trial))
         key = frozenset(trial.effects) if trial.effects else trial.base is not search.fitted
         old = by_set.get(key)
         best = trial if old is None or value > search.posterior(old[1]) else old[1]
@@ -31,9 +32,12 @@ def verdict(search):
     for key, (value, trial) in ordered[:4]:
         if value < ordered[0][1][0] - np.log(1 / EXCLUDED):
             break
-        p = search.tested(trial)[0]
-        if p < significance or search.odds.get(id(trial), -np.inf) > np.log(1 / EXCLUDED):
+        likely = sorted((x for x in variants[key] if x[0] > value - np.log(1 / EXCLUDED)), key=lambda x: -x[0])[:3]
+        fine = [t for _, t in likely if search.tested(t)[0] >= significance and not search.odds.get(id(t), -np.inf) > np.log(1 / EXCLUDED)]
+        if not fine:
             continue
+        trial = fine[0]
+        p = search.tested(trial)[0]
         if not trial.effects:
             return ("parameters" if key else "adequate"), (), float(np.exp(value - total)), p
         # the simplest member of its family within 20:1, with the probability of the family
