@@ -215,14 +215,9 @@ def _simulated(side: _Side, plan: Plan, steps: int) -> Measurement:
 
 
 def _record(shell: Measurement, outputs: Array, structure: Structure) -> Measurement:
-    return Measurement(
-        shell.inputs,
-        outputs,
-        dt=shell.dt,
-        hold=shell.hold,
-        input_labels=structure.linear_model.input_labels,
-        output_labels=structure.linear_model.output_labels,
-    )
+    linear = structure.linear_model
+    labels = {"input_labels": linear.input_labels, "output_labels": linear.output_labels}
+    return Measurement(shell.inputs, outputs, dt=shell.dt, hold=shell.hold, **labels)
 
 
 class _Fit:
