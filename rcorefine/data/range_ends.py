@@ -25,7 +25,7 @@ def resolution(y: Array) -> float:
 
 def coarse_noise(y: Array) -> float:
     """Standard deviation of white noise on a signal (N,) that is smooth beside it, outliers left out."""
-    return 1.4826 * float(np.median(np.abs(np.diff(y, 2)))) / np.sqrt(6.0)
+    return float(1.4826 * np.median(np.abs(np.diff(y, 2))) / np.sqrt(6.0))
 
 
 def runs(at: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

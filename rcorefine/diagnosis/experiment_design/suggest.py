@@ -215,11 +215,8 @@ class _Judge:
             probability=0.0 if failed else result.probability,
             wrong=0.0 if failed else result.wrong,
             distance=0.0 if failed else float(min(pairs)),
-            reach=float(reach),
-            reach_where=where,
-            inputs=record.inputs,
-            failed=failed,
-        )
+            reach=float(reach), reach_where=where, inputs=record.inputs, failed=failed,
+        )  # fmt: skip
 
     def _judged(self, proposal: Proposal) -> Separation:
         noise, whitener = self.levels, self.whitener
