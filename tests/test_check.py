@@ -186,7 +186,7 @@ def test_a_level_that_the_model_does_not_explain():
 def test_offset_drift_spikes_dropouts_clipping_steps():
     w, rng = drive(), np.random.default_rng(3)
     y = noisy(w)
-    assert "operating point" in look(w, y + 24.0)["offset"].sentence
+    assert "operating point" in look(w, y + 24.0)["level"].sentence
     assert look(w, y + 2.0 * y.std() * np.linspace(-0.5, 0.5, N))["drift"].status == "look"
     spiky = y.copy()
     spiky[rng.permutation(N)[:20]] += 5 * y.std()
@@ -289,7 +289,9 @@ def test_a_diagnosis_says_first_what_is_odd():
     clipped = [row for row in found.checks if row.what == "clipping"]
     assert [row.where for row in clipped] == ["y, record 1", "y, record 2"]
     lines = str(found).splitlines()
-    assert lines[1].startswith("LOOK: record 1: y stays at exactly")
+    first = next(i for i, line in enumerate(lines) if line.startswith("LOOK: record 1: y stays at exactly"))
+    assert lines[0] == f"Diagnosis: {found.verdict.upper()}"
+    assert " ".join(lines[1:first]) == found.sentences()[0]  # the answer comes before
     assert not any("stays at exactly" in note for note in found.notes)
     quiet = rco.diagnose(MODEL, rco.Measurement(w, y, dt=DT), candidates=laws[1:])
     assert quiet.checks == ()
@@ -315,3 +317,136 @@ def test_a_slow_actuator_is_no_unit_and_no_sign(seed):
     slow = ct.forced_response(MODEL, np.arange(w.size) * DT, late).outputs
     rows = look(w, slow + 0.02 * slow.std() * np.random.default_rng(seed).standard_normal(w.size))
     assert not {"units", "sign"} & set(rows)
+
+
+def test_a_lag_makes_no_swapped_wire():
+    """A quarter of a period late, a sine is as much ahead with the other sign: the sign is not known."""
+    t, period = DT * np.arange(N), 50 * DT
+    static = ct.ss([], [], [], [[1.0]], inputs=["u"], outputs=["y"])
+    w = np.sin(2 * np.pi * t / period)
+    for late in (0.2, 0.24, 0.27):
+        y = np.sin(2 * np.pi * (t / period - late)) + 0.02 * np.random.default_rng(1).standard_normal(N)
+        rows = look(w, y, static)
+        assert rows
+        assert not [row for row in rows.values() if row.status == "stop"]
+    assert look(w, 0.02 * np.random.default_rng(1).standard_normal(N) - w, static)["sign"].status == "stop"
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-18, 1e-15])
+@pytest.mark.parametrize("constant", [0.0, 1.0])
+def test_without_motion_of_the_input_no_gain_and_no_delay_is_read(size, constant):
+    w = constant + size * drive()
+    y = ct.forced_response(MODEL.sample(DT), np.arange(N) * DT, np.full(N, constant), [1.0, 0.0]).outputs
+    rows = look(w, y + 0.01 * np.random.default_rng(1).standard_normal(N))
+    assert not {"gain", "delay", "sign", "units"} & {what for what, row in rows.items() if row.where == "y"}
+
+
+TANK = ct.ss([[0.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["y"])
+
+
+@pytest.mark.parametrize("level", [0.0, 1.5, 50.0])
+def test_an_integrator_stands_anywhere(level):
+    """An initial state holds any level, so none tells a record above a point from an absolute one."""
+    w = drive()
+    y = level + np.cumsum(w) * DT - w * DT + 0.02 * np.random.default_rng(2).standard_normal(N)
+    about = rco.physical(TANK, operating_point={"inputs": [0.0], "states": [5.0], "outputs": [5.0]})
+    for model in (TANK, about):
+        assert not {"level", "offset", "gain"} & set(look(w, y, model))
+
+
+def test_a_level_belongs_to_its_output_in_any_order():
+    w = drive()
+    two = ct.ss(np.diag([-1.0, -2.0]), [[1.0], [1.0]], np.eye(2), 0, inputs=["u"], outputs=["y", "z"])
+    point = {"inputs": [0.0], "states": [5.0, 0.0], "outputs": [5.0, 0.0]}
+    y = ct.forced_response(two.sample(DT), np.arange(N) * DT, w).outputs
+    data = rco.Measurement(w, y[::-1], dt=DT, input_labels="u", output_labels=["z", "y"])
+    found = rco.check(rco.physical(two, operating_point=point), data, information=False)
+    assert [row.where for row in found.looks if row.what == "level"] == ["y"]
+
+
+def test_one_level_is_said_once():
+    w = drive()
+    y = noisy(w)
+    rows = rco.check(MODEL, rco.Measurement(w, y + 1.25 * y.std(), dt=DT), information=False).looks
+    assert [row.what for row in rows] == ["level"]
+    two = ct.ss(MODEL.A, MODEL.B, np.eye(2), 0)
+    both = ct.forced_response(two.sample(DT), np.arange(N) * DT, w).outputs
+    both = both + both.std(axis=1, keepdims=True) * np.random.default_rng(1).normal(
+        [[1.0], [2.0]], 0.02, (2, N)
+    )
+    rows = rco.check(two, rco.Measurement(w, both, dt=DT), information=False).looks
+    assert [(row.what, row.where) for row in rows] == [("level", "y[0]"), ("level", "y[1]")]
+
+
+@pytest.mark.parametrize("step", [0.5, 0.36])
+def test_few_levels_are_said_however_fast_the_signal(step):
+    """An output that moves as fast as white noise: its steps are no larger than what it does anyway."""
+    w = np.random.default_rng(5).standard_normal(N)
+    static = ct.ss([], [], [], [[2.0]], inputs=["u"], outputs=["y"])
+    y = 2 * w + 0.02 * np.random.default_rng(6).standard_normal(N)
+    coarse = np.round(y / (step * y.std())) * step * y.std()
+    row = look(w, coarse, static)["resolution"]
+    assert row.figure.startswith(f"{np.unique(coarse).size} levels")
+    assert "resolution" not in look(w, y, static)
+    assert "resolution" not in look(w, np.round(y / (0.02 * y.std())) * 0.02 * y.std(), static)
+
+
+@pytest.mark.parametrize("shape", [np.abs, lambda y: np.maximum(y, 0.0), lambda y: np.minimum(y, 0.0)])
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_a_rectified_output(shape, noise):
+    w = drive()
+    y = shape(noisy(w))
+    rows = look(w, y + noise * y.std() * np.random.default_rng(3).standard_normal(N))
+    assert set(rows) == {"rectified"}
+    assert "never changes sign" in rows["rectified"].sentence
+
+
+def test_an_absolute_output_is_not_rectified():
+    w = drive()
+    assert set(look(w, noisy(w) + 4.0)) == {"level"}
+    position = np.cumsum(w) * DT - w * DT  # of an integrator, which begins where the record does
+    assert not look(w, position - position.min() + 0.01 * np.random.default_rng(1).standard_normal(N), TANK)
+
+
+SLIDE = ct.ss([[0, 1], [-2, -4]], [[0], [40]], [[1, 0]], [[0]], inputs=["u"], outputs=["y"])
+
+
+def stopped(w, limit):
+    """A slide between two stops that do not throw it back, by small Euler steps."""
+    x, v, run = 0.0, 0.0, []
+    for value in w:
+        run.append(x)
+        for _ in range(20):
+            x, v = x + DT / 20 * v, v + DT / 20 * (40 * value - 2 * x - 4 * v)
+            if abs(x) > limit:
+                x, v = np.sign(x) * limit, 0.0
+    return np.array(run)
+
+
+def test_a_record_that_dwells_at_both_ends():
+    w = np.repeat(np.random.default_rng(4).standard_normal(N // 25), 25)
+    free = stopped(w, np.inf)
+    noise = 0.01 * free.std() * np.random.default_rng(1).standard_normal(N)
+    rows = look(w, stopped(w, 0.6 * free.std()) + noise, SLIDE)
+    assert set(rows) == {"stops"}
+    assert "stops" not in look(w, free + noise, SLIDE)
+    # where the input dwells, what settles dwells too, however slow the model
+    square = np.repeat(np.random.default_rng(5).choice([-1.0, 1.0], N // 100), 100)
+    fast = ct.forced_response(ct.tf([1], [0.1, 1]), np.arange(N) * DT, square).outputs
+    assert "stops" not in look(square, fast + 0.01 * noise, ct.ss([[-0.5]], [[0.5]], [[1.0]], [[0.0]]))
+
+
+def test_what_the_verdict_explains_is_not_printed_with_it():
+    """A gain that is named is no warning beside its name; it stays in `checks`."""
+    w = drive()
+    data = rco.Measurement(w, 1.3 * noisy(w), dt=DT, input_labels="u", output_labels="y")
+    found = rco.diagnose(MODEL, data, candidates=[rco.Effect("output_gain", "y")])
+    assert found.verdict in ("effect", "parameters")
+    assert [row.what for row in found.checks] == ["gain"]
+    assert "LOOK" not in str(found)
+    rows = [rco.CheckRow("look", what, "y", "1", f"{what}.") for what in ("gain", "clipping", "resolution")]
+    rows.append(rco.CheckRow("stop", "units", "y", "1", "units."))
+    assert [line.split(": ")[0] for line in warned(rows, True, ["y"])] == ["LOOK", "STOP"]
+    assert warned(rows, True, ["y"])[0] == "LOOK: resolution."
+    assert "clipping" in warned(rows, True)[0]
+    assert "gain" in warned(rows)[0]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import control as ct
 import numpy as np
 import pytest
@@ -82,3 +84,83 @@ def test_plain_dry_friction_is_the_same_to_both_sides_and_nothing_hangs(measured
     assert "dry" in laws
     assert "dry by direction" not in laws
     assert not any(row.measure == "dropout" for row in found)  # it stands still where friction holds it
+
+
+STEPS = np.repeat(np.random.default_rng(0).standard_normal(400), 5)  # an input
+SPRING = ct.ss([[0, 1], [-40, -2]], [[0], [40]], [[1, 0]], [[0]], inputs="u", outputs="y", name="spring")
+
+
+def response(w=STEPS, noise=0.02, bent=lambda y: y):
+    y = bent(ct.forced_response(SPRING.sample(STEP), U=w).outputs)
+    y = y + noise * y.std() * np.random.default_rng(1).standard_normal(y.size)
+    return Measurement(w, y, dt=STEP, input_labels="u", output_labels="y")
+
+
+@pytest.mark.parametrize("pole", [1.003, 1.01])
+def test_a_run_that_leaves_the_record_is_no_limit_of_the_sensor(pole):
+    """The record goes from -3 to 3 and the run of this model to 1e2 or 1e6: no sensor is cut off there."""
+    model = ct.ss([[pole]], [[1.0]], [[1.0]], [[0.0]], STEP, inputs="u", outputs="y")
+    found = rco.compare(model, response(), x0="zero").failures
+    assert len(found) > 0
+    assert not [row for row in found if row.measure == "clipping"]
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_an_output_that_goes_on_is_not_cut_off(side):
+    """A sensor of another gain on one side: the record goes far beyond zero on both."""
+    data = response(bent=lambda y: np.where(side * y > 0, 3 * y, y))
+    found = rco.compare(SPRING, data).failures
+    assert len(found) > 0
+    assert not [row for row in found if row.measure == "clipping"]
+
+
+def test_a_cut_off_output_is_said_with_the_record_s_own_limits():
+    high, low = 0.9, -0.6
+    data = response(bent=lambda y: np.clip(y, low, high))
+    rows = [row for row in rco.compare(SPRING, data).failures if row.measure == "clipping"]
+    assert rows
+    limits = {"above": high, "below": low}
+    for row in rows:
+        if row.values["side"] in limits:
+            assert row.values["limit"] == pytest.approx(limits[row.values["side"]], rel=0.03)
+
+
+@pytest.mark.parametrize("power", [1.0, 1.5])
+def test_an_input_of_one_sign_has_no_sides(power):
+    w = np.abs(STEPS) + 0.2
+    made = response(1.3 * w**power)
+    found = rco.compare(SPRING, Measurement(w, made.outputs, dt=STEP)).failures
+    said = " ".join(row.sentence for row in found)
+    assert "two sides" not in said
+    assert "both signs" not in said
+    assert "both sides" not in said
+    assert found[0].measure == ("gain" if power == 1.0 else "curvature")
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_poles_at_zero_are_no_modes_and_warn_of_nothing(order):
+    model = ct.ss(np.eye(order, k=1), np.eye(order)[:, [-1]], np.eye(order)[[0]], 0, name="integrator")
+    w = STEPS
+    y = ct.forced_response(ct.tf([1], [1, 0.4]).sample(STEP, "zoh"), U=w).outputs
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        found = rco.compare(model, Measurement(w, y, dt=STEP)).failures
+    assert not [row for row in found if row.measure in ("mode", "modes", "corner")]
+
+
+def test_a_free_decay_has_no_gain():
+    """What an input of 1e-17 drives is rounding beside the initial state, and no gain is 1e17."""
+    y = ct.forced_response(SPRING.sample(STEP), U=0 * STEPS, X0=[1.0, 0.0]).outputs
+    y = y + 0.02 * y.std() * np.random.default_rng(1).standard_normal(y.size)
+    found = rco.compare(SPRING, Measurement(1e-17 * STEPS, y, dt=STEP)).failures
+    assert len(found) == 0
+
+
+def test_how_much_louder_a_stretch_is_has_an_end():
+    w = STEPS.copy()
+    y = ct.forced_response(SPRING.sample(STEP), U=w).outputs
+    y[900:1000] += np.sin(np.arange(100))
+    y += 1e-9 * np.random.default_rng(2).standard_normal(y.size)
+    found = rco.compare(SPRING, Measurement(w, y, dt=STEP)).failures
+    (row,) = [row for row in found if row.measure == "error level"]
+    assert "more than 1000 times" in row.sentence

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ..systems.linear import Array
 
-__all__ = ["clipped", "cut_off", "longest_run", "resolution", "runs"]
+__all__ = ["clipped", "coarse_noise", "cut_off", "resolution", "runs"]
 
 _RUN = 4  # samples in a row that make a standstill
 _STEPS = 3.0  # of the converter by which a smooth signal may leave a peak that it shows as flat
@@ -23,16 +23,15 @@ def resolution(y: Array) -> float:
     return float(apart.min()) if apart.size else 0.0
 
 
+def coarse_noise(y: Array) -> float:
+    """Standard deviation of white noise on a signal (N,) that is smooth beside it, outliers left out."""
+    return float(1.4826 * np.median(np.abs(np.diff(y, 2))) / np.sqrt(6.0))
+
+
 def runs(at: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """First sample and end (exclusive) of each run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], at.astype(np.int8), [0]])))
     return edges[::2], edges[1::2]
-
-
-def longest_run(at: NDArray[np.bool_]) -> int:
-    """Length of the longest run of True."""
-    first, end = runs(at)
-    return int((end - first).max(initial=0))
 
 
 def cut_off(y: Array, limit: float) -> bool:
@@ -77,5 +76,6 @@ def clipped(y: Array) -> tuple[float, int] | None:
     for level in (float(y.max()), float(y.min())):
         at = y == level
         if at.mean() >= _CLIPPED and cut_off(y, level):
-            return level, longest_run(at)
+            first, end = runs(at)
+            return level, int((end - first).max())
     return None

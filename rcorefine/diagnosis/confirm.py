@@ -130,15 +130,9 @@ def confirm(
     names = tuple(model.parameters[i].name for i in own)
     labels = [f"{row.kind} at {row.place}" for row in (model.parameters[i] for i in own)]
     verdict = "confirmed" if p_value >= significance else "refuted"
-    return Confirmation(
-        verdict,
-        p_value,
-        names,
-        tuple(model.parameters[i].unit for i in own),
-        tuple(estimates),
-        significance,
-        _message(verdict, list(dict.fromkeys(labels)), estimates, p_value, significance),
-    )
+    units = tuple(model.parameters[i].unit for i in own)
+    message = _message(verdict, list(dict.fromkeys(labels)), estimates, p_value, significance)
+    return Confirmation(verdict, p_value, names, units, tuple(estimates), significance, message)
 
 
 def _others(model: Refinement, candidates: Sequence[Effect] | None) -> list[Effect]:
@@ -176,17 +170,14 @@ def _estimates(
         if i:
             difference = fitted.theta[own] - alone[0][0].theta[own]
             agreement = wald(difference, alone[0][1][block] + C[block])
+        name = records[i].name if len({r.name for r in records}) > 1 else f"record {i + 1}"
+        residual = min(1.0, min(valid, default=1.0) * len(valid))
         estimates.append(
             RecordEstimate(
-                name=records[i].name if len({r.name for r in records}) > 1 else f"record {i + 1}",
-                level=levels[i] / levels[0],
-                coefficients=fitted.theta[own],
-                std=standard_deviations(C)[own],
-                agreement=agreement,
-                tests=tuple(tests),
-                residual=min(1.0, min(valid, default=1.0) * len(valid)),
+                name, levels[i] / levels[0], fitted.theta[own], standard_deviations(C)[own], agreement,
+                tuple(tests), residual,
             )
-        )
+        )  # fmt: skip
     return estimates
 
 

@@ -223,14 +223,8 @@ def _library(battery: TestedResidual, candidates: Sequence[Candidate], left_out:
     if not tests:
         return FTest("library", 0.0, 0, 1.0, 0.0, 1.0)
     best, count = min(tests, key=lambda t: t.p_value), len(tests) + left_out
-    return FTest(
-        f"library (most: {best.name})",
-        best.statistic,
-        best.dof,
-        min(1.0, best.p_value * count),
-        best.gain,
-        min(1.0, min(t.p_equal for t in tests) * count),
-    )
+    p_value, p_equal = (min(1.0, p * count) for p in (best.p_value, min(t.p_equal for t in tests)))
+    return FTest(f"library (most: {best.name})", best.statistic, best.dof, p_value, best.gain, p_equal)
 
 
 def _parameters(battery: TestedResidual, motion: Motion) -> FTest:

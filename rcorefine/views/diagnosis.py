@@ -33,7 +33,11 @@ _SHOWN = 8
 @tells(Diagnosis)
 def diagnosis_told(found: Diagnosis) -> Told:
     """The verdict in words, and the ranking."""
-    above = [f"Diagnosis: {found.verdict.upper()}", *warned(found.checks), *found.sentences()]
+    explained = found.verdict in ("adequate", "parameters", "effect")
+    places = () if found.best is None else (found.best.effect.place,)
+    answer, *more = found.sentences()
+    odd = warned(found.checks, explained, places)
+    above = [f"Diagnosis: {found.verdict.upper()}", answer, *odd, *more]
     title, following = f"Diagnosis: {found.verdict}", f"Next: {next_step(found)}"
     if found.floated is not None:
         return above, estimates_table(found.parameters, title, [*above[1:], following]), [following]
@@ -43,15 +47,9 @@ def diagnosis_told(found: Diagnosis) -> Told:
     rows = []
     for row in found.ranking[:_SHOWN]:
         first = next(iter(row.coefficients))
-        rows.append(
-            [
-                row.effect.label,
-                *estimate(row.coefficients[first], row.std[first]),
-                f"{row.fit_after:.2f}",
-                chance(row.p_value),
-                *([f"{row.probability:.3f}"] if named else []),
-            ]
-        )
+        value, fit = estimate(row.coefficients[first], row.std[first]), f"{row.fit_after:.2f}"
+        probability = [f"{row.probability:.3f}"] if named else []
+        rows.append([row.effect.label, *value, fit, chance(row.p_value), *probability])
     if rows and named:
         rows.append(["none of these", "", "", "", "", f"{found.none_of_these:.3f}"])
     if found.open_law is not None:

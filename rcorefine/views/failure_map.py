@@ -194,12 +194,8 @@ def _motions(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[A
             centers.append(float(motion[cell == c].mean()))
             means.append(float(np.median(inside)))
             # neighbors in time say the same: a tenth of the samples counts
-            spreads.append(
-                2.0
-                * 1.4826
-                * float(np.median(np.abs(inside - np.median(inside))))
-                / np.sqrt(max(inside.size / 10.0, 1.0))
-            )
+            scatter = 1.4826 * float(np.median(np.abs(inside - np.median(inside))))
+            spreads.append(2.0 * scatter / np.sqrt(max(inside.size / 10.0, 1.0)))
     drawn += list(axis.errorbar(centers, means, spreads, color="#7b3294", marker="o", markersize=3.5,
                                 linewidth=1.2, capsize=2, zorder=3).lines[:1])  # fmt: skip
     # where a free run begins the estimate has no past yet: its first samples are not to set the scale

@@ -27,7 +27,8 @@ def improvement_told(found: Improvement) -> Told:
             value = with_error(step.coefficients[key], step.std[key])
         errors = (step.train_rmse, step.choice_rmse, step.validation_rmse)
         rows.append([f"{i} {step.name}", value, *(f"{root_mean_square(e):.4g}" for e in errors)])
-    odd, said = warned(found.checks), found.sentences()
+    odd = warned(found.checks, found.verdict in ("adequate", "parameters"), [e.place for e in found.effects])
+    said = found.sentences()
     above = [f"Improvement in {counted(len(found.steps) - 1, 'step')}: {found.verdict.upper()}", *odd]
     following = f"Next: {next_step(found)}"
     table = Table(headers, rows, f"Improvement: {found.verdict}", [*odd, *said, following])

@@ -52,12 +52,28 @@ _SHAPES: tuple[tuple[str, Callable[[Array, float], Array], str, str], ...] = (
         "{n} has a part in its square: both signs push the same way.",
     ),
 )
+# An input of one sign has no sides.
+_ONE_SIDED: tuple[tuple[str, Callable[[Array, float], Array], str, str], ...] = (
+    (
+        "curvature",
+        lambda w, spread: w**2 / spread,
+        "large |{n}|",
+        "{n} acts by another factor where it is large than where it is small.",
+    ),
+)
+_OTHER_SIGN = 0.01  # of an input's energy: with less of it, the input has one sign
 
 
 def input_laws(scene: ModelOnRecord) -> list[Finding]:
     """Static laws at each input: dead zone, saturation, unequal sides, odd and even distortion."""
-    varied = [j for j, w in enumerate(scene.data.inputs) if np.ptp(w) != 0.0]
-    return [finding for j in varied for finding in (*_with_level(scene, j), *_with_shape(scene, j))]
+    found = []
+    for j, w in enumerate(scene.data.inputs):
+        if np.ptp(w) != 0.0:
+            # what says no more than this is but the gain
+            least = scene.evidence.linear(scene.driven([(j, w)])).gain + float(np.log(scene.n_samples))
+            every = (*_with_level(scene, j), *_with_shape(scene, j))
+            found += [finding for finding in every if finding.explanation.gain > least]
+    return found
 
 
 def _with_level(scene: ModelOnRecord, j: int) -> Iterator[Finding]:
@@ -66,15 +82,12 @@ def _with_level(scene: ModelOnRecord, j: int) -> Iterator[Finding]:
     levels = levels[levels > 0]
     if levels.size < 3:
         return
-    plain = scene.evidence.linear(scene.driven([(j, w)]))
     for kind, law, where, sentence in _LEVELS:
 
         def shape(g: float, law: Callable[[Array, float], Array] = law) -> Array:
             return scene.driven([(j, law(w, g))])[0]
 
         one = scene.evidence.searched(shape, levels[::2], scaled=True)
-        if one.gain <= plain.gain + np.log(scene.n_samples):
-            continue  # it is but the gain: the level lies where the input hardly comes
         g = float(one.values[-1])
         text = {"n": name, "g": f"{g:.3g}{' ' + unit if unit else ''}"}
         values = {"input": name, "level": g, "factor": float(one.values[0]), "kind": kind}
@@ -83,8 +96,10 @@ def _with_level(scene: ModelOnRecord, j: int) -> Iterator[Finding]:
 
 def _with_shape(scene: ModelOnRecord, j: int) -> Iterator[Finding]:
     w, name = scene.data.inputs[j], scene.data.input_labels[j]
-    columns = scene.driven([(j, shape(w, float(w.std()))) for _, shape, _, _ in _SHAPES])
-    for (kind, _, where, sentence), column in zip(_SHAPES, columns, strict=True):
+    energy = float(np.sum(np.maximum(w, 0.0) ** 2)) / float(w @ w)
+    shapes = _SHAPES if _OTHER_SIGN < energy < 1.0 - _OTHER_SIGN else _ONE_SIDED
+    columns = scene.driven([(j, shape(w, float(w.std()))) for _, shape, _, _ in shapes])
+    for (kind, _, where, sentence), column in zip(shapes, columns, strict=True):
         yield Finding(
             "amplitude", where.format(n=name), kind, scene.evidence.linear([column]), 1, 3,
             sentence.format(n=name), {"input": name, "kind": kind},
@@ -120,17 +135,13 @@ def level_dependence(scene: ModelOnRecord) -> list[Finding]:
             best, dof = every, 10
         own = Explanation(best.fit - base.fit, best.gain - base.gain, best.values)
         name = scene.named(i)
+        near = frequency_text(float(centers[k]))
         found.append(
             Finding(
-                "amplitude",
-                f"{name} near {frequency_text(float(centers[k]))}",
-                "level dependence",
-                own,
-                dof,
-                centers.size,
-                f"Near {frequency_text(float(centers[k]))} the response of {name} changes with its level: "
-                "it does not scale, so the system is not linear there.",
+                "amplitude", f"{name} near {near}", "level dependence", own, dof, centers.size,
+                f"Near {near} the response of {name} changes with its level: it does not scale, so the "
+                "system is not linear there.",
                 {"output": name, "omega": float(centers[k]), "kind": "level"},
             )
-        )
+        )  # fmt: skip
     return found

@@ -85,24 +85,12 @@ def _band(scene: ModelOnRecord, i: int, centers: Array, columns: list[Array]) ->
         last += 1
     low = float(np.sqrt(centers[a + first] * centers[max(a + first - 1, 0)])) if a + first else 0.0
     high = float(np.sqrt(centers[a + last] * centers[min(a + last + 1, centers.size - 1)]))
-    name = scene.named(i)
+    name, center, phase = scene.named(i), float(centers[a + strongest]), float(np.angle(factor))
+    ends = frequency_text(low), frequency_text(high)
     return Finding(
-        "frequency",
-        f"{frequency_text(low)} ... {frequency_text(high)}, {name}",
-        "band",
-        one,
-        2 * (b - a),
-        centers.size,
-        f"{name} differs from the model between {frequency_text(low)} and {frequency_text(high)}: most near "
-        f"{frequency_text(float(centers[a + strongest]))}, where it is {abs(factor):.3g} times as large and "
-        f"{phase_text(float(np.angle(factor)))} the model.",
-        {
-            "low": low,
-            "high": high,
-            "output": name,
-            "center": float(centers[a + strongest]),
-            "factor": abs(factor),
-            "phase": float(np.angle(factor)),
-            "kind": "band",
-        },
-    )
+        "frequency", f"{ends[0]} ... {ends[1]}, {name}", "band", one, 2 * (b - a), centers.size,
+        f"{name} differs from the model between {ends[0]} and {ends[1]}: most near {frequency_text(center)}, "
+        f"where it is {abs(factor):.3g} times as large and {phase_text(phase)} the model.",
+        {"low": low, "high": high, "output": name, "center": center, "factor": abs(factor), "phase": phase,
+         "kind": "band"},
+    )  # fmt: skip

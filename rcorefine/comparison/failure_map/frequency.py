@@ -69,7 +69,7 @@ def find_modes(model: LinearModel) -> list[Mode]:
     order = np.argsort(np.abs(values))
     for i in order:
         pole = complex(values[i])
-        if pole.imag < 0 or pole.real > -1e-9 * abs(pole) or abs(pole) < 1e-9 * np.abs(values).max():
+        if pole.imag < 0 or pole.real >= -1e-9 * abs(pole) or abs(pole) < 1e-9 * np.abs(values).max():
             continue
         others = np.delete(values, i)
         if others.size and np.min(np.abs(others - pole)) < 1e-6 * abs(pole):
@@ -256,13 +256,11 @@ def _finding(
 
 def _moved(row: dict[str, float], paired: bool) -> str:
     share = 100.0 * (row["omega"] / row["omega_model"] - 1.0)
-    if not paired:
-        return (
-            f"the corner at {frequency_text(row['omega_model'])} lies at {frequency_text(row['omega'])} in "
-            f"the record ({share:+.2g} %), its size is {row['size']:.3g} times the model's"
-        )
+    more = f"{share:+.2g}" if abs(share) < 100 else f"{share:+.0f}"
+    there, here = frequency_text(row["omega_model"]), frequency_text(row["omega"])
+    what = f"Mode {row['mode']}" if paired else "The corner"
+    damping = f"its damping ratio is {row['zeta']:.2g} instead of {row['zeta_model']:.2g}, "
     return (
-        f"mode {row['mode']} ({frequency_text(row['omega_model'])}) lies {abs(share):.2g} % "
-        f"{'higher' if share > 0 else 'lower'} in the record, its damping ratio is {row['zeta']:.2g} instead "
-        f"of {row['zeta_model']:.2g}, its size {row['size']:.3g} times the model's"
+        f"{what} at {there} lies at {here} in the record ({more} %), "
+        f"{damping if paired else ''}its size is {row['size']:.3g} times the model's"
     )

@@ -20,6 +20,7 @@ __all__ = ["Explanation", "ResidualLikelihood"]
 
 # Differences below this share of an output are rounding, not evidence.
 _FLOOR = 1e-7
+_ROUNDING = 1e-10  # of a signal, below which what is left of it says nothing
 _STEP = 1e-3  # of a shape's unknowns, for differences
 _FAR = 2.0  # from the start of a search: shapes beyond are not trusted
 _MASKED = 0.03  # weight of samples that are set aside
@@ -108,7 +109,9 @@ class ResidualLikelihood:
         out = self._initial_out(signals)
         q = self._constant_basis
         flat = out.reshape(-1)
-        return np.asarray((flat - q @ (q.T @ flat)).reshape(out.shape))
+        left = np.asarray((flat - q @ (q.T @ flat)).reshape(out.shape))
+        # of what a nuisance is, only rounding is left
+        return left if np.linalg.norm(left) > _ROUNDING * np.linalg.norm(signals) else np.zeros_like(left)
 
     def outside(self, mask: NDArray[np.bool_]) -> Array:
         """Residual (n_y, N) with the initial states and offsets that fit best outside a mask.

@@ -82,16 +82,13 @@ def _stretch(scene: ModelOnRecord, i: int, masked: NDArray[np.bool_]) -> Finding
     times = inside_level / max(outside_level, 1e-300)
     if measure == "error level" and times < _LOUDER:
         return None  # an error that goes with the motion is a little larger where the motion is
+    larger = "more than 1000" if times > 1e3 else f"{times:.0f}" if times > 10 else f"{times:.2g}"
     return Finding(
-        "time",
-        f"{start:.4g} ... {stop:.4g} s, {scene.named(i)}",
-        measure,
-        Explanation(fits, gain, np.array([inside_level])),
-        dof,
-        _tried(N),
-        f"From {start:.4g} to {stop:.4g} s {text} ({times:.2g} times the error elsewhere).",
+        "time", f"{start:.4g} ... {stop:.4g} s, {scene.named(i)}", measure,
+        Explanation(fits, gain, np.array([inside_level])), dof, _tried(N),
+        f"From {start:.4g} to {stop:.4g} s {text} ({larger} times the error elsewhere).",
         {"start": start, "stop": stop, "output": scene.named(i), "span": (a0, b0), "ratio": times},
-    )
+    )  # fmt: skip
 
 
 def _both_ways(own: Array, left: Array) -> Array:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
-from ...data.range_ends import cut_off
+from ...data.range_ends import coarse_noise, cut_off
 from ...systems.linear import Array
 from .likelihood import Explanation
 from .record import Finding, ModelOnRecord
@@ -15,6 +16,7 @@ from .record import Finding, ModelOnRecord
 __all__ = ["clipping", "delays", "drifts", "pinned", "signs"]
 
 _RESTING = 0.2  # share of a record above which its extreme is where the output rests
+_LEVEL = 0.1  # of its spread: what a record may rise above the level at which it is cut off
 _SLOW = 6  # half-waves over the record that count as drift
 
 
@@ -196,39 +198,43 @@ def pinned(scene: ModelOnRecord) -> list[Finding]:
 def clipping(scene: ModelOnRecord) -> list[Finding]:
     """Tops of an output cut off, or bottoms, or both."""
     found = []
-    for i in range(scene.n_outputs):
-        run = scene.run[i]
-        shapes: list[tuple[str, Callable[[Array, float], Array]]] = [
-            ("above", lambda y, g: -np.maximum(y - g, 0.0)),
-            ("below", lambda y, g: np.maximum(g - y, 0.0)),
-            ("on both sides of", lambda y, g: np.clip(y, -g, g) - y),
-        ]
+    shapes: tuple[tuple[str, Callable[[Array, float], Array]], ...] = (
+        ("above", lambda y, g: -np.maximum(y - g, 0.0)),
+        ("below", lambda y, g: np.maximum(g - y, 0.0)),
+        ("on both sides", lambda y, g: np.clip(y, -g, g) - y),
+    )
+    for i, (run, y) in enumerate(zip(scene.run, scene.measured, strict=True)):
         for side, cut in shapes:
-            reach = np.abs(run) if side.startswith("on") else run
+            reach = np.abs(run) if side == "on both sides" else run
             quantiles = np.linspace(0.5, 0.999, 26) if side != "below" else np.linspace(0.001, 0.5, 26)
-            grid = np.quantile(reach, quantiles)
 
             def shape(g: float, cut: Callable[[Array, float], Array] = cut, i: int = i) -> Array:
                 column = np.zeros_like(scene.run)
                 column[i] = cut(scene.run[i], g)
                 return column
 
-            one = scene.evidence.searched(shape, grid)
-            limit = float(one.values[-1]) * scene.scale[i, 0]
-            name, unit = scene.named(i), _unit(scene, i)
-            text = f"+-{limit:.3g}" if side.startswith("on") else f"{limit:.3g}"
-            held = float(np.mean(np.any(one.fit != 0, axis=0) & (cut(run, float(one.values[-1])) != 0)))
+            one = scene.evidence.searched(shape, np.quantile(reach, quantiles))
+            taken = cut(run, float(one.values[-1]))
+            ends = [s * _flat(s * y, s * run, s * taken < 0) for s in (-1, 1) if np.any(s * taken < 0)]
+            if not ends or not np.isfinite(ends).all():
+                continue
+            limits = [end * scene.scale[i, 0] for end in ends]
+            name, text = scene.named(i), " and ".join(f"{one:.3g}" for one in limits) + _unit(scene, i)
             found.append(
                 Finding(
-                    "time",
-                    f"where {name} reaches {text}{unit}",
-                    "clipping",
-                    one,
-                    1,
-                    26,
-                    f"{name} is cut off {'at' if side != 'below' else 'below'} {text}{unit} "
-                    f"({100 * held:.2g} % of the time): the sensor or its range is exceeded.",
-                    {"output": name, "limit": limit, "side": side, "kind": "clipping"},
+                    "time", f"where {name} reaches {text}", "clipping", one, 1, 26,
+                    f"{name} is cut off at {text} ({100 * np.mean(taken != 0):.2g} % of the time): "
+                    "the range of the sensor is exceeded.",
+                    {"output": name, "limit": limits[-1], "side": side, "kind": "clipping"},
                 )
-            )
+            )  # fmt: skip
     return found
+
+
+def _flat(y: Array, run: Array, at: NDArray[np.bool_]) -> float:
+    """Level at which a record stays while the run goes on above it; NaN where the record goes on, too."""
+    level = float(np.median(y[at]))
+    beyond = level + _LEVEL + 4.0 * coarse_noise(y)
+    above = run[at] - run[at].mean()
+    follows = float(above @ y[at]) > 0.5 * float(above @ above) > 0.0
+    return np.nan if follows or np.sum(y > beyond) > 0.05 * at.sum() else level

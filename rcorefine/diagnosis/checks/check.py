@@ -123,16 +123,11 @@ def looks(model: Any, records: Sequence[Measurement], horizon: float | None) -> 
     rows = []
     with unheard():
         for i, data in enumerate(records):
-            if data.n_samples >= _SHORTEST:
-                about = f"record {i + 1}" if len(records) > 1 else ""
-                rows += [_of_record(row, about) for row in _looked_over(model, data, horizon)[1]]
+            about = f"record {i + 1}"
+            for row in _looked_over(model, data, horizon)[1] if data.n_samples >= _SHORTEST else ():
+                where, sentence = f"{row.where}, {about}".removeprefix(", "), f"{about}: {row.sentence}"
+                rows.append(row if len(records) == 1 else replace(row, where=where, sentence=sentence))
     return Check(tuple(rows)).looks
-
-
-def _of_record(row: CheckRow, about: str) -> CheckRow:
-    if not about:
-        return row
-    return replace(row, where=f"{row.where}, {about}".removeprefix(", "), sentence=f"{about}: {row.sentence}")
 
 
 def _looked_over(model: Any, data: Measurement, horizon: float | None) -> tuple[Measurement, list[CheckRow]]:
@@ -142,26 +137,33 @@ def _looked_over(model: Any, data: Measurement, horizon: float | None) -> tuple[
     straight = point is None or point.field is None
     controller = None if physical is None else physical.controller
     about = physical is not None and point is not None and straight and controller is None
-    if physical is not None and about:  # linear about a point: beside what the record has above it
+    if physical is not None and point is not None and about:  # beside what the record has above the point
         compared = _compared(physical.system, ordered_record(physical, data), horizon)
+        known = dict(zip(match_channels(physical.linear, data).outputs, point.outputs, strict=True))
+        point = replace(point, outputs=np.array([known.get(i, 0.0) for i in range(data.n_outputs)]))
     else:
         compared = _compared(model, data, horizon)
     record = data if compared is None or about else compared.data
-    rows = [*signal_rows(record), *(level_rows(data, point, compared) if straight else ())]
+    rows = list(signal_rows(record))
+    levels = list(level_rows(data, point, compared)) if straight else []
     linear = LinearModel.from_statespace(getattr(model, "system", model))
-    rows += sampling_rows(linear, record, controller is not None)
+    sampling = list(sampling_rows(linear, record, controller is not None))
     if compared is not None and controller is not None:
-        return record, [*rows, *controller_rows(controller, linear, data)]
+        return record, [*rows, *levels, *sampling, *controller_rows(controller, linear, data)]
     if compared is not None:
         # of a nonlinear model a gain says little
-        rows += gain_rows(compared, _units(physical, data, compared)) if straight and not compared.led else ()
-        return record, [*rows, *feedback_rows(compared)]
+        straight = straight and not compared.led
+        gains = list(gain_rows(compared, _units(physical, data, compared))) if straight else []
+        # they say what a level and a limit there come from
+        bent = {row.where for row in gains if row.what in ("rectified", "stops")}
+        kept = [r for r in (*rows, *levels) if r.where not in bent or r.what not in ("level", "clipping")]
+        return record, [*kept, *sampling, *gains, *feedback_rows(compared)]
     diverges = CheckRow(
         STOP, "free run", "", "diverges",
         "The free run leaves all bounds, so the model cannot be laid beside the record: give compare a short "
         "horizon=, or mend its poles.",
     )  # fmt: skip
-    return record, [*rows, diverges]
+    return record, [*rows, *levels, *sampling, diverges]
 
 
 def _units(physical: PhysicalModel | None, data: Measurement, compared: Comparison) -> tuple[str, ...]:
@@ -201,25 +203,12 @@ def _information_rows(shown: tuple[Detectable, ...], model: PhysicalModel | None
     blind = [
         d.effect.label for d in shown if d.smallest > nominal.get((d.effect.kind, d.effect.place), np.inf)
     ]
-    rows = []
     best = ", ".join(f"{d.effect.label} {d.smallest:.3g} {d.unit}".strip() for d in shown[:3])
-    rows.append(
-        CheckRow(
-            OK,
-            "information",
-            "",
-            f"{counted(len(shown), 'effect')} tried",
-            f"Would show with 95 % probability: {best}, and others (.detectable).",
-        )
-    )
-    if blind:
-        rows.append(
-            CheckRow(
-                LOOK,
-                "information",
-                "",
-                f"{len(blind)} not seen",
-                f"The record does not see these even if they double: {', '.join(blind[:4])}.",
-            )
-        )
-    return rows
+    seen = CheckRow(
+        OK, "information", "", f"{counted(len(shown), 'effect')} tried",
+        f"Would show with 95 % probability: {best}, and others (.detectable).",
+    )  # fmt: skip
+    if not blind:
+        return [seen]
+    least = f"The record does not see these even if they double: {', '.join(blind[:4])}."
+    return [seen, CheckRow(LOOK, "information", "", f"{len(blind)} not seen", least)]

@@ -1,4 +1,4 @@
-"""The free run beside each output: sign, units and gain, delay, offset, drift, spikes."""
+"""The free run beside each output: sign, units and gain, delay, drift, spikes, rectification, stops."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.signal import correlate
 
 from ...comparison.result import Comparison
 from ...data.measurement import Measurement
-from ...data.range_ends import resolution
+from ...data.range_ends import clipped, coarse_noise, resolution
 from ...inference.basis import project, rank_basis
 from ...systems.conversion import to_discrete
 from ...systems.linear import Array, LinearModel
@@ -31,14 +31,19 @@ _SPIKE = 8.0  # robust standard deviations from the samples before and after
 _NORMAL = 1.4826  # standard deviation over the median absolute deviation, for normal noise
 _SMALL = 1e-4  # of an output's size: what is smaller carries no error
 _LATER = 20.0  # log-likelihood by which a delay must win
+_MOVED = 1e-9  # of a run: what inputs move less than this is rounding
+_PART, _TELLS = 0.25, 0.01  # of what a plain gain leaves; of the samples, that tell a level from a start
+_OTHER_SIGN = 0.01  # of a signal's energy: with less of it, the signal has one sign
+_END, _MUCH_THERE, _OFTENER = 0.02, 0.05, 3.0  # of the range; of the samples; times as much as is usual
 
 
 class _Gain(NamedTuple):
-    """Record over free run: value, standard deviation, correlation, delay in samples, what is left."""
+    """Record over free run: value, its error, correlation there and undelayed, delay in samples, rest."""
 
     value: float
     std: float
     correlation: float
+    undelayed: float
     delay: int
     left: Array
 
@@ -62,19 +67,25 @@ def gain_rows(compared: Comparison, units: Sequence[str] = ()) -> Iterator[Check
     free = settling(linear, data.dt, edges)
     for i, (label, y) in enumerate(zip(data.output_labels, data.outputs, strict=True)):
         # what an initial state adds is fitted beside the gain: with a wrong gain its estimate is wrong too
-        run = compared.runs[0, i] - np.concatenate(
+        settled = np.concatenate(
             [part[i] @ x0 for part, x0 in zip(free, compared.initial_states[0], strict=True)]
         )
-        if not (np.ptp(y) > 0 and np.ptp(run) > 0):
+        run = compared.runs[0, i] - settled
+        least = _MOVED * float(np.linalg.norm(run) + np.linalg.norm(settled))
+        found = _gain(y, run, [np.column_stack([part[i], np.ones(len(part[i]))]) for part in free], least)
+        if not np.ptp(y) or found is None:
             continue
-        found = _gain(y, run, [np.column_stack([part[i], np.ones(len(part[i]))]) for part in free])
-        yield from _delay_row(label, found, data.dt)
         declared = (data.output_units[i], units[i] if units else "")
         yield from _unit_row(found, data, i, declared[1])
+        bent = _bent_row(label, y, compared.runs[0, i], data.inputs, free[0][i])
+        if bent is not None:  # gain and delay would only follow from that
+            yield bent
+            continue
+        yield from _delay_row(label, found, data.dt)
         yield from _gain_row(label, found, *declared)
         if abs(found.correlation) >= _RELATED:
             if len(free) == 1:  # where a model integrates, an initial state is an offset
-                yield from _level_rows(label, found.left, y, data.timepts)
+                yield from _drift_row(label, found.left, y, data.timepts)
             yield from _spike_row(label, found.left, max(resolution(y), _SMALL * float(y.std())))
 
 
@@ -89,18 +100,12 @@ def settling(linear: LinearModel, dt: float, edges: list[int]) -> list[Array]:
     return [whole[:, : j - i] for i, j in pairwise(edges)]
 
 
-def _shifted(run: Array, delay: int) -> Array:
-    if delay == 0:
-        return run
-    moved = np.roll(run, delay)
-    moved[: max(delay, 0)] = run[0]
-    if delay < 0:
-        moved[delay:] = run[-1]
-    return moved
+def _gain(y: Array, run: Array, nuisances: list[Array], least: float) -> _Gain | None:
+    """Least squares beside free responses; its spread over blocks, so noise may have a color.
 
-
-def _gain(y: Array, run: Array, nuisances: list[Array]) -> _Gain:
-    """Least squares beside free responses; its spread over blocks, so noise may have a color."""
+    None where the inputs move the run by less than `least`. A delay may not turn the sign that
+    the record has without it, where it has one.
+    """
     n = y.size
     ends = np.cumsum([len(part) for part in nuisances])[:-1]
     bases = [rank_basis(part) for part in nuisances]
@@ -109,14 +114,17 @@ def _gain(y: Array, run: Array, nuisances: list[Array]) -> _Gain:
         return np.concatenate([project(part, q) for part, q in zip(np.split(row, ends), bases, strict=True)])
 
     a, b = without(run), without(y)
+    if np.linalg.norm(a) <= least:
+        return None
     both = correlate(b, a, mode="full", method="fft") / (np.linalg.norm(a) * np.linalg.norm(b) or 1.0)
     reach = min(n // 10, 200)
     near = both[n - 1 - reach : n + reach]
-    best = int(np.argmax(np.abs(near))) - reach
-    now, then = float(near[reach]), float(near[best + reach])
+    now = float(near[reach])
+    best = int(np.argmax(np.abs(near) if abs(now) < _RELATED else np.sign(now) * near)) - reach
+    then = float(near[best + reach])
     later = 0.5 * n * np.log(max(1 - now**2, 1e-12) / max(1 - then**2, 1e-12))
     delay = best if later > _LATER and abs(then) > _RELATED else 0
-    moved = _shifted(run, delay)
+    moved = run[np.clip(np.arange(n) - delay, 0, n - 1)]
     a = without(moved)
     value = float(a @ b) / float(a @ a)
     left = b - value * a
@@ -124,7 +132,50 @@ def _gain(y: Array, run: Array, nuisances: list[Array]) -> _Gain:
     std = float(np.linalg.norm([one @ other for one, other in blocks])) / float(a @ a)
     rest = zip(np.split(y - value * moved, ends), nuisances, strict=True)
     level = [row - part[:, :-1] @ np.linalg.lstsq(part, row)[0][:-1] for row, part in rest]
-    return _Gain(value, std, then if delay else now, delay, np.concatenate(level))
+    return _Gain(value, std, then if delay else now, now, delay, np.concatenate(level))
+
+
+def _bent_row(label: str, y: Array, run: Array, inputs: Array, begun: Array) -> CheckRow | None:
+    """A record without the sign of its model, or that rests at both ends of its range: no gain is that.
+
+    Where a model integrates, the level of its output, and with it the sign, is that of its initial state.
+    """
+    spread = np.ptp(y)
+    shapes = np.array([run, abs(run), run.clip(0), run.clip(None, 0), y])
+    shapes -= shapes.mean(axis=1, keepdims=True)
+    shapes /= np.maximum(np.linalg.norm(shapes, axis=1, keepdims=True), 1e-300)
+    like = np.abs(shapes[:4] @ shapes[4])
+    follows = like.max() > _CLEAR and 1.0 - like.max() ** 2 < _PART * (1.0 - like[0] ** 2)
+    own = project(np.ones(len(begun)), rank_basis(begun))
+    if follows and not _both_signs(y) and any(map(_both_signs, inputs)) and own @ own > _TELLS * own.size:
+        return CheckRow(
+            LOOK, "rectified", label, f"{y.min():.3g} to {y.max():.3g}",
+            f"{label} never changes sign, though the input does, and follows the size of the model's output: "
+            "a rectified signal, or one that is cut off at zero.",
+        )  # fmt: skip
+    band = max(_END, 6.0 * coarse_noise(y) / spread, resolution(y) / spread)
+    there = _at_ends(y, band)
+    if clipped(y) or min(there) < max(
+        _MUCH_THERE, *(_OFTENER * max(_at_ends(row, band)) for row in (run, *inputs))
+    ):
+        return None
+    figure = f"{100 * sum(there):.2g} % of the samples"
+    return CheckRow(
+        LOOK, "stops", label, f"{figure} at both ends",
+        f"{label} rests near {y.min():.3g} and {y.max():.3g} in {figure}, where the model moves on: stops, "
+        "or a sensor or an actuator at its limits.",
+    )  # fmt: skip
+
+
+def _both_signs(row: Array) -> bool:
+    share = float(np.sum(row.clip(0) ** 2)) / max(float(row @ row), 1e-300)
+    return _OTHER_SIGN < share < 1.0 - _OTHER_SIGN
+
+
+def _at_ends(row: Array, band: float) -> tuple[float, float]:
+    """Shares of the samples within a share of the range from its bottom, and from its top."""
+    place = (row - row.min()) / max(float(np.ptp(row)), 1e-300)
+    return float(np.mean(place <= band)), float(np.mean(place >= 1.0 - band))
 
 
 def _delay_row(label: str, found: _Gain, dt: float) -> Iterator[CheckRow]:
@@ -188,7 +239,7 @@ def _gain_row(label: str, found: _Gain, record: str, model: str) -> Iterator[Che
     words, certain = likely(abs(value), found.std, label, record, model) if clear else ("", False)
     certain = certain and like > _SAME  # the rest of the record has to go with it
     unit = f"{'the record looks like' if certain else 'perhaps'} {words}"
-    if like > _CLEAR and value + _SURE * found.std < 0:
+    if found.undelayed < -_CLEAR and value + _SURE * found.std < 0:
         more = f", and {unit}" if words else ""
         yield CheckRow(
             STOP, "sign", label, figure,
@@ -203,36 +254,25 @@ def _gain_row(label: str, found: _Gain, record: str, model: str) -> Iterator[Che
         yield CheckRow(
             LOOK, "units" if words else "gain", label, figure,
             f"{label} is {figure} times what the model says: a gain, or numbers that are off"
+            + (", or a sign" if value < 0 else "")
             + (f", or a unit ({words})." if words else ", or a unit." if factor is None else "."),
         )  # fmt: skip
 
 
-def _level_rows(label: str, left: Array, y: Array, timepts: Array) -> Iterator[CheckRow]:
-    """Offset and drift of what the scaled free run leaves."""
+def _drift_row(label: str, left: Array, y: Array, timepts: Array) -> Iterator[CheckRow]:
+    """Drift of what the scaled free run leaves."""
     parts = np.array_split(left, _BLOCKS)
     means = np.array([part.mean() for part in parts])
     times = np.array([part.mean() for part in np.array_split(timepts, _BLOCKS)])
-    spread = y.std()
     slope, level = np.polyfit(times - times.mean(), means, 1)
     rest = means - level - slope * (times - times.mean())
     scatter = float(np.sqrt(rest @ rest / (_BLOCKS - 2)))
     moved = slope * (timepts[-1] - timepts[0])
     error = scatter / float(np.linalg.norm(times - times.mean())) * (timepts[-1] - timepts[0])
-    if abs(moved) > max(5.0 * error, 0.05 * spread):
+    if abs(moved) > max(5.0 * error, 0.05 * float(y.std())):
         yield CheckRow(
             LOOK, "drift", label, f"{moved:.3g} over the record",
             f"{label} drifts by {with_error(moved, error)} from beginning to end where the model does not.",
-        )  # fmt: skip
-    if abs(level) > max(5.0 * scatter / np.sqrt(_BLOCKS), 0.05 * spread):
-        far = abs(level) > 2.0 * spread
-        more = (
-            ": an absolute record about an operating point? Declare it in physical(), or give its deviation()"
-            if far
-            else ""
-        )
-        yield CheckRow(
-            LOOK, "offset", label, f"{level:.4g}",
-            f"{label} stands {level:.4g} off the free run{more}; constant offsets are fitted as nuisances.",
         )  # fmt: skip
 
 

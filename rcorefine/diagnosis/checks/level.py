@@ -20,6 +20,7 @@ __all__ = ["level_rows"]
 
 _FAR = 3.0  # standard deviations of a signal that its mean stands away
 _SURE = 5.0  # standard errors of a level
+_TELLS = 1e-6  # of the samples: with fewer, none tells a level from an initial state
 _SEEN = 0.05  # of the spread of an output: a level that is worth a word
 
 
@@ -40,31 +41,37 @@ def level_rows(
     Yields
     ------
     CheckRow
-        One on the first output that does not go with the model or its point, else one on all.
+        One on each output that does not go with the model or its point; where all do, one on all.
     """
     taken = data.origin[data.n_inputs :]
     means, spreads = data.outputs.mean(axis=1) + taken, data.outputs.std(axis=1)
-    far = np.abs(means) > _FAR * spreads
+    levels = {} if compared is None or compared.led else dict(_unexplained(compared))
+    # where a model integrates, its level is that of its initial state: any level goes with it
+    fixed = np.array([levels.get(label, (0.0,)) is not None for label in data.output_labels])
+    far = (np.abs(means) > _FAR * spreads) & fixed
+    odd = False
     if point is not None:
-        for i in np.flatnonzero((np.abs(point.outputs) > _FAR * spreads) & ~far & (taken == 0)):
+        for i in np.flatnonzero((np.abs(point.outputs) > _FAR * spreads) & ~far & fixed & (taken == 0)):
+            odd = True
             yield CheckRow(
                 LOOK, "level", data.output_labels[i], with_error(means[i], spreads[i]),
                 f"{data.output_labels[i]} looks like what is above a point, and the model's is at "
                 f"{point.outputs[i]:.4g}: give the record as it was measured, or a model without a point.",
             )  # fmt: skip
-            return
-    # where a model integrates or is led, its level is that of its initial state, or of the record
+    # where it is led, or begins anew, its level is that of the record
     free = compared is not None and len(compared.starts) == 1 and not compared.led
-    for label, level, error, spread in _unexplained(compared) if compared is not None and free else ():
-        if _stands(level, error, spread):
-            about = ": declare that by physical(model, operating_point=...), or give Measurement.deviation()"
+    absolute = ": declare that by physical(model, operating_point=...), or give Measurement.deviation()"
+    for label, found in levels.items() if free and not odd else ():
+        if found is not None and _stands(*found):
+            odd = True
             yield CheckRow(
-                LOOK, "level", label, with_error(level, error),
-                f"{label} stands {with_error(level, error)} off where the model puts it, with a spread of "
-                f"{spread:.3g}: an offset, or a record about an operating point."
-                + (f" The record looks absolute{about}." if far.any() and point is None else ""),
+                LOOK, "level", label, with_error(*found[:2]),
+                f"{label} stands {with_error(*found[:2])} off where the model puts it, with a spread of "
+                f"{found[2]:.3g}: an offset, or a record about an operating point."
+                + (f" The record looks absolute{absolute}." if far.any() and point is None else ""),
             )  # fmt: skip
-            return
+    if odd:
+        return
     if point is not None and far.any():
         yield CheckRow(OK, "level", "", "absolute", "The outputs look absolute, about the model's point.")
     elif far.any():
@@ -73,6 +80,8 @@ def level_rows(
             "The record looks absolute. Where the model is linear about a point, declare that by "
             "physical(model, operating_point=...), or give Measurement.deviation().",
         )  # fmt: skip
+    elif not fixed.all():
+        yield CheckRow(OK, "level", "", "any", "The model integrates: its initial state holds any level.")
     elif any(_stands(y.mean(), _error(y, y.size), y.std()) for y in data.outputs):
         said = "the model explains them." if free else "no free run says whether the model explains them."
         figure = "by the model" if free else "not zero"
@@ -86,8 +95,12 @@ def _stands(level: float, error: float, spread: float) -> bool:
     return abs(level) > max(_SURE * error, _SEEN * spread)
 
 
-def _unexplained(compared: Comparison) -> Iterator[tuple[str, float, float, float]]:
-    """Level that the free run, whatever its gain, leaves of each output; its error; the spread."""
+def _unexplained(compared: Comparison) -> Iterator[tuple[str, tuple[float, float, float] | None]]:
+    """Level that the free run, whatever its gain, leaves of each output, its error, and the spread.
+
+    The error has no bound where gain and level act alike, or an output stands still; None where an
+    initial state can hold any level.
+    """
     data = compared.data
     (free,) = settling(compared.models[0], data.dt, [0, data.n_samples])
     for i, (label, y) in enumerate(zip(data.output_labels, data.outputs, strict=True)):
@@ -96,8 +109,12 @@ def _unexplained(compared: Comparison) -> Iterator[tuple[str, float, float, floa
         others = rank_basis(np.column_stack([run, free[i]]))
         own, left = project(np.ones(y.size), others), project(y, others)
         seen = float(own @ own)  # samples that tell the level from the rest
-        level = float(own @ left) / seen
-        yield label, level, _error(left - level * own, seen), float(y.std())
+        found = 0.0, np.inf, float(y.std())
+        if seen > _TELLS * y.size and np.ptp(y):
+            level = float(own @ left) / seen
+            found = level, _error(left - level * own, seen), found[2]
+        alone = project(np.ones(y.size), rank_basis(free[i]))
+        yield label, found if alone @ alone > _TELLS * y.size else None
 
 
 def _error(left: Array, seen: float) -> float:

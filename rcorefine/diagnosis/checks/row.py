@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from ...results import Row
@@ -10,6 +10,7 @@ from ...results import Row
 __all__ = ["LOOK", "OK", "STOP", "CheckRow", "warned"]
 
 _MOST, _LONG = 4, 150  # rows that are named above another result; letters of the first one there
+_OF_THE_FREE_RUN = ("delay", "drift", "gain", "level", "rectified", "stops", "units")
 
 OK, LOOK, STOP = "ok", "look", "stop"
 
@@ -37,30 +38,34 @@ class CheckRow(Row):
     sentence: str
 
 
-def warned(rows: Sequence[CheckRow]) -> list[str]:
-    """What stands above a result that rests on a record with these rows.
+def warned(rows: Sequence[CheckRow], explained: bool = False, places: Collection[str] = ()) -> list[str]:
+    """What to say beside a result that rests on a record with these rows.
 
     Parameters
     ----------
     rows : sequence of CheckRow
         Rows that ask for attention.
+    explained : bool
+        Whether the result explains the record. Then it explains what the model's free run leaves, too.
+    places : collection of str
+        Where the effects are that it found: they explain that an output is cut off there.
 
     Returns
     -------
     list of str
         The first one in a sentence, the others by name: the answer is what was asked for.
     """
+    if explained:
+        left = [row for row in rows if row.what != "clipping" or row.where.split(", ")[0] not in places]
+        rows = [row for row in left if row.status == STOP or row.what not in _OF_THE_FREE_RUN]
     if not rows:
         return []
     first, *others = rows
-    sentence = first.sentence if len(first.sentence) <= _LONG or first.status == STOP else _short(first)
-    said = [f"{first.status.upper()}: {sentence}"]
+    short = f"{first.what} {first.where}: {first.figure} (see .checks)."
+    whole = len(first.sentence) <= _LONG or first.status == STOP
+    said = [f"{first.status.upper()}: {first.sentence if whole else short}"]
     named = [f"{row.what} of {row.where}" if row.where else row.what for row in others]
     if named:
         more = f" and {len(named) - _MOST} more" if len(named) > _MOST else ""
         said.append(f"{others[0].status.upper()}: also {', '.join(named[:_MOST])}{more} (see .checks).")
     return said
-
-
-def _short(row: CheckRow) -> str:
-    return f"{row.what} {row.where}: {row.figure} (see .checks)."

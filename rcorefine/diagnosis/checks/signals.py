@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ...data.measurement import Measurement
-from ...data.range_ends import clipped, resolution, runs
+from ...data.range_ends import clipped, coarse_noise, resolution, runs
 from ...systems.linear import Array
 from .row import LOOK, OK, STOP, CheckRow
 
@@ -15,8 +15,8 @@ __all__ = ["signal_rows"]
 
 _SAME = 1.0 - 1e-9  # correlation from which two signals are one
 _COARSE = 2.0  # steps of the converter over the noise
+_FEW = 0.1  # of the standard deviation: a step from which on a signal has but few levels
 _JUMP = 2.5  # steps of a coarse signal: its own, through zero, are smaller
-_NORMAL = 1.4826  # standard deviation over the median absolute deviation, for normal noise
 
 
 def signal_rows(data: Measurement) -> Iterator[CheckRow]:
@@ -77,14 +77,16 @@ def _output_rows(label: str, y: Array) -> Iterator[CheckRow]:
         yield CheckRow(
             LOOK, "clipping", label, f"{side[1]} samples at {side[0]:.4g}",
             f"{label} stays at exactly {side[0]:.4g} for up to {side[1]} samples: the sensor may be clipped "
-            "(output_saturation, output_range).",
+            "(output_saturation, output_range), or a stop holds it.",
         )  # fmt: skip
-    step = resolution(y)
-    noise = _NORMAL * float(np.median(np.abs(np.diff(y, 2)))) / np.sqrt(6.0)
-    if step > _COARSE * max(noise, step / 4.0):
+    step, spread = resolution(y), float(y.std())
+    few = step > _FEW * spread
+    if few or step > _COARSE * max(coarse_noise(y), step / 4.0):
+        count = f"{np.unique(y).size} levels, " if few else ""
+        said = f"{step / spread:.2g} of its standard deviation" if few else "more than its noise"
         yield CheckRow(
-            LOOK, "resolution", label, f"steps of {step:.3g}",
-            f"{label} moves in steps of {step:.3g}, more than its noise: what is smaller cannot be seen.",
+            LOOK, "resolution", label, f"{count}steps of {step:.3g}",
+            f"{label} has {count}steps of {step:.3g} ({said}): what is smaller cannot be seen.",
         )  # fmt: skip
     lost = _lost(y)
     if lost:

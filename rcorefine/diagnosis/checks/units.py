@@ -108,7 +108,8 @@ def likely(value: float, std: float, label: str, record: str, model: str) -> Lik
     for quantity, sizes in _SIZES.items():
         rank = _rank(quantity, label, given or declared)
         for (here, one), (there, other) in permutations(sizes.items(), 2):
-            if rank is None or (quantity not in _ANY and not (_fits(here, given) and _fits(there, declared))):
+            fits = all(unit is None or unit.name == name for unit, name in ((given, here), (declared, there)))
+            if rank is None or (quantity not in _ANY and not fits):
                 continue
             factor = other / one
             if (far := abs(float(np.log(value / factor)))) <= within:
@@ -133,10 +134,6 @@ def _known(unit: str) -> _Known | None:
             name = next((n for n, s in _SIZES.get(quantity, {}).items() if s == size * whole), unit)
             return _Known(quantity, size * whole, name)
     return _Known("?", 1.0, unit)
-
-
-def _fits(name: str, declared: _Known | None) -> bool:
-    return declared is None or declared.name == name
 
 
 def _rank(quantity: str, label: str, declared: _Known | None) -> int | None:

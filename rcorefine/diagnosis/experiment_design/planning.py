@@ -104,13 +104,9 @@ def proposals(
 
 def _record(like: Measurement, inputs: Array) -> Measurement:
     return Measurement(
-        inputs,
-        np.zeros((like.n_outputs, inputs.shape[1])),
-        dt=like.dt,
-        hold=like.hold,
-        input_labels=like.input_labels,
-        output_labels=like.output_labels,
-    )
+        inputs, np.zeros((like.n_outputs, inputs.shape[1])), dt=like.dt, hold=like.hold,
+        input_labels=like.input_labels, output_labels=like.output_labels,
+    )  # fmt: skip
 
 
 def _longer(w: Array, factor: float) -> Array:

@@ -35,13 +35,10 @@ def with_sensor(model: PhysicalModel, label: str, row: Array) -> PhysicalModel:
     state = int(np.flatnonzero(row)[0])
     unit = model.state_units[state] if model.state_units and np.count_nonzero(row) == 1 else ""
     units = (*model.output_units, unit) if model.output_units else ()
+    C, D = np.vstack([linear.C, row]), np.vstack([linear.D, blank])
     return replace(
         model,
-        linear=linear.with_arrays(
-            C=np.vstack([linear.C, row]),
-            D=np.vstack([linear.D, blank]),
-            output_labels=(*linear.output_labels, label),
-        ),
+        linear=linear.with_arrays(C=C, D=D, output_labels=(*linear.output_labels, label)),
         output_state=np.vstack([model.output_state, row]),
         output_rate=np.vstack([model.output_rate, np.zeros_like(row)[None]]),
         output_input=np.vstack([model.output_input, blank]),

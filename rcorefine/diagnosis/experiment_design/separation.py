@@ -215,14 +215,11 @@ def _simulated(side: _Side, plan: Plan, steps: int) -> Measurement:
 
 
 def _record(shell: Measurement, outputs: Array, structure: Structure) -> Measurement:
+    linear = structure.linear_model
     return Measurement(
-        shell.inputs,
-        outputs,
-        dt=shell.dt,
-        hold=shell.hold,
-        input_labels=structure.linear_model.input_labels,
-        output_labels=structure.linear_model.output_labels,
-    )
+        shell.inputs, outputs, dt=shell.dt, hold=shell.hold, input_labels=linear.input_labels,
+        output_labels=linear.output_labels,
+    )  # fmt: skip
 
 
 class _Fit:

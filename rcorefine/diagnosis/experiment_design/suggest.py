@@ -77,15 +77,9 @@ def suggest(
     model = found.base.physical_model
     asked = default_bands(model, records[0]) if bands is None else [(float(a), float(b)) for a, b in bands]
     listed = proposals(
-        model,
-        records[0],
-        repeat=repeat,
-        amplitudes=amplitudes,
-        lengths=lengths,
-        bands=asked,
-        sensors=sensors,
-        costs=prices,
-    )
+        model, records[0], repeat=repeat, amplitudes=amplitudes, lengths=lengths, bands=asked,
+        sensors=sensors, costs=prices,
+    )  # fmt: skip
     judge = _Judge(contenders, fitted, records, found.force_ratio, largest_input)
     options = [judge.option(proposal) for proposal in listed]
     return _advice(options, contenders, judge, probability, why)
@@ -221,11 +215,8 @@ class _Judge:
             probability=0.0 if failed else result.probability,
             wrong=0.0 if failed else result.wrong,
             distance=0.0 if failed else float(min(pairs)),
-            reach=float(reach),
-            reach_where=where,
-            inputs=record.inputs,
-            failed=failed,
-        )
+            reach=float(reach), reach_where=where, inputs=record.inputs, failed=failed,
+        )  # fmt: skip
 
     def _judged(self, proposal: Proposal) -> Separation:
         noise, whitener = self.levels, self.whitener
