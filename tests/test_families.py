@@ -114,7 +114,10 @@ def test_what_contains_a_law_is_a_rival_where_its_force_is_another(monkeypatch, 
 def test_what_contains_a_law_that_fails_is_named_where_it_passes(monkeypatch, passing, named):
     """a is a friction, b contains it, c does not."""
     kinds = {"a": "coulomb_friction", "b": "asymmetric_friction", "c": "cubic_stiffness"}
-    rivals = [SimpleNamespace(name=name, effect=rco.Effect(kind, "link1")) for name, kind in kinds.items()]
+    rivals = [
+        SimpleNamespace(name=name, effect=rco.Effect(kind, "link1"), unphysical=False)
+        for name, kind in kinds.items()
+    ]
 
     def tested(_, race):
         return judging.Judged(race, [], race.rivals[0].name in passing)
@@ -125,6 +128,18 @@ def test_what_contains_a_law_that_fails_is_named_where_it_passes(monkeypatch, pa
     assert judged.race.rivals[0].name == named
     assert judged.passed == (named in passing)
     assert race.rivals[0].name == "a"
+
+
+@pytest.mark.parametrize(("driving", "left"), [("a", "bc"), ("bc", "a"), ("", "abc"), ("abc", "abc")])
+def test_friction_that_drives_wins_over_nothing_that_is_possible(monkeypatch, driving, left):
+    """It stays where there is nothing else, for the note that says why it is not named."""
+    rivals = [
+        SimpleNamespace(name=name, effect=rco.Effect("coulomb_friction", name), unphysical=name in driving)
+        for name in "abc"
+    ]
+    monkeypatch.setattr(judging, "_tested", lambda _, race: judging.Judged(race, [], True))
+    judged = judging.judge(None, CandidateFits(None, rivals, 0.0, None, 0.0))
+    assert "".join(rival.name for rival in judged.race.rivals) == left
 
 
 def test_a_rim_below_every_level_is_no_rival_of_a_loss():

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import rcorefine as rco
+from rcorefine.diagnosis.case import no_motion
 from rcorefine.diagnosis.checks.signals import signal_rows
-from rcorefine.diagnosis.excitation import no_motion
 from rcorefine.diagnosis.holds import best_hold, hold_errors
 
 SETTINGS = {"tolerance": 0.0, "offset": True, "noise": None}

@@ -11,11 +11,14 @@ from hidden.generator import Law, held_motion
 from scipy.signal import cont2discrete, dlsim
 
 import rcorefine as rco
+from rcorefine.diagnosis.ranking import undetermined
 from rcorefine.diagnosis.stepwise.backward import drop_last, drop_undetermined, return_trust, shorten
 from rcorefine.diagnosis.stepwise.forward import climb
 from rcorefine.diagnosis.stepwise.parts import split_in_parts
-from rcorefine.diagnosis.stepwise.selection import Choice, StepwiseSelection
+from rcorefine.diagnosis.stepwise.selection import Choice, StepwiseSelection, determined
+from rcorefine.inference.levels import levels
 from rcorefine.progress import Progress
+from rcorefine.words import with_error
 
 DT = 0.02
 
@@ -209,6 +212,128 @@ def test_a_coefficient_that_the_record_does_not_determine_does_not_stay(ladder: 
     assert drop_undetermined(ladder)
     assert held(ladder) == ["stiffness"]
     assert not drop_undetermined(ladder)
+
+
+def test_an_effect_within_three_standard_deviations_of_zero_does_not_stay(
+    ladder: StepwiseSelection,
+) -> None:
+    """The truth has a softer spring and no other damper: its estimate is noise, whatever the record."""
+    add(ladder, "stiffness")
+    add(ladder, "quadratic_damping")
+    row = ladder.current.parameter("quadratic_damping")
+    assert np.isfinite(row.std)
+    assert abs(row.coefficient) < 3 * row.std
+    assert drop_undetermined(ladder)
+    assert held(ladder) == ["stiffness"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "figures", "named"),
+    [
+        ("power_damping", {"damping": (2.0, 0.5), "power": (1.5, 0.2)}, True),
+        ("power_damping", {"damping": (2.0, 0.7), "power": (1.5, 0.2)}, False),  # size
+        ("power_damping", {"damping": (2.0, 0.5), "power": (0.3, 1.4)}, False),  # shape
+        ("power_damping", {"damping": (2.0, 0.5), "power": (1.5, np.inf)}, False),
+        ("power_damping", {"damping": (-2.0, 0.1), "power": (1.5, 0.2)}, False),  # it would drive
+        ("coulomb_friction", {"force": (-2.0, 0.1)}, False),
+        ("cubic_stiffness", {"cubic_stiffness": (-2.0, 0.1)}, True),  # a softening spring
+        ("damping", {"damping": (-0.2, 0.01)}, True),  # less than the model has
+        ("asymmetric_friction", {"force_plus": (3.0, 0.1), "force_minus": (-1.0, 0.1)}, True),  # and a push
+        ("asymmetric_friction", {"force_plus": (1.0, 0.1), "force_minus": (-3.0, 0.1)}, False),
+        ("end_stop", {"stiffness": (9.0, 1.0), "position": (0.01, 0.02)}, True),  # zero is a place as any
+        ("cogging", {"sine": (0.1, 0.1), "cosine": (3.0, 0.1), "period": (1.0, 0.1)}, True),  # one is enough
+    ],
+)  # fmt: skip
+def test_one_rule_says_what_is_determined(
+    data: rco.Measurement, kind: str, figures: dict[str, tuple[float, float]], named: bool
+) -> None:
+    """A size 3 standard deviations from zero, each positive shape too, and no friction that drives."""
+    law = rco.Effect(kind, "link1")
+    plain = rco.refine(mass(), data, [rco.Effect("stiffness", "link1")]).parameters[0]
+    rows = [
+        replace(plain, name=name, kind=kind, coefficient=float(value), std=std)
+        for name, (value, std) in figures.items()
+    ]
+    assert tuple(figures) == law.coefficients
+    model = replace(rco.refine(mass(), data, offset=False), parameters=tuple(rows))
+    assert determined([law], model) == named
+    assert bool(undetermined(model, law, levels())) != named
+
+
+def test_a_fixed_shape_need_not_be_determined(data: rco.Measurement) -> None:
+    law = rco.Effect("power_damping", "link1", fixed={"power": 1.5})
+    found = rco.refine(mass(), data, [law])
+    row = found.parameter("power_damping")
+    assert determined([law], found) == (row.coefficient > 3 * row.std)
+
+
+def test_friction_that_drives_is_no_name() -> None:
+    """A force along the motion: friction with the wrong sign explains it, and nothing that physics has."""
+    rng = np.random.default_rng(3)
+    push = 10 * rng.standard_normal(800)
+    drive = (Law("coulomb_friction", np.array([-1.0, 1e-3, 0.0])), [-1.0], [0.0], [1.0])
+    speed = held_motion([[-2.0]], push[:, None], 0.05, [drive])[:, 0]
+    data = rco.Measurement(push, speed + 0.01 * speed.std() * rng.standard_normal(800), dt=0.05, hold="zoh")
+    model, friction = rco.dc_motor(gain=0.5, time_constant=0.5), rco.Effect("coulomb_friction", "shaft")
+    alone = rco.diagnose(model, data, candidates=[friction])
+    assert alone.verdict == "unexplained"
+    assert any("physics asks for a positive value" in note for note in alone.notes)
+    assert friction not in rco.improve(model, data, candidates=[friction]).effects  # a table, if anything
+
+
+def cart(seed: int, n: int, drag: float = 0.25) -> rco.Measurement:
+    """Position of one mass with a drag, pushed in steps of two seconds; noise of 0.3."""
+    rng = np.random.default_rng(seed)
+    push = np.repeat(rng.standard_normal(n // 40), 40)
+    plant = [[0.0, 1.0], [0.0, -drag]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]]
+    _, place, _ = dlsim(cont2discrete([np.array(part) for part in plant], 0.05), push)
+    labels = {"input_labels": "force", "output_labels": "position"}
+    return rco.Measurement(push, place[:, 0] + 0.3 * rng.standard_normal(n), dt=0.05, hold="zoh", **labels)
+
+
+def cart_model() -> ct.StateSpace:
+    """The drag is off by a fifth, and the gain by as much."""
+    names = {"inputs": "force", "outputs": "position", "states": ["place", "speed"]}
+    return ct.ss([[0, 1], [0, -0.2]], [[0], [1.0]], [[1, 0]], 0, **names)
+
+
+def missed(model: rco.Refinement, record: rco.Measurement, horizon: float) -> float:
+    return float(np.sqrt(np.mean(rco.compare(model, record, horizon=horizon).residual ** 2)))
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_no_result_is_worse_than_a_linear_refit_where_the_model_integrates(seed: int) -> None:
+    """The drag is off, and no candidate is: a tenth of each part alone would not show it."""
+    data = cart(seed, 2000)
+    laws = [rco.Effect(kind, "place") for kind in ("cubic_stiffness", "coulomb_friction")]
+    found = rco.improve(cart_model(), data, candidates=laws)
+    learn, judge = data.split(0.8)
+    _, choose = learn.split(0.75)
+    linear = rco.refine(cart_model(), learn, free="linear", horizon=10.0)
+    # both were fitted to this part: a log-likelihood of 4.6 and a half for each parameter may be chance
+    chance = (4.6 + 0.5 * len(linear.parameters)) / choose.n_samples
+    for part in (choose, judge):
+        apart = np.log(missed(found.refinement, part, 10.0) / missed(linear, part, 10.0))
+        assert apart < chance
+    rows = [row for row in found.refinement.parameters if row.role == "linear"]
+    assert rows
+    told = " ".join(str(found).split())
+    for row in rows:
+        assert f"{row.name} at {row.place}" in told
+        assert with_error(row.value, row.std, row.unit) in told
+
+
+def test_all_parts_of_a_record_have_the_horizon_of_the_whole_one() -> None:
+    """A tenth of the record, where the model integrates; it is printed."""
+    data = cart(1, 2000)
+    found = rco.improve(cart_model(), data, candidates=[rco.Effect("cubic_stiffness", "place")])
+    learn, judge = data.split(0.8)
+    choose = learn.split(0.75)[1]
+    first = found.steps[0]
+    assert first.choice_rmse[0] == pytest.approx(missed(first.refinement, choose, 10.0), rel=1e-6)
+    assert first.validation_rmse[0] == pytest.approx(missed(first.refinement, judge, 10.0), rel=1e-6)
+    assert len(first.refinement.initial_states) == len(found.steps[-1].refinement.initial_states) == 8
+    assert "windows of 10 s" in " ".join(str(found).split())
 
 
 def test_a_ladder_is_shortened_by_what_costs_least(ladder: StepwiseSelection) -> None:

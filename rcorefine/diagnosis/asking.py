@@ -10,9 +10,8 @@ from ..inference.f_tests import FTest
 from ..inference.refinement import Refinement
 from ..inference.sensitivities import Candidate, candidate_columns
 from .candidate_fits import fit_candidates, shortlist
-from .case import Case
+from .case import Case, no_motion, not_excited
 from .colored_noise import is_drowned, takes_error_for_color
-from .excitation import no_motion, not_excited
 from .floating import floating, outdone, rivals_of_numbers
 from .judging import Judged, judge, pair_hint, second_chance, with_special_cases, with_the_rest
 from .naming import named

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from ..inference.problem import Problem
 from ..inference.refinement import Refinement
 from ..inference.sensitivities import Candidate
 from ..inference.whitening import Whitener
+from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 from .starts import gain_for
 
@@ -26,6 +28,7 @@ __all__ = [
     "log_likelihood",
     "price",
     "prior_cost",
+    "unphysical",
     "whitener_of",
 ]
 
@@ -56,9 +59,36 @@ class CandidateFit:
         return self.lack <= LACK
 
     @property
+    def unphysical(self) -> bool:
+        """Whether the sign of its coefficients contradicts physics."""
+        theta, fitted = self.candidate.problem.unpack(self.descent.point)[0], self.candidate.fitted
+        own = theta[fitted.structure.n_parameters :]
+        return unphysical(self.effect, dict(zip(self.effect.free, own, strict=True)), fitted.structure.model)
+
+    @property
     def n_coefficients(self) -> int:
         """Coefficients that it adds."""
         return self.candidate.problem.n_theta - self.candidate.fitted.problem.n_theta
+
+
+def unphysical(effect: Effect, values: Mapping[str, float], model: PhysicalModel) -> bool:
+    """Return whether coefficients of friction or of a loss have a sign that drives the motion.
+
+    Parameters
+    ----------
+    effect : Effect
+        Effect.
+    values : mapping
+        Its coefficients by name. Of two sizes the sum counts: the rest is a constant force.
+    model : PhysicalModel
+        Model, for the port. What one store loses by the level of another may have either sign.
+    """
+    law = effect.spec
+    size = sum(value for name, value in values.items() if name not in law.shaping)
+    if size >= 0 or not (law.turns or law.resists):
+        return False
+    port = model.port(effect.place)
+    return bool(port.velocity @ port.act < 0)
 
 
 def continued(

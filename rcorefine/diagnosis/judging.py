@@ -73,9 +73,12 @@ class Judged:
 def judge(case: Case, race: CandidateFits) -> Judged:
     """The winner's residual through the tests that the model itself went through.
 
+    A candidate with a sign that physics rules out wins over none that has a possible one.
     Where it fails, and the next likely law contains it and passes, that one takes its place: the
     simplest member of a family is named only if it does.
     """
+    possible = [rival for rival in race.rivals if not rival.unphysical]
+    race = replace(race, rivals=possible or race.rivals, _models={})
     judged = _tested(case, race)
     if judged.passed or len(race.rivals) < 2 or not contains(race.rivals[1].effect, race.rivals[0].effect):
         return judged
@@ -255,6 +258,7 @@ def pair_hint(case: Case, judged: Judged, scored: Sequence[Candidate]) -> list[s
     pair = fit_candidates(fitted, second, race.ratio)
     if (
         pair is None
+        or pair.rivals[0].unphysical
         or _hopeless(case, TestedResidual(pair.model(), race.ratio))
         or not judge(case, pair).passed
     ):

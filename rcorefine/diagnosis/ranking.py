@@ -16,12 +16,12 @@ from ..inference.basis import project
 from ..inference.levels import Levels
 from ..inference.refinement import EstimatedParameter, Refinement
 from ..inference.sensitivities import Candidate
-from .candidate_fit import log_likelihood, prior_cost, whitener_of
+from .candidate_fit import log_likelihood, prior_cost, unphysical, whitener_of
 from .candidate_fits import CandidateFits
 from .residual_tests import TestedResidual
 from .result import Detectable, RankedEffect
 
-__all__ = ["detectable", "estimates", "in_free_run", "ranking"]
+__all__ = ["detectable", "estimates", "in_free_run", "ranking", "undetermined"]
 
 
 def in_free_run(race: CandidateFits) -> CandidateFits:
@@ -71,10 +71,38 @@ def ranking(
 
 
 def estimates(refinement: Refinement, effect: Effect) -> dict[str, EstimatedParameter]:
-    """Rows of the free coefficients of an effect, by their names."""
+    """Rows of the free coefficients of an effect, by their names; none where the model does not hold it."""
     rows = [row for row in refinement.parameters if (row.kind, row.place) == (effect.kind, effect.place)]
-    names = [name for name in effect.coefficients if name not in effect.fixed]
-    return dict(zip(names, rows, strict=True))
+    return dict(zip(effect.free, rows, strict=True)) if rows else {}
+
+
+def undetermined(refinement: Refinement, effect: Effect, levels: Levels) -> list[EstimatedParameter]:
+    """Return the estimates because of which an effect is neither named nor kept.
+
+    Parameters
+    ----------
+    refinement : Refinement
+        Model with the effect.
+    effect : Effect
+        Effect; what its `fixed` holds is not asked for.
+    levels : Levels
+        Of the standard deviations.
+
+    Returns
+    -------
+    list of EstimatedParameter
+        Its sizes, where none is more than `Levels.moved` standard deviations from zero, or their sign
+        contradicts physics; else those of its essential coefficients, and of its shapes that are positive,
+        which are not, and whatever has no standard deviation. Empty where the records determine the effect.
+    """
+    rows, law = estimates(refinement, effect), effect.spec
+    values = {name: row.coefficient for name, row in rows.items()}
+    loose = {name: row for name, row in rows.items() if not abs(row.coefficient) > levels.moved * row.std}
+    sizes = [name for name in rows if name not in law.shaping] or list(rows)
+    if loose.keys() >= set(sizes) or unphysical(effect, values, refinement.physical_model):
+        return [rows[name] for name in sizes]
+    asked = {*law.essential, *(name for name in law.shaping if np.isfinite(effect.bounds(name)[0]))}
+    return [row for name, row in loose.items() if name in asked or not np.isfinite(row.std)]
 
 
 def _validated(refinement: Refinement, validation: Measurement | None, horizon: float | None) -> float:

@@ -6,20 +6,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..effects.effect import Effect
 from ..inference.covariance import wald
 from ..inference.descent import descend
 from ..inference.fitted import FittedModel, coefficient_covariance
 from ..inference.levels import Levels
-from ..inference.refinement import EstimatedParameter, Refinement
 from ..inference.sensitivities import Candidate
 from ..systems.linear import Array
 from ..words import chance, with_error
 from .candidate_fits import CandidateFits
-from .ranking import estimates
+from .ranking import undetermined
 from .residual_tests import TestedResidual
 
-__all__ = ["amplitude_test", "essentials_known", "fit_remarks", "not_known", "remarks"]
+__all__ = ["amplitude_test", "fit_remarks", "not_known", "remarks"]
 
 _SHOWN = 8  # rows of the ranking that are printed
 _RISEN = 0.02  # log of the error: what explains a record does not move the free run away from it
@@ -95,22 +93,15 @@ def not_known(race: CandidateFits, levels: Levels) -> str:
     """
     effect = race.rivals[0].effect
     refinement = race.model().refinement
-    rows = estimates(refinement, effect)
-    sizes = [row for name, row in rows.items() if name not in effect.spec.shaping] or list(rows.values())
-    asked = [sizes, *([rows[name]] for name in effect.spec.essential if name in rows)]
-    unknown = next((group for group in asked if group and not _known(refinement, group, levels)), None)
-    if unknown is None:
+    unknown = undetermined(refinement, effect, levels)
+    if not unknown:
         if race.ratio or _rise(race.fitted.refinement.fit, refinement.fit) <= _RISEN:
             return ""
         return f"{effect.label} would pass, but the free run is further off with it: it is not named."
     found = ", ".join(with_error(row.coefficient, row.std) for row in unknown)
-    return f"{effect.label} would pass, but the record does not determine it ({found}): it is not named."
-
-
-def essentials_known(refinement: Refinement, effect: Effect, levels: Levels) -> bool:
-    """Whether a record determines each coefficient without which a law is another one."""
-    rows = estimates(refinement, effect) if effect.spec.essential else {}
-    return all(_known(refinement, [rows[name]], levels) for name in effect.spec.essential if name in rows)
+    wrong = race.rivals[0].unphysical
+    why = "physics asks for a positive value" if wrong else "the record does not determine it"
+    return f"{effect.label} would pass, but {why} ({found}): it is not named."
 
 
 def _rise(before: Array, after: Array) -> float:
@@ -118,13 +109,6 @@ def _rise(before: Array, after: Array) -> float:
     told = np.isfinite(before) & np.isfinite(after)
     left, more = (np.maximum(100.0 - fit[told], 1e-9) for fit in (before, after))
     return float(np.mean(np.log(more / left))) if told.any() else 0.0
-
-
-def _known(refinement: Refinement, rows: Sequence[EstimatedParameter], levels: Levels) -> bool:
-    """Whether estimates are together more than chance."""
-    at = [refinement.parameters.index(row) for row in rows]
-    values = np.array([row.coefficient for row in rows])
-    return wald(values, refinement.covariance[np.ix_(at, at)]) <= levels.known
 
 
 def fit_remarks(race: CandidateFits) -> list[str]:

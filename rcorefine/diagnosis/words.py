@@ -55,7 +55,8 @@ def sentences(found: Diagnosis) -> list[str]:
     alike = ", ".join(effect.label for effect in found.ambiguous)
     if len(found.ambiguous) == 1 and found.best is not None:
         alike += f", {_force(found)} that follows none of the laws"
-    where = "" if found.place is None else f": at {found.place}, with probability {_place(found)}"
+    at = found.place
+    where = "" if at is None else f": at {at}, with probability {found.places[at]:.2f}"
     lines = [_VERDICTS[found.verdict].format(best=_best(found), alike=alike, where=where)]
     if found.verdict == "parameters" and far_numbers(found.parameters):
         lines = ["The numbers of the model explain the record, moved so far that they may hide a law."]
@@ -130,10 +131,6 @@ def next_step(found: Diagnosis | Improvement) -> str:
     if found.open_law is not None:
         return "print(rco.refine(found.base, found.records, [found.law()]))"
     return "found.plot()  # the force against the motion, and what is left over"
-
-
-def _place(found: Diagnosis) -> str:
-    return f"{found.places[found.place]:.2f}" if found.place is not None else ""
 
 
 def failed_test(test: FTest) -> str:

@@ -88,6 +88,7 @@ class QuadraticDamping(PortLaw):
         "quadratic {loss}",
         "The {loss} at {place} has a part that grows with the square of the {state}.",
     )
+    resists = True
     needs = frozenset(["velocity"])
 
     @staticmethod
@@ -111,6 +112,7 @@ class CubicDamping(PortLaw):
     formula = "f = t v^3"
     explanation = "The damping at {place} grows with the cube of the speed."
     words = ("cubic {loss}", "The {loss} at {place} has a part that grows with the cube of the {state}.")
+    resists = True
     needs = frozenset(["velocity"])
 
     @staticmethod
@@ -144,6 +146,7 @@ class PowerDamping(PortLaw):
         "The damping at {place} grows with a power of the speed of its own, as in an orifice or a seal."
     )
     words = ("power-law {loss}", "The {loss} at {place} has a part that grows with a power of the {state}.")
+    resists = True
     needs = frozenset(["velocity"])
     width_share = ROOT_WIDTH
     powers = (("damping", "power"),)

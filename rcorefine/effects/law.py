@@ -119,8 +119,10 @@ class Law:
         Law that it equals together with a constant offset at the place.
     jumps : bool
         Whether the force jumps with the sign of the velocity.
+    resists : bool
+        Whether it only takes energy, as friction does too (`turns`): its size is positive.
     turns : bool
-        Whether the force depends on the direction of the motion.
+        Whether it is friction: the force depends on the direction of the motion.
     width_share : float or None
         Width over which a jump or a root is smoothed, as a share of the rms velocity; None for none.
     secant : bool
@@ -168,6 +170,7 @@ class Law:
     essential: ClassVar[tuple[str, ...]] = ()
     with_offset: ClassVar[str] = ""
     jumps: ClassVar[bool] = False
+    resists: ClassVar[bool] = False
     turns: ClassVar[bool] = False
     width_share: ClassVar[float | None] = None
     secant: ClassVar[bool] = False

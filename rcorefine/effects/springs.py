@@ -75,11 +75,7 @@ class QuadraticStiffness(PortLaw):
 
     where = frozenset(["mechanical"])
     coefficients = (
-        Coefficient(
-            "quadratic_stiffness",
-            "force/position^2",
-            explanation="force per squared displacement",
-        ),
+        Coefficient("quadratic_stiffness", "force/position^2", explanation="force per squared displacement"),
     )
     formula = "f = t d^2"
     explanation = (

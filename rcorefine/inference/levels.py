@@ -90,14 +90,12 @@ class Levels:
     hold_alike : float
         The same, within which a delay explains the record as well as another hold.
     moved : float
-        Standard deviations, normal by chance, from which on a number has moved.
+        Standard deviations, normal by chance, from which on a parameter has moved. The size of an effect, and
+        each coefficient that shapes it, must be as many from zero: else the effect is neither named nor kept.
     moved_far : float
         Share of a number. One that moved further, for certain, may stand in for a law.
     moved_wide : float
         Declared tolerances. A monitor whose numbers moved further does not call its model adequate.
-    known : float
-        p-value of Wald's test that the sizes of a law that passes are zero, below this by far for what the
-        scores have found. Above it the law passes by what the record does not determine: no name.
     swap : float
         Log-likelihood by which a candidate must win to take another one's place in a model;
         4.6 are odds of 100 to 1.
@@ -165,7 +163,6 @@ class Levels:
     moved: float = 3.0
     moved_far: float = 0.3
     moved_wide: float = 2.0
-    known: float = 0.003
     swap: float = 4.6
     earned: float = 0.05
     spoiled: float = 0.02

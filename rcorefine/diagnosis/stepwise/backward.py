@@ -8,7 +8,8 @@ import numpy as np
 
 from ...effects.effect import Effect
 from ...inference.refinement import Refinement
-from .selection import StepwiseSelection, coefficients_of, determined, same
+from ..case import not_held
+from .selection import StepwiseSelection, coefficients_of, determined
 
 __all__ = [
     "drop_last",
@@ -111,14 +112,15 @@ def swap_better(ladder: StepwiseSelection, library: list[Effect]) -> bool:
         if ladder.steps[-1].action == "add" and effect is ladder.effects[-1]:
             break  # it has just won against all others
         without = ladder.without(effect)
-        found = ladder.investigate(without, [e for e in library if not _holds(without, e)]).found
+        found = ladder.investigate(without, not_held(library, without.effects)).found
         if not found.ranking:
             continue
         row = found.ranking[0]
         after = [*(e for e in ladder.effects if e is not effect), row.effect]
         if ladder.is_new(after) and ladder.gain(row.refinement, ladder.current) > ladder.levels.swap:
             settled = ladder.refit(row.refinement)
-            if determined(after, settled) and ladder.share([row.effect], settled) > -ladder.levels.spoiled:
+            saved = ladder.share([row.effect], settled)
+            if determined([row.effect], settled) and saved > -ladder.levels.spoiled:
                 ladder.swap(effect, row.effect, settled, found.verdict)
                 swapped = True
     return swapped
@@ -211,7 +213,3 @@ def _sure(ladder: StepwiseSelection, effect: Effect, choices: int) -> bool:
         coefficients_of(effect, ladder.current, what).values() for what in ("coefficient", "std")
     )
     return not more and 0 < std < np.inf and (value / std) ** 2 > 4 * ladder.price(choices)
-
-
-def _holds(model: Refinement, effect: Effect) -> bool:
-    return any(same(effect, held) for held in model.effects)

@@ -8,10 +8,11 @@ from ...effects.effect import Effect
 from ...inference.refinement import Refinement
 from ...refinement.refine import refine
 from ..candidate_fits import CandidateFits
+from ..case import not_held
 from ..open_law import open_law
 from ..ranking import in_free_run
 from ..result import Diagnosis
-from .selection import Choice, StepwiseSelection, coefficients_of, determined, same
+from .selection import Choice, StepwiseSelection, coefficients_of, determined
 
 __all__ = ["climb", "tabulate"]
 
@@ -126,7 +127,7 @@ def _pair(ladder: StepwiseSelection, race: CandidateFits, rest: list[Effect]) ->
     """Two effects that help only together: every second one behind each of the best first ones."""
     found: list[tuple[float, tuple[Effect, Effect], Refinement]] = []
     for one, first in _in_free_run(race, _PAIRS_FROM):
-        others = [effect for effect in rest if not same(effect, one)]
+        others = not_held(rest, [one])
         second = ladder.investigate(first, others).race if others else None
         for two, both in _in_free_run(second, _TRIED) if second is not None else []:
             found.append((ladder.share((one, two), both), (one, two), both))
@@ -147,13 +148,13 @@ def _in_free_run(race: CandidateFits, most: int) -> list[tuple[Effect, Refinemen
 def _settled(
     ladder: StepwiseSelection, effects: tuple[Effect, ...], refinement: Refinement
 ) -> Refinement | None:
-    """The model fitted to the end; None where it was tried before, diverges, or is not determined."""
+    """The model fitted to the end; None where it was tried before, diverges, or does not determine them."""
     held = [*ladder.effects, *effects]
     if not ladder.is_new(held):
         return None
     settled = ladder.refit(refinement)
     runs = np.isfinite(ladder.log_error(settled, ladder.parts.fit, ladder.parts.choose))
-    return settled if runs and determined(held, settled) else None
+    return settled if runs and determined(effects, settled) else None
 
 
 def _by_error(

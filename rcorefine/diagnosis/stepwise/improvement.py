@@ -11,6 +11,7 @@ from ...effects.effect import Effect
 from ...inference.refinement import Refinement
 from ...results import Options, ReportedModel, Row, picture, show
 from ...systems.linear import Array
+from ...words import with_error
 from ..checks.row import CheckRow
 
 __all__ = ["Improvement", "Step"]
@@ -119,20 +120,15 @@ class Improvement(ReportedModel):
                 others = ", ".join(effect.label for effect in step.rivals)
                 lines.append(f"Step {i}: the record cannot tell {step.effect.label} from {others}.")
         lines.append(self.message)
-        home = self._homecoming()
-        return lines + ([home] if home else []) + list(self.notes)
+        return [*lines, *self._estimates(), *self.notes]
 
-    def _homecoming(self) -> str:
-        """Linear parameters of the first and of the last fit, beside the model's."""
-        parts = []
-        now = {(r.name, r.place): r for r in self.refinement.parameters if r.role == "linear"}
-        for row in self.steps[0].refinement.parameters:
-            last = now.get((row.name, row.place))
-            if row.role == "linear" and last is not None and len(self.steps) > 1:
-                parts.append(f"{row.name} {row.initial:.4g} | {row.value:.4g} -> {last.value:.4g}")
-        return (
-            "Linear parameters, model | alone -> with the effects: " + "; ".join(parts) + "." if parts else ""
-        )
+    def _estimates(self) -> list[str]:
+        """What was estimated in the last model, where the table does not hold all of it."""
+        rows = [row for row in self.refinement.parameters if row.role != "offset"]
+        if len(rows) < 2 and not any(row.role == "linear" for row in rows):
+            return []
+        told = [f"{r.name} at {r.place} {r.initial:g} -> {with_error(r.value, r.std, r.unit)}" for r in rows]
+        return [f"Estimates of the last model, initial -> value +/- std: {'; '.join(told)}."]
 
     @picture
     def plot(self, **options: Unpack[Options]) -> ct.ControlPlot:

@@ -11,10 +11,11 @@ import numpy as np
 from ...data.measurement import Measurement
 from ...data.response_record import in_frequency, some_lines
 from ...exceptions import DataError
-from ...inference.windows import spread_lines
+from ...inference.windows import spread_lines, windows
+from ...models.physical_model import PhysicalModel
 from ..case import SHORTEST
 
-__all__ = ["Parts", "split_in_parts"]
+__all__ = ["Parts", "common_horizon", "split_in_parts"]
 
 _FIT, _CHOOSE = 0.6, 0.2  # shares of the record; the rest judges
 _LEAST, _FEWEST = 30, 50  # samples of a part that chooses or judges, points of a response that can be split
@@ -54,6 +55,32 @@ class Parts:
     def pooled(self) -> Parts:
         """Fit on all that does not judge."""
         return replace(self, fit=self.learn)
+
+
+def common_horizon(
+    physical: PhysicalModel, records: Sequence[Any], horizon: float | None
+) -> tuple[float | None, list[str]]:
+    """Return the length of the free runs of all parts, and what is said of it.
+
+    Parameters
+    ----------
+    physical : PhysicalModel
+        Model.
+    records : sequence of Measurement
+        Whole records, channels in the order of the model.
+    horizon : float or None
+        What was asked for.
+
+    Returns
+    -------
+    horizon : float or None
+        Of the windows of the whole record where the model integrates: a part would choose shorter ones.
+    notes : list of str
+    """
+    pieces, note = windows(physical, list(records), horizon)
+    if horizon is not None or len(pieces) == len(records):
+        return horizon, []
+    return max(piece.n_samples * piece.dt for piece in pieces), [note]
 
 
 def split_in_parts(records: Sequence[Measurement], validation: Measurement | None) -> Parts:

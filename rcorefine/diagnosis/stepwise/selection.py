@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from ...comparison.compare import compare
+from ...data.channels import match_channels, record_for
 from ...data.measurement import Measurement
 from ...data.response_record import in_frequency
 from ...effects.effect import Effect
-from ...exceptions import DataError, ModelError
+from ...engine.response_engine import engine_on
+from ...exceptions import DataError, DivergenceError, ExcitationWarning, ModelError, unheard
 from ...inference.fitted import fitted_from
 from ...inference.levels import levels
 from ...inference.refinement import Refinement
@@ -19,17 +22,17 @@ from ...inference.windows import windows
 from ...models.operating_point import ordered_record
 from ...progress import Progress
 from ...refinement.refine import refine, refit
+from ...systems.linear import Array
+from ..case import no_motion, not_held
 from ..diagnose import investigate
-from ..excitation import no_motion
 from ..holds import best_hold
-from ..remarks import essentials_known
+from ..ranking import estimates, undetermined
 from ..result import Diagnosis
 from ..without_a_law import Answer
-from .errors import Errors
 from .improvement import Step
 from .parts import Parts
 
-__all__ = ["Choice", "StepwiseSelection", "coefficients_of", "determined", "same"]
+__all__ = ["Choice", "Errors", "StepwiseSelection", "coefficients_of", "determined"]
 
 
 Key = frozenset[tuple[str, str]]
@@ -55,6 +58,61 @@ class Choice:
     refinement: Refinement
     on_trust: bool = False
     ties: tuple[Effect, ...] = ()
+
+
+class Errors:
+    """Root mean squares of the free run's residual, in the windows that `compare` chooses.
+
+    Of frequency responses those of the points, over their noise. Every rival is held against the present
+    model, and each stage asks again: what a record left of a model is worked out once.
+
+    Parameters
+    ----------
+    horizon : float or None
+        Length of the free runs (s).
+    """
+
+    def __init__(self, horizon: float | None) -> None:
+        self.horizon = horizon
+        # beside it what has these numbers, so that nothing else gets them
+        self._known: dict[tuple[int, int], tuple[Array | None, Refinement, Measurement]] = {}
+
+    def __call__(self, refinement: Refinement, records: Sequence[Measurement]) -> Array:
+        """Error of a model on records, (n_y,); inf where it diverges."""
+        if in_frequency(records):
+            return _rms_of_points(refinement, records)
+        found = []
+        for record in records:
+            left = self._left(refinement, record)
+            if left is None:
+                return np.full(refinement.physical_model.linear.n_outputs, np.inf)
+            found.append(left)
+        return np.asarray(np.sqrt(np.mean(np.concatenate(found, axis=1) ** 2, axis=1)))
+
+    def _left(self, refinement: Refinement, record: Measurement) -> Array | None:
+        """Residual of a record, None where the model diverges."""
+        key = id(refinement), id(record)
+        if key not in self._known:
+            ordered = record_for(record, match_channels(refinement.physical_model.linear, record))
+            try:
+                with unheard(ExcitationWarning):  # parts are cut here: what they lack is nothing a user chose
+                    left = np.atleast_2d(compare(refinement, ordered, horizon=self.horizon).residual)
+            except DivergenceError:
+                left = None
+            self._known[key] = left, refinement, record
+        return self._known[key][0]
+
+
+def _rms_of_points(refinement: Refinement, responses: Sequence[Any]) -> Array:
+    structure, theta, _ = refinement.simulation_structure()
+    found = []
+    for response in responses:
+        record = ordered_record(refinement.physical_model, response)
+        run = engine_on(structure, record).run(theta, sensitivity=False)
+        if run.blew_up >= 0:
+            return np.full(structure.n_outputs, np.inf)
+        found.append(record.outputs - run.outputs)
+    return np.asarray(np.sqrt(np.mean(np.concatenate(found, axis=1) ** 2, axis=1)))
 
 
 class StepwiseSelection:
@@ -91,7 +149,7 @@ class StepwiseSelection:
         significance: float,
         progress: Progress,
     ) -> None:
-        self.parts, self.free, self.settings = parts, free, settings
+        self.parts, self._first, self.free, self.settings = parts, parts, free, settings
         self.significance, self.progress = significance, progress
         self.levels = levels()
         with progress.step("model as it is"):
@@ -114,7 +172,7 @@ class StepwiseSelection:
     # ------------------------------------------------------------------ looking
     def rest(self, library: Iterable[Effect]) -> list[Effect]:
         """Candidates that the present model does not hold."""
-        return [e for e in library if not any(same(e, held) for held in self.current.effects)]
+        return not_held(list(library), self.current.effects)
 
     def is_new(self, effects: Iterable[Effect]) -> bool:
         """Whether a set of effects was never the present one: no set is walked to twice."""
@@ -232,7 +290,7 @@ class StepwiseSelection:
         self.on_trust += choice.effects if choice.on_trust else ()
         self._now(self._held(choice.refinement) if first else choice.refinement)
         action = "add" if len(choice.effects) == 1 else "pair"
-        rivals = tuple(e for e in choice.ties if not any(same(e, own) for own in choice.effects))
+        rivals = tuple(not_held(choice.ties, choice.effects))
         self.steps += [self._step(effect, action, verdict, rivals) for effect in choice.effects]
 
     def float_numbers(self, floated: Refinement, most: float | None = None) -> bool:
@@ -245,6 +303,27 @@ class StepwiseSelection:
             return False
         self.current = settled
         self.steps.append(self._step(None, "parameters", "parameters", ()))
+        return True
+
+    def take_linear_fit(self) -> bool:
+        """Begin anew with every linear parameter re-estimated, where that explains the choosing part better.
+
+        Chance alone hardly makes it likelier there by `Levels.swap`: both are fitted to the first part alone.
+        """
+        part, choose = self._first.fit, self._first.choose
+        try:
+            fitted = refine(self.steps[0].refinement, part, free="linear", **self.settings)
+        except (DataError, ModelError):  # too few samples for so many parameters, or it runs away
+            return False
+        own = refit(self.current, part, elsewhere=False, **self.settings)
+        size = sum(ordered_record(fitted.physical_model, record).outputs.size for record in choose)
+        gained = size * (self.log_error(own, choose) - self.log_error(fitted, choose))
+        if "linear" not in fitted.roles or not gained > self.levels.swap:
+            return False
+        self.effects, self.on_trust, self.by_error = [], [], False
+        self._visited, self._verdicts = {frozenset()}, {}
+        self.current = self.refit(fitted)
+        self.steps = [self.steps[0], self._step(None, "parameters", "parameters", ())]
         return True
 
     def swap(self, old: Effect, new: Effect, refinement: Refinement, verdict: str) -> None:
@@ -266,7 +345,7 @@ class StepwiseSelection:
         self.steps.pop()
         self.current = self.steps[-1].refinement
         taken = {(s.effect.kind, s.effect.place): s.effect for s in self.steps if s.effect is not None}
-        self.effects = [e for e in taken.values() if any(same(e, held) for held in self.current.effects)]
+        self.effects = [e for e in taken.values() if (e.kind, e.place) in _key(self.current.effects)]
         self.on_trust = [e for e in self.on_trust if e in self.effects]
 
     def _now(self, refinement: Refinement) -> None:
@@ -324,24 +403,14 @@ class StepwiseSelection:
         )
 
 
-def same(one: Effect, two: Effect) -> bool:
-    """Whether two effects are of one kind at one place."""
-    return one.kind == two.kind and one.place == two.place
-
-
 def coefficients_of(effect: Effect, refinement: Refinement, what: str = "coefficient") -> dict[str, float]:
     """Coefficients of an effect in a model, or their standard deviations; none where it was dropped."""
-    own = [row for row in refinement.parameters if row.kind == effect.kind and row.place == effect.place]
-    names = [n for n in effect.coefficients if n not in effect.fixed]
-    return {n: float(getattr(row, what)) for n, row in zip(names, own, strict=True)} if own else {}
+    return {name: float(getattr(row, what)) for name, row in estimates(refinement, effect).items()}
 
 
 def determined(effects: Iterable[Effect], refinement: Refinement) -> bool:
-    """Whether the record determines every coefficient of these effects."""
-    stds = {e: coefficients_of(e, refinement, "std") for e in effects}
-    if not all(np.isfinite(std) for own in stds.values() for std in own.values()):
-        return False
-    return all(essentials_known(refinement, e, levels()) for e, own in stds.items() if own)
+    """Whether the record determines each of these effects, so that `diagnose` would name it."""
+    return not any(undetermined(refinement, effect, levels()) for effect in effects)
 
 
 def _key(effects: Iterable[Effect]) -> Key:
