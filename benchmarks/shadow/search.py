@@ -141,25 +141,30 @@ class Search:
         return self._under_own_noise(effects, base, problem, run, gain, evaluations[1])
 
     def _under_own_noise(self, effects, base, problem, run, gain, evaluations):
-        noise = noise_of([r for r, _ in run.blocks(problem)], measured(problem), self.steps)
+        """The fit under its own noise, which changes with it: as long as the score rises."""
+        best = self.scored(Trial(tuple(effects), base, problem, run.point, run.blocks(problem)))
+        for _ in range(3):
+            again = self._descended(problem, best.point, best.noise, gain, evaluations)
+            if not np.isfinite(again.cost):
+                break
+            trial = self.scored(Trial(tuple(effects), base, problem, again.point, again.blocks(problem)))
+            better, gained = trial.total > best.total, trial.total - best.total
+            best = trial if better else best
+            if gained < 1.0 or not any(np.ptp(w) > 0 for w in best.noise.weights):
+                break
+        return best
+
+    def _descended(self, problem, point, noise, gain, evaluations, tolerance=1e-6):
+        """Descend in the metric of a noise; the evaluation is that of plain weights."""
+        if not any(np.ptp(w) > 0 for w in noise.weights):
+            return descend(problem, point, gain=gain, whitener=noise.whitener, evaluations=evaluations, tolerance=tolerance)
         plain = problem.judged
-        if any(np.ptp(w) > 0 for w in noise.weights):
-            problem.judged = lambda theta: [j * w for j, w in zip(plain(theta), noise.weights, strict=True)]
-            problem._cache = None
-            run = descend(problem, run.point, gain=gain, whitener=noise.whitener, evaluations=evaluations, tolerance=1e-6)
-            problem.judged = plain
-            problem._cache = None
-            if not np.isfinite(run.cost):
-                return None
-            run = descend(problem, run.point, gain=gain, evaluations=1)
-        else:
-            again = descend(
-                problem, run.point, gain=gain, whitener=noise.whitener, evaluations=evaluations,
-                known=run.known(problem, gain), tolerance=1e-6,
-            )
-            run = again if np.isfinite(again.cost) else run
-        trial = Trial(tuple(effects), base, problem, run.point, run.blocks(problem))
-        return self.scored(trial)
+        problem.judged = lambda theta: [j * w for j, w in zip(plain(theta), noise.weights, strict=True)]
+        problem._cache = None
+        run = descend(problem, point, gain=gain, whitener=noise.whitener, evaluations=evaluations, tolerance=tolerance)
+        del problem.judged
+        problem._cache = None
+        return descend(problem, run.point, gain=gain, evaluations=1) if np.isfinite(run.cost) else run
 
     @staticmethod
     def _padded(gain, problem):
@@ -428,13 +433,7 @@ class Search:
         noise = trial.noise
 
         def descended(problem, point, evaluations, tolerance=1e-7):
-            plain = problem.judged
-            problem.judged = lambda theta: [j * w for j, w in zip(plain(theta), noise.weights, strict=True)]
-            problem._cache = None
-            run = descend(problem, point, gain=gain, whitener=noise.whitener, evaluations=evaluations, tolerance=tolerance)
-            del problem.judged
-            problem._cache = None
-            return run
+            return self._descended(problem, point, noise, gain, evaluations, tolerance)
 
         run = descended(problem, point, 8)
         if not problem.structure.is_linear and problem.in_time:
@@ -462,7 +461,6 @@ class Search:
                     problem, run, price = other, again, 1.0
         if not np.isfinite(run.cost):
             return None
-        run = descend(problem, run.point, gain=gain, evaluations=1)
         return self.scored(Trial(trial.effects, base, problem, run.point, run.blocks(problem)))
 
     def polish(self, most=5, near=60.0):
