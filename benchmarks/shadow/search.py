@@ -25,7 +25,7 @@ from rcorefine.inference.descent import descend
 from rcorefine.inference.fitted import FittedModel, fitted_from
 from rcorefine.inference.sensitivities import candidate_columns
 from rcorefine.inference.search import step_matters
-from rcorefine.inference.starts import estimated_motion
+from rcorefine.inference.starts import estimated_motion, shape_starts
 from rcorefine.inference.whitening import Whitener
 from rcorefine.models.operating_point import sensed
 from rcorefine.refinement.base_fit import base_fit
@@ -287,6 +287,7 @@ class Search:
             if self.posterior(self.best) <= before + 1.0:
                 break
         self.prune()
+        self.names()
         self.polish()
         self.p_value, self.tests = self.tested(self.best)
         return self
@@ -424,6 +425,70 @@ class Search:
             if self.best is best:
                 break
         self.clock("prune", t)
+
+    def names(self):
+        """The winner with each force replaced by other laws at its place that imitate it."""
+        t = time.process_time()
+        for _ in range(2):
+            best = self.best
+            for i, effect in enumerate(best.effects):
+                self.imitations(best, i, effect)
+            if self.best is best:
+                break
+        self.clock("names", t)
+
+    def imitations(self, trial, i, effect):
+        found = force_of(trial, i)
+        if found is None:
+            return
+        d, v, w, force = found
+        structure = trial.problem.structure
+        held = {(e.kind, e.place) for e in trial.effects}
+        options = []
+        for other in self.case.library:
+            if other.place != effect.place or (other.kind, other.place) in held or is_number(other):
+                continue
+            if (key := (frozenset(trial.effects), i, other)) in self._pruned:
+                continue
+            self._pruned.add(key)
+            one = Structure(structure.model, [other])
+            shapes = []
+            for start in shape_starts(one, one.start(), self.motion):
+                shape = {q.name: float(start[k]) for k, q in enumerate(one.parameters) if q.name in other.spec.shaping}
+                shapes += [shape] if shape not in shapes else []
+            for shape in shapes:
+                columns = unit_forces(other, d, v, [shape], w, resting(structure, other.place))
+                free = [n for n in other.free if n not in shape]
+                if not columns or len(columns) != len(free):
+                    continue
+                F = np.array(columns).T
+                levels = np.linalg.lstsq(F, force, rcond=1e-10)[0]
+                left = float(np.sum((force - F @ levels) ** 2) / np.sum(force**2))
+                if np.isfinite(left):
+                    options.append((left, other, {**shape, **dict(zip(free, levels, strict=True))}))
+        options.sort(key=lambda o: o[0])
+        seen = []
+        for left, other, values in options:
+            if other in seen or left > 0.6 or len(seen) >= 3:
+                continue
+            seen.append(other)
+            effects = tuple(other if k == i else e for k, e in enumerate(trial.effects))
+            problem, absent = trial.base.extended(list(effects), self.motion)
+            theta, starts = trial.problem.unpack(trial.point)
+            p0, own = trial.base.problem.n_theta, []
+            first = len(trial.problem.structure.effects) - len(trial.effects)
+            for k, e in enumerate(effects):
+                names = [q.name for q in problem.structure.parameters if q.effect == first + k]
+                if k == i:
+                    own += [values.get(n, 0.0) for n in names]
+                else:
+                    own += [theta[j] for j, q in enumerate(trial.problem.structure.parameters) if q.effect == first + k]
+            full = np.concatenate([theta[:p0], own])
+            if len(full) != problem.n_theta:
+                continue
+            states = np.zeros((len(problem.records), problem.n_states))
+            states[:, : trial.base.problem.n_states] = starts[:, : trial.base.problem.n_states]
+            self.add(self.refit(effects, trial.base, [], known=[problem.inside(problem.pack(full, states))], evaluations=(10, 10)))
 
     # ------------------------------------------------------------ polish
     def polished(self, trial):
@@ -579,3 +644,20 @@ def force_at(trial, place):
         parts.append(total)
     found = np.concatenate(parts)
     return found if np.isfinite(found).all() and found.any() else None
+
+
+def force_of(trial, i):
+    """Motion at the place of one effect, inputs and its force, all records joined; None where it is no force."""
+    problem, structure = trial.problem, trial.problem.structure
+    k = len(structure.effects) - len(trial.effects) + i
+    if k not in structure.port_effects:
+        return None
+    theta, starts = problem.unpack(trial.point)
+    rest, rows = forces_at_rest(structure, theta), []
+    at = list(structure.port_effects).index(k)
+    for engine, start in zip(problem.engines, starts, strict=True):
+        run = engine.run(theta, start, sensitivity=False, histories=True, check=False)
+        d, v = sensed(structure.model, structure.effects[k].place, run.states, engine.data.inputs)
+        rows.append((d, v, engine.data.inputs, run.forces[at] - rest[at]))
+    d, v, w, force = (np.concatenate(parts, axis=-1) for parts in zip(*rows, strict=True))
+    return (d, v, w, force) if np.isfinite([d, v, force]).all() and force.any() else None
