@@ -16,15 +16,16 @@ from rcorefine.models.operating_point import ordered_record
 M, B, V0, DT = 1200.0, 40.0, 24.0, 0.1
 
 
-def car(F0, **more):
-    system = ct.ss([[-B / M]], [[1 / M]], [[1.0]], 0, states=["v"], inputs=["F"], outputs=["speed"])
+def car(F0, slope=B, **more):
+    """Linear about 24 m/s, where the losses grow by `slope` with the speed."""
+    system = ct.ss([[-slope / M]], [[1 / M]], [[1.0]], 0, states=["v"], inputs=["F"], outputs=["speed"])
     return rco.physical(system, operating_point={"inputs": F0, "states": V0, "outputs": [V0]}, **more)
 
 
-def record(rate, F0, seed=0, n=400, noise=0.0):
+def record(rate, F0, seed=0, n=400, noise=0.0, size=900.0):
     """A plant whose `rate(v, F)` is integrated by scipy, F held, from its equilibrium."""
     rng = np.random.default_rng(seed)
-    F = F0 + 900.0 * np.repeat(rng.standard_normal(n // 20), 20)
+    F = F0 + size * np.repeat(rng.standard_normal(n // 20), 20)
     v = [V0]
     for force in F[:-1]:
         run = solve_ivp(lambda t, x, F=force: rate(x, F), (0, DT), [v[-1]], rtol=1e-9, atol=1e-9)
@@ -35,6 +36,7 @@ def record(rate, F0, seed=0, n=400, noise=0.0):
 
 DRAG = 0.5
 F_DRAG = B * V0 + DRAG * V0**2
+SLOPE = B + 2 * DRAG * V0  # of all that brakes at 24 m/s: what a linearization contains
 
 
 def dragged(v, F):
@@ -44,7 +46,7 @@ def dragged(v, F):
 def test_drag_about_24_m_per_s_against_scipy():
     data = record(dragged, F_DRAG)
     effect = rco.Effect("quadratic_damping", "v", start={"quadratic_damping": DRAG})
-    structure = Structure(car(F_DRAG), [effect])
+    structure = Structure(car(F_DRAG, SLOPE), [effect])
     engine = Engine(structure, ordered_record(structure.model, data), substeps=4)
     run = engine.run(np.array([DRAG]), np.zeros(1))
     assert np.abs(run.outputs[0] + V0 - data.outputs[0]).max() < 1e-5
@@ -55,14 +57,15 @@ def test_drag_about_24_m_per_s_against_scipy():
 
 
 def test_refined_drag_is_absolute_and_its_nonlinear_system_too():
-    data = record(dragged, F_DRAG, noise=0.02, n=1200)
-    better = rco.refine(car(F_DRAG), data, [rco.Effect("quadratic_damping", "v")])
+    data = record(dragged, F_DRAG, noise=0.005, n=1200, size=2500.0)
+    better = rco.refine(car(F_DRAG, SLOPE), data, [rco.Effect("quadratic_damping", "v")])
     row = better.parameter("quadratic_damping")
     assert abs(row.value - DRAG) < 4 * row.std < 0.05
     slope = ct.linearize(better.nonlinear, [V0], [F_DRAG]).A[0, 0]
-    assert slope == pytest.approx(-(B + 2 * row.value * V0) / M, rel=1e-4)
+    assert slope == pytest.approx(-SLOPE / M, rel=1e-6)  # linear parameters keep their meaning
+    assert better.system.A[0, 0] == pytest.approx(-SLOPE / M, rel=1e-9)
     rate = better.nonlinear.updfcn(0.0, [V0 + 1], [F_DRAG], {})
-    assert rate[0] == pytest.approx(-(B + row.value * ((V0 + 1) ** 2 - V0**2)) / M, rel=1e-6)
+    assert rate[0] == pytest.approx(-(SLOPE + row.value) / M, rel=1e-6)  # (v0 + 1)^2 above its tangent is 1
     run = better.simulate(data, x0=[V0])
     assert run.states[0, 0] == pytest.approx(V0)
     assert abs(run.outputs.mean() - data.outputs.mean()) < 0.1
@@ -70,10 +73,41 @@ def test_refined_drag_is_absolute_and_its_nonlinear_system_too():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_diagnose_names_the_drag(seed):
-    found = rco.diagnose(car(F_DRAG), record(dragged, F_DRAG, seed=seed, noise=0.02, n=1200))
+    found = rco.diagnose(
+        car(F_DRAG, SLOPE), record(dragged, F_DRAG, seed=seed, noise=0.005, n=1200, size=2500.0)
+    )
     assert found.verdict in ("effect", "ambiguous")
     kinds = [effect.kind for effect in (*found.ambiguous, found.best.effect)]
     assert "quadratic_damping" in kinds
+
+
+@pytest.mark.parametrize("outlet", [0, 1])
+def test_diagnose_names_a_square_root_outflow_of_two_tanks(outlet):
+    """One tank drains through an orifice, the other in proportion; the model is linear about the levels."""
+    flow, h0 = (0.8, 0.6), np.array([1.2, 0.8**2 * 1.2 / 0.6**2])
+    q0, k = 0.8 * np.sqrt(1.2), np.array(flow) / (2 * np.sqrt(h0))
+    rng = np.random.default_rng(outlet)
+    q = q0 * (1 + 0.35 * np.clip(np.repeat(rng.standard_normal(60), 15), -2, 2))
+
+    def rate(t, h, push):
+        out = q0 + k * (h - h0)
+        out[outlet] = flow[outlet] * np.sqrt(max(h[outlet], 0.0))
+        return [push - out[0], (out[0] - out[1]) / 1.5]
+
+    levels = [h0]
+    for push in q[:-1]:
+        run = solve_ivp(rate, (0, 0.5), levels[-1], args=(push,), rtol=1e-8, atol=1e-10)
+        levels.append(run.y[:, -1])
+    y = np.array(levels).T
+    y = y + 0.01 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
+    names = {"inputs": ["q"], "outputs": ["h1", "h2"]}
+    A = [[-k[0], 0], [k[0] / 1.5, -k[1] / 1.5]]
+    linear = ct.ss(A, [[1.0], [0]], np.eye(2), 0, states=["h1", "h2"], **names)
+    tanks = rco.physical(linear, operating_point={"inputs": q0, "states": h0})
+    data = rco.Measurement(q, y, dt=0.5, input_labels=["q"], output_labels=["h1", "h2"])
+    found = rco.diagnose(tanks, data)
+    place = ("h1->h2", "h2")[outlet]
+    assert rco.Effect("sqrt_flow", place) in (*found.ambiguous, found.best.effect)
 
 
 def test_linear_effects_are_those_of_deviations():
@@ -115,7 +149,8 @@ def test_radiation_about_293_kelvin():
             (0, 10.0), [T[-1]], rtol=1e-9,
         )  # fmt: skip
         T.append(run.y[0, -1])
-    room = ct.ss([[-G / C]], [[1 / C]], [[1.0]], 0, states=["T"], inputs=["P"], outputs=["T"])
+    slope = G + 4 * q * T0**3 * 1e-8  # of all losses at 293 K
+    room = ct.ss([[-slope / C]], [[1 / C]], [[1.0]], 0, states=["T"], inputs=["P"], outputs=["T"])
     model = rco.physical(room, operating_point={"inputs": 400.0, "states": T0})
     data = rco.Measurement(P, T + 0.01 * rng.standard_normal(n), dt=10.0, input_labels="P", output_labels="T")
     law = rco.Effect("radiation", "T", fixed={"temperature": 0.0})
@@ -131,7 +166,7 @@ def test_deviation_knows_what_was_taken_off():
     np.testing.assert_allclose(again.outputs, data.outputs[:, :200] - V0, atol=1e-12)
     np.testing.assert_allclose(above.deviation().origin, [data.inputs.mean(), data.outputs.mean()])
     effect = [rco.Effect("quadratic_damping", "v")]
-    one, two = (rco.refine(car(F_DRAG), each, effect) for each in (data, above))
+    one, two = (rco.refine(car(F_DRAG, SLOPE), each, effect) for each in (data, above))
     np.testing.assert_allclose(one.theta, two.theta, rtol=1e-6)
     assert rco.simulate(one, above).outputs.mean() == pytest.approx(above.outputs.mean(), abs=0.05)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..effects.along_motion import unit_forces
 from ..engine.observer import observer_gain
-from ..engine.point import forces_at_rest, resting
+from ..engine.point import resting, tangents
 from ..inference.descent import Descent, descend
 from ..inference.fitted import FittedModel
 from ..inference.logarithms import by_logarithms
@@ -268,8 +268,8 @@ def force_along(candidate: Candidate, point: Array) -> tuple[Array, Array, Array
         w = engine.data.inputs
         d, v = sensed(structure.model, port.name, run.states, w)
         if at_port:
-            last = structure.n_ports - 1
-            rows.append((d, v, w, run.forces[last] - forces_at_rest(structure, theta)[last]))
+            (d0, v0), rest = resting(structure, port.name) or (0.0, 0.0), tangents(structure, theta)[-1]
+            rows.append((d, v, w, run.forces[structure.n_ports - 1] - rest @ [v**0, d - d0, v - v0]))
         else:
             unit = unit_forces(effect, d, v, [], rest=resting(structure, effect.place))
             if unit is None:

@@ -35,7 +35,8 @@ def unit_forces(
     w : ndarray, shape (n_w, N), optional
         Inputs, for laws that feel them.
     rest : two floats, optional
-        Displacement and velocity at which the force is counted as nothing.
+        Displacement and velocity at an operating point: force and tangent there are subtracted, but no
+        tangent by a velocity that is zero.
 
     Returns
     -------
@@ -43,20 +44,21 @@ def unit_forces(
         None for a law that is not a force along a motion.
     """
     if rest is not None and effect.spec.signal != "constant":
-        d, v = np.append(rest[0], d), np.append(rest[1], v)
-        w = None if w is None else np.hstack([0.0 * w[:, :1], w])
-        whole = unit_forces(effect, d, v, shapes, w)
-        return None if whole is None else [column[1:] - column[0] for column in whole]
-    law = effect.spec
-    simple = {"displacement": d, "velocity": v, "constant": np.ones(v.size)}.get(law.signal)
-    if simple is not None:
-        return [np.asarray(simple, dtype=float)]
+        sizes = np.abs([rest[0] or np.abs(d).max(initial=0.0), rest[1]]) * (not effect.spec.linear)
+        steps = 1e-5 * sizes * (not effect.spec.inner_states)
+        near = np.array(rest)[:, None] + steps[:, None] * [[0, 1, -1, 0, 0], [0, 0, 0, 1, -1]]
+        per, moved = 0.5 * steps / np.maximum(steps, 1e-150) ** 2, np.hstack([near, [d, v]])
+        whole = unit_forces(effect, moved[0], moved[1], shapes)  # none feels inputs at a point
+        above = moved[:, 5:] - near[:, :1]
+        return whole and [f[5:] - f[0] - (f[[1, 3]] - f[[2, 4]]) * per @ above for f in whole]
+    law, simple = effect.spec, {"displacement": d, "velocity": v, "constant": np.ones(v.size)}
+    if law.signal in simple:
+        return [np.asarray(simple[law.signal], dtype=float)]
     if not isinstance(law, PortLaw) or law.needs_starts or (law.feels_inputs and w is None):
         return None
     # a copy: a read-only view would have the kernel compiled once more
     inputs = np.zeros((d.size, 0)) if w is None else np.array(w.T, order="C")
-    d, v = np.ascontiguousarray(d, dtype=float), np.ascontiguousarray(v, dtype=float)
-    columns: list[Array] = []
+    d, v, columns = np.ascontiguousarray(d, dtype=float), np.ascontiguousarray(v, dtype=float), list[Array]()
     for shape in shapes if law.shaping else [{}]:
         values = {**law.constants, **effect.fixed, **shape}
         if not law.shaping <= values.keys():
@@ -67,6 +69,5 @@ def unit_forces(
         with np.errstate(all="ignore"):
             forces_along(law.code, d, v, inputs, row, _SHARP, found)
         raise_pending()
-        names = enumerate(law.coefficient_names)
-        columns += [found[c] for c, name in names if name not in law.shaping]
+        columns += [found[c] for c, name in enumerate(law.coefficient_names) if name not in law.shaping]
     return columns

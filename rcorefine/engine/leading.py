@@ -6,13 +6,13 @@ import numpy as np
 
 from ..data.measurement import Measurement
 from ..models.physical_model import PhysicalModel
+from ..systems.exponential import exponential
 from ..systems.linear import Array
 from .controlled import open_loop
 from .engine import Engine
 from .free_runs import integrates, runs_away
 from .observer import observer_gain
 from .structure import Structure
-from .tangent import growth
 
 __all__ = ["leading_gain", "leading_ratio", "steadying_ratio"]
 
@@ -22,6 +22,7 @@ _REGULAR = 4.0  # log: a regular motion drifts in phase, and gains one or two; o
 _FORCES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)  # unknown over measured: the least that holds the motion
 _DIES_OUT = 1e-3  # share of its largest effect to which an error of the start is to fall
 _FOLLOWS = 5.0  # times the error of the strongest observer: more, and the motion is lost
+_LARGEST = 30.0  # log of a growth: beyond, nothing more is learned
 _KEPT = 64
 _KNOWN: dict[tuple[int, float, bytes, bytes], tuple[object, float | None]] = {}
 
@@ -100,3 +101,33 @@ def _sought(bare: Structure, record: Measurement) -> float | None:
         if holds and felt[felt.size // 2 :].max() < _DIES_OUT * felt.max():
             return ratio
     return _FORCES[-1]
+
+
+def growth(model: PhysicalModel, states: Array, record: Measurement) -> float:
+    """Log by which an error of the state grows at most from one sample to a later one, along given states.
+
+    Parameters
+    ----------
+    model : PhysicalModel
+        With a field.
+    states : ndarray, shape (n, N)
+        Motion, above the operating point.
+    record : Measurement
+        Inputs, above it as well.
+    """
+    field, n = Structure(model).field, model.linear.n_states
+    assert field is not None
+    along = np.vstack([states[:n], record.inputs]).T
+    slopes = np.array([field.slopes(field.nominal, z)[:n, :n] for z in along])
+    error, total, least, most = np.eye(n), 0.0, 0.0, 0.0
+    for step in exponential((model.linear.A + np.nan_to_num(slopes)) * record.dt):
+        error = step @ error
+        size = float(np.linalg.norm(error, 2))
+        if not 0.0 < size < np.inf:
+            break
+        error, total = error / size, total + float(np.log(size))
+        least = min(least, total)
+        most = max(most, total - least)
+        if most > _LARGEST:
+            break
+    return most

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..effects.absorbed import AbsorbedLaw, Assembly, Site
-from .point import act_scales, forces_at_rest
+from .point import act_scales, tangents
 
 if TYPE_CHECKING:
     from .structure import Structure
@@ -135,15 +135,21 @@ def continuous_matrices(structure: Structure, points: NDArray[Any]) -> Matrices:
 def _make_absolute(
     structure: Structure, points: NDArray[Any], gain: NDArray[Any], P: NDArray[Any], at: Matrices
 ) -> None:
-    """States and inputs are what they have above the operating point; sensors and ports are absolute."""
+    """States and inputs are what they have above the operating point; sensors and ports are absolute.
+
+    The force of a law at the point and its tangent there are in the model already: both are subtracted.
+    """
     point, n, nw = structure.model.operating_point, structure.n_states, structure.n_inputs
-    n0, laws = structure.linear_model.n_states, slice(structure.n_ports)
+    n0, m = structure.linear_model.n_states, structure.n_ports
     assert point is not None
+    rest = np.array([tangents(structure, theta) for theta in points])[:, :, :, None]
+    known = rest[:, :, 1] * at.P[:, :m] + rest[:, :, 2] * at.P[:, m : 2 * m]
+    known[:, :, n + nw] += rest[:, :, 0, 0]
+    for by_state, by_input, pushes in ((at.A, at.B, at.E), (at.C, at.D, at.G)):
+        by_state -= pushes[:, :, :m] @ known[:, :, :n]
+        by_input -= pushes[:, :, :m] @ known[:, :, n:]
     at.P[:, :, n + nw] += P[:, :n0] @ point.states + P[:, n:] @ point.inputs
-    rest = np.array([forces_at_rest(structure, theta) for theta in points])[:, :, None]
-    at.B[:, :, nw] -= (at.E[:, :, laws] @ rest)[:, :, 0]
     at.D[:, :, nw] += (1.0 if structure.field is None else gain) * point.outputs
-    at.D[:, :, nw] -= (at.G[:, :, laws] @ rest)[:, :, 0]
 
 
 def _together(parts: list[Assembly]) -> Assembly:

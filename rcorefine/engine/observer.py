@@ -13,6 +13,7 @@ from ..systems.balance import balance
 from ..systems.exponential import exponential
 from ..systems.linear import Array
 from .controlled import open_loop, own_states
+from .point import about_point
 from .structure import Structure
 
 __all__ = ["SteadyFilter", "existing_gain", "observer_gain", "steady_filter"]
@@ -60,15 +61,15 @@ def observer_gain(
             open_loop(structure), theta, data, ratio, at=at, noise=noise
         )
         return gain
-    m = structure.matrices(theta.astype(float))
+    A, B, C, _ = about_point(structure, theta.astype(float))
     nw, n = structure.n_inputs, structure.n_states
     level = np.sqrt(np.mean(data.inputs**2, axis=1))
     level = np.where(level > 0, level, 1.0)
     spread = data.outputs.std(axis=1)
     spread = np.where(spread > 0, spread, 1.0)
-    G, C = m.B[:, :nw] * level, m.C / spread[:, None]
-    units = _units(m.A * data.dt, G, C)  # the user's may be far apart
-    A, G, C = m.A * units / units[:, None], G / units[:, None], C * units
+    G, C = B[:, :nw] * level, C / spread[:, None]
+    units = _units(A * data.dt, G, C)  # the user's may be far apart
+    A, G, C = A * units / units[:, None], G / units[:, None], C * units
     drives = list(G.T)
     top = max((np.linalg.norm(d) for d in drives), default=1.0) or 1.0
     acts = [] if at == "inputs" and drives else [port.act for port in structure.model.ports]

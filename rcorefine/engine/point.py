@@ -14,32 +14,49 @@ from ..systems.linear import Array
 if TYPE_CHECKING:
     from .structure import Structure
 
-__all__ = ["about_point", "act_scales", "field_numbers", "forces_at_rest", "resting"]
+_ROUNDING = 1e-9  # of the largest value at the point
+_STEP = 1e-4  # of a coefficient, for the derivative of a tangent by it
+
+__all__ = ["about_point", "act_scales", "field_numbers", "resting", "tangents"]
 
 
 def resting(structure: Structure, place: str) -> tuple[float, float] | None:
-    """Displacement and velocity of a port at the operating point, None where nothing balances there."""
-    if not structure.balanced:
+    """Displacement and velocity of a port at the operating point, None where no law is taken about it.
+
+    A velocity that differs from zero by rounding alone is returned as zero.
+    """
+    point = structure.model.operating_point
+    if point is None or not structure.balanced:
         return None
-    nothing = np.zeros((structure.n_states + structure.n_inputs, 1))
-    d, v = sensed(structure.model, place, nothing, nothing[: structure.n_inputs])
-    return float(d[0]), float(v[0])
+    d, v = sensed(
+        structure.model, place, np.zeros((structure.n_states, 1)), np.zeros((structure.n_inputs, 1))
+    )
+    least = _ROUNDING * np.abs([*point.states, *point.inputs]).max(initial=0.0)
+    return float(d[0]), float(v[0]) if abs(v[0]) > least else 0.0
 
 
-def forces_at_rest(structure: Structure, theta: NDArray[Any]) -> NDArray[Any]:
-    """Forces (m,) of the laws at the operating point, with their derivatives where theta is complex."""
-    found = np.zeros(structure.n_ports, theta.dtype if theta.size else float)
+def tangents(structure: Structure, theta: NDArray[Any]) -> NDArray[Any]:
+    """Force of each law at the operating point, and its slopes by displacement and velocity: (m, 3).
+
+    A model that is linear about the point contains both. At a port at rest friction jumps with the
+    velocity, and a force with a memory depends on the past: no tangent there. Where theta is complex,
+    so is the answer, with the derivatives.
+    """
+    found = np.zeros((structure.n_ports, 3), theta.dtype if theta.size else float)
     if not structure.balanced:
         return found
     codes, values, columns, widths = structure.laws(theta.real)
     written = np.zeros((structure.n_ports, COUNT))
     for row, index in enumerate(structure.port_effects):
-        d, v = resting(structure, structure.effects[index].place) or (0.0, 0.0)
+        law, place = structure.effects[index].spec, structure.effects[index].place
+        d, v = resting(structure, place) or (0.0, 0.0)
         evaluate(codes[row], d, v, d, 0.0, values, row, widths[row], written[0, :0], written)
-        found[row] = written[row, 0]
-        for slot, column in enumerate(columns[row]):
-            if column >= 0:
-                found[row] += written[row, 9 + slot] * (theta[column] - theta[column].real)
+        jumps = law.inner_states or abs(v) <= (0.0 if law.width_share is None else widths[row])
+        found[row] = written[row, :3] * [1, not law.inner_states, not jumps]
+    for c in set(columns[columns >= 0]) & set(np.flatnonzero(theta.imag)):
+        step = _STEP * (abs(theta[c].real) or 1.0) * np.eye(theta.size)[c]
+        change = tangents(structure, theta.real + step) - tangents(structure, theta.real - step)
+        found += change / (2.0 * step[c]) * (theta[c] - theta[c].real)
     return found
 
 
@@ -90,13 +107,18 @@ def act_scales(structure: Structure, theta: NDArray[Any]) -> dict[str, Any]:
 
 
 def about_point(structure: Structure, theta: Array) -> tuple[Array, Array, Array, Array]:
-    """A, B, C, D with the linear effects, and of a nonlinear model with its slopes at the point."""
+    """A, B, C, D with the linear effects, and of a nonlinear model with its slopes at the point.
+
+    Of a model about a declared point these are its own: a law has no slope there.
+    """
     matrices = structure.matrices(theta)
-    A, B, C, D = matrices.A, matrices.B, matrices.C, matrices.D
+    A, B, C, D, P = matrices.A, matrices.B, matrices.C, matrices.D, matrices.P
     field, ports, n = structure.field, structure.n_ports, structure.n_states
+    E, G = matrices.E[:, :ports], matrices.G[:, :ports]
+    slopes = tangents(structure, theta)[:, 1:, None]
+    by = slopes[:, 0] * P[:ports] + slopes[:, 1] * P[ports : 2 * ports]
     if field is not None:
         table = field.table(field_numbers(structure, theta)[1][0], np.zeros(field.n_signals), 1.0)
-        by = table[:, 2 : 2 + field.n_signals] @ matrices.P[2 * ports :]
+        by = table[:, 2 : 2 + field.n_signals] @ P[2 * ports :]
         E, G = matrices.E[:, ports:], matrices.G[:, ports:]
-        A, B, C, D = A + E @ by[:, :n], B + E @ by[:, n:], C + G @ by[:, :n], D + G @ by[:, n:]
-    return A, B, C, D
+    return A + E @ by[:, :n], B + E @ by[:, n:], C + G @ by[:, :n], D + G @ by[:, n:]

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, TypeVar
 
 import control as ct
 import numpy as np
@@ -21,13 +21,37 @@ from ..models.conversion import as_physical
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array, LinearModel
 from .controlled import open_loop
-from .kept import Kept
 from .matrices import Matrices, continuous_matrices, site_of
 from .point import about_point
 from .substep import Discrete, discretized
 
 __all__ = ["Parameter", "Structure"]
 _KEPT = 8  # of what hangs on the coefficients: with and without derivatives, whole and in pieces
+_Made = TypeVar("_Made")
+
+
+class Kept:
+    """The last few things that were made, for who asks again.
+
+    Parameters
+    ----------
+    most : int
+        How many are kept.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._made: dict[Hashable, Any] = {}
+
+    def __call__(self, key: Hashable, make: Callable[[], _Made]) -> _Made:
+        """What was made under a key; made now, if it is not here."""
+        found: _Made | None = self._made.get(key)
+        if found is None:
+            found = make()
+            for oldest in list(self._made)[: 1 - self._most]:
+                self._made.pop(oldest, None)
+            self._made[key] = found
+        return found
 
 
 @dataclass(frozen=True, slots=True)
