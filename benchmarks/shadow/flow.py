@@ -10,7 +10,6 @@ import warnings
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-import numpy as np
 from calibration import is_truth
 from calibration_plants import controller, handed, made
 from search import Search
@@ -18,14 +17,14 @@ from verdict import verdict
 
 from rcorefine.arithmetic import own_arithmetic
 from rcorefine.diagnosis.case import Case
-from rcorefine.inference.windows import as_data, spread_lines
-from rcorefine.models.conversion import under_control
-from rcorefine.progress import Progress
 from rcorefine.engine.free_runs import integrates
 from rcorefine.inference.assembly import offsets_everywhere
+from rcorefine.inference.windows import as_data, spread_lines
+from rcorefine.models.conversion import under_control
 from rcorefine.models.operating_point import ordered_record
-from rcorefine.refinement.refine import refit
+from rcorefine.progress import Progress
 from rcorefine.refinement.base_fit import base_fit
+from rcorefine.refinement.refine import refit
 
 
 def case_of(model, data, candidates=None, controller=None):
@@ -38,7 +37,9 @@ def case_of(model, data, candidates=None, controller=None):
     offsets = {e.kind for e, role in zip(base.effects, base.roles) if role == "offset"}
     if offsets and not integrates(base.physical_model.linear, ordered[0]):
         everywhere = offsets_everywhere(base.physical_model, ordered)
-        base = refit(base, records, offsets=everywhere, elsewhere=False, tolerance=0.0, noise=None, horizon=None)
+        base = refit(
+            base, records, offsets=everywhere, elsewhere=False, tolerance=0.0, noise=None, horizon=None
+        )
     return Case.prepare(base, records, candidates, options | {"candidates": None}, 0.01, Progress(), True)
 
 
@@ -76,10 +77,25 @@ def one(seed, show=5):
     )
     for value, trial in rows[:show]:
         good = [is_truth(e, c, truth, p, model) for e in trial.effects] if truth else []
-        print(f"    {value - top:8.1f} {words(s, trial)} {'TRUE' if good and all(good) else ''} fit {trial.fit.min():.1f} {trial.noise.names} {[round(float(x), 1) for x in trial.surest()]}")
+        print(
+            f"    {value - top:8.1f} {words(s, trial)} {'TRUE' if good and all(good) else ''} fit {trial.fit.min():.1f} {trial.noise.names} {[round(float(x), 1) for x in trial.surest()]}"
+        )
     sys.stdout.flush()
-    return {"seed": seed, "plant": c["plant"], "type": c["type"], "missing": c["missing"], "nuisance": c["nuisance"],
-            "noise": c["noise"], "loss": c["loss"], "verdict": word, "named": "+".join(e.label for e in named), "P": round(P, 4), "p": pv, "right": right, "cpu": round(cpu, 1)}
+    return {
+        "seed": seed,
+        "plant": c["plant"],
+        "type": c["type"],
+        "missing": c["missing"],
+        "nuisance": c["nuisance"],
+        "noise": c["noise"],
+        "loss": c["loss"],
+        "verdict": word,
+        "named": "+".join(e.label for e in named),
+        "P": round(P, 4),
+        "p": pv,
+        "right": right,
+        "cpu": round(cpu, 1),
+    }
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -71,7 +71,9 @@ class Trial:
         blocks = self.blocks if self.ratio == 0 else evaluated(self.problem, self.point)
         r = np.concatenate([b / self.problem.weights[:, None] for b, _ in blocks], axis=1)
         y = np.concatenate([rec.outputs for rec in self.problem.records], axis=1)
-        return 100 * (1 - np.linalg.norm(r, axis=1) / np.linalg.norm(y - y.mean(axis=1, keepdims=True), axis=1))
+        return 100 * (
+            1 - np.linalg.norm(r, axis=1) / np.linalg.norm(y - y.mean(axis=1, keepdims=True), axis=1)
+        )
 
     @property
     def own(self):
@@ -112,7 +114,9 @@ def score(trial: Trial, base_residual, steps, n_base, numbers=slice(0, 0)):
     common = np.concatenate([j[:, :p] for j in white])
     norms = np.linalg.norm(common, axis=0)
     structure = problem.structure
-    shaping = np.array([q.name in structure.effects[q.effect].spec.shaping for q in structure.parameters], bool)
+    shaping = np.array(
+        [q.name in structure.effects[q.effect].spec.shaping for q in structure.parameters], bool
+    )
     fixed_sd = problem.prior_sd.copy()
     for i in at:
         # each may change the output as much as the effect as a whole; to first order, or as far as it went

@@ -23,6 +23,11 @@ class Noise(NamedTuple):
     log_likelihood: float
     names: tuple
 
+    @property
+    def uneven(self) -> bool:
+        """Whether the samples differ in their noise."""
+        return any(np.ptp(w) > 0 for w in self.weights)
+
 
 def colored(row):
     """(value, filter, variance) of the autoregressive model by Schwarz's criterion."""

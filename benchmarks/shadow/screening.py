@@ -20,9 +20,16 @@ class Group:
     at: slice
     secant: bool
 
+    given: object = None
+
     @property
     def effect(self):
-        return self.candidate.effect
+        return self.candidate.effect if self.given is None else self.given
+
+    @classmethod
+    def of(cls, effect):
+        """An effect where a group is expected."""
+        return cls(None, {}, [], slice(0, 0), False, effect)
 
 
 def groups_of(candidate, ratio):
@@ -33,7 +40,9 @@ def groups_of(candidate, ratio):
     own = [q.name for q in problem.structure.parameters[p:]]
     starts = [dict(zip(own, start[p : p + len(own)], strict=True)) for start in candidate.starts]
     if law.secant:
-        return [(starts[i], [], [b[:, :, i : i + 1] for b in blocks], True) for i in range(min(k, len(starts)))]
+        return [
+            (starts[i], [], [b[:, :, i : i + 1] for b in blocks], True) for i in range(min(k, len(starts)))
+        ]
     names = [n for n in own if n not in law.shaping]
     if k == len(own) * len(starts) and (law.at_channel or not law.shaping or len(own) == len(names)):
         each, names = len(own), own
@@ -42,7 +51,14 @@ def groups_of(candidate, ratio):
         found = []
         for i, shape in enumerate(shapes):
             pick = [i * each + j for j in (linear or range(each))]
-            found.append((shape if linear else {}, [own[j] for j in (linear or range(each))], [b[:, :, pick] for b in blocks], False))
+            found.append(
+                (
+                    shape if linear else {},
+                    [own[j] for j in (linear or range(each))],
+                    [b[:, :, pick] for b in blocks],
+                    False,
+                )
+            )
         return found
     shapes = _shapes(candidate)
     each = max(k // max(len(shapes), 1), 1)
@@ -164,7 +180,10 @@ class Screen:
                 det = np.log1p(max(diagonal[k], 0.0) * rr)
             else:
                 block = S[g.at, g.at]
-                gain = float(S[g.at, 0] @ np.linalg.solve(block + (1e-9 / s2 + 1.0 / rr) * np.eye(len(block)), S[g.at, 0]))
+                gain = float(
+                    S[g.at, 0]
+                    @ np.linalg.solve(block + (1e-9 / s2 + 1.0 / rr) * np.eye(len(block)), S[g.at, 0])
+                )
                 det = np.linalg.slogdet(np.eye(len(block)) + block * rr)[1]
             rest = max(total - gain, 1e-9 * total)
             scores[i] = -0.5 * self.n * np.log(rest / total) - 0.5 * det
@@ -207,13 +226,12 @@ class Screen:
         """The linear solution as a point: values of the effects, and point of the target base."""
         _, u, columns = self.solve(groups, with_params)
         held, _ = self._columns(groups, with_params)
-        m, values, pos = len(held), {}, len(held)
-        for i, g in enumerate(groups):
+        m, values, pos = len(held), [], len(held)
+        for g in groups:
             k = g.at.stop - g.at.start
             own = u[pos : pos + k] / self.scale[g.at]
             pos += k
-            values |= {(i, name): value for name, value in g.values.items()}
-            values |= {(i, name): float(v) for name, v in zip(g.names, own, strict=False)}
+            values.append({**g.values, **{n: float(v) for n, v in zip(g.names, own, strict=False)}})
         problem = target.problem
         theta = problem.prior_mean.copy()
         finite = np.isfinite(problem.prior_sd)
@@ -225,10 +243,14 @@ class Screen:
         else:  # parameters that this screen's model holds
             theta[: len(mine)] = mine
             if with_params and finite.sum() == m:
-                theta[finite] = problem.prior_mean[finite] + u[:m] * np.concatenate([self.held_sd, self.number_sd])
+                theta[finite] = problem.prior_mean[finite] + u[:m] * np.concatenate(
+                    [self.held_sd, self.number_sd]
+                )
         # initial states and offsets: least squares of what is left
         p, p_old = problem.n_theta, self.fitted.problem.n_theta
-        left = self.raw[:, 0] + (self.raw[:, columns] / self.scale[columns]) @ u if columns else self.raw[:, 0]
+        left = (
+            self.raw[:, 0] + (self.raw[:, columns] / self.scale[columns]) @ u if columns else self.raw[:, 0]
+        )
         starts = self.fitted.problem.unpack(self.fitted.point)[1].copy()
         first = 0
         if len(self.jac) <= 8 and self.fitted.problem.free_start:

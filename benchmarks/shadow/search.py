@@ -1,606 +1,615 @@
-"""The search: screen, refit, table, criticism of the winner."""
+"""The table of hypotheses of one record: screen, refit, compare, criticize."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from hypotheses import FITTED_SPREAD, Trial, measured, parameters_of, score, steps_of
-from noise import noise_of
-from screening import Screen, compatible
-from verdict import eligible
+from noise import Noise, noise_of
+from screening import Group, Screen, compatible
+from verdict import EXCLUDED, eligible
 
 from rcorefine.diagnosis.beside import Beside
 from rcorefine.diagnosis.case import Case, not_held
 from rcorefine.diagnosis.floating import is_number
-from rcorefine.diagnosis.residual_tests import TestedResidual, run_tests
+from rcorefine.diagnosis.residual_tests import TestedResidual, passed_without_library, run_tests
 from rcorefine.diagnosis.starts import plain_cost
 from rcorefine.diagnosis.verdict import overall
 from rcorefine.effects.along_motion import unit_forces
-from rcorefine.engine.point import forces_at_rest, resting
+from rcorefine.effects.effect import Effect
+from rcorefine.engine.point import resting, tangents
 from rcorefine.engine.structure import Structure
-from rcorefine.inference.descent import descend
+from rcorefine.inference.descent import Descent, descend
 from rcorefine.inference.fitted import FittedModel, fitted_from
-from rcorefine.inference.sensitivities import candidate_columns
+from rcorefine.inference.problem import Problem
 from rcorefine.inference.search import step_matters
+from rcorefine.inference.sensitivities import Candidate, candidate_columns
 from rcorefine.inference.starts import estimated_motion, shape_starts
 from rcorefine.inference.whitening import Whitener
 from rcorefine.models.operating_point import sensed
 from rcorefine.refinement.base_fit import base_fit
+from rcorefine.systems.linear import Array
 
-STRONG = 75.0
-NOTHING, NUMBERS = np.log(0.5), np.log(0.5)
+STRONG = 75.0  # fit in percent of the base below which screens led by an observer are asked as well
+SINGLES, SETS, MOST = 6, 4, 4  # refits of each screen: single effects, sets; effects of a set
+ROUNDS = 2  # linearizations about the winner
+NEAR = 60.0  # log evidence behind the best within which a trial is polished
+STEP_SHARE = 0.25  # standard deviations that halving the substep may shift a coefficient
+
+Values = list[dict[str, float]]  # coefficients of each effect, by name
+
+
+class Start(NamedTuple):
+    """Where a refit begins: coefficients of the effects, of the base, and initial states."""
+
+    values: Values
+    theta: Array
+    states: Array
 
 
 class Search:
-    def __init__(self, case: Case, *, most=4, singles=6, sets=5, rounds=2):
-        self.case, self.fitted, self.motion = case, case.fitted, case.motions[0]
-        self.most, self.singles, self.sets, self.rounds = most, singles, sets, rounds
-        self.log = {}
-        self.base_residual = [r for r, _ in self.fitted.blocks()]
-        self.steps = steps_of(self.fitted.problem)
-        self.n_base = self.fitted.problem.n_theta
-        self.trials = []
-        self._tested, self._polished, self._kept = {}, set(), []
-        self._pruned = set()
-        self.odds = {}
-        self.substeps = 1
-        self.price = np.log(max(len(case.library), 2))
+    """Hypotheses about what a fitted model lacks, and their scores.
 
-    def clock(self, name, start):
+    Parameters
+    ----------
+    case : Case
+        Model, records, library.
+
+    Attributes
+    ----------
+    trials : list of Trial
+        Hypotheses that were fitted.
+    """
+
+    def __init__(self, case: Case) -> None:
+        self.case, self.fitted, self.motion = case, case.fitted, case.motions[0]
+        self.trials: list[Trial] = []
+        self.base_residual = [r for r, _ in self.fitted.blocks()]
+        self.base_cost = 0.5 * sum(float(np.sum(r**2)) for r in self.base_residual)
+        self.steps = steps_of(self.fitted.problem)
+        self.price = float(np.log(max(len(case.library), 2)))
+        self.substeps = 1
+        self.log: dict[str, float] = {}
+        self.odds: dict[int, float] = {}
+        self._tested: dict[int, tuple[float, list[Any]]] = {}
+        self._polished: set[int] = set()
+        self._asked: set[Any] = set()
+        self._kept: list[Trial] = []  # their ids stay theirs
+
+    @contextmanager
+    def timed(self, name: str) -> Iterator[None]:
+        """Add the CPU seconds of a step."""
+        start = time.process_time()
+        yield
         self.log[name] = self.log.get(name, 0.0) + time.process_time() - start
 
-    # ------------------------------------------------------------ bases
+    # ------------------------------------------------------------ bases and scores
     @cached_property
-    def numbers(self):
+    def numbers(self) -> list[tuple[Effect, float]]:
+        """Parameters of the model with their nominal sizes."""
         return parameters_of(self.case)
 
     @cached_property
-    def floated(self):
-        """The model with every parameter free under its prior; None where it has none."""
+    def floated(self) -> FittedModel:
+        """The model with every parameter free under its prior; as it is where it has none."""
         if not self.numbers:
-            return None
-        start = time.process_time()
+            return self.fitted
         loose = [e.replace(prior={e.coefficients[0]: FITTED_SPREAD * s}) for e, s in self.numbers]
-        problem = self.fitted.problem
-        refined = base_fit(self.case.base, self.case.records, free=loose, **self.case.options)
-        found = fitted_from(
-            refined, problem.records, tolerance=self.case.options["tolerance"], noise=1.0 / problem.weights
-        )
-        self.clock("floated", start)
-        return found
+        problem, options = self.fitted.problem, self.case.options
+        refined = base_fit(self.case.base, self.case.records, free=loose, **options)
+        noise = 1.0 / problem.weights
+        return fitted_from(refined, problem.records, tolerance=options["tolerance"], noise=noise)
 
-    def span(self, base):
-        """Coefficients of the parameters in a base."""
-        return slice(self.n_base, self.floated.problem.n_theta) if base is not self.fitted else slice(0, 0)
+    def posterior(self, trial: Trial) -> float:
+        """Log evidence and log prior: each effect is one of the library."""
+        return trial.total - float(np.log(2.0)) - self.price * len(trial.effects)
 
-    def scored(self, trial):
-        return score(trial, self.base_residual, self.steps, trial.base.problem.n_theta, self.span(trial.base))
+    @property
+    def best(self) -> Trial:
+        """The most probable of those whose every effect is determined."""
+        return max((x for x in self.trials if eligible(x)), key=self.posterior)
 
-    def empty(self, base):
-        gain = base.gain(0.0)
-        run = descend(base.problem, base.point, gain=gain, evaluations=1)
-        return self._under_own_noise((), base, base.problem, run, gain, 8)
+    def scored(self, trial: Trial) -> Trial:
+        """A trial with its noise and its score."""
+        p0 = trial.base.problem.n_theta
+        n = self.fitted.problem.n_theta
+        own = slice(n, p0) if trial.base is not self.fitted else slice(0, 0)
+        return score(trial, self.base_residual, self.steps, p0, own)
 
-    # ------------------------------------------------------------ refits
-    def refit(self, effects, base, starts, *, known=(), led=False, evaluations=(8, 8)):
-        """Refit a set of effects at a base, from the best of some starts."""
-        problem, absent = base.extended(list(effects), self.motion)
-        if self.substeps > problem.substeps and not problem.structure.is_linear:
-            problem = problem.like(substeps=self.substeps)
-        p0, structure = base.problem.n_theta, problem.structure
-        first = len(structure.effects) - len(effects)
-        held = [
-            i
-            for i, q in enumerate(structure.parameters[p0:], p0)
-            if q.name in structure.effects[q.effect].spec.shaping or structure.effects[q.effect].spec.secant
-        ]
-        gain = self._padded(base.gain(0.0), problem)
-        tried, led_starts = [], []
-        for values, theta, x0 in starts:
-            full = problem.unpack(absent)[0].copy()
-            full[:p0] = theta
-            for (i, name), value in values.items():
-                at = structure.position(first + i, name)
-                if at >= 0:
-                    full[at] = value
-            states = np.pad(x0, ((0, 0), (0, problem.n_states - x0.shape[1])))
-            point = problem.pack(full, states)
-            led_starts.append(point)
-            for share in (1.0, 0.4, 0.1):
-                mixed = absent + share * (point - absent)
-                mixed[held] = point[held]
-                mixed = problem.inside(mixed)
-                tried.append((plain_cost(problem, mixed, gain), mixed))
-                if share == 1.0 and tried[-1][0] < 0.3 * self.base_cost:
-                    break
-        tried += [(plain_cost(problem, point, gain), point) for point in known]
-        if not tried:
-            return None
-        cost, best = min(tried, key=lambda t: t[0])
-        run = descend(problem, best, gain=gain, evaluations=evaluations[0]) if np.isfinite(cost) else None
-        if led and problem.in_time and (run is None or run.cost > 0.1 * self.base_cost):
-            point = led_starts[0] if led_starts else best
-            for ratio in (1.0, 0.1):
-                try:
-                    strong = self._padded(base.gain(ratio), problem)
-                except (np.linalg.LinAlgError, ValueError):
-                    continue
-                again = descend(problem, problem.inside(point), gain=strong, evaluations=5, tolerance=1e-3)
-                if np.isfinite(again.cost):
-                    point = again.point
-            theta, _ = problem.unpack(point)
-            options = [point, problem.pack(theta, problem.unpack(best)[1])]
-            other = descend(problem, min(options, key=lambda q: plain_cost(problem, q, gain)), gain=gain, evaluations=evaluations[0])
-            if np.isfinite(other.cost) and (run is None or other.cost < run.cost):
-                run = other
-        if run is None or not np.isfinite(run.cost):
-            return None
-        return self._under_own_noise(effects, base, problem, run, gain, evaluations[1])
-
-    def _under_own_noise(self, effects, base, problem, run, gain, evaluations):
-        """The fit under its own noise, which changes with it: as long as the score rises."""
-        best = self.scored(Trial(tuple(effects), base, problem, run.point, run.blocks(problem)))
-        for _ in range(3):
-            again = self._descended(problem, best.point, best.noise, gain, evaluations)
-            if not np.isfinite(again.cost):
-                break
-            trial = self.scored(Trial(tuple(effects), base, problem, again.point, again.blocks(problem)))
-            better, gained = trial.total > best.total, trial.total - best.total
-            best = trial if better else best
-            if gained < 1.0 or not any(np.ptp(w) > 0 for w in best.noise.weights):
-                break
-        return best
-
-    def _descended(self, problem, point, noise, gain, evaluations, tolerance=1e-6):
-        """Descend in the metric of a noise; the evaluation is that of plain weights."""
-        if not any(np.ptp(w) > 0 for w in noise.weights):
-            return descend(problem, point, gain=gain, whitener=noise.whitener, evaluations=evaluations, tolerance=tolerance)
-        plain = problem.judged
-        problem.judged = lambda theta: [j * w for j, w in zip(plain(theta), noise.weights, strict=True)]
-        problem._cache = None
-        run = descend(problem, point, gain=gain, whitener=noise.whitener, evaluations=evaluations, tolerance=tolerance)
-        del problem.judged
-        problem._cache = None
-        return descend(problem, run.point, gain=gain, evaluations=1) if np.isfinite(run.cost) else run
-
-    @staticmethod
-    def _padded(gain, problem):
-        return None if gain is None else np.pad(gain, ((0, problem.n_states - gain.shape[0]), (0, 0)))
-
-    @cached_property
-    def base_cost(self):
-        return 0.5 * sum(float(np.sum(r**2)) for r in self.base_residual)
-
-    # ------------------------------------------------------------ the table
-    def prior(self, trial):
-        return (NUMBERS if trial.base is not self.fitted else NOTHING) - self.price * len(trial.effects)
-
-    def posterior(self, trial):
-        return trial.total + self.prior(trial)
-
-    def add(self, trial):
+    def add(self, trial: Trial | None) -> Trial | None:
+        """Enter a trial into the table."""
         if trial is not None and np.isfinite(trial.total):
             self.trials.append(trial)
         return trial
 
-    @property
-    def best(self):
-        """The most probable of those whose every effect is determined."""
-        return max((x for x in self.trials if eligible(x)), key=self.posterior)
+    def first_time(self, *key: Any) -> bool:
+        """Whether something was not asked yet."""
+        new = key not in self._asked
+        self._asked.add(key)
+        return new
 
-    # ------------------------------------------------------------ screening
-    def screens(self, fitted, scored, with_numbers):
-        """Screens at a model: in plain metric, under its own noise, under that of the best set."""
-        numbers = [e for e, _ in self.numbers] if with_numbers else []
-        sd = [FITTED_SPREAD * s for _, s in self.numbers] if with_numbers else []
-        residual = [r for r, _ in fitted.blocks()]
-        made = lambda w, weights=None, ratio=0.0: Screen(fitted, scored, numbers, sd, w, ratio, self.motion, weights)  # noqa: E731
-        plain = made(Whitener.fit(residual, order=0))
-        found = [plain]
-        own = noise_of(residual, measured(fitted.problem), self.steps)
-        if any(own.whitener.orders) or any(np.ptp(w) > 0 for w in own.weights):
-            found.append(made(own.whitener, own.weights))
-        best = plain.beam(self.most, True, self.price, usable=self.is_law)[0]
-        left = plain.left(best[1], True)
-        sizes = [r.size for r in residual]
-        if len(left) == sum(sizes):
-            parts = np.split(left, np.cumsum(sizes)[:-1])
-            shaped = [part.reshape(r.shape) for part, r in zip(parts, residual, strict=True)]
-            third = noise_of(shaped, measured(fitted.problem), self.steps)
-            if any(third.whitener.orders) and third.whitener.orders != own.whitener.orders:
-                found.append(made(third.whitener))
-        if self.strong and 1.0 in (scored[0].columns if scored else ()):
-            blocks = fitted.blocks(1.0)
-            found.append(made(Whitener.fit([r for r, _ in blocks]), None, 1.0))
-        return found
+    # ------------------------------------------------------------ refits
+    def placed(self, base: FittedModel, effects: Sequence[Effect], start: Start) -> tuple[Problem, Array]:
+        """The problem of effects at a base, and the point of a start."""
+        problem, absent = base.extended(list(effects), self.motion)
+        if self.substeps > problem.substeps and not problem.structure.is_linear:
+            problem = problem.like(substeps=self.substeps)
+        structure, theta = problem.structure, problem.unpack(absent)[0].copy()
+        theta[: len(start.theta)] = start.theta
+        first = len(structure.effects) - len(effects)
+        for i, own in enumerate(start.values):
+            for name, value in own.items():
+                if (at := structure.position(first + i, name)) >= 0:
+                    theta[at] = value
+        states = np.zeros((len(problem.records), problem.n_states))
+        states[:, : base.problem.n_states] = start.states[:, : base.problem.n_states]
+        return problem, problem.inside(problem.pack(theta, states))
 
-    @cached_property
-    def strong(self):
-        return bool(self.fitted.problem.in_time and self.trials[0].fit.min() < STRONG)
+    def absent(self, base: FittedModel) -> Start:
+        """The base without any effect."""
+        theta, states = base.problem.unpack(base.point)
+        return Start([], theta, states)
+
+    def refit(
+        self,
+        effects: Sequence[Effect],
+        base: FittedModel,
+        starts: Sequence[Start],
+        *,
+        shares: Sequence[float] = (1.0,),
+        led: bool = False,
+        evaluations: int = 8,
+    ) -> Trial | None:
+        """Fit a set of effects at a base, from the best of some starts.
+
+        Sizes are tried at shares of those of a start; where none helps, `led` lets observers of falling gain
+        take the last start into the free run.
+        """
+        tried, point, problem = [], None, None
+        for start in starts:
+            for share in shares:
+                problem, point = self.placed(base, effects, self._shared(base, effects, start, share))
+                gain = _padded(base.gain(0.0), problem)
+                tried.append((plain_cost(problem, point, gain), point))
+                if tried[-1][0] < 0.3 * self.base_cost:
+                    break
+        if problem is None or point is None:
+            return None
+        cost, nearest = min(tried, key=lambda one: one[0])
+        run = descend(problem, nearest, gain=gain, evaluations=evaluations) if np.isfinite(cost) else None
+        if led and problem.in_time and (run is None or run.cost > 0.1 * self.base_cost):
+            point = self.placed(base, effects, starts[0])[1]
+            other = self._led(problem, point, nearest, base, evaluations)
+            run = other if run is None or other.cost < run.cost else run
+        if run is None or not np.isfinite(run.cost):
+            return None
+        return self._under_own_noise(tuple(effects), base, problem, run, gain, evaluations)
 
     @staticmethod
-    def is_law(group):
-        return not is_number(group.effect)
+    def _shared(base: FittedModel, effects: Sequence[Effect], start: Start, share: float) -> Start:
+        """A start with its sizes, and what the base moved for them, times a share."""
+        if share == 1.0:
+            return start
+        values = [
+            {n: v if n in e.spec.shaping or e.spec.secant else share * v for n, v in own.items()}
+            for e, own in zip(effects, start.values, strict=True)
+        ]
+        theta, states = base.problem.unpack(base.point)
+        n = min(states.shape[1], start.states.shape[1])
+        mixed = states[:, :n] + share * (start.states[:, :n] - states[:, :n])
+        return Start(values, theta + share * (start.theta - theta), mixed)
+
+    def _led(
+        self, problem: Problem, point: Array, nearest: Array, base: FittedModel, evaluations: int
+    ) -> Descent:
+        """A descent that observers of falling gain lead along the record before it runs free."""
+        for ratio in (1.0, 0.1):
+            try:
+                strong = _padded(base.gain(ratio), problem)
+            except (np.linalg.LinAlgError, ValueError):  # no observer of that gain exists
+                continue
+            run = descend(problem, point, gain=strong, evaluations=5, tolerance=1e-3)
+            point = run.point if np.isfinite(run.cost) else point
+        gain = _padded(base.gain(0.0), problem)
+        options = [point, problem.pack(problem.unpack(point)[0], problem.unpack(nearest)[1])]
+        costs = [plain_cost(problem, option, gain) for option in options]
+        return descend(problem, options[int(np.argmin(costs))], gain=gain, evaluations=evaluations)
+
+    def _under_own_noise(
+        self,
+        effects: tuple[Effect, ...],
+        base: FittedModel,
+        problem: Problem,
+        run: Descent,
+        gain: Array | None,
+        evaluations: int,
+    ) -> Trial:
+        """The fit under its own noise, which changes with it: as long as the score rises."""
+        best = self.scored(Trial(effects, base, problem, run.point, run.blocks(problem)))
+        for _ in range(3):
+            assert best.noise is not None
+            again = descended(problem, best.point, best.noise, gain, evaluations)
+            if not np.isfinite(again.cost):
+                break
+            trial = self.scored(Trial(effects, base, problem, again.point, again.blocks(problem)))
+            gained = trial.total - best.total
+            best = trial if gained > 0 else best
+            if gained < 1.0 or best.noise is None or not best.noise.uneven:
+                break
+        return best
+
+    def empty(self, base: FittedModel) -> Trial:
+        """A base without effects, under its own noise."""
+        run = descend(base.problem, base.point, gain=base.gain(0.0), evaluations=1)
+        return self._under_own_noise((), base, base.problem, run, base.gain(0.0), 8)
 
     # ------------------------------------------------------------ the search
-    def run(self):
-        t = time.process_time()
+    def run(self) -> Search:
+        """Fill the table."""
         case = self.case
-        self.add(self.empty(self.fitted))
-        ratios = (0.0, 1.0) if self.strong else (0.0,)
-        scored = candidate_columns(self.fitted, case.library, self.motion, ratios)
-        self.clock("columns", t)
-        if self.floated is not None:
-            self.add(self.empty(self.floated))
-        t = time.process_time()
-        screens = self.screens(self.fitted, scored, bool(self.numbers))
-        singles = [s.beam(1, False, self.price) for s in screens]
-        sets = [s.beam(self.most, True, self.price, usable=self.is_law) for s in screens]
-        self.clock("screen", t)
-        t = time.process_time()
-        done = set()
-        for screen, ranked in zip(screens, singles, strict=True):
-            rank = 0
-            for _, groups in ranked:
-                if not groups or rank >= self.singles:
-                    continue
-                rank += 1
-                self.single(groups[0].effect, screens, done)
-        place = {e.place for e in self.best.effects}
-        for g in screens[0].groups:  # relatives
-            if g.effect.place in place:
-                self.single(g.effect, screens, done)
-        self.clock("singles", t)
-        t = time.process_time()
-        base = self.floated or self.fitted
-        tried = set()
-        # the leading single effects beside the parameters
-        order = sorted((x for x in self.trials if len(x.effects) == 1 and x.base is self.fitted), key=self.posterior)
-        for trial in order[::-1][:3]:
-            if not is_number(trial.effects[0]) and base is not self.fitted:
-                tried.add(frozenset(trial.effects))
-                self.add(self.beside(trial, base))
-        self.clock("beside", t)
+        with self.timed("bases"):
+            self.add(self.empty(self.fitted))
+            if self.floated is not self.fitted:
+                self.add(self.empty(self.floated))
+        strong = bool(self.fitted.problem.in_time and self.trials[0].fit.min() < STRONG)
+        with self.timed("columns"):
+            ratios = (0.0, 1.0) if strong else (0.0,)
+            scored = candidate_columns(self.fitted, case.library, self.motion, ratios)
+        with self.timed("screens"):
+            screens = self.screens(self.fitted, scored, strong)
+            singles = [s.beam(1, False, self.price)[: SINGLES + 1] for s in screens]
+        with self.timed("singles"):
+            for _, groups in [one for ranked in singles for one in ranked if one[1]]:
+                self.single(groups[0].effect, screens, strong)
+            places = {e.place for e in self.best.effects}
+            for group in screens[0].groups:  # relatives
+                if group.effect.place in places:
+                    self.single(group.effect, screens, strong)
+        with self.timed("beside"):
+            order = sorted((x for x in self.trials if len(x.effects) == 1), key=self.posterior)[::-1]
+            for trial in [x for x in order if not is_number(x.effects[0])][:3]:
+                self.beside(trial)
         self.polish()
-        if self.tested(self.best)[0] < case.significance:
-            t = time.process_time()
-            for screen, ranked in zip(screens, sets, strict=True):
-                rank = 0
-                for _, groups in ranked:
-                    if not groups or rank >= self.sets:
-                        continue
-                    rank += 1
-                    self.set(groups, screen, base, tried)
-            self.clock("sets", t)
+        if not self.passed(self.best):
+            with self.timed("sets"):
+                self.sets(screens, strong)
             self.cores()
             self.polish()
-        for _ in range(self.rounds):
-            if self.tested(self.best)[0] >= case.significance:
+        for _ in range(ROUNDS):
+            before = self.best
+            if self.passed(before):
                 break
-            before = self.posterior(self.best)
-            self.relinearized(self.best, tried)
+            with self.timed("relinearized"):
+                self.relinearized(before)
             self.cores()
             self.polish()
-            if self.posterior(self.best) <= before + 1.0:
+            if self.best is before:
                 break
-        self.prune()
-        self.names()
+        with self.timed("names"):
+            self.prune()
+            self.names()
         self.polish()
-        self.p_value, self.tests = self.tested(self.best)
         return self
 
-    def single(self, effect, screens, done):
+    def screens(self, fitted: FittedModel, scored: Sequence[Candidate], strong: bool) -> list[Screen]:
+        """Screens at a model: in plain metric, under its own noise, under that of the best set, led."""
+        numbers = [e for e, _ in self.numbers]
+        sd = FITTED_SPREAD * np.array([s for _, s in self.numbers])
+        residual = [r for r, _ in fitted.blocks()]
+
+        def made(whitener: Whitener, weights: Any = None, ratio: float = 0.0) -> Screen:
+            return Screen(fitted, scored, numbers, sd, whitener, ratio, self.motion, weights)
+
+        plain = made(Whitener.fit(residual, order=0))
+        found, own = [plain], noise_of(residual, measured(fitted.problem), self.steps)
+        if any(own.whitener.orders) or own.uneven:
+            found.append(made(own.whitener, own.weights))
+        best = plain.beam(MOST, True, self.price, usable=is_law)[0]
+        left = plain.left(best[1], True)
+        if len(left) == sum(r.size for r in residual):
+            parts = np.split(left, np.cumsum([r.size for r in residual])[:-1])
+            shaped = [part.reshape(r.shape) for part, r in zip(parts, residual, strict=True)]
+            other = noise_of(shaped, measured(fitted.problem), self.steps)
+            if any(other.whitener.orders) and other.whitener.orders != own.whitener.orders:
+                found.append(made(other.whitener))
+        if strong:
+            found.append(made(Whitener.fit([r for r, _ in fitted.blocks(1.0)]), None, 1.0))
+        return found
+
+    def single(self, effect: Effect, screens: Sequence[Screen], led: bool) -> None:
         """One effect in the model as it is."""
-        if effect in done:
+        if not self.first_time("single", effect):
             return
-        done.add(effect)
         starts = []
-        for screen in screens:
+        for screen in screens[::-1]:
             own = [g for g in screen.groups if g.effect == effect]
             own = sorted(own, key=lambda g: -screen.solve([g], False)[0])
-            starts += [screen.start([g], False, self.fitted) for g in own[: 2 if len(screens) < 3 else 1]]
-        if starts:
-            self.add(self.refit((effect,), self.fitted, starts[::-1], led=self.strong))
+            starts += [Start(*screen.start([g], False, self.fitted)) for g in own[:2]]
+        self.add(self.refit((effect,), self.fitted, starts, shares=(1.0, 0.4, 0.1), led=led))
 
-    def set(self, groups, screen, base, tried):
-        effects = tuple(g.effect for g in groups)
-        key = frozenset(effects)
-        if key in tried:
-            return
-        tried.add(key)
-        start = screen.start(groups, base is not self.fitted, base)
-        self.add(self.refit(effects, base, [start], led=self.strong))
+    def sets(self, screens: Sequence[Screen], led: bool) -> None:
+        """Sets of effects beside the parameters: a short fit of each, and the best to the end."""
+        begun: list[Trial] = []
+        for screen in screens:
+            ranked = [one for one in screen.beam(MOST, True, self.price, usable=is_law) if one[1]]
+            for _, groups in ranked[:SETS]:
+                effects = tuple(g.effect for g in groups)
+                if self.first_time("set", frozenset(effects)):
+                    start = Start(*screen.start(groups, self.floated is not self.fitted, self.floated))
+                    given = {"shares": (1.0, 0.4, 0.1), "led": led, "evaluations": 5}
+                    trial = self.add(self.refit(effects, self.floated, [start], **given))
+                    begun += [trial] if trial is not None else []
+        for trial in sorted(begun, key=self.posterior)[::-1][:4]:
+            self.add(self.refit(trial.effects, trial.base, [start_of(trial)], evaluations=8))
 
-    def beside(self, trial, base):
+    def beside(self, trial: Trial) -> None:
         """A trial of the model as it is, beside the parameters."""
-        own, _ = trial.own
-        problem, _ = base.extended(list(trial.effects), self.motion)
-        p0 = base.problem.n_theta
-        theta = base.problem.prior_mean.copy()
-        old, starts = trial.problem.unpack(trial.point)
-        theta[: self.n_base] = old[: self.n_base]
-        point = problem.pack(np.concatenate([theta, own]), starts)
-        floated = problem.pack(np.concatenate([base.theta, own]), starts)
-        return self.refit(trial.effects, base, [], known=[problem.inside(point), problem.inside(floated)])
+        if self.floated is self.fitted or not self.first_time("set", frozenset(trial.effects)):
+            return
+        here, n = start_of(trial), self.fitted.problem.n_theta
+        nominal = np.concatenate([here.theta[:n], self.floated.problem.prior_mean[n:]])
+        starts = [here._replace(theta=theta) for theta in (nominal, self.floated.theta)]
+        self.add(self.refit(trial.effects, self.floated, starts))
 
-    def relinearized(self, trial, tried):
-        """More effects about the winner."""
-        t = time.process_time()
+    def relinearized(self, trial: Trial) -> None:
+        """More effects about the winner, beside the parameters."""
         fitted = as_fitted(trial)
-        rest = not_held(self.case.library, fitted.structure.effects)
-        rest = [e for e in rest if not is_number(e)]
+        rest = [e for e in not_held(self.case.library, fitted.structure.effects) if not is_number(e)]
         scored = candidate_columns(fitted, rest, self.motion, (0.0,))
-        numbers = [] if trial.base is not self.fitted else [e for e, _ in self.numbers]
-        base = self.floated or self.fitted
-        sd = [FITTED_SPREAD * s for _, s in self.numbers] if numbers else []
+        numbers = self.numbers if trial.base is self.fitted else []
+        sd = FITTED_SPREAD * np.array([s for _, s in numbers])
+        here = start_of(trial)
+        if trial.base is not self.floated:
+            mean = self.floated.problem.prior_mean[len(here.theta) :]
+            here = here._replace(theta=np.concatenate([here.theta, mean]))
+        held = [Group.of(e) for e in trial.effects]
         residual = [r for r, _ in fitted.blocks()]
         own = noise_of(residual, measured(fitted.problem), self.steps)
         for whitener, weights in ((Whitener.fit(residual, order=0), None), (own.whitener, own.weights)):
-            screen = Screen(fitted, scored, numbers, sd, whitener, 0.0, self.motion, weights)
-            rank = 0
-            for _, groups in screen.beam(2, True, self.price):
-                if not groups or rank >= 3:
-                    continue
-                rank += 1
+            given = ([e for e, _ in numbers], sd, whitener, 0.0, self.motion, weights)
+            screen = Screen(fitted, scored, *given)
+            for _, groups in [one for one in screen.beam(2, True, self.price) if one[1]][:3]:
                 effects = (*trial.effects, *(g.effect for g in groups))
-                if frozenset(effects) in tried or len(effects) > 5:
-                    continue
-                if not all(compatible([Named(e) for e in trial.effects], g) for g in groups):
-                    continue
-                tried.add(frozenset(effects))
-                values, _, _ = screen.start(groups, False, fitted)
-                problem, absent = base.extended(list(effects), self.motion)
-                structure = problem.structure
-                first = len(structure.effects) - len(groups)
-                theta, starts = trial.problem.unpack(trial.point)
-                p0 = base.problem.n_theta
-                full = problem.unpack(absent)[0].copy()
-                shift = p0 - trial.base.problem.n_theta
-                if shift:
-                    full[: self.n_base] = theta[: self.n_base]
-                    full[self.n_base : p0] = base.problem.prior_mean[self.n_base :]
-                else:
-                    full[:p0] = theta[:p0]
-                full[p0 : p0 + len(theta) - trial.base.problem.n_theta] = theta[trial.base.problem.n_theta :]
-                points = []
-                for share in (1.0, 0.3):
-                    new = full.copy()
-                    for (i, name), value in values.items():
-                        at = structure.position(first + i, name)
-                        if at >= 0:
-                            spec = structure.effects[first + i].spec
-                            new[at] = value if name in spec.shaping or spec.secant else share * value
-                    padded = np.pad(starts, ((0, 0), (0, problem.n_states - starts.shape[1])))
-                    points.append(problem.inside(problem.pack(new, padded)))
-                self.add(self.refit(effects, base, [], known=points))
-        self.clock("relinearized", t)
+                fine = len(effects) <= MOST + 1 and all(compatible(held, g) for g in groups)
+                if fine and self.first_time("set", frozenset(effects)):
+                    values = screen.start(groups, False, fitted)[0]
+                    start = here._replace(values=[*here.values, *values])
+                    weaker = [{n: 0.3 * v for n, v in own.items()} for own in values]
+                    weak = here._replace(values=[*here.values, *weaker])
+                    self.add(self.refit(effects, self.floated, [start, weak]))
 
-    def cores(self):
-        """Of the leading sets that hold undetermined members: the members that are determined."""
-        t = time.process_time()
-        for trial in sorted(self.trials, key=self.posterior)[::-1][:4]:
-            if eligible(trial) or len(trial.effects) < 2:
-                continue
-            sure = np.array(trial.surest()) >= 3.0
-            for kept in (np.flatnonzero(sure), *(np.delete(np.arange(len(sure)), i) for i in np.flatnonzero(~sure))):
-                if len(kept):
-                    self.without(trial, list(kept))
-        self.clock("cores", t)
-
-    def without(self, trial, kept):
+    def without(self, trial: Trial, kept: Sequence[int]) -> None:
         """A trial with some of its effects, from where it stands."""
         effects = tuple(trial.effects[k] for k in kept)
-        key = frozenset(effects), trial.base is self.fitted, id(trial)
-        if key in self._pruned or not effects:
-            return None
-        self._pruned.add(key)
-        problem, absent = trial.base.extended(list(effects), self.motion)
-        theta, starts = trial.problem.unpack(trial.point)
-        p0 = trial.base.problem.n_theta
-        first = len(trial.problem.structure.effects) - len(trial.effects)
-        own = [theta[k] for i in kept for k, q in enumerate(trial.problem.structure.parameters) if q.effect == first + i]
-        full = np.concatenate([theta[:p0], own])
-        states = np.zeros((len(problem.records), problem.n_states))
-        states[:, : trial.base.problem.n_states] = starts[:, : trial.base.problem.n_states]
-        if len(full) != problem.n_theta:
-            return None
-        same = [x for x in self.trials if frozenset(x.effects) == key[0] and x.base is trial.base]
-        again = self.refit(effects, trial.base, [], known=[problem.inside(problem.pack(full, states)), absent], evaluations=(10, 10))
-        if again is None or (same and self.posterior(again) <= max(self.posterior(x) for x in same)):
-            return None
-        return self.add(again)
+        if not effects or not self.first_time("without", frozenset(effects), id(trial)):
+            return
+        start = start_of(trial)
+        start = start._replace(values=[start.values[k] for k in kept])
+        again = self.refit(effects, trial.base, [start], evaluations=10)
+        same = [x for x in self.trials if set(x.effects) == set(effects) and x.base is trial.base]
+        if again is not None and self.posterior(again) > max(map(self.posterior, same), default=-np.inf):
+            self.add(again)
 
-    def prune(self):
-        """The winner without each of its effects."""
-        t = time.process_time()
-        for _ in range(3):
+    def cores(self) -> None:
+        """Of the leading sets with undetermined members: those that are determined, and all but one."""
+        with self.timed("cores"):
+            for trial in sorted(self.trials, key=self.posterior)[::-1][:4]:
+                if len(trial.effects) < 2 or eligible(trial):
+                    continue
+                sure = np.array(trial.surest()) >= 3.0
+                self.without(trial, np.flatnonzero(sure))
+                for i in np.flatnonzero(~sure):
+                    self.without(trial, np.delete(np.arange(len(sure)), i))
+
+    def prune(self) -> None:
+        """The winner without each of its weaker effects."""
+        for _ in range(MOST):
             best = self.best
             if len(best.effects) < 2:
-                break
+                return
             for i in np.argsort(best.surest())[:2]:
                 self.without(best, [k for k in range(len(best.effects)) if k != i])
             if self.best is best:
-                break
-        self.clock("prune", t)
+                return
 
-    def names(self):
+    def names(self) -> None:
         """The winner with each force replaced by other laws at its place that imitate it."""
-        t = time.process_time()
         for _ in range(2):
             best = self.best
-            for i, effect in enumerate(best.effects):
-                self.imitations(best, i, effect)
+            here = start_of(best)
+            for i in range(len(best.effects)):
+                for other, values in self._imitations(best, i):
+                    effects = tuple(other if k == i else e for k, e in enumerate(best.effects))
+                    own = [values if k == i else v for k, v in enumerate(here.values)]
+                    self.add(self.refit(effects, best.base, [here._replace(values=own)], evaluations=10))
             if self.best is best:
-                break
-        self.clock("names", t)
+                return
 
-    def imitations(self, trial, i, effect):
-        found = force_of(trial, i)
-        if found is None:
-            return
-        d, v, w, force = found
-        structure = trial.problem.structure
-        held = {(e.kind, e.place) for e in trial.effects}
-        options = []
+    def _imitations(self, trial: Trial, i: int, most: int = 3) -> list[tuple[Effect, dict[str, float]]]:
+        """Laws at the place of one effect that come nearest to its force, with their coefficients."""
+        along = force_of(trial, i)
+        if along is None:
+            return []
+        d, v, w, force = along
+        structure, place = trial.problem.structure, trial.effects[i].place
+        held, options = {(e.kind, e.place) for e in trial.effects}, []
         for other in self.case.library:
-            if other.place != effect.place or (other.kind, other.place) in held or is_number(other):
+            if other.place != place or (other.kind, place) in held or is_number(other):
                 continue
-            if (key := (frozenset(trial.effects), i, other)) in self._pruned:
+            if not self.first_time("name", frozenset(trial.effects), i, other):
                 continue
-            self._pruned.add(key)
             one = Structure(structure.model, [other])
-            shapes = []
             for start in shape_starts(one, one.start(), self.motion):
-                shape = {q.name: float(start[k]) for k, q in enumerate(one.parameters) if q.name in other.spec.shaping}
-                shapes += [shape] if shape not in shapes else []
-            for shape in shapes:
-                columns = unit_forces(other, d, v, [shape], w, resting(structure, other.place))
+                own = dict(zip([q.name for q in one.parameters], map(float, start), strict=True))
+                shape = {n: value for n, value in own.items() if n in other.spec.shaping}
                 free = [n for n in other.free if n not in shape]
-                if not columns or len(columns) != len(free):
-                    continue
-                F = np.array(columns).T
-                levels = np.linalg.lstsq(F, force, rcond=1e-10)[0]
-                left = float(np.sum((force - F @ levels) ** 2) / np.sum(force**2))
-                if np.isfinite(left):
+                columns = unit_forces(other, d, v, [shape], w, resting(structure, place))
+                if columns and len(columns) == len(free):
+                    F = np.array(columns).T
+                    levels = np.linalg.lstsq(F, force, rcond=1e-10)[0]
+                    left = float(np.sum((force - F @ levels) ** 2) / np.sum(force**2))
                     options.append((left, other, {**shape, **dict(zip(free, levels, strict=True))}))
-        options.sort(key=lambda o: o[0])
-        seen = []
-        for left, other, values in options:
-            if other in seen or left > 0.6 or len(seen) >= 3:
-                continue
-            seen.append(other)
-            effects = tuple(other if k == i else e for k, e in enumerate(trial.effects))
-            problem, absent = trial.base.extended(list(effects), self.motion)
-            theta, starts = trial.problem.unpack(trial.point)
-            p0, own = trial.base.problem.n_theta, []
-            first = len(trial.problem.structure.effects) - len(trial.effects)
-            for k, e in enumerate(effects):
-                names = [q.name for q in problem.structure.parameters if q.effect == first + k]
-                if k == i:
-                    own += [values.get(n, 0.0) for n in names]
-                else:
-                    own += [theta[j] for j, q in enumerate(trial.problem.structure.parameters) if q.effect == first + k]
-            full = np.concatenate([theta[:p0], own])
-            if len(full) != problem.n_theta:
-                continue
-            states = np.zeros((len(problem.records), problem.n_states))
-            states[:, : trial.base.problem.n_states] = starts[:, : trial.base.problem.n_states]
-            self.add(self.refit(effects, trial.base, [], known=[problem.inside(problem.pack(full, states))], evaluations=(10, 10)))
+        best: dict[Effect, dict[str, float]] = {}
+        for left, other, values in sorted(options, key=lambda o: o[0]):
+            if left < 0.6 and len(best) < most:
+                best.setdefault(other, values)
+        return list(best.items())
 
     # ------------------------------------------------------------ polish
-    def polished(self, trial):
+    def polish(self, most: int = 4) -> None:
+        """Polish the leaders until the order among them holds."""
+        with self.timed("polish"):
+            for _ in range(most):
+                best = self.posterior(self.best)
+                todo = [x for x in self.trials if x.effects and id(x) not in self._polished]
+                todo = [x for x in todo if eligible(x) and self.posterior(x) > best - NEAR]
+                if not todo:
+                    return
+                trial = max(todo, key=self.posterior)
+                self._polished.add(id(trial))
+                better = self._polish(trial)
+                if self.posterior(better) > self.posterior(trial) - 1.0:
+                    self.trials[self.trials.index(trial)] = better
+                    self._polished.add(id(better))
+                    self._kept.append(trial)
+
+    def _polish(self, trial: Trial) -> Trial:
         """The trial at its minimum, with the substeps and widths that the record asks for."""
-        problem, point, base = trial.problem, trial.point, trial.base
-        gain = self._padded(base.gain(0.0), problem)
-        noise = trial.noise
-
-        def descended(problem, point, evaluations, tolerance=1e-7):
-            return self._descended(problem, point, noise, gain, evaluations, tolerance)
-
-        run = descended(problem, point, 8)
+        problem, noise = trial.problem, trial.noise
+        gain = _padded(trial.base.gain(0.0), problem)
+        assert noise is not None
+        run = descended(problem, trial.point, noise, gain, 8, 1e-7)
         if not problem.structure.is_linear and problem.in_time:
             for _ in range(3):
                 finer = problem.like(substeps=2 * problem.substeps)
-                if step_matters(problem, finer, run.point) < 0.25:
+                if step_matters(problem, finer, run.point) < STEP_SHARE:
                     break
                 problem = finer
                 self.substeps = max(self.substeps, problem.substeps)
-                run = descended(problem, run.point, 6)
+                run = descended(problem, run.point, noise, gain, 6, 1e-7)
         structure = problem.structure
-        first = len(structure.effects) - len(trial.effects)
-        for k in range(first, len(structure.effects)):
-            effect = structure.effects[k]
-            if not effect.spec.jumps or "width" in effect.fixed:
-                continue
-            price = 0.5 * np.log(problem.n_points)
-            for factor in (0.5, 2.0, 1 / 1.4, 1.4):
+        for k in range(len(structure.effects) - len(trial.effects), len(structure.effects)):
+            effect, price = structure.effects[k], 0.5 * float(np.log(problem.n_points))
+            for factor in (0.5, 2.0, 1 / 1.4, 1.4) if effect.spec.jumps and "width" not in effect.fixed else ():
                 for _ in range(4):
-                    constants = {**problem.structure.constants, k: factor * problem.structure.constants[k]}
-                    other = problem.like(Structure(structure.model, structure.effects, constants=constants))
-                    again = descended(other, run.point, 5)
+                    widths = problem.structure.constants
+                    widths = {**widths, k: factor * widths[k]}
+                    other = problem.like(Structure(structure.model, structure.effects, constants=widths))
+                    again = descended(other, run.point, noise, gain, 5, 1e-7)
                     if not again.cost < run.cost - price:
                         break
                     problem, run, price = other, again, 1.0
         if not np.isfinite(run.cost):
-            return None
-        return self.scored(Trial(trial.effects, base, problem, run.point, run.blocks(problem)))
-
-    def polish(self, most=5, near=60.0):
-        """Polish the leaders until the order among them holds."""
-        t = time.process_time()
-        for _ in range(most):
-            top = self.posterior(self.best)
-            todo = [x for x in self.trials if x.effects and eligible(x) and id(x) not in self._polished and self.posterior(x) > top - near]
-            if not todo:
-                break
-            trial = max(todo, key=self.posterior)
-            better = self.polished(trial)
-            self._polished.add(id(trial))
-            if better is not None and self.posterior(better) > self.posterior(trial) - 1.0:
-                self.trials.remove(trial)
-                self.trials.append(better)
-                self._polished.add(id(better))
-                self._kept.append(trial)
-        self.clock("polish", t)
+            return trial
+        return self.scored(Trial(trial.effects, trial.base, problem, run.point, run.blocks(problem)))
 
     # ------------------------------------------------------------ criticism
-    def tested(self, trial):
-        """Smallest p-value of the residual tests, corrected, and the tests."""
+    def passed(self, trial: Trial) -> bool:
+        """Whether the residual of a trial is noise, and no free force beats its laws."""
+        p = self.tested(trial)[0]
+        return p >= self.case.significance and self.odds[id(trial)] <= float(np.log(1 / EXCLUDED))
+
+    def tested(self, trial: Trial) -> tuple[float, list[Any]]:
+        """Smallest p-value of the residual tests, corrected for their number, and the tests."""
         if id(trial) not in self._tested:
-            self._tested[id(trial)] = self._tests_of(trial)
+            with self.timed("tests"):
+                self._tested[id(trial)] = self._tests_of(trial)
         return self._tested[id(trial)]
 
-    def _tests_of(self, trial):
-        t = time.process_time()
-        fitted = as_fitted(trial)
-        rest = not_held(self.case.library, fitted.structure.effects)
+    def _tests_of(self, trial: Trial) -> tuple[float, list[Any]]:
+        fitted, odds = as_fitted(trial), -np.inf
+        self.odds[id(trial)] = odds
         motions = [estimated_motion(fitted.structure, fitted.theta, m.data) for m in self.case.motions]
-        scored = candidate_columns(fitted, rest, motions[0], (0.0,))
         battery = TestedResidual(fitted)
-        tests = run_tests(battery, scored, motions)
-        odds = -np.inf  # of a force of no law at the places of the effects, over the laws
-        if self.fitted.problem.in_time and overall(tests) >= self.case.significance:
+        others = passed_without_library(battery, motions, self.case.significance)
+        if others is None:
+            return 0.0, []
+        rest = not_held(self.case.library, fitted.structure.effects)
+        scored = candidate_columns(fitted, rest, motions[0], (0.0,))
+        tests = run_tests(battery, scored, motions, 0, others)
+        if fitted.problem.in_time and overall(tests) >= self.case.significance:
             for place in dict.fromkeys(e.place for e in trial.effects):
-                size = force_at(trial, place)
-                if size is not None:
+                forces = [force_of(trial, i) for i, e in enumerate(trial.effects) if e.place == place]
+                forces = [one for one in forces if one is not None]
+                if forces:
                     beside = Beside(battery, place)
                     tests += beside.tests()
-                    odds = np.logaddexp(odds, beside.odds(size))
-        self.odds[id(trial)] = float(odds)
-        self.clock("tests", t)
+                    odds = float(np.logaddexp(odds, beside.odds(sum(one[-1] for one in forces))))
+        self.odds[id(trial)] = odds
         return overall(tests), tests
 
-    def table(self):
+    def table(self) -> list[tuple[float, Trial]]:
         """Best trial of each set of effects and kind of base, with its log posterior."""
-        rows = {}
+        rows: dict[Any, tuple[float, Trial]] = {}
         for trial in self.trials:
-            key = frozenset(trial.effects), trial.base is not self.fitted
-            value = self.posterior(trial)
+            key, value = (frozenset(trial.effects), trial.base is self.fitted), self.posterior(trial)
             if key not in rows or rows[key][0] < value:
                 rows[key] = value, trial
         return sorted(rows.values(), key=lambda row: -row[0])
 
 
-class Named:
-    """An effect where a group is expected."""
+def is_law(group: Group) -> bool:
+    """Whether a candidate is more than a changed parameter."""
+    return not is_number(group.effect)
 
-    def __init__(self, effect):
-        self.effect = effect
+
+def _padded(gain: Array | None, problem: Problem) -> Array | None:
+    return None if gain is None else np.pad(gain, ((0, problem.n_states - gain.shape[0]), (0, 0)))
+
+
+def descended(
+    problem: Problem,
+    point: Array,
+    noise: Noise,
+    gain: Array | None,
+    evaluations: int,
+    tolerance: float = 1e-6,
+) -> Descent:
+    """Descend in the metric of a noise; the evaluation is that of plain weights."""
+    given: dict[str, Any] = {"gain": gain, "whitener": noise.whitener, "tolerance": tolerance}
+    if not noise.uneven:
+        return descend(problem, point, evaluations=evaluations, **given)
+    run = descend(weighted(problem, noise), point, evaluations=evaluations, **given)
+    return descend(problem, run.point, gain=gain, evaluations=1) if np.isfinite(run.cost) else run
+
+
+def weighted(problem: Problem, noise: Noise) -> Problem:
+    """The problem with the samples weighted by their noise."""
+    found, plain = problem.like(), problem.judged
+    judged: Callable[[Array], list[Array]] = lambda theta: [  # noqa: E731
+        j * w for j, w in zip(plain(theta), noise.weights, strict=True)
+    ]
+    found.judged = judged  # type: ignore[method-assign]
+    return found
+
+
+def start_of(trial: Trial) -> Start:
+    """Where a trial stands, as a start."""
+    theta, states = trial.problem.unpack(trial.point)
+    structure = trial.problem.structure
+    first = len(structure.effects) - len(trial.effects)
+    values: Values = [{} for _ in trial.effects]
+    for k, q in enumerate(structure.parameters):
+        if q.effect >= first:
+            values[q.effect - first][q.name] = float(theta[k])
+    return Start(values, theta[: trial.base.problem.n_theta], states)
 
 
 def as_fitted(trial: Trial) -> FittedModel:
     """A trial as a fitted model that can be tested and added to."""
-    old, problem = trial.base.refinement, trial.problem
+    old, problem, blocks = trial.base.refinement, trial.problem, trial.blocks
     theta, starts = problem.unpack(trial.point)
-    n = len(problem.structure.effects) - len(old.effects)
-    errors = np.concatenate([b / problem.weights[:, None] for b, _ in trial.blocks], axis=1)
+    errors = np.concatenate([b / problem.weights[:, None] for b, _ in blocks], axis=1)
     refinement = replace(
         old,
         effects=problem.structure.effects,
-        roles=(*old.roles, *("effect",) * n),
+        roles=(*old.roles, *("effect",) * len(trial.effects)),
         constants=dict(problem.structure.constants),
         theta=theta.copy(),
         initial_states=starts.copy(),
@@ -608,56 +617,29 @@ def as_fitted(trial: Trial) -> FittedModel:
         fit=trial.fit,
         rmse=np.sqrt(np.mean(errors**2, axis=1)),
     )
-    weights = trial.noise.weights if trial.noise is not None else []
-    blocks = trial.blocks
-    if any(np.ptp(w) > 0 for w in weights):
-        plain, problem = problem, problem.like()
-        problem.judged = lambda theta: [j * w for j, w in zip(plain.judged(theta), weights, strict=True)]
-        blocks = [(w * r, w[:, :, None] * j) for w, (r, j) in zip(weights, blocks, strict=True)]
+    noise = trial.noise
+    if noise is not None and noise.uneven:
+        problem = weighted(problem, noise)
+        blocks = [(w * r, w[:, :, None] * j) for w, (r, j) in zip(noise.weights, blocks, strict=True)]
     found = FittedModel(refinement, problem, trial.point, trial.base.tolerance, trial.base.force_at)
     found._blocks[0.0] = blocks
     return found
 
 
-def force_at(trial, place):
-    """Force of all effects of a trial at a port, along the motion (N,); None where it is none."""
-    problem, structure = trial.problem, trial.problem.structure
-    if place not in [port.name for port in structure.model.ports]:
-        return None
-    first = len(structure.effects) - len(trial.effects)
-    theta, starts = problem.unpack(trial.point)
-    rest, parts = forces_at_rest(structure, theta), []
-    for engine, start in zip(problem.engines, starts, strict=True):
-        run = engine.run(theta, start, sensitivity=False, histories=True, check=False)
-        total = np.zeros(run.outputs.shape[1])
-        d, v = sensed(structure.model, place, run.states, engine.data.inputs)
-        for k, effect in enumerate(structure.effects[first:], first):
-            if effect.place != place:
-                continue
-            if k in structure.port_effects:
-                at = list(structure.port_effects).index(k)
-                total = total + run.forces[at] - rest[at]
-            elif effect.spec.is_element:
-                unit = unit_forces(effect, d, v, [], rest=resting(structure, place))
-                if unit:
-                    total = total + theta[structure.position(k, effect.coefficients[0])] * unit[0]
-        parts.append(total)
-    found = np.concatenate(parts)
-    return found if np.isfinite(found).all() and found.any() else None
-
-
-def force_of(trial, i):
-    """Motion at the place of one effect, inputs and its force, all records joined; None where it is no force."""
+def force_of(trial: Trial, i: int) -> tuple[Array, Array, Array, Array] | None:
+    """Motion at the place of an effect, inputs and its force, records joined; None where it is none."""
     problem, structure = trial.problem, trial.problem.structure
     k = len(structure.effects) - len(trial.effects) + i
     if k not in structure.port_effects:
         return None
     theta, starts = problem.unpack(trial.point)
-    rest, rows = forces_at_rest(structure, theta), []
-    at = list(structure.port_effects).index(k)
+    at, rows = list(structure.port_effects).index(k), []
+    place = structure.effects[k].place
+    (d0, v0), rest = resting(structure, place) or (0.0, 0.0), tangents(structure, theta)[at]
     for engine, start in zip(problem.engines, starts, strict=True):
         run = engine.run(theta, start, sensitivity=False, histories=True, check=False)
-        d, v = sensed(structure.model, structure.effects[k].place, run.states, engine.data.inputs)
-        rows.append((d, v, engine.data.inputs, run.forces[at] - rest[at]))
+        d, v = sensed(structure.model, place, run.states, engine.data.inputs)
+        force = run.forces[at] - (rest[0] + rest[1] * (d - d0) + rest[2] * (v - v0))
+        rows.append((d, v, engine.data.inputs, force))
     d, v, w, force = (np.concatenate(parts, axis=-1) for parts in zip(*rows, strict=True))
     return (d, v, w, force) if np.isfinite([d, v, force]).all() and force.any() else None

@@ -1,6 +1,6 @@
 """Two or three effects at once, parameters 20 to 40 % off: the set that is found against the truth.
 
-    python several.py FIRST COUNT OUT.csv
+python several.py FIRST COUNT OUT.csv
 """
 
 from __future__ import annotations
@@ -78,6 +78,7 @@ def made(seed):
     kind = str(rng.choice(["prbs", "multisine", "noise", "steps"]))
     u = np.array([excite(kind, N, true.dt, T, rng) * a for a in true.amp])
     n = int(max(6, min(40, np.ceil(true.dt * np.abs(np.linalg.eigvals(true.A)).max() / 0.2))))
+    n = max(n, 24)  # dry friction turns over within a sample
     count = int(rng.choice([2, 2, 3]))
     chosen, laws, truth = [], [], []
     sent = u.copy()
@@ -94,7 +95,10 @@ def made(seed):
             sent = lfilter([1 - a], [1, -a], u, axis=1)
         truth.append((fault, "input"))
     base, _ = march(true, sent, [], n)
-    if truth and np.sqrt(np.mean(np.var(base - march(true, u, [], n)[0], axis=1) / np.var(base, axis=1))) < 0.03:
+    if (
+        truth
+        and np.sqrt(np.mean(np.var(base - march(true, u, [], n)[0], axis=1) / np.var(base, axis=1))) < 0.03
+    ):
         truth, sent = [], u.copy()  # no more than the noise shows
     while len(truth) < count:
         site = str(rng.choice(list(true.sites)))
@@ -129,7 +133,15 @@ def made(seed):
     y = y + 0.01 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
     import control as ct
 
-    model = ct.ss(nominal.A, nominal.B, nominal.C, nominal.D, inputs=nominal.inputs, outputs=nominal.outputs, states=nominal.states)
+    model = ct.ss(
+        nominal.A,
+        nominal.B,
+        nominal.C,
+        nominal.D,
+        inputs=nominal.inputs,
+        outputs=nominal.outputs,
+        states=nominal.states,
+    )
     data = rco.Measurement(u, y, dt=true.dt, input_labels=nominal.inputs, output_labels=nominal.outputs)
     return name, truth, nominal, model, data
 
@@ -168,12 +180,29 @@ def one(seed):
     hit = lambda effects: [any(is_one(e, k, plant, model) for e in effects) for k in truth]  # noqa: E731
     false = [e.label for e in named if not any(is_one(e, k, plant, model) for k in truth)]
     exact = all(hit(named)) and len(named) == len(truth) and not false
-    linear = s.floated.refinement.rmse if s.floated is not None else s.fitted.refinement.rmse
-    print(f"{seed} {name} truth {truth} fit0 {s.trials[0].fit.min():.0f} -> {word} {[e.label for e in named]} P {P:.3f} p {p:.2g} exact {exact} false {false} CPU {cpu:.1f} { {k: round(v,1) for k,v in s.log.items()} }")
+    linear = s.floated.refinement.rmse
+    print(
+        f"{seed} {name} truth {truth} fit0 {s.trials[0].fit.min():.0f} -> {word} {[e.label for e in named]} P {P:.3f} p {p:.2g} exact {exact} false {false} CPU {cpu:.1f} { {k: round(v, 1) for k, v in s.log.items()} }"
+    )
     for value, trial in s.table()[:4]:
-        print(f"    {value - s.table()[0][0]:8.1f} {words(s, trial)} fit {trial.fit.min():.1f} {trial.noise.names} {[round(float(x),1) for x in trial.surest()]} hits {sum(hit(trial.effects))}/{len(truth)}")
+        print(
+            f"    {value - s.table()[0][0]:8.1f} {words(s, trial)} fit {trial.fit.min():.1f} {trial.noise.names} {[round(float(x), 1) for x in trial.surest()]} hits {sum(hit(trial.effects))}/{len(truth)}"
+        )
     sys.stdout.flush()
-    return {"seed": seed, "plant": name, "truth": truth, "verdict": word, "named": [e.label for e in named], "P": round(P, 3), "exact": exact, "false": false, "hits": sum(hit(named)), "of": len(truth), "cpu": round(cpu, 1), "fit": round(float(best.fit.min()), 1)}
+    return {
+        "seed": seed,
+        "plant": name,
+        "truth": truth,
+        "verdict": word,
+        "named": [e.label for e in named],
+        "P": round(P, 3),
+        "exact": exact,
+        "false": false,
+        "hits": sum(hit(named)),
+        "of": len(truth),
+        "cpu": round(cpu, 1),
+        "fit": round(float(best.fit.min()), 1),
+    }
 
 
 if __name__ == "__main__":

@@ -18,7 +18,9 @@ def verdict(search):
     rows = [(search.posterior(t), t) for t in search.trials if eligible(t)]
     by_set, variants = {}, {}
     for value, trial in rows:
-        variants.setdefault(frozenset(trial.effects) if trial.effects else trial.base is not search.fitted, []).append((value, trial))
+        variants.setdefault(
+            frozenset(trial.effects) if trial.effects else trial.base is not search.fitted, []
+        ).append((value, trial))
         key = frozenset(trial.effects) if trial.effects else trial.base is not search.fitted
         old = by_set.get(key)
         best = trial if old is None or value > search.posterior(old[1]) else old[1]
@@ -32,8 +34,15 @@ def verdict(search):
     for key, (value, trial) in ordered[:4]:
         if value < ordered[0][1][0] - np.log(1 / EXCLUDED):
             break
-        likely = sorted((x for x in variants[key] if x[0] > value - np.log(1 / EXCLUDED)), key=lambda x: -x[0])[:3]
-        fine = [t for _, t in likely if search.tested(t)[0] >= significance and not search.odds.get(id(t), -np.inf) > np.log(1 / EXCLUDED)]
+        likely = sorted(
+            (x for x in variants[key] if x[0] > value - np.log(1 / EXCLUDED)), key=lambda x: -x[0]
+        )[:3]
+        fine = [
+            t
+            for _, t in likely
+            if search.tested(t)[0] >= significance
+            and not search.odds.get(id(t), -np.inf) > np.log(1 / EXCLUDED)
+        ]
         if not fine:
             continue
         trial = fine[0]
@@ -55,5 +64,5 @@ def verdict(search):
         prob = float(np.exp(mass - total))
         prob /= 1.0 + np.exp(search.odds.get(id(trial), -np.inf))
         ties = [t.effects for _, (v, t) in ordered if v > ordered[0][1][0] - np.log(1 / EXCLUDED)]
-        return ("effect" if prob >= 0.5 and len(ties) == 1 or prob >= NAMED else "ambiguous"), name, prob, p
+        return ("effect" if (prob >= 0.5 and len(ties) == 1) or prob >= NAMED else "ambiguous"), name, prob, p
     return "unexplained", (), float(np.exp(ordered[0][1][0] - total)), p0
