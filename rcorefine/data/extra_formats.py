@@ -10,7 +10,7 @@ import numpy as np
 from ..arguments import as_number
 from ..exceptions import DataError, MissingExtraError
 from ..extras import needed
-from .apart import read_apart
+from .apart import damaged, read_apart
 from .columns import Columns, vectors
 from .columns import read_mat as read_old_mat
 
@@ -44,23 +44,19 @@ def read_tdms(path: Any, names: Sequence[str]) -> Columns:
     nptdms = needed("nptdms", "formats", "from_tdms")
     with open(path, "rb"):
         pass
-    try:
+    with damaged(path, "is not a TDMS file that npTDMS can read, or it is damaged"):
         file = nptdms.TdmsFile.read(path)
-    except Exception as error:  # the reader fails in a dozen ways on what is damaged
-        raise DataError(
-            f"{path} is not a TDMS file that npTDMS can read, or it is damaged: {error}"
-        ) from error
-    channels = [channel for group in file.groups() for channel in group.channels()]
-    listed = ", ".join(f"'{c.group_name}/{c.name}' {len(c)}" for c in channels) or "none"
-    values, units = {}, {}
-    for name in names:
-        found = [c for c in channels if name in (c.name, f"{c.group_name}/{c.name}")]
-        if len(found) != 1:
-            how = "no channel" if not found else f"{len(found)} channels"
-            raise DataError(f"{path} has {how} {name!r}; there are: {listed}")
-        values[name] = np.asarray(found[0][:])
-        units[name] = str(found[0].properties.get("unit_string", ""))
-    steps = {float(c.properties["wf_increment"]) for c in channels if c.properties.get("wf_increment")}
+        channels = [channel for group in file.groups() for channel in group.channels()]
+        listed = ", ".join(f"'{c.group_name}/{c.name}' {len(c)}" for c in channels) or "none"
+        values, units = {}, {}
+        for name in names:
+            found = [c for c in channels if name in (c.name, f"{c.group_name}/{c.name}")]
+            if len(found) != 1:
+                how = "no channel" if not found else f"{len(found)} channels"
+                raise DataError(f"{path} has {how} {name!r}; there are: {listed}")
+            values[name] = np.asarray(found[0][:])
+            units[name] = str(found[0].properties.get("unit_string", ""))
+        steps = {float(c.properties["wf_increment"]) for c in channels if c.properties.get("wf_increment")}
     said = (
         f"{path}: the file says wf_increment = {', '.join(f'{s:g}' for s in sorted(steps))} s"
         if steps
@@ -100,15 +96,11 @@ def _sets_of(
     pyuff = needed("pyuff", "formats", "from_uff")
     with open(path, "rb"):
         pass
-    try:
+    with damaged(path, "is not a universal file that pyuff can read, or it is damaged"):
         file = pyuff.UFF(str(path))
         kinds = [int(one) for one in file.get_set_types()]
         asked = range(len(kinds)) if sets is None else sets
         return kinds, [file.read_sets(k) if k < len(kinds) and kinds[k] == kind else None for k in asked]
-    except Exception as error:
-        raise DataError(
-            f"{path} is not a universal file that pyuff can read, or it is damaged: {error}"
-        ) from error
 
 
 _RESPONSE, _COHERENCE = 4, 6  # what an ordinate of type 58 is
