@@ -199,12 +199,13 @@ def edited(path, old, new):
     [
         "evil:law", "evil.inner:law", "evil", ":", "os:removedirs", "shutil:rmtree", "builtins:exec",
         "importlib:import_module", "subprocess:getoutput", "os.path:join", "rcorefine:evil.law",
-        "numpy:DataSource", "scipy:evil.law", "rcorefine.effects.law:register", "test_rco_persistence:os.getcwd",
-        "test_rco_persistence:Effect", "test_rco_persistence:cube.__globals__", "test_rco_persistence:renamed",
+        "numpy:DataSource", "scipy:evil.law", "rcorefine.effects.law:register",
+        "test_rco_persistence:os.getcwd", "test_rco_persistence:Effect",
+        "test_rco_persistence:cube.__globals__", "test_rco_persistence:renamed",
     ],
 )  # fmt: skip
 def test_no_file_says_what_is_imported_or_called(tmp_path, monkeypatch, law, kind):
-    """Only laws of modules that are imported already: not a module beside the file, nor a library's function."""
+    """Only laws of modules that are imported already: no module beside the file, no library's function."""
     (tmp_path / "evil.py").write_text(
         f"open({str(tmp_path / 'ran')!r}, 'w')\n\ndef law(d, v):\n    return d\n"
     )

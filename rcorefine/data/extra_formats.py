@@ -57,12 +57,8 @@ def read_tdms(path: Any, names: Sequence[str]) -> Columns:
             values[name] = np.asarray(found[0][:])
             units[name] = str(found[0].properties.get("unit_string", ""))
         steps = {float(c.properties["wf_increment"]) for c in channels if c.properties.get("wf_increment")}
-    said = (
-        f"{path}: the file says wf_increment = {', '.join(f'{s:g}' for s in sorted(steps))} s"
-        if steps
-        else ""
-    )
-    return Columns(values, {k: v for k, v in units.items() if v}, (said,) if said else ())
+    said = f"{path}: the file says wf_increment = {', '.join(f'{s:g}' for s in sorted(steps))} s"
+    return Columns(values, {k: v for k, v in units.items() if v}, (said,) if steps else ())
 
 
 def read_uff(
@@ -81,12 +77,8 @@ def read_uff(
         steps.add(float(found["abscissa_inc"]))
     if len(steps) > 1:
         raise DataError(f"{path}: the data sets have different sampling times: {sorted(steps)} s")
-    return (
-        values,
-        names,
-        units,
-        as_number(steps.pop(), "the sampling time of the file", above=0.0, error=DataError),
-    )
+    dt = as_number(steps.pop(), "the sampling time of the file", above=0.0, error=DataError)
+    return values, names, units, dt
 
 
 def _sets_of(
@@ -154,15 +146,10 @@ def _sorted(path: Any, sets: Sequence[int] | None) -> tuple[_Found, _Found]:
             )
         found[what][place] = one
     if not found[_RESPONSE]:
-        raise DataError(f"{path} holds no frequency response; its sets are of types {kinds}.{_modes(kinds)}")
+        hint = " Sets of type 55 are modes, a model and not a measurement: rcorefine.modal_model reads them"
+        said = f"{path} holds no frequency response; its sets are of types {kinds}."
+        raise DataError(said + hint * (_MODE in kinds))
     return found[_RESPONSE], found[_COHERENCE]
-
-
-def _modes(kinds: Sequence[int]) -> str:
-    """Where modes are read."""
-    if _MODE not in kinds:
-        return ""
-    return " Sets of type 55 are modes, a model and not a measurement: rcorefine.modal_model reads them"
 
 
 _MODE, _ANALYSES = 55, (2, 3, 7)  # normal modes, complex ones of first and of second order

@@ -66,7 +66,7 @@ class _Replacing:
             if name and vars(module).get(name) is value:
                 return getattr(stand, name)
         value = getattr(value, "py_func", value)
-        if not isinstance(value, FunctionType) or _is_library(value):
+        if not isinstance(value, FunctionType) or (value.__module__ or "").partition(".")[0] == "numpy":
             return value
         if id(value) not in self._made:
             self._function(value)
@@ -94,11 +94,6 @@ def _named(function: FunctionType) -> set[str]:
         found.update(code.co_names)
         waiting += [one for one in code.co_consts if hasattr(one, "co_names")]
     return found
-
-
-def _is_library(function: FunctionType) -> bool:
-    """Whether it is numpy's own, which works on arrays of objects or not at all."""
-    return (function.__module__ or "").partition(".")[0] == "numpy"
 
 
 class _Math:

@@ -212,10 +212,7 @@ class Learned(Result):
     @alone
     @picture
     def bode_plot(
-        self,
-        measured: Any = None,
-        omega: ArrayLike | None = None,
-        **options: Unpack[Options],
+        self, measured: Any = None, omega: ArrayLike | None = None, **options: Unpack[Options]
     ) -> ct.ControlPlot:
         """Bode plot of the initial and the refined model, beside the measured response.
 
