@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import http.client
 import json
 import os
@@ -437,6 +438,20 @@ def test_a_taken_port_is_said(served):
 
 def test_ends_by_interruption(tmp_path):
     assert Served(tmp_path, record(200)).close() == 0
+
+
+@THEIRS
+def test_warnings_of_a_fit_stand_under_the_steps(monkeypatch):
+    import panel as pn
+
+    from rcorefine.explorer.page import ExplorerPage
+
+    explored = Exploration(chain(), record(200))
+    (step,) = explored.steps
+    warned = dataclasses.replace(step.refinement, warnings=("the fit <b> stopped early",))
+    monkeypatch.setattr(explored, "_steps", [dataclasses.replace(step, refinement=warned)])
+    texts = [pane.object for pane in ExplorerPage(explored).root.select(pn.pane.HTML)]
+    assert [text for text in texts if "initial model</td>" in text and "the fit &lt;b&gt; stopped" in text]
 
 
 def test_shows_itself_in_a_notebook():

@@ -76,9 +76,7 @@ def custom_law(function: Callable[..., Any], names: tuple[str, ...]) -> Custom:
     """
     for name in names:  # they stand in the code that is compiled
         if not name.isidentifier() or iskeyword(name):
-            raise ct.ControlArgument(
-                f"a law's coefficient is a Python name such as 'scale', not {name!r:.80}"
-            )
+            raise ct.ControlArgument(f"a coefficient has a Python name such as 'scale', not {name!r:.80}")
     law: Any = Custom()
     law.law = function
     law.scaled = not names

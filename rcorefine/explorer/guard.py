@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import re
 import secrets
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from bokeh.server.auth_provider import NullAuth
 from tornado.httputil import HTTPHeaders, HTTPServerRequest
@@ -32,12 +31,8 @@ class Visitors(NullAuth):  # type: ignore[misc]
         self._hosts = hosts
         super().__init__()
 
-    @property
-    def get_user_async(self) -> Callable[[RequestHandler], Any]:
-        """What bokeh awaits before it answers a request."""
-        return self._looked_at
-
-    async def _looked_at(self, asking: RequestHandler) -> str:
+    async def get_user_async(self, asking: RequestHandler) -> str:
+        """Return the name of a visitor who may come in; bokeh awaits it before it answers a request."""
         host, headers = asking.request.host, asking.request.headers
         origin, site = headers.get("Origin", f"http://{host}"), headers.get("Sec-Fetch-Site", "none")
         clicked = headers.get("Sec-Fetch-Mode") == "navigate" and headers.get("Sec-Fetch-User") == "?1"

@@ -369,8 +369,10 @@ def test_memory_that_a_large_record_takes(kind, tmp_path, tally):
 
 def test_a_matrix_file_with_a_zero_byte_ends_no_process(tmp_path):
     """Its library dies of one with a segmentation fault; it reads in a process of its own."""
+    rows = b"%%MatrixMarket matrix array real general\n2 2\n"
     head = b"%%MatrixMarket matrix coordinate real general\n2 2 1\n"
-    for content in (head + b"1 1 \0 1.0\n", head + b"1 \0\n", b"\0" + head, head + b"\0" * 40):
+    after = [head + b"1 1 1\0000\n", head + b"1 1 1.0\0", rows + b"1.0\0002.0\n3.0\n4.0\n", rows + b"1\0" * 4]
+    for content in (*after, head + b"1 1 \0 1.0\n", head + b"1 \0\n", b"\0" + head, head + b"\0" * 40):
         (tmp_path / "A.mtx").write_bytes(content)
         (tmp_path / "m.toml").write_text('[state_space]\nA = "A.mtx"\nB = [[0.0], [2.0]]\nC = [[1.0, 0.0]]\n')
         with pytest.raises(rco.ModelError, match=r"A\.mtx"):
