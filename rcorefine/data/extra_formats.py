@@ -10,6 +10,7 @@ import numpy as np
 from ..arguments import as_number
 from ..exceptions import DataError, MissingExtraError
 from ..extras import needed
+from ..systems.linear import Array
 from .apart import damaged, read_apart
 from .columns import Columns, vectors
 from .columns import read_mat as read_old_mat
@@ -61,9 +62,7 @@ def read_tdms(path: Any, names: Sequence[str]) -> Columns:
     return Columns(values, {k: v for k, v in units.items() if v}, (said,) if steps else ())
 
 
-def read_uff(
-    path: Any, sets: Sequence[int]
-) -> tuple[list[np.ndarray[Any, Any]], list[str], list[str], float]:
+def read_uff(path: Any, sets: Sequence[int]) -> tuple[list[Array], list[str], list[str], float]:
     """Time histories (data sets of type 58) of a universal file: values, names, units, sampling time."""
     kinds, read = _sets_of(path, sets)
     values, names, units, steps = [], [], [], set()
@@ -92,7 +91,11 @@ def _sets_of(
         file = pyuff.UFF(str(path))
         kinds = [int(one) for one in file.get_set_types()]
         asked = range(len(kinds)) if sets is None else sets
-        return kinds, [file.read_sets(k) if k < len(kinds) and kinds[k] == kind else None for k in asked]
+        read = [file.read_sets(k) if k < len(kinds) and kinds[k] == kind else None for k in asked]
+    for k, one in zip(asked, read, strict=True):  # pyuff takes what there is
+        if kind == 58 and one is not None and np.size(one["data"]) < (n := one["num_pts"]):
+            raise DataError(f"{path}: data set {k} announces {n} values and holds fewer; it is damaged")
+    return kinds, read
 
 
 _RESPONSE, _COHERENCE = 4, 6  # what an ordinate of type 58 is
@@ -141,9 +144,7 @@ def _sorted(path: Any, sets: Sequence[int] | None) -> tuple[_Found, _Found]:
         names = (f"{one.get(f'{side}_node', 0)}:{one.get(f'{side}_dir', 0)}" for side in ("rsp", "ref"))
         place = next(names), next(names)
         if place in found[what]:
-            raise DataError(
-                f"{path} holds response {place[0]} to {place[1]} twice; name one of them in sets="
-            )
+            raise DataError(f"{path} holds response {place[0]} to {place[1]} twice; name one in sets=")
         found[what][place] = one
     if not found[_RESPONSE]:
         hint = " Sets of type 55 are modes, a model and not a measurement: rcorefine.modal_model reads them"
