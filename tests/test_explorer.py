@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import http.client
 import json
 import os
@@ -14,11 +15,13 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import control as ct
 import numpy as np
 import pytest
 from chromium_pipe import CHROMIUM, Browser
 
 import rcorefine as rco
+from rcorefine.explorer import Exploration
 
 pytest.importorskip("panel", reason="the extra explore is not installed")
 
@@ -195,7 +198,7 @@ def test_add_fit_move_undo(served, visitor):
         visitor.until(f"text('.error')[0].endsWith('{expected:.3g} %')", f"the error {expected:.3g} %")
     visitor.settled()
     assert visitor.js("text('td').includes('initial model')")
-    assert visitor.complaints == []
+    assert visitor.complaints == [], "\n".join(visitor.complaints)
     assert visitor.outside == []
 
 
@@ -210,7 +213,7 @@ def test_verdict_and_files(served, visitor):
     visitor.press("Make the report")
     visitor.until("all('a').some(a => shown(a) && a.innerText.includes('report of step 0'))", "the report")
     visitor.settled()
-    assert visitor.complaints == []
+    assert visitor.complaints == [], "\n".join(visitor.complaints)
 
 
 @pytest.mark.browser
@@ -229,7 +232,7 @@ def test_fits_the_window_and_the_theme(served, visitor, width, scheme):
     inverted = visitor.js("all('.bk-Figure').map(e => getComputedStyle(e).filter !== 'none')")
     assert inverted
     assert set(inverted) == {scheme == "dark"}
-    assert visitor.complaints == []
+    assert visitor.complaints == [], "\n".join(visitor.complaints)
     assert visitor.outside == []
 
 
@@ -283,10 +286,38 @@ def test_names_from_strangers_are_text(visitor):
         assert "x" not in {url.rsplit("/", 1)[-1] for url in visitor.requests}
         place = visitor.js("all('select').flatMap(s => [...s.options].map(o => o.text))")
         assert any("<img src=x" in option for option in place)
-        assert visitor.complaints == []
+        assert visitor.complaints == [], visitor.complaints
         assert visitor.outside == []
     finally:
         page.close()
+
+
+@pytest.mark.browser
+@THEIRS
+def test_a_unit_with_a_formula_in_it_is_text(visitor):
+    """Bokeh makes HTML of a slider's title that holds a formula, with all that stands beside it."""
+    plain = ct.ss(
+        [[0, 1], [-100, -0.4]], [[0], [1]], [[1, 0]], 0, inputs="force", outputs="q1", states=["x", "v"]
+    )
+    units = {"x": "$$a$$<img src=evil>", "q1": "m", "force": "N"}
+    model = rco.physical(plain, links={"link1": {"x": 1.0}}, units=units)
+    page = rco.explore(model, record(400))
+    page._new = lambda: added(Exploration(model, record(400)), rco.Effect("clearance", "link1"))
+    try:
+        visitor.open(page.show(browser=False))
+        visitor.settled()
+        titles = visitor.js("all('.bk-slider-title').map(e => e.textContent)")
+        assert any("a$\N{WORD JOINER}$<img src=evil>]" in title for title in titles), titles
+        assert visitor.js("all('img').length") == 0
+        assert "evil" not in {url.rsplit("/", 1)[-1] for url in visitor.requests}
+        assert visitor.complaints == []
+    finally:
+        page.close()
+
+
+def added(explored, effect):
+    explored.add(effect)
+    return explored
 
 
 @pytest.mark.browser
@@ -326,6 +357,62 @@ def test_no_other_origin_is_served(served):
         assert upgrade(served.port, f"http://{host}:{served.port}") != 403
 
 
+def answer(port: int, path: str = "/", **headers: str) -> tuple[int, str, http.client.HTTPMessage]:
+    """Status, reason and headers of a request."""
+    ask = http.client.HTTPConnection("127.0.0.1", port, timeout=WAIT)
+    ask.request("GET", path, headers={name.replace("_", "-"): value for name, value in headers.items()})
+    found = ask.getresponse()
+    ask.close()
+    return found.status, found.reason, found.headers
+
+
+@THEIRS
+def test_a_page_is_built_for_its_own_address_alone(monkeypatch):
+    """Not for a foreign page's picture, frame or script, for a name that leads here, for a given session."""
+    page, built = rco.explore(chain(), record(200)), []
+    new = page._new
+    monkeypatch.setattr(page, "_new", lambda: built.append(1) or new())
+    port = int(page.show(browser=False).rsplit(":", 1)[1].strip("/"))
+    own = f"http://127.0.0.1:{port}"
+    try:
+        for path, headers in (
+            ("/", {"Host": f"evil.example:{port}"}),
+            ("/", {"Host": "127.0.0.1"}),
+            ("/", {"Origin": "http://evil.example"}),
+            ("/", {"Origin": "null"}),
+            ("/", {"Origin": f"https://127.0.0.1:{port}"}),
+            ("/", {"Sec_Fetch_Site": "cross-site", "Sec_Fetch_Mode": "no-cors", "Sec_Fetch_Dest": "image"}),
+            ("/", {"Sec_Fetch_Site": "cross-site", "Sec_Fetch_Mode": "navigate", "Sec_Fetch_Dest": "iframe"}),
+            ("/", {"Sec_Fetch_Site": "same-site", "Sec_Fetch_Mode": "cors"}),
+            ("/?bokeh-session-id=mine", {}),
+            ("/?bokeh-token=mine", {}),
+            ("/", {"Bokeh_Session_Id": "mine"}),
+            ("/autoload.js?bokeh-autoload-element=x", {"Origin": "http://evil.example"}),
+            ("/autoload.js?bokeh-autoload-element=x&bokeh-session-id=mine", {}),
+        ):
+            assert answer(port, path, **headers)[0] == 403, (path, headers)
+        assert built == []
+        typed = {"Sec_Fetch_Site": "none", "Sec_Fetch_Mode": "navigate", "Sec_Fetch_User": "?1"}
+        clicked = {**typed, "Sec_Fetch_Site": "cross-site"}  # a link in the terminal of a browser
+        for headers in ({}, {"Host": f"localhost:{port}"}, {"Origin": own}, typed, clicked):
+            assert answer(port, **headers)[0] == 200, headers
+        assert len(built) == 5
+    finally:
+        page.close()
+
+
+def test_the_page_runs_no_script_but_its_own(served):
+    status, _, headers = answer(served.port)
+    policy = dict(rule.strip().split(" ", 1) for rule in headers["Content-Security-Policy"].split(";"))
+    assert status == 200
+    assert policy["default-src"] == policy["base-uri"] == policy["frame-ancestors"] == "'none'"
+    scripts = policy["script-src"].split()
+    assert not {"'unsafe-inline'", "'unsafe-eval'", "*", "data:", "http:", "https:"} & {*scripts}
+    assert [one for one in scripts if one.startswith("'nonce-")]
+    other = answer(served.port)[2]["Content-Security-Policy"]
+    assert other != headers["Content-Security-Policy"]  # a nonce is used once
+
+
 def test_serves_this_machine_and_no_files(served):
     outside = {info[4][0] for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)}
     for host in outside - {"127.0.0.1"}:
@@ -351,6 +438,20 @@ def test_a_taken_port_is_said(served):
 
 def test_ends_by_interruption(tmp_path):
     assert Served(tmp_path, record(200)).close() == 0
+
+
+@THEIRS
+def test_warnings_of_a_fit_stand_under_the_steps(monkeypatch):
+    import panel as pn
+
+    from rcorefine.explorer.page import ExplorerPage
+
+    explored = Exploration(chain(), record(200))
+    (step,) = explored.steps
+    warned = dataclasses.replace(step.refinement, warnings=("the fit <b> stopped early",))
+    monkeypatch.setattr(explored, "_steps", [dataclasses.replace(step, refinement=warned)])
+    texts = [pane.object for pane in ExplorerPage(explored).root.select(pn.pane.HTML)]
+    assert [text for text in texts if "initial model</td>" in text and "the fit &lt;b&gt; stopped" in text]
 
 
 def test_shows_itself_in_a_notebook():

@@ -148,6 +148,24 @@ def test_universal_files(tmp_path):
         rco.FrequencyResponse.from_uff(universal(pyuff, path, rsp=(2,)))
 
 
+@pytest.mark.parametrize("rsp", [(1,), (1, 2)])
+def test_a_universal_file_that_lacks_a_number_is_damaged(tmp_path, rsp):
+    path = universal(pytest.importorskip("pyuff"), tmp_path / "d.uff", rsp=rsp)
+    number = path.read_text().splitlines()[13].split()[-1]
+    path.write_text(path.read_text().replace(number, "", 1))
+    with pytest.raises(rco.DataError, match=r"d\.uff.*damaged"):
+        rco.FrequencyResponse.from_uff(path)
+
+
+def test_a_universal_file_that_ends_early_is_damaged(tmp_path):
+    """What is left of it would stand at the wrong frequencies."""
+    path = universal(pytest.importorskip("pyuff"), tmp_path / "d.uff", rsp=(1,))
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines[:14], *lines[15:], ""]))  # 2 of the 10 values
+    with pytest.raises(rco.DataError, match="data set 0 announces 10 values and holds fewer"):
+        rco.FrequencyResponse.from_uff(path)
+
+
 def test_modes_of_a_universal_file_are_no_response(tmp_path):
     pytest.importorskip("pyuff")
     lines = [

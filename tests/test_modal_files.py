@@ -70,6 +70,15 @@ def test_complex_modes(tmp_path):
     np.testing.assert_allclose(of(model), response(C), rtol=2e-3)
 
 
+def test_a_mode_that_lacks_the_motion_of_a_node_is_damaged(tmp_path):
+    path = normal_modes(tmp_path / "d.uff")
+    lines = path.read_text().splitlines()
+    assert lines[15].split() == ["0.00000e+00", "0.00000e+00", lines[15].split()[2]]
+    path.write_text("\n".join([*lines[:15], *lines[16:], ""]))
+    with pytest.raises(rco.DataError, match=r"d\.uff.*damaged"):
+        rco.modal_model(path, "11:3", "13:3")
+
+
 def test_scales_that_a_file_does_not_tell(tmp_path):
     with pytest.raises(rco.ModelError, match="has no modal mass in the file.*modal_mass="):
         rco.modal_model(normal_modes(tmp_path / "a.uff", 3.0, modal_m=0.0), "11:3")

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import pickle
+import signal
 import threading
+import time
 import warnings
 
 import control as ct
@@ -317,6 +320,60 @@ def test_threads_lose_no_sample(settings):
     for thread in threads:
         thread.join()
     assert refiner.n_samples == 400
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
+def test_a_fork_amid_an_update_gets_a_refiner_that_works(monkeypatch):
+    """The child has the samples of before or after the update, as the parent, and can go on."""
+    start, dt, w, y = stream(200)
+    refiner = RCORefiner(start, dt=dt)
+    inside, take = threading.Event(), type(refiner._estimator).take
+
+    def slow(self, block, **how):
+        take(self, block.part(0, 50), **how)
+        inside.set()
+        time.sleep(0.2)
+        take(self, block.part(50, 100), **how)
+
+    monkeypatch.setattr(type(refiner._estimator), "take", slow)
+    thread = threading.Thread(target=refiner.update, args=(w[:, :100], y[:, :100]))
+    thread.start()
+    inside.wait()
+    child = os.fork()
+    if child == 0:
+        signal.alarm(20)  # a child that hangs dies of it
+        monkeypatch.undo()
+        code = 1
+        try:
+            first = refiner.n_samples
+            refiner.update(w[:, 100:], y[:, 100:])
+            code = 0 if (first, refiner.n_samples) == (100, 200) else 2
+        finally:
+            os._exit(code)
+    thread.join()
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    refiner.n_samples  # noqa: B018  the parent's lock is free, too
+
+
+def test_stage_one_in_gaps_does_not_depend_on_blocks():
+    """While the forms take turns in the lead within a stretch: the last whole one says who stands in."""
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        plant = rco.mass_spring_damper([1.0, 1.0], [0.4, 0.4], [90.0, 90.0], sensors="displacement")
+        start = rco.mass_spring_damper([1.0, 1.0], [0.3, 0.3], [100.0, 100.0], sensors="displacement")
+        w = rng.standard_normal((plant.linear.n_inputs, 700))
+        still = rco.Measurement(w, np.zeros((plant.linear.n_outputs, 700)), dt=0.02)
+        y = rco.simulate(plant, still, "zero").outputs
+        y = y + 0.05 * y.std() * rng.standard_normal(y.shape)
+        y[rng.random(y.shape) < 0.05] = np.nan
+        found = []
+        for size in (700, 37, 1):
+            refiner = RCORefiner(start, dt=0.02, missing="hold-out")
+            for k in range(0, 700, size):
+                refiner.update(w[:, k : k + size], y[:, k : k + size])
+            found.append(refiner.theta)
+        np.testing.assert_array_equal(found[1], found[0])
+        np.testing.assert_array_equal(found[2], found[0])
 
 
 def test_a_member_that_diverges_leaves_the_others_running(monkeypatch):

@@ -20,6 +20,13 @@ def cube(d, v):
     return d**3
 
 
+def open_cube(d, v, **coefficients):
+    return coefficients["c"] * d**3
+
+
+CUBIC = [Effect("custom", "link2", law=cube)]
+
+
 def cases():
     physical = {"model": chain(), "dt": 0.02, "effects": STIFFNESS}
     nonlinear = [Effect("cubic_stiffness", "link2"), Effect("input_delay", "force")]
@@ -157,7 +164,7 @@ def test_nothing_is_pickled(tmp_path):
 
 
 @pytest.mark.parametrize("law", [cube, lambda d, v: d**3], ids=["named", "nameless"])
-def test_custom_laws_are_imported_or_handed_over_again(tmp_path, monkeypatch, law):
+def test_custom_laws_are_found_or_handed_over_again(tmp_path, monkeypatch, law):
     w, y = stream("effects", 200)
     named, effects = law is cube, [Effect("custom", "link2", law=law)]
     refiner, path = (
@@ -175,6 +182,58 @@ def test_custom_laws_are_imported_or_handed_over_again(tmp_path, monkeypatch, la
     for one in (refiner, again, *([found] if named else [])):
         one.update(w[:, 20:120], y[:, 20:120])
         np.testing.assert_array_equal(refiner.static_theta, one.static_theta)
+
+
+def edited(path, old, new):
+    """The file with another text in its description."""
+    with np.load(path) as stored:
+        arrays = dict(stored)
+    text = str(arrays.pop("meta"))
+    assert json.dumps(old) in text
+    np.savez(path, meta=np.array(text.replace(json.dumps(old), json.dumps(new))), **arrays)
+
+
+@pytest.mark.parametrize("kind", [RCORefiner, rco.Monitor])
+@pytest.mark.parametrize(
+    "law",
+    [
+        "evil:law", "evil.inner:law", "evil", ":", "os:removedirs", "shutil:rmtree", "builtins:exec",
+        "importlib:import_module", "subprocess:getoutput", "os.path:join", "rcorefine:evil.law",
+        "numpy:DataSource", "scipy:evil.law", "rcorefine.effects.law:register",
+        "test_rco_persistence:os.getcwd", "test_rco_persistence:Effect",
+        "test_rco_persistence:cube.__globals__", "test_rco_persistence:renamed",
+    ],
+)  # fmt: skip
+def test_no_file_says_what_is_imported_or_called(tmp_path, monkeypatch, law, kind):
+    """Only laws of modules that are imported already: no module beside the file, no library's function."""
+    (tmp_path / "evil.py").write_text(
+        f"open({str(tmp_path / 'ran')!r}, 'w')\n\ndef law(d, v):\n    return d\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys.modules[cube.__module__], "renamed", np.add, raising=False)
+    saved = kind(chain(), dt=0.02, **{"effects" if kind is RCORefiner else "candidates": CUBIC})
+    saved.save(tmp_path / "state.npz")
+    edited(tmp_path / "state.npz", f"{cube.__module__}:cube", law)
+    before = set(sys.modules)
+    with pytest.raises(rco.RCOError, match=r"laws=\{'custom at link2': law\}"):
+        kind.load(tmp_path / "state.npz")
+    assert set(sys.modules) == before
+    assert not (tmp_path / "ran").exists()
+    kind.load(tmp_path / "state.npz", laws={"custom at link2": cube})
+
+
+def test_names_of_coefficients_are_no_code(tmp_path):
+    """They stand in the source that is compiled for a law."""
+    effects = [Effect("custom", "link2", law=open_cube, start={"c": 1.0})]
+    RCORefiner(chain(), dt=0.02, effects=effects).save(tmp_path / "state.npz")
+    for name in (f"c=1) or open({str(tmp_path / 'ran')!r}, 'w') and dict(c", "lambda", "", "c\n"):
+        with pytest.raises(ct.ControlArgument, match="a Python name"):
+            Effect("custom", "link2", law=open_cube, start={name: 1.0})
+    edited(tmp_path / "state.npz", "c", f"c=1) or open({str(tmp_path / 'ran')!r}, 'w') and dict(c")
+    with pytest.raises(ct.ControlArgument, match="a Python name"):
+        RCORefiner.load(tmp_path / "state.npz")
+    assert not (tmp_path / "ran").exists()
 
 
 def test_memory_and_file_stay_the_same_size(tmp_path):

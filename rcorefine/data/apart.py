@@ -6,21 +6,49 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+import control as ct
 import numpy as np
 
 from ..archives import arrays_of, most_bytes
-from ..exceptions import DataError
+from ..exceptions import DataError, RCOError
 
-__all__ = ["Other", "read_apart"]
+__all__ = ["Other", "damaged", "read_apart"]
 
 _CHILD = Path(__file__).with_name("apart_child.py")
 _PATIENCE = 60.0  # s for any file ...
 _SPEED = 2e6  # ... and bytes per second beyond that
+
+
+@contextmanager
+def damaged(path: str | os.PathLike[str], said: str = "is damaged") -> Iterator[None]:
+    """Whatever fails while a file is read is the file's fault.
+
+    Parameters
+    ----------
+    path : str or path
+        File, for the message.
+    said : str
+        What is said of it.
+
+    Raises
+    ------
+    DataError
+        For any error that is not of this package, of python-control, or of the system about the file.
+    """
+    try:
+        yield
+    except (RCOError, ct.ControlArgument, ct.ControlDimension):
+        raise
+    except Exception as error:
+        if isinstance(error, OSError) and error.filename is not None:
+            raise  # no file there, or none that may be read
+        raise DataError(f"{os.fspath(path)!r} {said}: {type(error).__name__}: {error}") from error
 
 
 class Other(NamedTuple):
@@ -43,7 +71,7 @@ def read_apart(
     ----------
     path : str or path
         File.
-    reader : {"mat", "hdf5"}
+    reader : {"mat", "hdf5", "mtx"}
         Who reads it.
     what : str
         What it should be, for messages: "MATLAB file that scipy".

@@ -6,6 +6,7 @@ standard output as an archive of plain arrays; what they are called, and what is
 
 import io
 import json
+import os
 import sys
 from typing import Any
 
@@ -21,7 +22,7 @@ def main() -> None:
     report: dict[str, Any] = {}
     arrays: _Arrays = {}
     try:
-        report = {"mat": _mat, "hdf5": _hdf5}[reader](path, int(room), names, arrays)
+        report = {"mat": _mat, "hdf5": _hdf5, "mtx": _mtx}[reader](path, int(room), names, arrays)
     except Exception as error:
         arrays.clear()
         report["error"] = type(error).__name__, str(error)
@@ -68,6 +69,20 @@ def _hdf5(path: str, room: int, names: list[str], arrays: _Arrays) -> dict[str, 
             }
         nodes = {k: {"other": "text" if k in texts else str(item.dtype)} for k, item in found.items()}
         return {"nodes": nodes | {name: _node(np.asarray(found[k]), arrays, 0) for name, k in asked.items()}}
+
+
+def _mtx(path: str, room: int, names: list[str], arrays: _Arrays) -> dict[str, Any]:
+    """Matrix of a Matrix Market file: its entries and where they stand, or all of it."""
+    from scipy.io import mminfo, mmread
+
+    _limit(room)
+    if mminfo(path)[2] > os.path.getsize(path):
+        return {"refused": "promises more numbers than it holds bytes"}
+    found = mmread(path)
+    parts = {"data": found}
+    if not isinstance(found, np.ndarray):
+        parts = {"data": found.data, "row": found.row, "col": found.col, "shape": np.array(found.shape)}
+    return {"nodes": {key: _node(part, arrays, 0) for key, part in parts.items()}}
 
 
 def _limit(room: int) -> None:

@@ -133,18 +133,13 @@ def vectors(path: Any, variables: dict[str, Any], names: Sequence[str]) -> Colum
         value = _variable(variables, name)
         if value is None:
             raise DataError(f"{path} has no variable {name!r}; there are: {listed}")
-        if not _is_vector(value):
+        array = isinstance(value, np.ndarray) and value.dtype.kind in "fiubc"
+        if not array or value.ndim > 2 or (value.ndim == 2 and 1 not in value.shape):
             raise DataError(
                 f"{path}: variable {name!r} is {_shape(value)}, not a vector of numbers; there are: {listed}"
             )
         columns[name] = value.ravel()
     return Columns(columns)
-
-
-def _is_vector(value: Any) -> bool:
-    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiubc":
-        return False
-    return value.ndim < 2 or (value.ndim == 2 and 1 in value.shape)
 
 
 def _variable(variables: dict[str, Any], name: str) -> Any:

@@ -10,7 +10,8 @@ import numpy as np
 from ..arguments import as_number
 from ..exceptions import DataError, MissingExtraError
 from ..extras import needed
-from .apart import read_apart
+from ..systems.linear import Array
+from .apart import damaged, read_apart
 from .columns import Columns, vectors
 from .columns import read_mat as read_old_mat
 
@@ -44,34 +45,24 @@ def read_tdms(path: Any, names: Sequence[str]) -> Columns:
     nptdms = needed("nptdms", "formats", "from_tdms")
     with open(path, "rb"):
         pass
-    try:
+    with damaged(path, "is not a TDMS file that npTDMS can read, or it is damaged"):
         file = nptdms.TdmsFile.read(path)
-    except Exception as error:  # the reader fails in a dozen ways on what is damaged
-        raise DataError(
-            f"{path} is not a TDMS file that npTDMS can read, or it is damaged: {error}"
-        ) from error
-    channels = [channel for group in file.groups() for channel in group.channels()]
-    listed = ", ".join(f"'{c.group_name}/{c.name}' {len(c)}" for c in channels) or "none"
-    values, units = {}, {}
-    for name in names:
-        found = [c for c in channels if name in (c.name, f"{c.group_name}/{c.name}")]
-        if len(found) != 1:
-            how = "no channel" if not found else f"{len(found)} channels"
-            raise DataError(f"{path} has {how} {name!r}; there are: {listed}")
-        values[name] = np.asarray(found[0][:])
-        units[name] = str(found[0].properties.get("unit_string", ""))
-    steps = {float(c.properties["wf_increment"]) for c in channels if c.properties.get("wf_increment")}
-    said = (
-        f"{path}: the file says wf_increment = {', '.join(f'{s:g}' for s in sorted(steps))} s"
-        if steps
-        else ""
-    )
-    return Columns(values, {k: v for k, v in units.items() if v}, (said,) if said else ())
+        channels = [channel for group in file.groups() for channel in group.channels()]
+        listed = ", ".join(f"'{c.group_name}/{c.name}' {len(c)}" for c in channels) or "none"
+        values, units = {}, {}
+        for name in names:
+            found = [c for c in channels if name in (c.name, f"{c.group_name}/{c.name}")]
+            if len(found) != 1:
+                how = "no channel" if not found else f"{len(found)} channels"
+                raise DataError(f"{path} has {how} {name!r}; there are: {listed}")
+            values[name] = np.asarray(found[0][:])
+            units[name] = str(found[0].properties.get("unit_string", ""))
+        steps = {float(c.properties["wf_increment"]) for c in channels if c.properties.get("wf_increment")}
+    said = f"{path}: the file says wf_increment = {', '.join(f'{s:g}' for s in sorted(steps))} s"
+    return Columns(values, {k: v for k, v in units.items() if v}, (said,) if steps else ())
 
 
-def read_uff(
-    path: Any, sets: Sequence[int]
-) -> tuple[list[np.ndarray[Any, Any]], list[str], list[str], float]:
+def read_uff(path: Any, sets: Sequence[int]) -> tuple[list[Array], list[str], list[str], float]:
     """Time histories (data sets of type 58) of a universal file: values, names, units, sampling time."""
     kinds, read = _sets_of(path, sets)
     values, names, units, steps = [], [], [], set()
@@ -85,12 +76,8 @@ def read_uff(
         steps.add(float(found["abscissa_inc"]))
     if len(steps) > 1:
         raise DataError(f"{path}: the data sets have different sampling times: {sorted(steps)} s")
-    return (
-        values,
-        names,
-        units,
-        as_number(steps.pop(), "the sampling time of the file", above=0.0, error=DataError),
-    )
+    dt = as_number(steps.pop(), "the sampling time of the file", above=0.0, error=DataError)
+    return values, names, units, dt
 
 
 def _sets_of(
@@ -100,15 +87,15 @@ def _sets_of(
     pyuff = needed("pyuff", "formats", "from_uff")
     with open(path, "rb"):
         pass
-    try:
+    with damaged(path, "is not a universal file that pyuff can read, or it is damaged"):
         file = pyuff.UFF(str(path))
         kinds = [int(one) for one in file.get_set_types()]
         asked = range(len(kinds)) if sets is None else sets
-        return kinds, [file.read_sets(k) if k < len(kinds) and kinds[k] == kind else None for k in asked]
-    except Exception as error:
-        raise DataError(
-            f"{path} is not a universal file that pyuff can read, or it is damaged: {error}"
-        ) from error
+        read = [file.read_sets(k) if k < len(kinds) and kinds[k] == kind else None for k in asked]
+    for k, one in zip(asked, read, strict=True):  # pyuff takes what there is
+        if kind == 58 and one is not None and np.size(one["data"]) < (n := one["num_pts"]):
+            raise DataError(f"{path}: data set {k} announces {n} values and holds fewer; it is damaged")
+    return kinds, read
 
 
 _RESPONSE, _COHERENCE = 4, 6  # what an ordinate of type 58 is
@@ -157,20 +144,13 @@ def _sorted(path: Any, sets: Sequence[int] | None) -> tuple[_Found, _Found]:
         names = (f"{one.get(f'{side}_node', 0)}:{one.get(f'{side}_dir', 0)}" for side in ("rsp", "ref"))
         place = next(names), next(names)
         if place in found[what]:
-            raise DataError(
-                f"{path} holds response {place[0]} to {place[1]} twice; name one of them in sets="
-            )
+            raise DataError(f"{path} holds response {place[0]} to {place[1]} twice; name one in sets=")
         found[what][place] = one
     if not found[_RESPONSE]:
-        raise DataError(f"{path} holds no frequency response; its sets are of types {kinds}.{_modes(kinds)}")
+        hint = " Sets of type 55 are modes, a model and not a measurement: rcorefine.modal_model reads them"
+        said = f"{path} holds no frequency response; its sets are of types {kinds}."
+        raise DataError(said + hint * (_MODE in kinds))
     return found[_RESPONSE], found[_COHERENCE]
-
-
-def _modes(kinds: Sequence[int]) -> str:
-    """Where modes are read."""
-    if _MODE not in kinds:
-        return ""
-    return " Sets of type 55 are modes, a model and not a measurement: rcorefine.modal_model reads them"
 
 
 _MODE, _ANALYSES = 55, (2, 3, 7)  # normal modes, complex ones of first and of second order

@@ -11,6 +11,7 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_choice, as_list, as_path, as_whole
+from .apart import damaged
 from .columns import names_of, wanted_columns
 from .extra_formats import read_hdf5, read_tdms, read_uff
 from .formats import FileReaders
@@ -172,7 +173,8 @@ class LabReaders(FileReaders):
         path = as_path(path)
         rows = [_sets(input_set, "input_set"), _sets(output_set, "output_set")]
         wanted_columns("u", "y", None, None, options)
-        values, names, units, dt = read_uff(path, [*rows[0], *rows[1]])
+        with damaged(path):
+            values, names, units, dt = read_uff(path, [*rows[0], *rows[1]])
         n = len(rows[0])
         own = {
             "name": Path(path).stem,

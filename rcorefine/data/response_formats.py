@@ -14,6 +14,7 @@ from ..arguments import as_choice, as_list, as_number, as_path, as_text, as_text
 from ..exceptions import DataError
 from ..results import Result
 from ..systems.linear import Array
+from .apart import damaged
 from .columns import Columns, names_of
 from .extra_formats import read_uff_responses
 from .signals import HOLDS
@@ -192,7 +193,8 @@ class ResponseReaders(Result):
             listed = [as_whole(k, "sets", least=0) for k in as_list(sets, "sets", "numbers of data sets")]
             if not listed:
                 raise ct.ControlArgument("sets names no data set; give at least one number, or leave it out")
-        found = read_uff_responses(path, listed)
+        with damaged(path):
+            found = read_uff_responses(path, listed)
         own = {"name": Path(path).stem}
         return cls(found.pop("response"), found.pop("omega"), **(own | found | options))
 

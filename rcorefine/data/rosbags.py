@@ -12,6 +12,7 @@ import numpy as np
 from ..exceptions import DataError
 from ..extras import needed
 from ..systems.linear import Array
+from .apart import damaged
 
 __all__ = ["read_rosbag"]
 
@@ -51,21 +52,17 @@ def read_rosbag(
     if not Path(path).is_dir():
         with open(path, "rb"):  # whether it is there is the system's message
             pass
-    try:
+    with damaged(path, "is no ROS bag that rosbags can read, or it is damaged"):
         with AnyReader([Path(path)], default_typestore=get_typestore(Stores.LATEST)) as bag:
             wanted = _by_topic(path, names, {c.topic: c.msgtype for c in bag.connections})
             found: dict[str, tuple[Array, Array]] = {}
             logged = []
             for topic, fields in wanted.items():
-                times, columns, own = _signals(path, fields, _messages(bag, topic), by_header)
+                chosen = bag.messages(connections=[c for c in bag.connections if c.topic == topic])
+                messages = ((stamp, bag.deserialize(raw, c.msgtype)) for c, stamp, raw in chosen)
+                times, columns, own = _signals(path, fields, messages, by_header)
                 found |= {name: ((times - bag.start_time) / 1e9, column) for name, column in columns.items()}
                 logged += [] if own or not by_header else [topic]
-    except DataError:
-        raise
-    except Exception as error:  # the reader fails in a dozen ways on what is damaged
-        raise DataError(
-            f"{path} is no ROS bag that rosbags can read, or it is damaged: {type(error).__name__}: {error}"
-        ) from error
     said = f"{', '.join(logged)}: messages bear no time of their own and count when they were recorded"
     return found, (said,) if logged else ()
 
@@ -83,12 +80,6 @@ def _by_topic(path: Any, names: Sequence[str], topics: dict[str, str]) -> dict[s
         topic = max(held, key=len)
         found.setdefault(topic, {})[name] = name[len(topic) + 1 :].replace("/", ".")
     return found
-
-
-def _messages(bag: Any, topic: str) -> Iterator[tuple[int, Any]]:
-    chosen = [c for c in bag.connections if c.topic == topic]
-    for connection, stamp, raw in bag.messages(connections=chosen):
-        yield stamp, bag.deserialize(raw, connection.msgtype)
 
 
 def _signals(

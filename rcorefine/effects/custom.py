@@ -6,6 +6,7 @@ import inspect
 import math
 from collections.abc import Callable
 from functools import lru_cache
+from keyword import iskeyword
 from typing import Any
 
 import control as ct
@@ -73,6 +74,9 @@ def custom_law(function: Callable[..., Any], names: tuple[str, ...]) -> Custom:
     control.ControlArgument
         If it takes something else.
     """
+    for name in names:  # they stand in the code that is compiled
+        if not name.isidentifier() or iskeyword(name):
+            raise ct.ControlArgument(f"a coefficient has a Python name such as 'scale', not {name!r:.80}")
     law: Any = Custom()
     law.law = function
     law.scaled = not names

@@ -59,7 +59,7 @@ class FormulaLaw(Law):
                 raise ct.ControlArgument(f"{key} of {cls.__name__} is no static method: write @staticmethod")
         law = vars(cls).get("law")
         if isinstance(law, staticmethod):
-            names = _names(law.__func__)
+            names = tuple(inspect.signature(law.__func__).parameters)
             cls._learn(cls, names, "needs" in vars(cls))
             if "secant" not in vars(cls) and cls.where & {"input", "output"}:
                 cls.secant = all(coefficient.shapes for coefficient in cls.coefficients)
@@ -234,7 +234,3 @@ class OutputLaw(FormulaLaw):
 
     where = frozenset({"output"})
     signals = MappingProxyType({"y": "d", "y_start": "d_start", "z_start": "z_start"})
-
-
-def _names(function: Callable[..., Any]) -> tuple[str, ...]:
-    return tuple(inspect.signature(function).parameters)

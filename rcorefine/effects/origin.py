@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import importlib
+import inspect
 import sys
 from typing import Any
 
 from ..exceptions import ModelError
 from .effect import Effect
+from .law import Law
 
-__all__ = ["import_path", "imported", "module_of"]
+__all__ = ["import_path", "law_here", "module_of"]
 
 
 def import_path(effect: Effect) -> str:
@@ -38,8 +39,12 @@ def import_path(effect: Effect) -> str:
     return f"{module}:{name}" if found is law else ""
 
 
-def imported(path: str, label: str) -> Any:
-    """The law that `import_path` named.
+def law_here(path: str, label: str) -> Any:
+    """The law that `import_path` named, from the modules that are imported already.
+
+    A file names what is called (with numbers), so nothing is imported for it, and of a module nothing but its
+    own functions and laws is handed out: no lazy attribute, nothing that it imported itself, nothing of
+    Python's library or of this package.
 
     Parameters
     ----------
@@ -55,18 +60,21 @@ def imported(path: str, label: str) -> Any:
     Raises
     ------
     ModelError
-        If it cannot be imported.
+        If no imported module has it.
     """
     module, _, name = path.partition(":")
-    try:
-        found: Any = importlib.import_module(module)
-        for part in name.split("."):
-            found = getattr(found, part)
-    except (ImportError, AttributeError, ValueError) as error:
+    found: Any = sys.modules.get(module)
+    for part in name.split("."):
+        found = inspect.getattr_static(found, part, None)
+        found = found.__func__ if isinstance(found, staticmethod) else found
+    plain = inspect.getattr_static(found, "py_func", found)  # of what numba compiled
+    ours = inspect.isfunction(plain) or (isinstance(plain, type) and issubclass(plain, Law))
+    library = module.split(".")[0] in sys.stdlib_module_names | {__name__.split(".")[0]}
+    if library or not ours or (plain.__module__, plain.__qualname__) != (module, name):
         raise ModelError(
-            f"the law of {label!r} was saved as {path}, which cannot be imported here ({error}); put "
-            f"its module on the path, or pass laws={{{label!r}: law}}"
-        ) from error
+            f"the law of {label!r} was saved as {path}, and loading a file imports nothing: pass "
+            f"laws={{{label!r}: law}}, or import its module first if you trust it"
+        )
     return found
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import builtins
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from types import CellType, FunctionType, MethodType
 from typing import Any
@@ -66,7 +66,7 @@ class _Replacing:
             if name and vars(module).get(name) is value:
                 return getattr(stand, name)
         value = getattr(value, "py_func", value)
-        if not isinstance(value, FunctionType) or _is_library(value):
+        if not isinstance(value, FunctionType) or (value.__module__ or "").partition(".")[0] == "numpy":
             return value
         if id(value) not in self._made:
             self._function(value)
@@ -96,11 +96,6 @@ def _named(function: FunctionType) -> set[str]:
     return found
 
 
-def _is_library(function: FunctionType) -> bool:
-    """Whether it is numpy's own, which works on arrays of objects or not at all."""
-    return (function.__module__ or "").partition(".")[0] == "numpy"
-
-
 class _Math:
     """The module math, for symbols."""
 
@@ -125,7 +120,8 @@ class _Numpy:
 
     def __getattr__(self, name: str) -> Any:
         found = getattr(np, name)
-        function = _clipped if name == "clip" else as_numpy_calls(name)
+        clip = name == "clip"
+        function = (lambda x, low, high: minimum(maximum(x, low), high)) if clip else as_numpy_calls(name)
         if function is not None:
             return partial(_entry_by_entry, function, found)
         if name not in _MAKERS:
@@ -146,29 +142,18 @@ def _entry_by_entry(function: _Function, plain: _Function, *given: Any, **more: 
     return function(*given)
 
 
-def _clipped(value: Any, low: Any, high: Any) -> Any:
-    return minimum(maximum(value, low), high)
-
-
 def _as_float(value: Any = 0.0) -> Any:
     return value if isinstance(value, Symbolic) else float(value)
 
 
-def _largest(*given: Any, **more: Any) -> Any:
-    return _extreme(max, maximum, given, more)
-
-
-def _smallest(*given: Any, **more: Any) -> Any:
-    return _extreme(min, minimum, given, more)
-
-
-def _extreme(plain: _Function, symbolic: _Function, given: Sequence[Any], more: dict[str, Any]) -> Any:
+def _extreme(plain: _Function, symbolic: _Function, *given: Any, **more: Any) -> Any:
     values = list(given[0]) if len(given) == 1 else given
     return symbolic(*values) if any(isinstance(one, Symbolic) for one in values) else plain(*given, **more)
 
 
 #: Functions of numpy that make arrays, with the number of arguments before the type.
 _MAKERS = {"array": 1, "asarray": 1, "zeros": 1, "ones": 1, "empty": 1, "zeros_like": 1, "empty_like": 1}
-_REPLACED: dict[str, Any] = {"float": _as_float, "max": _largest, "min": _smallest}
+_REPLACED: dict[str, Any] = {"float": _as_float, "max": partial(_extreme, max, maximum)}
+_REPLACED["min"] = partial(_extreme, min, minimum)
 _PYTHON = {id(getattr(builtins, name)): stand for name, stand in _REPLACED.items()}
 _MATH, _NUMPY = _Math(), _Numpy()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import dataclass, field
-from os import PathLike, fspath
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +14,10 @@ import numpy as np
 
 from ..archives import read_archive
 from ..arguments import as_choice, as_flag, as_number, as_path, as_text, as_whole
+from ..data.apart import damaged
 from ..data.measurement import Measurement
 from ..effects.effect import Effect
-from ..exceptions import DataError, ModelError
+from ..exceptions import ModelError
 from ..models.physical_model import PhysicalModel
 from ..results import Result, Row
 from ..writing import replacing
@@ -293,16 +294,12 @@ def load_exercise(path: str | PathLike[str]) -> Exercise:
     True
     """
     arrays = read_archive(as_path(path))
-    try:
+    with damaged(path, "is no exercise that Exercise.save wrote, or it is damaged"):
         about: dict[str, Any] = json.loads(str(arrays["about"]))
         plant, level, seals = about["plant"], int(about["level"]), frozenset(map(str, about["seals"]))
         chosen = PLANTS[plant]
         model = chosen.make()
         train, test = record_of(model, arrays["inputs"], arrays["outputs"], dt=chosen.dt).split(TRAINING)
-    except (KeyError, TypeError, ValueError) as error:
-        raise DataError(
-            f"{fspath(path)} is no exercise that Exercise.save wrote, or it is damaged"
-        ) from error
     ident = _ident(plant, level, train, test)
     return Exercise(plant, level, model, train, test, chosen.candidates(model), ident, seals)
 

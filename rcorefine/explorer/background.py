@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from html import escape
 from typing import Any
 
@@ -78,24 +77,21 @@ class Background:
             except Exception as error:
                 logging.getLogger(__name__).exception(words)
                 wrong = f"a fault of the program: {error}"
-            self._tell(lambda: self._done(words, wrong, partial(then, result)))
+
+            def done() -> None:
+                self._busy.remove(words)
+                if not wrong:
+                    then(result)
+                self.say(f"{words}: {wrong}" if wrong else "")
+
+            if self._served:  # the page is changed on its own thread
+                self._doc.add_next_tick_callback(done)
+            else:
+                done()
 
         self._busy.append(words)
         self.say()
         lane.submit(run)
-
-    def _tell(self, what: Callable[[], None]) -> None:
-        """Change the page from another thread."""
-        if self._served:
-            self._doc.add_next_tick_callback(what)
-        else:
-            what()
-
-    def _done(self, words: str, wrong: str, then: Callable[[], None]) -> None:
-        self._busy.remove(words)
-        if not wrong:
-            then()
-        self.say(f"{words}: {wrong}" if wrong else "")
 
     def say(self, wrong: str = "") -> None:
         """What is being done, and what went wrong."""

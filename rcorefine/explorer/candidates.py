@@ -1,16 +1,12 @@
-"""What could stand where a model fails: laws laid over the force that it lacks there."""
+"""An effect that could stand where a model fails: its law laid over the force that is missing there."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..comparison.failure_map.residual_force import ResidualForce, residual_force
-from ..comparison.failure_map.search import Failure
-from ..comparison.result import Comparison
-from ..diagnosis.case import candidates_of, not_held
+from ..comparison.failure_map.residual_force import ResidualForce
 from ..effects.along_motion import unit_forces
 from ..effects.effect import Effect
 from ..engine.structure import Structure
@@ -18,9 +14,8 @@ from ..inference.starts import Motion, shape_starts
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 
-__all__ = ["Candidate", "at_channel", "candidates_at", "lacking_force", "laid_over"]
+__all__ = ["Candidate", "laid_over"]
 
-_STEPS = 20
 _EDGE = 50  # part of a record at each end where a force is only half known
 
 
@@ -44,42 +39,6 @@ class Candidate:
     coefficients: dict[str, float]
     share: float = np.nan
     curve: Array | None = None
-
-
-def at_channel(row: Failure | None) -> bool:
-    """Whether a failure lies at an input or an output, where no force acts."""
-    return row is not None and (row.dimension == "time" or "input" in row.values)
-
-
-def lacking_force(comparison: Comparison, row: Failure | None) -> ResidualForce | None:
-    """Force that the model lacks where a failure stands; see `Exploration.force`."""
-    if at_channel(row):
-        return None
-    return residual_force(comparison, 0, None if row is None else row.values.get("place"))
-
-
-def candidates_at(
-    physical: PhysicalModel,
-    held: Sequence[Effect],
-    motion: Motion,
-    inputs: Array,
-    row: Failure | None,
-    force: ResidualForce | None,
-) -> list[Candidate]:
-    """Candidates for a failure, best first; see `Exploration.candidates`."""
-    library = not_held(candidates_of(physical), held)
-    if at_channel(row):
-        library = [effect for effect in library if effect.spec.at_channel]
-    elif force is not None:
-        library = [effect for effect in library if effect.place == force.place]
-    found = [laid_over(effect, physical, motion, inputs, force) for effect in library]
-    best = max((one.share for one in found if one.share > 0), default=0.0)
-    return sorted(found, key=lambda one: (_rank(one, best), len(one.coefficients)))
-
-
-def _rank(one: Candidate, best: float) -> int:
-    """By steps of what the best one explains: of those that explain alike the simplest comes first."""
-    return 1 + _STEPS if one.curve is None else round(_STEPS * (1.0 - max(one.share, 0.0) / (best or 1.0)))
 
 
 def laid_over(

@@ -14,11 +14,12 @@ import numpy as np
 from ..arguments import as_choice, as_instance, as_number
 from ..arithmetic import own_arithmetic
 from ..comparison.compare import compare
-from ..comparison.failure_map.residual_force import ResidualForce
+from ..comparison.failure_map.residual_force import ResidualForce, residual_force
 from ..comparison.failure_map.search import Failure
 from ..comparison.result import Comparison
 from ..data.measurement import Measurement
 from ..data.records import as_record
+from ..diagnosis.case import candidates_of, not_held
 from ..diagnosis.checks.check import check
 from ..diagnosis.checks.result import Check
 from ..diagnosis.diagnose import diagnose
@@ -39,17 +40,23 @@ from ..refinement.refine import refine
 from ..systems.linear import Array
 from ..views.pages.code import call_options, comment, effects_code, model_code, record_code, script
 from .by_hand import free_run, key, quickly_settled, settled, values_of, with_held
-from .candidates import Candidate, candidates_at, lacking_force, laid_over
+from .candidates import Candidate, laid_over
 
 __all__ = ["Exploration", "Step"]
 
 T = TypeVar("T")
 
 _REACH = 3.0  # of its present size that a coefficient is moved to
+_STEPS = 20  # of the best share, in which candidates are ordered
 
 
 def _given(value: T | None, kind: type[T], name: str) -> T | None:
     return None if value is None else as_instance(value, kind, name)
+
+
+def _at_channel(row: Failure | None) -> bool:
+    """Whether a failure lies at an input or an output, where no force acts."""
+    return row is not None and (row.dimension == "time" or "input" in row.values)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,9 +135,8 @@ class Exploration:
         self.record: Measurement = ordered_record(self.physical, data)
         self._pieces, self.note = windows(self.physical, [self.record], horizon)
         with own_arithmetic():
-            records = [data]
             base = base_fit(
-                self.model, records, free=(), tolerance=0.0, offset=True, noise=None, horizon=horizon
+                self.model, [data], free=(), tolerance=0.0, offset=True, noise=None, horizon=horizon
             )
         self._steps = [self._step("start", "initial model", (), base)]
         self._compared: tuple[Step, Comparison] | None = None
@@ -194,7 +200,9 @@ class Exploration:
         By default, and where the row has no place, at the place that explains most of the record. None for a
         row at an input or an output, and for a model without places.
         """
-        return lacking_force(self.comparison, _given(row, Failure, "row"))
+        row = _given(row, Failure, "row")
+        place = None if row is None else row.values.get("place")
+        return None if _at_channel(row) else residual_force(self.comparison, 0, place)
 
     def candidates(self, row: Failure | None = None, force: ResidualForce | None = None) -> list[Candidate]:
         """Effects that are not in the model yet and could stand where a row of the failure map does.
@@ -202,8 +210,19 @@ class Exploration:
         By default all. With the force there, laws are laid over it, those that explain most of it first.
         """
         row, force = _given(row, Failure, "row"), _given(force, ResidualForce, "force")
-        held = self.refinement.effects
-        return candidates_at(self.physical, held, self.motion, self.record.inputs, row, force)
+        library = not_held(candidates_of(self.physical), self.refinement.effects)
+        if _at_channel(row):
+            library = [effect for effect in library if effect.spec.at_channel]
+        elif force is not None:
+            library = [effect for effect in library if effect.place == force.place]
+        found = [laid_over(one, self.physical, self.motion, self.record.inputs, force) for one in library]
+        best = max((one.share for one in found if one.share > 0), default=1.0)
+
+        def rank(one: Candidate) -> tuple[int, int]:  # of those that explain about the same, the simplest
+            share = -1 if one.curve is None else round(_STEPS * max(one.share, 0.0) / best)
+            return -share, len(one.coefficients)
+
+        return sorted(found, key=rank)
 
     # ------------------------------------------------------------------ what can be done
     def add(self, effect: Effect, **values: float) -> Step:

@@ -51,22 +51,14 @@ def thinned(t: Array, y: Array, most: int = _MOST_DRAWN) -> tuple[Array, Array]:
 
 
 def _figure(height: int, x: str, y: str, **options: Any) -> Any:
-    made = figure(
-        height=height,
-        sizing_mode="stretch_width",
-        tools="pan,box_zoom,wheel_zoom,reset",
-        toolbar_location="right",
-        x_axis_label=x,
-        min_border_right=12,
-        **options,
-    )
+    options |= {"sizing_mode": "stretch_width", "tools": "pan,box_zoom,wheel_zoom,reset"}
+    made = figure(height=height, x_axis_label=x, min_border_right=12, **options)
     made.yaxis.axis_label = PlainText(text=y)
     for axis in (*made.xaxis, *made.yaxis):
         axis.axis_label_text_font_style = "normal"
         axis.axis_label_text_font_size = axis.major_label_text_font_size = "13px"
     made.stylesheets = [PICTURE]
-    made.toolbar.logo = None
-    made.toolbar.autohide = True
+    made.toolbar.update(logo=None, autohide=True)
     return made
 
 
@@ -144,21 +136,13 @@ class BodePicture:
     def __init__(self, explored: Exploration) -> None:
         self._explored = explored
         self.output = self.input = 0
-        log = {"x_axis_type": "log"}
-        self.upper = _figure(240, "frequency [rad/s]", "magnitude", y_axis_type="log", **log)
-        self.lower = _figure(
-            170,
-            "frequency [rad/s]",
-            "phase [deg]",
-            x_range=self.upper.x_range,
-            y_range=Range1d(-190.0, 190.0),
-            **log,
-        )
+        x: dict[str, Any] = {"x": "frequency [rad/s]", "x_axis_type": "log"}
+        self.upper = _figure(240, y="magnitude", y_axis_type="log", **x)
+        x["x_range"] = self.upper.x_range
+        self.lower = _figure(170, y="phase [deg]", y_range=Range1d(-190.0, 190.0), **x)
         self.lower.yaxis.ticker = [-180, -90, 0, 90, 180]
-        keys = ("w", "size", "phase", "low", "high")
-        self.sources = {
-            n: ColumnDataSource({k: [] for k in keys}) for n in ("measured", "initial", "present")
-        }
+        empty: dict[str, list[float]] = {k: [] for k in ("w", "size", "phase", "low", "high")}
+        self.sources = {name: ColumnDataSource(empty) for name in _BODE_WORDS}
         measured = self.sources["measured"]
         self.upper.varea("w", "low", "high", source=measured, color=_RECORD, fill_alpha=0.4)
         for made, y in ((self.upper, "size"), (self.lower, "phase")):
@@ -262,16 +246,15 @@ class ForcePicture:
         self.means.data = {
             "x": [x[c].mean() for c in cells], "f": [np.median(force.force[c]) - level for c in cells]
         }  # fmt: skip
+        # a law as its mean over narrow cells of the motion: one line, also where it remembers
+        cells = np.array_split(order, min(200, order.size))
         for k, source in enumerate(self.laws):
             curve = drawn[k].curve if k < len(drawn) else None
-            source.data = {"x": [], "f": []} if curve is None else _along(x, curve, order)
-
-
-def _along(x: Array, curve: Array, order: Any) -> dict[str, Any]:
-    """A law as its mean over narrow cells of the motion: one line, also where it remembers."""
-    cells = np.array_split(order, min(200, order.size))
-    level = float(curve[order].mean())
-    return {"x": [x[c].mean() for c in cells], "f": [curve[c].mean() - level for c in cells]}
+            if curve is None:
+                source.data = {"x": [], "f": []}
+                continue
+            level = float(curve[order].mean())
+            source.data = {"x": [x[c].mean() for c in cells], "f": [curve[c].mean() - level for c in cells]}
 
 
 class Staircase:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from html import escape
 from pathlib import Path
@@ -31,10 +31,6 @@ _BUTTONS = 6  # candidates that have a button of their own
 _PAUSE = 30  # ms in which moves of a slider are taken together
 
 
-def _values(values: dict[str, float], units: dict[str, str]) -> str:
-    return ", ".join(f"{n} {number(v, 3)} {units[n].removeprefix('1')}".rstrip() for n, v in values.items())
-
-
 class ExplorerPage:
     """What one visitor sees and does.
 
@@ -58,11 +54,17 @@ class ExplorerPage:
         self._moving: tuple[Effect, str, float] | None = None
         self._make()
         self._show_step()
-        self._work.begin(self._begin)
 
-    def _begin(self) -> None:
-        self._search()
-        self._work.later(LOOKING, "checking the record", self.explored.check, self._show_check)
+        def begin() -> None:
+            self._search()
+            self._work.later(LOOKING, "checking the record", explored.check, show)
+
+        def show(found: Check) -> None:
+            odd = [f"{row.status.upper()}: {row.sentence}" for row in found.looks]
+            said = paragraphs(odd or ["Nothing odd was found."])
+            self._checked.object = said + folded("All that was looked at", found._repr_html_())
+
+        self._work.begin(begin)
 
     # ------------------------------------------------------------------ what there is
     def _make(self) -> None:
@@ -75,14 +77,14 @@ class ExplorerPage:
             f'<p class="soft">{size}. {escape(explored.note)}</p>'
         )
         self._error = text("")
-        self._fit = button("Fit all added effects", self._do_fit, wide=False)
-        self._undo = button("Undo", self._do_undo, wide=False)
+        fit = partial(self._change, "fitting all added effects", explored.fit)
+        self._fit = button("Fit all added effects", fit, wide=False)
+        self._undo = button("Undo", partial(self._change, "undo", explored.undo), wide=False)
         self._effects, self._steps = column(), text("")
         self._rows, self._about_row = column(), text('<p class="soft">is being searched …</p>')
         self._found = column()
         self._verdict, self._checked, self._files = text(""), text(""), column()
-        curves = column(*self._curves(), *self._added(), *self._frequencies())
-        styles = (("curves", curves), ("causes", self._causes()), ("answers", self._answers()))
+        styles = (("curves", self._curves()), ("causes", self._causes()), ("answers", self._answers()))
         for area, part in styles:
             part.styles = {"grid-area": area, "min-width": "0"}
         body = pn.Column(*(part for _, part in styles), stylesheets=[GRID], margin=0)
@@ -91,74 +93,50 @@ class ExplorerPage:
             heading, self._error, self._work.status, body, sizing_mode="stretch_width", margin=10
         )
 
-    def _curves(self) -> list[Any]:
-        first, last = (float(self.explored.record.timepts[k]) for k in (0, -1))
-        last = max(last - self._time.stretch, first + self.explored.record.dt)
-        begin = slider("shown from [s]", first, last, first)
-        begin.param.watch(lambda event: self._time.begin_at(event.new), "value")
-        pictures = [picture(self._time.upper), picture(self._time.lower)]
-        return [title("Record and model in time"), *self._channels(), *pictures, begin]
+    def _curves(self) -> Any:
+        data, time, bode = self.explored.record, self._time, self._bode
+        first, last = float(data.timepts[0]), float(data.timepts[-1])
+        begin = slider("shown from [s]", first, max(last - time.stretch, first + data.dt), first)
+        begin.param.watch(lambda event: time.begin_at(event.new), "value")
 
-    def _added(self) -> list[Any]:
-        return [title("Effects added"), self._effects, pn.Row(self._fit, self._undo, margin=0)]
+        def choose(channel: str, index: int) -> None:
+            setattr(bode, channel, index)
+            if channel == "output":
+                time.show_output(index)
+            bode.show()
 
-    def _frequencies(self) -> list[Any]:
-        note = text(f'<p class="soft">{escape(self._bode.why or _BODE_NOTE)}</p>')
-        if self._bode.measured is None:
-            return [title("Frequency response"), note]
-        pictures = [picture(self._bode.upper), picture(self._bode.lower)]
-        return [title("Frequency response"), *pictures, note]
+        channels = {"output": data.output_labels, "input of the frequency response": data.input_labels}
+        choices = [
+            select(words, labels, partial(choose, words.split()[0]))
+            for words, labels in channels.items()
+            if len(labels) > 1
+        ]
+        responses = [] if bode.measured is None else [picture(bode.upper), picture(bode.lower)]
+        return column(
+            title("Record and model in time"), *choices, picture(time.upper), picture(time.lower), begin,
+            title("Effects added"), self._effects, pn.Row(self._fit, self._undo, margin=0),
+            title("Frequency response"), *responses,
+            text(f'<p class="soft">{escape(bode.why or _BODE_NOTE)}</p>'),
+        )  # fmt: skip
 
     def _causes(self) -> Any:
         return column(
-            title("Error after each step"),
-            picture(self._stairs.figure),
-            self._steps,
-            title("Where the model fails"),
-            self._about_row,
-            self._rows,
+            title("Error after each step"), picture(self._stairs.figure), self._steps,
+            title("Where the model fails"), self._about_row, self._rows,
             button("Search again with the present model", self._search, wide=False),
-            title("Force that is missing there, and laws laid over it"),
-            picture(self._force.figure),
+            title("Force that is missing there, and laws laid over it"), picture(self._force.figure),
             self._found,
-        )
+        )  # fmt: skip
 
     def _answers(self) -> Any:
-        explored = self.explored
+        report = button("Make the report", self._report, wide=False)
+        code = download("exploration.py", "Python script", lambda: io.StringIO(self.explored.script()))
         return column(
             title("Is anything still missing?"),
-            button("Diagnose the present model (some seconds)", self._do_diagnose, wide=False),
-            self._verdict,
-            title("Is anything odd about the record?"),
-            self._checked,
-            title("Take it with you"),
-            pn.Row(
-                button("Make the report", self._do_report, wide=False),
-                download("exploration.py", "Python script", lambda: io.StringIO(explored.script())),
-                margin=0,
-            ),
-            self._files,
-        )
-
-    def _channels(self) -> list[Any]:
-        """Which output, and for the frequency response which input, where there are several."""
-        data, parts = self.explored.record, []
-        for what, labels, choose in (
-            ("output", data.output_labels, self._choose_output),
-            ("input of the frequency response", data.input_labels, self._choose_input),
-        ):
-            if len(labels) > 1:
-                parts.append(select(what, labels, choose))
-        return parts
-
-    def _choose_output(self, index: int) -> None:
-        self._bode.output = index
-        self._time.show_output(index)
-        self._bode.show()
-
-    def _choose_input(self, index: int) -> None:
-        self._bode.input = index
-        self._bode.show()
+            button("Diagnose the present model (some seconds)", self._diagnose, wide=False), self._verdict,
+            title("Is anything odd about the record?"), self._checked,
+            title("Take it with you"), pn.Row(report, code, margin=0), self._files,
+        )  # fmt: skip
 
     # ------------------------------------------------------------------ steps
     def _show_step(self, rebuild: bool = True) -> None:
@@ -169,9 +147,9 @@ class ExplorerPage:
         self._stairs.show(steps)
         self._say_error(steps[-1].error)
         names = [[str(k), step.name, f"{step.error:.3g} %"] for k, step in enumerate(steps)]
-        self._steps.object = (
-            f'<div class="scroll">{html_table(["step", "what", "error"], names, left=2)}</div>'
-        )
+        table = html_table(["step", "what", "error"], names, left=2)
+        said = paragraphs(steps[-1].refinement.warnings)
+        self._steps.object = f'<div class="scroll">{table}</div>{said}'
         self._fit.disabled, self._undo.disabled = not self.explored.effects, len(steps) == 1
         if rebuild:
             self._build_sliders()
@@ -206,8 +184,7 @@ class ExplorerPage:
     def _preview(self) -> None:
         if self._moving is None:
             return
-        effect, name, value = self._moving
-        self._moving = None
+        (effect, name, value), self._moving = self._moving, None
         try:
             runs, error = self.explored.preview(effect, **{name: value})
         except EXPECTED as wrong:
@@ -232,34 +209,23 @@ class ExplorerPage:
         self._show_step(rebuild)
         self._look_at(self._row)
 
+    def _change(self, words: str, work: Callable[[], Step]) -> None:
+        self._work.later(self._work.doing, words, work, lambda _: self._stepped())
+
     def _add(self, one: Candidate) -> None:
         work = partial(self.explored.add, one.effect, **one.coefficients)
-        self._work.later(self._work.doing, f"adding {one.effect.label}", work, lambda _: self._stepped())
-
-    def _do_fit(self) -> None:
-        self._work.later(self._work.doing, "fitting all added effects", self.explored.fit, self._show_fit)
-
-    def _show_fit(self, step: Step) -> None:
-        self._stepped()
-        self._work.say(" ".join(step.refinement.warnings))
-
-    def _do_undo(self) -> None:
-        self._work.later(self._work.doing, "undo", self.explored.undo, lambda _: self._stepped())
+        self._change(f"adding {one.effect.label}", work)
 
     # ------------------------------------------------------------------ where it fails
     def _search(self) -> None:
         step, number_of = self.explored.steps[-1], len(self.explored.steps) - 1
         words = f"searching where the model of step {number_of} fails"
 
-        def search() -> FailureMap:
-            found: FailureMap = self.explored.comparison.failures
-            return found
+        def show(found: FailureMap) -> None:
+            self._map, self._searched = found, step
+            self._look_at(next(iter(found), None))
 
-        self._work.later(LOOKING, words, search, partial(self._show_map, step))
-
-    def _show_map(self, step: Step, found: FailureMap) -> None:
-        self._map, self._searched, rows = found, step, list(found)
-        self._look_at(rows[0] if rows else None)
+        self._work.later(LOOKING, words, lambda: self.explored.comparison.failures, show)
 
     def _show_rows(self) -> None:
         rows = list(self._map or ())
@@ -291,21 +257,16 @@ class ExplorerPage:
 
     def _show_candidates(self, found: tuple[Any, Sequence[Candidate], Sequence[Candidate]]) -> None:
         force, here, every = found
-        if force is None:
-            said = "At an input or an output no force acts: no picture, but these effects could be there."
-        else:
-            port = self.explored.physical.port(force.place)
-            self._force.show(force, port.force_unit, here)
-            said = "Small dots: force estimated from the record, smoothed by what sensors can tell; large: "
-            said += (
-                "its median. The share is part of what is drawn: diagnose, not this picture, names the law."
-            )
+        if force is not None:
+            self._force.show(force, self.explored.physical.port(force.place).force_unit, here)
+        said = _CHANNEL_NOTE if force is None else _FORCE_NOTE
         buttons = []
         for k, one in enumerate(here[:_BUTTONS]):
             share = "" if one.curve is None else f": {100 * one.share:.0f} % of this force"
             where = "" if one.curve is None or k > 2 else f" ({_COLORS[k]} line)"
-            values = _values(one.coefficients, self.explored.units(one.effect))
-            words = f"Add {one.effect.label}{share}{where}, {values}"
+            units = {name: unit.removeprefix("1") for name, unit in self.explored.units(one.effect).items()}
+            values = [f"{n} {number(v, 3)} {units[n]}".rstrip() for n, v in one.coefficients.items()]
+            words = f"Add {one.effect.label}{share}{where}, {', '.join(values)}"
             buttons.append(button(words, partial(self._add, one)))
         other = select("any other effect", [one.effect.label for one in every])
         add = button("Add it", lambda: self._add(every[other.value]), wide=False)
@@ -313,29 +274,24 @@ class ExplorerPage:
         self._found.objects = [text(f'<p class="soft">{said}</p>'), *buttons, *rest]
 
     # ------------------------------------------------------------------ verdict, check, files
-    def _do_diagnose(self) -> None:
+    def _diagnose(self) -> None:
+        def show(found: Diagnosis) -> None:
+            said = paragraphs(found.sentences()) + folded("Ranking and tests", found._repr_html_())
+            self._verdict.object = f"<p><b>{found.verdict.upper()}</b></p>{said}"
+
         self._verdict.object = '<p class="busy">testing the residual and refitting candidates …</p>'
-        self._work.later(LOOKING, "diagnosing", self.explored.diagnose, self._show_verdict)
+        self._work.later(LOOKING, "diagnosing", self.explored.diagnose, show)
 
-    def _show_verdict(self, found: Diagnosis) -> None:
-        table = folded("Ranking and tests", found._repr_html_())
-        said = paragraphs(found.sentences())
-        self._verdict.object = f"<p><b>{found.verdict.upper()}</b></p>{said}{table}"
-
-    def _show_check(self, found: Check) -> None:
-        odd = [f"{row.status.upper()}: {row.sentence}" for row in found.looks] or ["Nothing odd was found."]
-        self._checked.object = paragraphs(odd) + folded("All that was looked at", found._repr_html_())
-
-    def _do_report(self) -> None:
+    def _report(self) -> None:
         def make() -> bytes:
             with tempfile.TemporaryDirectory() as folder:
                 return self.explored.report(Path(folder, "report.html")).read_bytes()
 
-        self._work.later(LOOKING, "making the report", make, self._show_report)
+        def show(content: bytes) -> None:
+            name = f"Download the report of step {len(self.explored.steps) - 1}"
+            self._files.objects = [download("report.html", name, lambda: io.BytesIO(content))]
 
-    def _show_report(self, content: bytes) -> None:
-        name = f"Download the report of step {len(self.explored.steps) - 1}"
-        self._files.objects = [download("report.html", name, lambda: io.BytesIO(content))]
+        self._work.later(LOOKING, "making the report", make, show)
 
 
 _ERROR_NOTE = (
@@ -343,6 +299,11 @@ _ERROR_NOTE = (
     "are estimated."
 )
 _COLORS = ("orange", "green", "violet")
+_CHANNEL_NOTE = "At an input or an output no force acts: no picture, but these effects could be there."
+_FORCE_NOTE = (
+    "Small dots: force estimated from the record, smoothed by what sensors can tell; large: its median. "
+    "The share is part of what is drawn: diagnose, not this picture, names the law."
+)
 _BODE_NOTE = (
     "With effects that are not linear the present model's response is estimated from its run, as that of the "
     "record is."

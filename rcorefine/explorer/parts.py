@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from html import escape
 from typing import Any
@@ -41,19 +42,29 @@ def picture(figure: Any) -> Any:
     return pn.pane.Bokeh(figure, sizing_mode="stretch_width", margin=(2, 8))
 
 
+def _plain(words: str) -> str:
+    """Words of a label in which $$ and its like begin no formula: a joiner of no width parts the marks.
+
+    Where bokeh finds a formula in a label it makes HTML of the whole, and names come from strangers' files.
+    """
+    return re.sub(r"\$(?=\$)|\\(?=[\[\](){}])", "\\g<0>\N{WORD JOINER}", words)
+
+
 def button(words: str, do: Callable[[], None], *, wide: bool = True, chosen: bool = False) -> Any:
     """A button; across its column where it is one of a list."""
     look = {"sizing_mode": "stretch_width"} if wide else {}
     kind = "primary" if chosen else "default"
-    made = pn.widgets.Button(name=words, button_type=kind, stylesheets=[WIDGET], margin=(3, 8), **look)
+    made = pn.widgets.Button(
+        name=_plain(words), button_type=kind, stylesheets=[WIDGET], margin=(3, 8), **look
+    )
     made.on_click(lambda _: do())
     return made
 
 
 def select(words: str, labels: Sequence[str], choose: Callable[[int], None] | None = None) -> Any:
     """A choice by number."""
-    options = {label: i for i, label in enumerate(labels)}
-    made = pn.widgets.Select(name=words, options=options, stylesheets=[WIDGET], margin=(3, 8))
+    options = {_plain(label): i for i, label in enumerate(labels)}
+    made = pn.widgets.Select(name=_plain(words), options=options, stylesheets=[WIDGET], margin=(3, 8))
     if choose is not None:
         made.param.watch(lambda event: choose(event.new), "value")
     return made
@@ -63,7 +74,7 @@ def slider(words: str, start: float, end: float, value: float) -> Any:
     """A slider in two hundred steps."""
     return pn.widgets.FloatSlider(
         format=PrintfTickFormatter(format="%.4g"),
-        name=words, start=start, end=end, value=value, step=(end - start) / 200, stylesheets=[WIDGET],
+        name=_plain(words), start=start, end=end, value=value, step=(end - start) / 200, stylesheets=[WIDGET],
         sizing_mode="stretch_width", margin=(4, 18),
     )  # fmt: skip
 
@@ -71,7 +82,7 @@ def slider(words: str, start: float, end: float, value: float) -> Any:
 def download(name: str, words: str, make: Callable[[], Any]) -> Any:
     """A button that hands a file over."""
     return pn.widgets.FileDownload(
-        callback=make, filename=name, label=words, stylesheets=[WIDGET], margin=(3, 8)
+        callback=make, filename=name, label=_plain(words), stylesheets=[WIDGET], margin=(3, 8)
     )
 
 

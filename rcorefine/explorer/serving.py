@@ -106,6 +106,7 @@ class Explorer:
         as_flag(browser, "browser")
         port = as_whole(port, "port", least=0, most=65535)
         pn, port = needed("panel", "explore", "explore"), _free(port)
+        from .guard import Policy, Visitors
         from .page import ExplorerPage
 
         def visit() -> Any:
@@ -113,11 +114,14 @@ class Explorer:
             return ExplorerPage(self._new()).root
 
         self.close()
+        hosts = [f"{_HOST}:{port}", f"localhost:{port}"]
         self._served = pn.serve(
             visit,
             address=_HOST,
             port=port,
-            websocket_origin=[f"{_HOST}:{port}", f"localhost:{port}"],
+            websocket_origin=hosts,
+            auth_provider=Visitors(hosts),
+            transforms=[Policy],
             show=False,
             threaded=True,
             title="rcorefine explorer",

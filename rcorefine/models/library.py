@@ -143,7 +143,7 @@ def _at_ports(physical: PhysicalModel, asked: tuple[str, ...] | None) -> list[Ef
                 candidates.append((port, law.name))
     best: dict[Any, tuple[int, Port, str]] = {}
     for port, name in candidates:  # one of those that act alike, the one with the parameter
-        rank = _affinity(physical, port, name)
+        rank = int(_has_parameter(physical, port, KINDS[name].belongs_to))
         key = _action(port, name)
         if key not in best or rank > best[key][0]:
             best[key] = (rank, port, name)
@@ -176,7 +176,7 @@ def _plausible(physical: PhysicalModel, port: Port, law: Law) -> bool:
         alone = not any(
             _joins(other) or _has_parameter(physical, other, Stiffness.name)
             for other in physical.ports
-            if other is not port and other.kind == "mechanical" and _shares_mass(other, port)
+            if other is not port and other.kind == "mechanical" and ((other.act != 0) & (port.act != 0)).any()
         )
         return alone or _has_parameter(physical, port, Stiffness.name)
     return True
@@ -200,17 +200,8 @@ def _body_elsewhere(physical: PhysicalModel, port: Port) -> bool:
     )
 
 
-def _shares_mass(one: Port, two: Port) -> bool:
-    return bool(np.any((one.act != 0) & (two.act != 0)))
-
-
 def _has_parameter(physical: PhysicalModel, port: Port, kind: str) -> bool:
     return any(item.place == port.name and item.kind == kind for item in physical.parameters)
-
-
-def _affinity(physical: PhysicalModel, port: Port, kind: str) -> int:
-    """How well a kind fits a port among ports that are the same direction."""
-    return int(_has_parameter(physical, port, KINDS[kind].belongs_to))
 
 
 def _action(port: Port, kind: str) -> tuple[Any, ...]:

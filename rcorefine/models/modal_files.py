@@ -12,6 +12,7 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_choice, as_path, as_text, as_texts, as_vector
+from ..data.apart import damaged
 from ..data.extra_formats import read_uff_modes
 from ..exceptions import ConversionWarning, DataError, ModelError, warn
 from ..systems.linear import Array
@@ -118,7 +119,8 @@ def modal_model(
         )
     if masses is not None:
         masses = np.broadcast_to(masses, len(sets))
-    modes = [_mode(path, k, one, masses) for k, one in enumerate(sets)]
+    with damaged(path):
+        modes = [_mode(path, k, one, masses) for k, one in enumerate(sets)]
     modes.sort(key=lambda mode: abs(mode.pole))
     if outputs is None:
         wanted[1] = tuple(k for k in modes[0].shape if any(mode.shape.get(k) for mode in modes))
@@ -130,7 +132,8 @@ def modal_model(
             "give modal_mass= if responses are not to scale",
             ConversionWarning,
         )
-    blocks = [_block(mode, *wanted) for mode in modes]
+    with damaged(path):
+        blocks = [_block(mode, *wanted) for mode in modes]
     A = np.zeros((2 * len(modes), 2 * len(modes)))
     for k, block in enumerate(blocks):
         A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = block[0]

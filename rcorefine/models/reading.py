@@ -236,7 +236,7 @@ def _state_space(values: Mapping[str, Any], where: str, holds: str, name: str) -
     labels = {}
     for key, count in zip(_LABELS, (B.shape[1], C.shape[0], A.shape[0]), strict=True):
         if key in values:
-            texts = [values[key]] if isinstance(values[key], str) else list(values[key])
+            texts = values[key] if isinstance(values[key], list) else [values[key]]
             if len(texts) != count or not all(isinstance(text, str) for text in texts):
                 raise ModelError(f"{where}: {key} must be {count} name(s), not {values[key]!r}")
             labels[key] = texts

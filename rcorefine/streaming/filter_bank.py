@@ -145,10 +145,11 @@ class FilterBank:
             size = min(total - position, _end(self.n_samples) - self.n_samples)
             part = slice(position, position + size)
             piece = block.part(position, position + size)
-            form = self.chosen[0] if predict else ""
+            # of the last whole stretch: a choice within this one would depend on where blocks begin
+            form = self.memory.chosen[0] if self.memory.chosen[0] in self.running else INITIAL
             for name in self.running:
-                found = self._learn(name, piece, name == form)
-                if name == form and found is not None:
+                found = self._learn(name, piece, predict and name == form)
+                if predict and name == form and found is not None:
                     expected[part] = found
             memory = self.memory
             self.memory = replace(

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Callable
 from functools import wraps
 from typing import Any, TypeVar, Unpack, cast
+from weakref import WeakValueDictionary
 
 import control as ct
 import numpy as np
@@ -21,9 +23,36 @@ from .rcmr.scaling import Scales
 from .rcmr.setup import Sampled
 from .summary import Summary
 
-__all__ = ["Learned", "alone"]
+__all__ = ["Learned", "alone", "own_lock"]
 
 _Method = TypeVar("_Method", bound=Callable[..., Any])
+_locks: WeakValueDictionary[int, Any] = WeakValueDictionary()  # of all objects that live
+_forking, _held = threading.Lock(), list[Any]()
+
+
+def own_lock() -> threading.RLock:
+    """Lock of one object, free in the child of a fork.
+
+    A fork waits until no thread is in a locked method, so a child never gets an object half changed.
+    """
+    lock = threading.RLock()
+    _locks[id(lock)] = lock
+    return lock
+
+
+def _before_fork() -> None:
+    _forking.acquire()
+    _held.extend(lock for ref in _locks.valuerefs() if (lock := ref()) is not None and lock.acquire())
+
+
+def _after_fork() -> None:
+    while _held:
+        _held.pop().release()
+    _forking.release()
+
+
+if hasattr(os, "register_at_fork"):  # where there is fork
+    os.register_at_fork(before=_before_fork, after_in_parent=_after_fork, after_in_child=_after_fork)
 
 
 def alone(method: _Method) -> _Method:
@@ -183,10 +212,7 @@ class Learned(Result):
     @alone
     @picture
     def bode_plot(
-        self,
-        measured: Any = None,
-        omega: ArrayLike | None = None,
-        **options: Unpack[Options],
+        self, measured: Any = None, omega: ArrayLike | None = None, **options: Unpack[Options]
     ) -> ct.ControlPlot:
         """Bode plot of the initial and the refined model, beside the measured response.
 
@@ -229,6 +255,6 @@ class Learned(Result):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._lock = threading.RLock()
+        self._lock = own_lock()
         if isinstance(self.model, LinearModel):
             self.model = self.model.to_statespace()

@@ -13,9 +13,10 @@ import numpy as np
 
 from ..archives import read_archive
 from ..arguments import as_mapping, as_path
+from ..data.apart import damaged
 from ..effects.custom import Custom
 from ..effects.effect import ARGUMENTS, Effect
-from ..effects.origin import import_path, imported
+from ..effects.origin import import_path, law_here
 from ..effects.tabulated import Table
 from ..exceptions import DataError, ModelError
 from ..models.parameters import NominalParameter
@@ -29,7 +30,7 @@ from .filter_bank import FilterBankMemory, Frozen
 from .rcmr.arrays import Design, Plant, Record, Stage
 from .rcmr.memory import Memory, Tuned
 from .rcmr.scaling import Scales
-from .restoring import damaged, fits
+from .restoring import fits
 
 __all__ = ["SCHEMA", "read_file", "storable", "write_file"]
 
@@ -150,7 +151,7 @@ def _decoded(tree: Any, arrays: dict[str, Any], laws: Mapping[str, Callable[...,
                     f"the law of {label!r} is a function that no name leads to, and no file holds it; "
                     f"pass laws={{{label!r}: function}}"
                 )
-            arguments["law"] = laws[label] if label in laws else imported(path, label)
+            arguments["law"] = laws[label] if label in laws else law_here(path, label)
         return Effect(**arguments).at_port(tree["port"])
     if "kind" in tree:
         kind = _KINDS[tree["kind"]]

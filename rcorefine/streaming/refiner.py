@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import os
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import as_flag
+from ..data.apart import damaged
 from ..data.measurement import Measurement
 from ..progress import Progress
 from ..systems.linear import Array
@@ -19,10 +19,10 @@ from .assembly import assembled
 from .checks import as_samples, check_samples
 from .estimator import Estimator
 from .gaps import as_missing, block_with_gaps, whole_block
-from .learned import Learned, alone
+from .learned import Learned, alone, own_lock
 from .persistence import read_file, write_file
 from .rcmr.setup import sampled_model
-from .restoring import check_like, damaged
+from .restoring import check_like
 from .samples import checked_block, checked_record
 
 __all__ = ["RCORefiner"]
@@ -144,7 +144,7 @@ class RCORefiner(Learned):
         self.disturbance = disturbance
         self.forgetting = forgetting
         self.substeps = substeps
-        self._lock = threading.RLock()
+        self._lock = own_lock()
         self._sampled = sampled_model(model, dt)
         self._keep = as_flag(history, "history")
         given = {name: getattr(self, name) for name in _SETTINGS}
@@ -302,8 +302,8 @@ class RCORefiner(Learned):
         path : path-like
             File.
         laws : mapping of str to callable, optional
-            Laws of your own by the label of the effect, where the name under which the file knows
-            them (module and function or class) cannot be imported here.
+            Laws of your own by the label of the effect. Others are taken from modules that are
+            imported already: loading imports none.
 
         Returns
         -------
@@ -315,7 +315,7 @@ class RCORefiner(Learned):
         DataError
             If the file is damaged, none of a refiner, or of another version.
         ModelError
-            If a law of your own is neither given nor found.
+            If a law of your own is neither given nor in a module that is imported.
 
         Examples
         --------

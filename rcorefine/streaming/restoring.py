@@ -7,48 +7,20 @@ counterpart.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from os import PathLike, fspath
 from types import MappingProxyType, UnionType
 from typing import Any, Union, get_args, get_origin
 
-import control as ct
 import numpy as np
 
-from ..exceptions import DataError, RCOError
+from ..exceptions import DataError
 
-__all__ = ["check_course", "check_like", "check_range", "damaged", "fits", "parts_of"]
+__all__ = ["check_course", "check_like", "check_range", "fits", "parts_of"]
 
 _WORDS = {int: "a whole number", bool: "true or false", str: "a text", type(None): "nothing"}
 _MOST = 2**53  # of any count: beyond it floats skip whole numbers
-_OURS = (RCOError, ct.ControlArgument, ct.ControlDimension)
 _NOTHING: Mapping[str, str] = MappingProxyType({})
-
-
-@contextmanager
-def damaged(path: str | PathLike[str]) -> Iterator[None]:
-    """Whatever does not fit while an object is restored is the file's fault.
-
-    Parameters
-    ----------
-    path : str or path
-        File, for the message.
-
-    Raises
-    ------
-    DataError
-        For any error that is not of this package, of python-control, or of the system about the file.
-    """
-    try:
-        yield
-    except _OURS:
-        raise
-    except Exception as error:
-        if isinstance(error, OSError) and error.filename is not None:
-            raise  # no file there, or none that may be read
-        raise DataError(f"{fspath(path)!r} is damaged: {type(error).__name__}: {error}") from error
 
 
 def parts_of(value: Any) -> dict[str, Any]:

@@ -155,7 +155,7 @@ def summarize_race(model: LinearModel, race: FilterBank, stopped: str) -> Summar
     notes = [f"{memory.n_samples} samples taken."]
     if memory.scores:
         shown = ", ".join(
-            f"{name.rstrip('!')}{' (unstable)' if name.endswith('!') else ''} {_fit(score):.4g} %"
+            f"{name.rstrip('!')}{' (unstable)' if name.endswith('!') else ''} {100 - 100 * score**0.5:.4g} %"
             for name, score in memory.scores.items()
         )
         notes.append(
@@ -175,10 +175,6 @@ def summarize_race(model: LinearModel, race: FilterBank, stopped: str) -> Summar
 
 
 _PARAMETERS = ["parameter", "effect", "place", "initial", "value", "std", "unit"]
-
-
-def _fit(score: float) -> float:
-    return float(100.0 * (1.0 - np.sqrt(score)))
 
 
 def _of_coefficients(model: LinearModel, part: CoefficientFilter) -> list[str]:

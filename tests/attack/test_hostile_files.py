@@ -365,3 +365,36 @@ def test_memory_that_a_large_record_takes(kind, tmp_path, tally):
     said, size = grown(f"rco.Measurement.from_{kind}(sys.argv[1], 'u', 'y', dt=0.1)", path)
     assert said == "read"
     assert size < ROOM + 4 * os.path.getsize(path) / 2**20
+
+
+def test_a_matrix_file_with_a_zero_byte_ends_no_process(tmp_path):
+    """Its library dies of one with a segmentation fault; it reads in a process of its own."""
+    rows = b"%%MatrixMarket matrix array real general\n2 2\n"
+    head = b"%%MatrixMarket matrix coordinate real general\n2 2 1\n"
+    after = [head + b"1 1 1\0000\n", head + b"1 1 1.0\0", rows + b"1.0\0002.0\n3.0\n4.0\n", rows + b"1\0" * 4]
+    for content in (*after, head + b"1 1 \0 1.0\n", head + b"1 \0\n", b"\0" + head, head + b"\0" * 40):
+        (tmp_path / "A.mtx").write_bytes(content)
+        (tmp_path / "m.toml").write_text('[state_space]\nA = "A.mtx"\nB = [[0.0], [2.0]]\nC = [[1.0, 0.0]]\n')
+        with pytest.raises(rco.ModelError, match=r"A\.mtx"):
+            read_model(tmp_path / "m.toml")
+
+
+def test_values_of_the_wrong_kind_are_errors_of_ours(tmp_path):
+    path = tmp_path / "m.toml"
+    path.write_text("[state_space]\nA = [[-1.0]]\nB = [[1.0]]\nC = [[1.0]]\ninputs = 5\n")
+    with pytest.raises(rco.ModelError, match=r"inputs must be 1 name\(s\), not 5"):
+        read_model(path)
+    np.save(tmp_path / "A.npy", [[-1.0]])
+    header = (tmp_path / "A.npy").read_bytes().replace(b"(1, 1), }", b"(1, 1), S")
+    (tmp_path / "A.npy").write_bytes(header)
+    path.write_text('[state_space]\nA = "A.npy"\nB = [[1.0]]\nC = [[1.0]]\n')
+    with pytest.raises(rco.ModelError, match=r"A\.npy holds no matrix"):
+        read_model(path)
+    rows = dict.fromkeys(("inputs", "outputs"), np.zeros((1, 9)))
+    for level in ("1e999", "[" * 100_000):
+        about = f'{{"plant": "motor", "seals": [], "level": {level}}}'
+        np.savez(tmp_path / "e.npz", about=np.array(about), **rows)
+        with pytest.raises(rco.DataError, match="no exercise"):
+            rco.exercises.load_exercise(tmp_path / "e.npz")
+    with pytest.raises(rco.ModelError, match="more memory than there is"):
+        rco.RCORefiner(rco.mass_spring_damper(1.0, 0.4, 100.0), dt=0.02, order=10**6)

@@ -189,13 +189,9 @@ def _shaped(setup: EffectsSetup, memory: CoefficientMemory) -> CoefficientMemory
     start = shape_starts(setup.structure(memory.widths), origin, _motion(setup, memory))[0]
     # a level that goes with a shape (friction) starts with it, or the shape has no gradient
     origin[:] = start
-    return replace(memory, origin=origin, packed=_with_theta(setup, memory.packed, origin))
-
-
-def _with_theta(setup: EffectsSetup, packed: Array, theta: Array) -> Array:
-    changed = packed.copy()
-    setup.layout.view(changed, "theta")[:] = theta
-    return changed
+    packed = memory.packed.copy()
+    setup.layout.view(packed, "theta")[:] = origin
+    return replace(memory, origin=origin, packed=packed)
 
 
 def _motion(setup: EffectsSetup, memory: CoefficientMemory) -> Any:

@@ -115,11 +115,6 @@ class EntriesSetup(Setup):
         base = self.base
         return np.block([[base.A, base.B], [base.C, base.D]])
 
-    @cached_property
-    def _dynamic(self) -> np.ndarray[Any, Any]:
-        """Coefficients that enter A or B."""
-        return np.flatnonzero(self.patterns[:, : self.base.n_states].any(axis=(1, 2)))
-
     def system(self, theta: Array, widths: Array, name: str) -> LinearModel:
         """Model at these coefficients, in the timebase that it is estimated in."""
         n, whole = self.base.n_states, self.stacked(theta)
@@ -157,7 +152,7 @@ class EntriesSetup(Setup):
             dM[:, :, : n + nw] = self.patterns[:, :n]
             return M[0], dM
         columns = 2 * nw if hold == "foh" else nw
-        moving = self._dynamic
+        moving = np.flatnonzero(self.patterns[:, :n].any(axis=(1, 2)))  # coefficients that enter A or B
         blocks = np.zeros((1 + moving.size, n + columns, n + columns), complex)
         blocks[:, :n, : n + nw] = whole
         blocks[1:, :n, : n + nw] += 1j * _TINY_STEP * self.patterns[moving, :n]

@@ -200,19 +200,14 @@ def build_bank(
     # a law that has nothing to work on here, as hysteresis without a displacement
     idle = unit == 0
     bank = replace(bank, scale=unit, codes=np.where(idle, CODES["constant"], bank.codes))
-    at = np.array([_column_of(bank, *one) for one in numbers.moving], dtype=np.int64)
+    columns = [(bank.effects[owner], name) for owner, name in zip(bank.owner, bank.names, strict=True)]
+    at = np.array([columns.index(one) for one in numbers.moving], dtype=np.int64)
     felt = unit[at] > 0
     known = numbers.covariance[np.ix_(felt, felt)]
     spread = np.sqrt(np.diag(known))
     values, vectors = np.linalg.eigh(known / np.outer(spread, spread))
     root = (spread / unit[at][felt])[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     return replace(bank, numbers=at[felt], root=root)
-
-
-def _column_of(bank: Bank, effect: Effect, name: str) -> int:
-    """First column of a coefficient of an effect."""
-    owner = bank.effects.index(effect)
-    return next(j for j in range(bank.size) if bank.owner[j] == owner and bank.names[j] == name)
 
 
 def _sizes(bank: Bank, structure: Structure, theta: Array, data: Measurement, gain: Array) -> Array:

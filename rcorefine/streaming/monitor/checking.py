@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...effects.several import as_effects
 from ...exceptions import DataError
 from ...inference.autoregression import MAX_ORDER
 from ..gaps import Block
@@ -156,7 +157,7 @@ def _check_parts(found: Any, monitor: Monitor) -> None:
     check_range(healthy["pace"], 0.0, 1.0, "healthy.pace")
     integers = np.zeros(k, dtype=np.int64)
     effects, watched = bank.pop("effects"), len(monitor.candidates)
-    if effects[:watched] != monitor.candidates:
+    if as_effects(effects, "bank.effects")[:watched] != [*monitor.candidates]:
         raise DataError("bank.effects are not the candidates: the file is damaged")
     p = len(bank["numbers"])
     check_like(

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from ...arguments import as_number, as_text
 from ...arithmetic import own_arithmetic
+from ...data.apart import damaged
 from ...data.measurement import Measurement
 from ...effects.effect import Effect
 from ...exceptions import ModelError
@@ -22,7 +23,6 @@ from ...systems.discretization import check_sampling_time
 from ..checks import as_size
 from ..gaps import Block, as_missing, block_with_gaps, whole_block
 from ..persistence import read_file, write_file
-from ..restoring import damaged
 from ..samples import checked_block
 from .adequacy import Adequacy
 from .bank import checked_candidates
@@ -323,7 +323,8 @@ class Monitor(Result, Readings):
         path : path-like
             File.
         laws : mapping, optional
-            Laws of your own by the label of the effect, where they cannot be imported by name.
+            Laws of your own by the label of the effect. Others are taken from modules that are
+            imported already: loading imports none.
 
         Returns
         -------
@@ -334,6 +335,8 @@ class Monitor(Result, Readings):
         ------
         DataError
             If the file is none of a monitor, or damaged.
+        ModelError
+            If a law of your own is neither given nor in a module that is imported.
         """
         with damaged(path):
             return restored(cls, read_file(path, laws, "monitor"))

@@ -44,7 +44,13 @@ class PaperStages:
     def reset(self) -> None:
         """Forget all samples."""
         s = self.setup
-        self.memory: Memory = begin(s.plant, s.delay, s.settings, s.average, s.scales)
+        try:
+            self.memory: Memory = begin(s.plant, s.delay, s.settings, s.average, s.scales)
+        except MemoryError as error:
+            raise ModelError(
+                f"order, window, markov and static_average need more memory than there is: {error}; "
+                "choose smaller ones"
+            ) from error
         self.records: list[tuple[Record, Array]] = []
 
     @property
