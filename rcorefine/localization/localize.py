@@ -11,12 +11,13 @@ from ..arguments import as_choice, as_number, as_share, as_state
 from ..arithmetic import own_arithmetic
 from ..data.measurement import Measurement
 from ..data.records import as_records
+from ..diagnosis.dead_sensors import without_dead_sensors
 from ..effects.dampers import Damping
 from ..effects.effect import Effect
 from ..effects.output_path import OutputGain
 from ..engine.simulation import check_channels
 from ..engine.structure import Structure
-from ..exceptions import IdentifiabilityWarning, warn
+from ..exceptions import DataError, ExcitationWarning, IdentifiabilityWarning, warn
 from ..inference.assembly import assemble, check_settings, offset_variants
 from ..inference.refinement import Refinement
 from ..inference.starts import estimated_motion
@@ -110,12 +111,14 @@ def localize_damage(
     control.ControlDimension
         If the record's channels are not the model's.
     DataError
-        If the record is too short, or `x0` is not finite.
+        If the record is too short, an output never changes, or `x0` is not finite.
 
     Warns
     -----
     IdentifiabilityWarning
         Names the places that the record sees only together.
+    ExcitationWarning
+        Names sensors that show nothing of the motion and are left out, and constant inputs.
 
     Notes
     -----
@@ -144,6 +147,12 @@ def localize_damage(
         as_choice(damping, "damping", _RULES)
     significance, power = as_share(significance, "significance"), as_share(power, "power")
     least = as_number(least, "least (in percent)", least=0.0)
+    records, said = as_records(data), ""
+    watched = without_dead_sensors(model, records)
+    if watched is not None:
+        noise, said = watched.noise(noise), " ".join(watched.said)
+        model, records = watched.model, [watched.record(record) for record in records]
+        warn(said, ExcitationWarning)
     physical, base, substeps = _baseline(model)
     initial = as_state(x0, physical.linear.n_states)
     scenarios = None if hypotheses is None else named_hypotheses(hypotheses)
@@ -155,10 +164,16 @@ def localize_damage(
         horizon=horizon,
         known_start=initial is not None,
     )
-    records = [ordered_record(physical, r) for r in as_records(data)]
+    records = [ordered_record(physical, r) for r in records]
     for record in records:
         check_channels(physical.linear, record)
         record.check_excitation("localize_damage")
+        if (still := np.ptp(record.outputs, axis=1) == 0).any():
+            label = record.output_labels[int(np.argmax(still))]
+            raise DataError(
+                f"output {label!r} of record {record.name!r} never changes; check sensor and "
+                "cable, or take the output out of the model and the record"
+            )
     with own_arithmetic():
         segments, note = windows(physical, records, horizon)
         nominal = nominal_values(model, physical)
@@ -176,6 +191,7 @@ def localize_damage(
         decision = decide(joint, rows, significance)
         ranking = () if scenarios is None else rank_hypotheses(setting, scenarios)
         tests = residual_tests(joint)
+        note = " ".join(filter(None, [said, note]))
         result = assessed(joint, rows, decision, tests, rule, significance, power, ranking, note)
     for group in result.groups:
         warn(f"the record sees only together: {', '.join(group)}", IdentifiabilityWarning)

@@ -16,6 +16,7 @@ from ..effects.entries import Entry
 from ..effects.kinds import check_kind
 from ..effects.law import KINDS, Law
 from ..effects.right_hand_side import ModelParameter
+from ..effects.several import as_effects
 from ..effects.springs import Stiffness
 from ..exceptions import ModelError
 from ..systems.linear import Array
@@ -23,7 +24,7 @@ from .conversion import as_physical
 from .physical_model import PhysicalModel
 from .ports import Port
 
-__all__ = ["effect_library"]
+__all__ = ["describe_effects", "effect_library"]
 
 _MOST_ENTRIES = 20
 
@@ -111,6 +112,40 @@ def effect_library(
             f"its places are {', '.join(physical.places)}"
         )
     return found
+
+
+def describe_effects(effects: Any) -> str:
+    """Return effects as a table of at most 80 columns.
+
+    Parameters
+    ----------
+    effects : sequence of Effect, StateSpace or PhysicalModel
+        Effects; of a model what `effect_library` returns.
+
+    Returns
+    -------
+    str
+        One effect per line with its law, grouped by place.
+
+    Examples
+    --------
+    >>> print(describe_effects([Effect("damping", "link1"), Effect("input_gain", "force")]))
+    link1
+      damping               f = t v
+    force
+      input_gain            w -> (1 + t) w
+    """
+    if isinstance(effects, (ct.StateSpace, PhysicalModel)):
+        effects = effect_library(effects)
+    effects = as_effects(effects, "effects")
+    lines: list[str] = []
+    for place in dict.fromkeys(effect.place for effect in effects):
+        lines.append(place[:80])
+        for effect in effects:
+            if effect.place == place:
+                name = effect.name or effect.kind
+                lines.append(f"  {name[:26]:<21} {effect.spec.formula}"[:80].rstrip())
+    return "\n".join(lines)
 
 
 def _names(what: str, given: Any) -> tuple[str, ...] | None:

@@ -133,7 +133,7 @@ def text_table(
 
 def _lines(cell: str, size: int) -> list[str]:
     """A cell as lines of at most `size` characters: names are whole, a word too long is broken."""
-    return textwrap.wrap(" ".join(cell.split()), size, break_on_hyphens=False) or [""]
+    return textwrap.wrap(" ".join(cell.split()), max(size, 1), break_on_hyphens=False) or [""]
 
 
 def _width(table: Sequence[Sequence[str]]) -> int:

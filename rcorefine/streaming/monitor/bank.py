@@ -201,7 +201,7 @@ def build_bank(
     idle = unit == 0
     bank = replace(bank, scale=unit, codes=np.where(idle, CODES["constant"], bank.codes))
     at = np.array([_column_of(bank, *one) for one in numbers.moving], dtype=np.int64)
-    felt = unit[at] > 0
+    felt = (unit[at] > 0) & (np.diag(numbers.covariance) > 0)
     known = numbers.covariance[np.ix_(felt, felt)]
     spread = np.sqrt(np.diag(known))
     values, vectors = np.linalg.eigh(known / np.outer(spread, spread))

@@ -11,7 +11,8 @@ from ...exceptions import DataError
 from ..gaps import Block
 from .adequacy import Adequacy, adequacy_of, explained
 from .bank import build_bank
-from .numbers import numbers_of, settled
+from .baseline import check_outputs
+from .numbers import numbers_of, offset, settled
 from .observer import Observer
 from .stream import Stream, Windows
 from .thresholds import threshold
@@ -43,6 +44,8 @@ def learned(monitor: Monitor, block: Block, per: int, blocks: int) -> tuple[Stre
     given = numbers_of(
         monitor._structure, monitor._theta, monitor._substeps, monitor._covariance, monitor.tolerance
     )
+    check_outputs(given.structure, data, block.use)
+    given = offset(given, data, block.use)
     numbers, healthy = settled(given, data, block.use, monitor.disturbance, period)
     bank = build_bank(numbers, monitor.candidates, data, monitor.hold, healthy.gain)
     keep = 1.0 - 1.0 / monitor._lengths

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from typing import Any
@@ -21,6 +22,7 @@ from ...results import Result
 from ...systems.discretization import check_sampling_time
 from ..checks import as_size
 from ..gaps import Block, as_missing, block_with_gaps, whole_block
+from ..learned import alone
 from ..persistence import read_file, write_file
 from ..restoring import damaged
 from ..samples import checked_block
@@ -73,8 +75,8 @@ class Monitor(Result, Readings):
     hold : {"zoh", "foh"}, optional
         Input between samples.
     missing : {"raise", "hold-out"}, optional
-        With "hold-out" samples that are NaN or masked are predicted over and not judged. After a gap of
-        an input the monitor pauses until its observer has settled, at most 8 periods.
+        With "hold-out" samples that are NaN or masked are predicted over and not judged. After a gap the
+        monitor pauses until the state is sure enough; after one of an input it finds the state anew.
     windows : tuple of two int, optional
         Shortest and longest memory of the test in samples; default a quarter of a period
         (at least 8) and 200 periods of the first mode.
@@ -124,7 +126,7 @@ class Monitor(Result, Readings):
     periods, so that growth is followed and healing is noticed.
 
     *Slow drift.* A slow mean (16 periods) is taken off innovations and candidates alike:
-    offsets and drift of sensors ring nothing, jumps do.
+    drift of sensors rings nothing, jumps do. A constant offset is estimated with the initial state.
 
     References
     ----------
@@ -194,8 +196,10 @@ class Monitor(Result, Readings):
         self._block = max(1, self._pace.period // 8)
         self.windows = windows
         self._lengths = window_lengths(windows, self._pace.period)
+        self._lock = threading.RLock()
         self.reset()
 
+    @alone
     def reset(self) -> None:
         """Forget all samples; the learning phase starts again."""
         linear = self._structure.linear_model
@@ -211,6 +215,7 @@ class Monitor(Result, Readings):
         self._course = Course(len(self.candidates) + 4, max(1, self._pace.period // 2))
 
     # ------------------------------------------------------------------ samples in
+    @alone
     @own_arithmetic()
     def update(self, w: ArrayLike, y: ArrayLike) -> None:
         """Take one sample or a block.
@@ -235,6 +240,7 @@ class Monitor(Result, Readings):
         Notes
         -----
         How the stream is cut into blocks makes no difference. An update that raises changes nothing.
+        Several threads may call it in turn.
         """
         linear = self._structure.linear_model
         if self.missing == "raise":
@@ -278,6 +284,7 @@ class Monitor(Result, Readings):
         watch_block(self._stream, self._watch, self._course, block, position)
         self._count = self._stream.n_samples
 
+    @alone
     def run(self, data: Measurement) -> Monitor:
         """Take a whole record, channels matched by name.
 
@@ -302,6 +309,7 @@ class Monitor(Result, Readings):
 
     # ------------------------------------------------------------------ files
 
+    @alone
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the monitor to a file (replaced in one step), to go on later exactly where it stood.
 

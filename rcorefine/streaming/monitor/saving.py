@@ -32,7 +32,7 @@ _SETTINGS = (
     "dt", "false_alarms", "learn", "disturbance", "hold", "missing", "windows", "patience", "tolerance",
     "candidates",
 )  # fmt: skip
-_LAYOUT = 2  # of the content; raised when what a monitor learned changes its form
+_LAYOUT = 3  # of the content; raised when what a monitor learned changes its form
 storable(Adequacy, Alarm, Bank, Block, Healthy, MonitorRow, Watch, Windows)
 
 
