@@ -19,9 +19,9 @@ from scipy.stats import binom, chi2, poisson
 
 import rcorefine as rco
 from rcorefine.streaming.gaps import whole_block
+from rcorefine.streaming.monitor.learning import crossing_rate, threshold
 from rcorefine.streaming.monitor.saving import content_of
 from rcorefine.streaming.monitor.stream import Stream
-from rcorefine.streaming.monitor.thresholds import crossing_rate, threshold
 from rcorefine.streaming.persistence import write_file
 
 SHORT = 3000  # healthy samples before a change

@@ -110,9 +110,7 @@ def without_dead_sensors(model: Any, records: Sequence[Measurement]) -> Watched 
     if any(record.n_outputs < len(labels) for record in ordered):
         return None
     if all(np.ptp(record.outputs, axis=1).max() == 0 for record in ordered):
-        raise DataError(
-            f"no output ever changes ({', '.join(labels)}): it shows nothing; check sensors and cables"
-        )
+        raise DataError(f"no output ever changes ({', '.join(labels)}); check sensors and cables")
     faults = [[_fault(physical, record, i) for record in ordered] for i in range(len(labels))]
     kept = tuple(i for i, found in enumerate(faults) if not all(found))
     if not kept or len(kept) == len(labels):

@@ -147,13 +147,17 @@ def localize_damage(
         as_choice(damping, "damping", _RULES)
     significance, power = as_share(significance, "significance"), as_share(power, "power")
     least = as_number(least, "least (in percent)", least=0.0)
+    physical, base, substeps = _baseline(model)
+    nominal = nominal_values(model, physical)
+    rule = damping or default_rule(physical, nominal)
+    effects = candidate_effects(physical, candidates, rule)
     records, said = as_records(data), ""
     watched = without_dead_sensors(model, records)
     if watched is not None:
         noise, said = watched.noise(noise), " ".join(watched.said)
-        model, records = watched.model, [watched.record(record) for record in records]
+        records = [watched.record(record) for record in records]
+        physical, base, substeps = _baseline(watched.model)
         warn(said, ExcitationWarning)
-    physical, base, substeps = _baseline(model)
     initial = as_state(x0, physical.linear.n_states)
     scenarios = None if hypotheses is None else named_hypotheses(hypotheses)
     check_settings(
@@ -168,17 +172,11 @@ def localize_damage(
     for record in records:
         check_channels(physical.linear, record)
         record.check_excitation("localize_damage")
-        if (still := np.ptp(record.outputs, axis=1) == 0).any():
-            label = record.output_labels[int(np.argmax(still))]
-            raise DataError(
-                f"output {label!r} of record {record.name!r} never changes; check sensor and "
-                "cable, or take the output out of the model and the record"
-            )
+        for label, y in zip(record.output_labels, record.outputs, strict=True):
+            if np.ptp(y) == 0:
+                raise DataError(f"output {label!r} of record {record.name!r} never changes; check the sensor")
     with own_arithmetic():
         segments, note = windows(physical, records, horizon)
-        nominal = nominal_values(model, physical)
-        rule = damping or default_rule(physical, nominal)
-        effects = candidate_effects(physical, candidates, rule)
         motion = estimated_motion(Structure(physical, base), np.zeros(0), records[0])
         nuisances, spreads = _nuisances(physical, base, effects, rule, nominal, tolerance, offset, records[0])
         setting = Setting(

@@ -94,9 +94,10 @@ def effect_library(
                 f"a {kind} effect needs its law; make it with Effect({kind!r}, place, law=...)"
             )
     wanted = _names("places", places)
-    for place in wanted or ():
-        if place not in physical.places:
-            _check_entry(physical, place)
+    for place in sorted(set(wanted or ()).difference(physical.places)):
+        if place[:2] not in ("A[", "B[", "C[", "D["):
+            raise ModelError(f"there is no place {place!r}; the places are {', '.join(physical.places)}")
+        physical.entry(place)
 
     found = _at_ports(physical, asked)
     found += _at_channels(physical, asked)
@@ -141,10 +142,8 @@ def describe_effects(effects: Any) -> str:
     lines: list[str] = []
     for place in dict.fromkeys(effect.place for effect in effects):
         lines.append(place[:80])
-        for effect in effects:
-            if effect.place == place:
-                name = effect.name or effect.kind
-                lines.append(f"  {name[:26]:<21} {effect.spec.formula}"[:80].rstrip())
+        own = [effect for effect in effects if effect.place == place]
+        lines += [f"  {(e.name or e.kind)[:26]:<21} {e.spec.formula}"[:80].rstrip() for e in own]
     return "\n".join(lines)
 
 
@@ -155,13 +154,6 @@ def _names(what: str, given: Any) -> tuple[str, ...] | None:
     if not names:
         raise ct.ControlArgument(f"{what} must be a name or a list of names, not an empty one")
     return names
-
-
-def _check_entry(physical: PhysicalModel, place: str) -> None:
-    if place[:2] in ("A[", "B[", "C[", "D["):
-        physical.entry(place)
-        return
-    raise ModelError(f"there is no place {place!r}; the places are {', '.join(physical.places)}")
 
 
 def _at_ports(physical: PhysicalModel, asked: tuple[str, ...] | None) -> list[Effect]:
@@ -178,7 +170,7 @@ def _at_ports(physical: PhysicalModel, asked: tuple[str, ...] | None) -> list[Ef
                 candidates.append((port, law.name))
     best: dict[Any, tuple[int, Port, str]] = {}
     for port, name in candidates:  # one of those that act alike, the one with the parameter
-        rank = _affinity(physical, port, name)
+        rank = int(_has_parameter(physical, port, KINDS[name].belongs_to))
         key = _action(port, name)
         if key not in best or rank > best[key][0]:
             best[key] = (rank, port, name)
@@ -211,7 +203,7 @@ def _plausible(physical: PhysicalModel, port: Port, law: Law) -> bool:
         alone = not any(
             _joins(other) or _has_parameter(physical, other, Stiffness.name)
             for other in physical.ports
-            if other is not port and other.kind == "mechanical" and _shares_mass(other, port)
+            if other is not port and other.kind == "mechanical" and ((other.act != 0) & (port.act != 0)).any()
         )
         return alone or _has_parameter(physical, port, Stiffness.name)
     return True
@@ -235,17 +227,8 @@ def _body_elsewhere(physical: PhysicalModel, port: Port) -> bool:
     )
 
 
-def _shares_mass(one: Port, two: Port) -> bool:
-    return bool(np.any((one.act != 0) & (two.act != 0)))
-
-
 def _has_parameter(physical: PhysicalModel, port: Port, kind: str) -> bool:
     return any(item.place == port.name and item.kind == kind for item in physical.parameters)
-
-
-def _affinity(physical: PhysicalModel, port: Port, kind: str) -> int:
-    """How well a kind fits a port among ports that are the same direction."""
-    return int(_has_parameter(physical, port, KINDS[kind].belongs_to))
 
 
 def _action(port: Port, kind: str) -> tuple[Any, ...]:
@@ -289,7 +272,8 @@ def _at_entries(
     if asked is None:
         own = {int(np.flatnonzero(port.act)[0]) for port in physical.ports if not _joins(port)}
         # the damping of a first-order state is its diagonal entry already
-        listed = [place for place in listed if not _diagonal(physical, place, own)]
+        diagonal = {(state, state) for state in own}
+        listed = [place for place in listed if physical.entry(place) not in diagonal]
         if len(listed) > _MOST_ENTRIES:  # what the states do to each other goes first
             listed = [place for place in listed if place.startswith("A")]
         if len(listed) > _MOST_ENTRIES:
@@ -298,8 +282,3 @@ def _at_entries(
         n = physical.linear.n_states
         listed = [f"A[{i},{j}]" for i in range(n) for j in range(n) if physical.linear.A[i, j]]
     return [Effect(Entry.name, place) for place in listed]
-
-
-def _diagonal(physical: PhysicalModel, place: str, states: set[int]) -> bool:
-    row, column = physical.entry(place)
-    return row == column and row in states

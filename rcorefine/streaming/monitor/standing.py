@@ -17,16 +17,9 @@ from .isolation import Fit, Segment, fit_candidate
 from .stream import Stream
 
 __all__ = [
-    "change_of",
-    "find_state",
-    "fit_all",
-    "fit_one",
-    "idle_remarks",
-    "linear_estimates",
-    "linear_rows",
-    "shares",
-    "standing",
-]
+    "change_of", "find_state", "fit_all", "fit_one", "idle_remarks", "linear_estimates", "linear_rows",
+    "shares", "standing",
+]  # fmt: skip
 
 _SHORTLIST = 10
 _LEADERS = 3  # candidates with which the time of the change is settled
