@@ -272,7 +272,7 @@ class Stream:
     ) -> tuple[NDArray[np.uint8], tuple[int, int]]:
         """Samples that count: not those after a gap, until the state is sure enough."""
         pause, gone = map(int, self.memory["pause"])
-        whole = use.all(axis=1)
+        whole = np.asarray(use.all(axis=1))
         if known.all() and whole.all() and pause == gone == 0:
             return known, (0, 0)
         calm = np.ones_like(known)
