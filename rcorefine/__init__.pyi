@@ -13,7 +13,6 @@ from .diagnosis.confirmation import Confirmation
 from .diagnosis.stepwise.improve import improve
 from .diagnosis.stepwise.improvement import Improvement
 from .effects.effect import Effect
-from .effects.several import describe_effects
 from .effects.tabulated import Table
 from .engine.amplitude_response import AmplitudeResponse, frequency_response_at
 from .engine.simulation import Simulation, simulate
@@ -41,7 +40,7 @@ from .models.builders import (
     two_tanks,
 )
 from .models.conversion import physical, ports
-from .models.library import effect_library
+from .models.library import describe_effects, effect_library
 from .models.modal_files import modal_model
 from .models.parameters import NominalParameter
 from .models.physical_model import PhysicalModel

@@ -7,13 +7,13 @@ import pickle
 import control as ct
 import pytest
 
+import rcorefine as rco
 from rcorefine.effects.effect import Effect
 from rcorefine.effects.law import KINDS
-from rcorefine.effects.several import describe_effects
 from rcorefine.effects.tabulated import Table
 from rcorefine.exceptions import ModelError
 from rcorefine.models.builders import dc_motor, mass_spring_damper, series_rlc, thermal_network, two_tanks
-from rcorefine.models.library import effect_library
+from rcorefine.models.library import describe_effects, effect_library
 from rcorefine.models.units import combine_units
 
 # what the design promises: kind -> (places, coefficients)
@@ -369,3 +369,9 @@ def test_table_of_effects_fits_a_terminal():
     text = describe_effects(effects)
     assert max(map(len, text.splitlines())) <= 80
     assert all(name in text and kind.formula[:40] in text for name, kind in KINDS.items())
+
+
+def test_describe_effects_takes_a_model():
+    model = rco.mass_spring_damper(1.0, 0.4, 100.0)
+    assert rco.describe_effects(model) == rco.describe_effects(rco.effect_library(model))
+    assert rco.describe_effects(model.system) == rco.describe_effects(rco.effect_library(model.system))

@@ -293,7 +293,7 @@ def test_one_of_each():
         "np.linalg.pinv(": {
             # of a map between states and outputs or modes, not of information
             "comparison/failure_map/frequency.py", "inference/assembly.py",
-            "streaming/coefficients/descent.py", "streaming/coefficients/restart.py",
+            "streaming/coefficients/descent.py", "streaming/coefficients/entries.py",
         },
         "solve_toeplitz(": set(),
         "damping *=": {"streaming/coefficients/descent.py"},  # its steps come from a filter, not from columns

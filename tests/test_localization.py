@@ -451,3 +451,23 @@ def test_a_sensor_that_a_scenario_blames_is_no_nuisance():
 def test_initial_states_that_mean_nothing_are_refused(x0):
     with pytest.raises((rco.DataError, ct.ControlArgument, ct.ControlDimension), match="x0"):
         localize_damage(chain([10, 8, 6]), chain_record([10, 8, 6], 0.05, 0, n=300), x0=x0)
+
+
+def test_dead_sensors_are_left_out_or_refused_with_a_word():
+    model = rco.mass_spring_damper([1, 1], [0.2, 0.16], [10, 8], force=2, sensors=("displacement", (1, 2)))
+    true = rco.mass_spring_damper([1, 1], [0.2, 0.16], [10, 6.4], force=2, sensors=("displacement", (1, 2)))
+    rng = np.random.default_rng(5)
+    w = rng.standard_normal(1500)
+    y = rco.simulate(true, rco.Measurement(w, np.zeros((2, 1500)), dt=0.05), "zero").outputs
+    y = y + 0.02 * y.std() * rng.standard_normal(y.shape)
+    for stuck in (0.0, 3.0):
+        y[1] = stuck
+        with pytest.warns(rco.ExcitationWarning, match="left out: it never changes"):
+            found = rco.localize_damage(model, rco.Measurement(w, y, dt=0.05))
+        assert [row.label for row in found.named] == ["stiffness at link2"]
+        assert abs(found.named[0].percent + 20) < 4 * found.named[0].percent_std + 0.1
+        assert "left out" in str(found)
+    dead = rco.Measurement(w, np.full((2, 1500), 3.0), dt=0.05)
+    for question in (rco.localize_damage, rco.diagnose):
+        with pytest.raises(rco.DataError, match="no output ever changes"):
+            question(model, dead)

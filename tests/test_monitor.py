@@ -7,6 +7,7 @@ import os
 import pickle
 import subprocess
 import sys
+import threading
 
 import control as ct
 import numpy as np
@@ -18,9 +19,9 @@ from scipy.stats import binom, chi2, poisson
 
 import rcorefine as rco
 from rcorefine.streaming.gaps import whole_block
+from rcorefine.streaming.monitor.learning import crossing_rate, threshold
 from rcorefine.streaming.monitor.saving import content_of
 from rcorefine.streaming.monitor.stream import Stream
-from rcorefine.streaming.monitor.thresholds import crossing_rate, threshold
 from rcorefine.streaming.persistence import write_file
 
 SHORT = 3000  # healthy samples before a change
@@ -445,6 +446,65 @@ def test_gaps_ring_no_alarm_and_damage_is_found_all_the_same(rng):
     monitor.update(w[6000:], y[6000:])
     assert monitor.alarm is not None
     assert monitor.alarm.effect.place == f"link{plant.link + 1}"
+
+
+@pytest.mark.parametrize("seed", [31, 32])
+def test_a_constant_offset_of_a_sensor_hides_no_damage(seed):
+    plant = Chain(seed, n=1, sensor="displacement")
+    w, y = plant.record(step(SHORT, int(60 * plant.period), 0.2))
+    y = 0.03 * y / y[:SHORT].std() + 100.0
+    model = rco.mass_spring_damper(plant.m, plant.c, plant.k, sensors=("displacement", 1))
+    _, healthy = Chain(seed, n=1, sensor="displacement").record(np.zeros(SHORT))
+    w = w * 0.03 / healthy.std()  # the plant is linear
+    monitor = rco.Monitor(model, few(plant), dt=plant.dt)
+    monitor.update(w[:SHORT], y[:SHORT])
+    assert monitor.alarm is None
+    assert monitor.adequacy.adequate
+    assert 90 < monitor.adequacy.fit[0] <= 100  # noise of 3 %
+    monitor.update(w[SHORT:], y[SHORT:])
+    assert monitor.alarm is not None
+    assert monitor.alarm.effect.kind == "stiffness"
+    assert monitor.alarm.coefficients["stiffness"] == pytest.approx(-0.2 * plant.k[0], rel=0.05)
+
+
+@pytest.mark.parametrize(("gone", "force"), [("w", 0.0), ("y", 0.3), ("both", 0.0)])
+def test_gaps_of_healthy_streams_ring_no_more_than_stated(gone, force):
+    rang, streams, N = 0, 24, 5500
+    for seed in range(8100, 8100 + streams):
+        plant, other = (Chain(seed, n=1 + seed % 2) for _ in range(2))
+        other.rng = np.random.default_rng([seed, 98])  # a force that nobody measures
+        w, y = plant.record(np.zeros(N))
+        y += other.record(np.zeros(N), noise=0.0, scale=force)[1]
+        for at in (2500, 4000):
+            part = slice(at, at + int(plant.rng.integers(50, 201)))
+            if gone != "y":
+                w[part] = np.nan
+            if gone != "w":
+                y[part] = np.nan
+        monitor = rco.Monitor(plant.model, few(plant), dt=plant.dt, missing="hold-out")
+        monitor.update(w, y)
+        rang += bool(monitor.past_alarms) or monitor.alarm is not None
+    assert binom.sf(rang - 1, streams, 0.01 * N / 1e5) > 0.002
+
+
+def test_threads_lose_no_sample_and_printing_warns_of_nothing():
+    plant = Chain(13, n=1)
+    w, y = plant.record(np.zeros(1200))
+    monitor = rco.Monitor(plant.model, few(plant), dt=plant.dt, learn=300)
+    monitor.update(w[:300], y[:300])
+    with np.errstate(all="raise"):
+        assert "Monitor of" in str(monitor)
+
+    def feed(first):
+        for i in range(first, 1200, 4):
+            monitor.update(w[i : i + 1], y[i : i + 1])
+
+    threads = [threading.Thread(target=feed, args=(300 + k,)) for k in range(4)]
+    for one in threads:
+        one.start()
+    for one in threads:
+        one.join()
+    assert monitor.n_samples == 1200
 
 
 def test_memory_does_not_grow():

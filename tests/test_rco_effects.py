@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
+
 import control as ct
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from scipy.signal import lfilter
 from scipy.stats import binom
 
 import rcorefine as rco
@@ -358,6 +361,37 @@ def test_the_wrong_place_is_said():
     refiner = only_effects(chain(), 0.02, [Effect("stiffness", "link1")], noise=level)
     refiner.update(w, y)
     assert "Not explained" in str(refiner)
+
+
+@pytest.mark.parametrize("bias", [0.0, 1.0])
+@pytest.mark.parametrize("offset", [0.3, 3.0, 40.0])  # of the rms of the output
+def test_a_sensor_offset_that_no_effect_takes_is_said_with_its_remedy(offset, bias):
+    w = np.random.default_rng(1).standard_normal((1, 1000)) + bias
+    y = held(rco.mass_spring_damper(1, 0.4, 32), w, 0.02)
+    y += y.std() * (offset + 0.02 * np.random.default_rng(2).standard_normal(y.shape))
+    model, spring = rco.mass_spring_damper(1, 0.4, 40), Effect("stiffness", "link1")
+    with pytest.warns(rco.IdentifiabilityWarning, match=r"rco.Effect\('output_offset', 'q1'\)"):
+        only_effects(model, 0.02, [spring]).update(w, y)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        refiner = only_effects(model, 0.02, [spring, Effect("output_offset", "q1")])
+        refiner.update(w, y)
+    value, std = estimates(refiner)
+    assert abs(value[0] + 8.0) < 4.0 * std[0] < 0.4
+
+
+@pytest.mark.parametrize("color", [0.0, 0.9])
+def test_streams_without_an_offset_are_not_suspected_of_one(color):
+    model, true = chain(), chain((10, 6.4, 6))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for seed in range(100, 110):
+            rng = np.random.default_rng(seed)
+            w = rng.standard_normal((1, 500)) + seed % 2
+            y = held(true, w, 0.05)
+            noise = lfilter([np.sqrt(1.0 - color**2)], [1.0, -color], rng.standard_normal((2, 700)))[:, 200:]
+            effects = STIFFNESS if seed % 3 else STIFFNESS[:1]  # a wrong place leaves much, and no constant
+            only_effects(model, 0.05, effects).update(w, y + 0.05 * y.std(axis=1, keepdims=True) * noise)
 
 
 def test_what_is_not_excited_is_said():

@@ -13,8 +13,8 @@ from test_rco_refiner import DT, SETTINGS, damaged, record_of, state_of, two_by_
 import rcorefine as rco
 from rcorefine.streaming import RCORefiner
 from rcorefine.streaming.rcmr.arrays import Plant
-from rcorefine.streaming.rcmr.divergence import explain
 from rcorefine.streaming.rcmr.history import poles_of
+from rcorefine.streaming.rcmr.stream import explain
 from rcorefine.systems.linear import LinearModel
 
 N = 150

@@ -16,7 +16,7 @@ from ..data.range_ends import runs
 from ..data.response_record import in_frequency
 from ..effects.effect import Effect
 from ..engine.simulation import simulate
-from ..exceptions import DivergenceError
+from ..exceptions import DataError, DivergenceError
 from ..inference.autoregression import autoregression
 from ..inference.whitening import innovations
 from ..models.conversion import as_physical
@@ -93,6 +93,11 @@ def without_dead_sensors(model: Any, records: Sequence[Measurement]) -> Watched 
     -------
     Watched or None
         None, too, where no output shows anything.
+
+    Raises
+    ------
+    DataError
+        If no output ever changes.
     """
     if in_frequency(records) or hasattr(model, "physical_model"):
         return None
@@ -104,6 +109,8 @@ def without_dead_sensors(model: Any, records: Sequence[Measurement]) -> Watched 
     labels = physical.linear.output_labels
     if any(record.n_outputs < len(labels) for record in ordered):
         return None
+    if all(np.ptp(record.outputs, axis=1).max() == 0 for record in ordered):
+        raise DataError(f"no output ever changes ({', '.join(labels)}); check sensors and cables")
     faults = [[_fault(physical, record, i) for record in ordered] for i in range(len(labels))]
     kept = tuple(i for i, found in enumerate(faults) if not all(found))
     if not kept or len(kept) == len(labels):

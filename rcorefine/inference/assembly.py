@@ -108,15 +108,11 @@ def _covers(chosen: Effect, linear: Effect) -> bool:
     return chosen.kind == linear.kind or linear.kind in chosen.spec.covers
 
 
-def _floats(parameter: Any, physical: PhysicalModel) -> bool:
-    """Whether a parameter floats: a mass does not where an input gain does, they rescale each other."""
-    gains = any(KINDS[q.kind].relative for q in physical.parameters)
-    return not (KINDS[parameter.kind].inertial and gains)
-
-
 def _linear_effects(physical: PhysicalModel, free: Any, tolerance: float) -> list[Effect]:
     numbers = independent_parameters(physical)
-    everything = [Effect(q.kind, q.place) for q in numbers if _floats(q, physical)]
+    # a mass does not float where an input gain does, they rescale each other
+    gains = any(KINDS[q.kind].relative for q in physical.parameters)
+    everything = [Effect(q.kind, q.place) for q in numbers if not (gains and KINDS[q.kind].inertial)]
     if isinstance(free, str):
         if free != "linear":
             raise ct.ControlArgument(f"free must be 'linear' or a list, not {shown(free)}")
@@ -127,14 +123,12 @@ def _linear_effects(physical: PhysicalModel, free: Any, tolerance: float) -> lis
     found = []
     by_name = {q.name: Effect(q.kind, q.place) for q in physical.parameters}
     for entry in entries:
-        if isinstance(entry, Effect):
-            found.append(entry)
-        elif isinstance(entry, str) and entry in by_name:
-            found.append(by_name[entry])
-        else:
+        effect = by_name.get(entry) if isinstance(entry, str) else entry
+        if not isinstance(effect, Effect):
             raise ct.ControlArgument(
                 f"free names {shown(entry)}; the model has the parameters {', '.join(by_name) or 'none'}"
             )
+        found.append(effect)
     return found
 
 

@@ -140,14 +140,10 @@ def candidate_columns(
     for ratio in ratios:
         _law_columns(fitted, found, laws, ratio)
     for candidate in found:
-        candidate.columns.update({ratio: _tame(blocks) for ratio, blocks in candidate.columns.items()})
+        for ratio, blocks in candidate.columns.items():  # zero where one diverges: it says nothing
+            largest = np.max([np.abs(block).max(axis=(0, 1)) for block in blocks], axis=0)
+            candidate.columns[ratio] = [np.where(largest < _DIVERGED, block, 0.0) for block in blocks]
     return found
-
-
-def _tame(blocks: list[Array]) -> list[Array]:
-    """Columns (n_y, N, k) per record, zero where one diverges: it says nothing about the record."""
-    largest = np.max([np.abs(block).max(axis=(0, 1)) for block in blocks], axis=0)
-    return [np.where(largest < _DIVERGED, block, 0.0) for block in blocks]
 
 
 def _law_columns(

@@ -6,16 +6,16 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import norm
 
 from ..inference.covariance import pseudo_inverse, standard_deviations
 from ..inference.levels import levels
 from ..systems.linear import Array
 from .candidates import Candidate
-from .collinearity import collinear_groups, similarity
 from .estimate import Joint
 
-__all__ = ["Decision", "decide", "two_sided"]
+__all__ = ["Decision", "collinear_groups", "decide", "two_sided"]
 
 _APART = 15.0  # deviates by which a swap would worsen the fit, to first order, above which it is not tried
 
@@ -210,7 +210,7 @@ class _Selection:
         joint, where, kept = self.joint, self.where, self.kept
         rivals: dict[int, list[int]] = {}
         for _ in range(where.size):
-            similar = similarity(joint, where)
+            similar = np.abs(_projected(joint, where))
             value, std, _ = self.estimates()
             apart = dict(zip(kept, np.abs(_deviate(value, std, np.zeros(len(kept)))), strict=True))
             rivals = {i: [] for i in kept}
@@ -255,3 +255,59 @@ def _deviate(value: Array, std: Array, tolerated: Array) -> Array:
     with np.errstate(invalid="ignore", divide="ignore"):
         z = np.where(np.isfinite(total), value / np.where(total > 0, total, 1e-300), 0.0)
     return np.asarray(z)
+
+
+_MEMBER = 0.3  # share of such a direction above which a candidate belongs to it
+
+
+def _projected(joint: Joint, where: NDArray[np.int64]) -> Array:
+    """Information of the candidates, offsets, damping ratio and initial states projected off."""
+    normal = joint.information().normal
+    rest = np.setdiff1d(np.arange(normal.shape[0]), where)
+    inner = normal[np.ix_(where, where)]
+    if rest.size:
+        inverse, _, _ = pseudo_inverse(normal[np.ix_(rest, rest)])
+        cross = normal[np.ix_(rest, where)]
+        inner = inner - cross.T @ inverse @ cross
+    size = np.sqrt(np.maximum(np.diag(inner), 0.0))
+    size[size <= 1e-9 * np.sqrt(np.diag(normal)[where])] = np.inf
+    unit = inner / np.outer(size, size)
+    np.fill_diagonal(unit, np.where(np.isfinite(size), 1.0, 0.0))
+    return np.asarray(unit)
+
+
+def collinear_groups(
+    joint: Joint, where: NDArray[np.int64], blurred: NDArray[np.bool_]
+) -> tuple[tuple[int, ...], ...]:
+    """Candidates that the record sees only together.
+
+    Parameters
+    ----------
+    joint : Joint
+        Estimate.
+    where : ndarray of int
+        Columns of the candidates.
+    blurred : ndarray of bool
+        Candidates that the joint estimate leaves too unsure to matter on their own.
+
+    Returns
+    -------
+    tuple of tuple of int
+        Groups of two or more.
+    """
+    unit = _projected(joint, where)
+    seen = np.flatnonzero(np.diag(unit) > 0)
+    values, vectors = np.linalg.eigh(unit[np.ix_(seen, seen)])
+    owner = list(range(where.size))
+    for value, vector in zip(values, vectors.T, strict=True):
+        if value >= levels().collinear:
+            break
+        members = [int(seen[k]) for k in np.flatnonzero(np.abs(vector) > _MEMBER * np.abs(vector).max())]
+        members = [i for i in members if blurred[i]]
+        if len(members) < 2:
+            continue
+        target = min(owner[i] for i in members)
+        merged = {owner[i] for i in members}
+        owner = [target if group in merged else group for group in owner]
+    groups = [tuple(i for i in range(where.size) if owner[i] == k) for k in sorted(set(owner))]
+    return tuple(group for group in groups if len(group) > 1)

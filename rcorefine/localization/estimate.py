@@ -181,7 +181,7 @@ class Joint:
         trial = self.problem.like(records=short)
         for members, theta in sparse_starts(self.structure, start, self.records[0], size - 1):
             few = np.ones(active.size, dtype=bool)
-            few[[i for i, q in enumerate(self.structure.parameters) if self._is_change(q.effect)]] = False
+            few[[i for i, q in enumerate(self.structure.parameters) if q.effect < self.n_changes]] = False
             few[list(members)] = True
             columns = np.concatenate([np.flatnonzero(few), np.arange(trial.n_theta, trial.size)])
             free = trial.inside(trial.pack(theta, starting_states(trial, theta)))
@@ -196,9 +196,6 @@ class Joint:
         self.point = reference
         self._information = None
         return None
-
-    def _is_change(self, effect: int) -> bool:
-        return effect < self.n_changes
 
     def fit(self, active: NDArray[np.bool_], *, reweigh: bool = False) -> float:
         """Minimize over the active coefficients and the initial states.

@@ -11,12 +11,13 @@ from ..arguments import as_choice, as_number, as_share, as_state
 from ..arithmetic import own_arithmetic
 from ..data.measurement import Measurement
 from ..data.records import as_records
+from ..diagnosis.dead_sensors import without_dead_sensors
 from ..effects.dampers import Damping
 from ..effects.effect import Effect
 from ..effects.output_path import OutputGain
 from ..engine.simulation import check_channels
 from ..engine.structure import Structure
-from ..exceptions import IdentifiabilityWarning, warn
+from ..exceptions import DataError, ExcitationWarning, IdentifiabilityWarning, warn
 from ..inference.assembly import assemble, check_settings, offset_variants
 from ..inference.refinement import Refinement
 from ..inference.starts import estimated_motion
@@ -110,12 +111,14 @@ def localize_damage(
     control.ControlDimension
         If the record's channels are not the model's.
     DataError
-        If the record is too short, or `x0` is not finite.
+        If the record is too short, an output never changes, or `x0` is not finite.
 
     Warns
     -----
     IdentifiabilityWarning
         Names the places that the record sees only together.
+    ExcitationWarning
+        Names sensors that show nothing of the motion and are left out, and constant inputs.
 
     Notes
     -----
@@ -145,6 +148,16 @@ def localize_damage(
     significance, power = as_share(significance, "significance"), as_share(power, "power")
     least = as_number(least, "least (in percent)", least=0.0)
     physical, base, substeps = _baseline(model)
+    nominal = nominal_values(model, physical)
+    rule = damping or default_rule(physical, nominal)
+    effects = candidate_effects(physical, candidates, rule)
+    records, said = as_records(data), ""
+    watched = without_dead_sensors(model, records)
+    if watched is not None:
+        noise, said = watched.noise(noise), " ".join(watched.said)
+        records = [watched.record(record) for record in records]
+        physical, base, substeps = _baseline(watched.model)
+        warn(said, ExcitationWarning)
     initial = as_state(x0, physical.linear.n_states)
     scenarios = None if hypotheses is None else named_hypotheses(hypotheses)
     check_settings(
@@ -155,15 +168,15 @@ def localize_damage(
         horizon=horizon,
         known_start=initial is not None,
     )
-    records = [ordered_record(physical, r) for r in as_records(data)]
+    records = [ordered_record(physical, r) for r in records]
     for record in records:
         check_channels(physical.linear, record)
         record.check_excitation("localize_damage")
+        for label, y in zip(record.output_labels, record.outputs, strict=True):
+            if np.ptp(y) == 0:
+                raise DataError(f"output {label!r} of record {record.name!r} never changes; check the sensor")
     with own_arithmetic():
         segments, note = windows(physical, records, horizon)
-        nominal = nominal_values(model, physical)
-        rule = damping or default_rule(physical, nominal)
-        effects = candidate_effects(physical, candidates, rule)
         motion = estimated_motion(Structure(physical, base), np.zeros(0), records[0])
         nuisances, spreads = _nuisances(physical, base, effects, rule, nominal, tolerance, offset, records[0])
         setting = Setting(
@@ -176,6 +189,7 @@ def localize_damage(
         decision = decide(joint, rows, significance)
         ranking = () if scenarios is None else rank_hypotheses(setting, scenarios)
         tests = residual_tests(joint)
+        note = " ".join(filter(None, [said, note]))
         result = assessed(joint, rows, decision, tests, rule, significance, power, ranking, note)
     for group in result.groups:
         warn(f"the record sees only together: {', '.join(group)}", IdentifiabilityWarning)

@@ -15,7 +15,6 @@ from ..effects.springs import Stiffness
 from ..systems.entries import entry_of
 from ..systems.linear import Array
 from .parameters import NominalParameter
-from .ports import Port
 
 if TYPE_CHECKING:
     from .physical_model import PhysicalModel
@@ -94,12 +93,10 @@ class _Responses:
                 act = np.eye(linear.n_states + linear.n_outputs)[row]
                 sense = np.eye(linear.n_states + linear.n_inputs)[column]
             else:
-                act, sense = self._of_port(self.model.port(q.place), q.kind == Stiffness.name)
+                port, spring = self.model.port(q.place), q.kind == Stiffness.name
+                d = (port.position, port.position_input) if spring else (port.velocity, port.velocity_input)
+                felt = port.output if port.output.size else np.zeros(linear.n_outputs)
+                act, sense = np.concatenate([port.act, felt]), np.concatenate(d)
             changed = q.value * (self.outputs @ act)[:, :, None] * (sense @ self.inputs)[:, None, :]
         flat = (changed * self.scale).reshape(-1)
         return np.concatenate([flat.real, flat.imag])
-
-    def _of_port(self, port: Port, spring: bool) -> tuple[Array, Array]:
-        d = (port.position, port.position_input) if spring else (port.velocity, port.velocity_input)
-        felt = port.output if port.output.size else np.zeros(self.model.linear.n_outputs)
-        return np.concatenate([port.act, felt]), np.concatenate(d)

@@ -16,6 +16,7 @@ from ..effects.entries import Entry
 from ..effects.kinds import check_kind
 from ..effects.law import KINDS, Law
 from ..effects.right_hand_side import ModelParameter
+from ..effects.several import as_effects
 from ..effects.springs import Stiffness
 from ..exceptions import ModelError
 from ..systems.linear import Array
@@ -23,7 +24,7 @@ from .conversion import as_physical
 from .physical_model import PhysicalModel
 from .ports import Port
 
-__all__ = ["effect_library"]
+__all__ = ["describe_effects", "effect_library"]
 
 _MOST_ENTRIES = 20
 
@@ -93,9 +94,10 @@ def effect_library(
                 f"a {kind} effect needs its law; make it with Effect({kind!r}, place, law=...)"
             )
     wanted = _names("places", places)
-    for place in wanted or ():
-        if place not in physical.places:
-            _check_entry(physical, place)
+    for place in sorted(set(wanted or ()).difference(physical.places)):
+        if place[:2] not in ("A[", "B[", "C[", "D["):
+            raise ModelError(f"there is no place {place!r}; the places are {', '.join(physical.places)}")
+        physical.entry(place)
 
     found = _at_ports(physical, asked)
     found += _at_channels(physical, asked)
@@ -113,6 +115,38 @@ def effect_library(
     return found
 
 
+def describe_effects(effects: Any) -> str:
+    """Return effects as a table of at most 80 columns.
+
+    Parameters
+    ----------
+    effects : sequence of Effect, StateSpace or PhysicalModel
+        Effects; of a model what `effect_library` returns.
+
+    Returns
+    -------
+    str
+        One effect per line with its law, grouped by place.
+
+    Examples
+    --------
+    >>> print(describe_effects([Effect("damping", "link1"), Effect("input_gain", "force")]))
+    link1
+      damping               f = t v
+    force
+      input_gain            w -> (1 + t) w
+    """
+    if isinstance(effects, (ct.StateSpace, PhysicalModel)):
+        effects = effect_library(effects)
+    effects = as_effects(effects, "effects")
+    lines: list[str] = []
+    for place in dict.fromkeys(effect.place for effect in effects):
+        lines.append(place[:80])
+        own = [effect for effect in effects if effect.place == place]
+        lines += [f"  {(e.name or e.kind)[:26]:<21} {e.spec.formula}"[:80].rstrip() for e in own]
+    return "\n".join(lines)
+
+
 def _names(what: str, given: Any) -> tuple[str, ...] | None:
     if given is None:
         return None
@@ -120,13 +154,6 @@ def _names(what: str, given: Any) -> tuple[str, ...] | None:
     if not names:
         raise ct.ControlArgument(f"{what} must be a name or a list of names, not an empty one")
     return names
-
-
-def _check_entry(physical: PhysicalModel, place: str) -> None:
-    if place[:2] in ("A[", "B[", "C[", "D["):
-        physical.entry(place)
-        return
-    raise ModelError(f"there is no place {place!r}; the places are {', '.join(physical.places)}")
 
 
 def _at_ports(physical: PhysicalModel, asked: tuple[str, ...] | None) -> list[Effect]:
@@ -245,7 +272,8 @@ def _at_entries(
     if asked is None:
         own = {int(np.flatnonzero(port.act)[0]) for port in physical.ports if not _joins(port)}
         # the damping of a first-order state is its diagonal entry already
-        listed = [place for place in listed if not _diagonal(physical, place, own)]
+        diagonal = {(state, state) for state in own}
+        listed = [place for place in listed if physical.entry(place) not in diagonal]
         if len(listed) > _MOST_ENTRIES:  # what the states do to each other goes first
             listed = [place for place in listed if place.startswith("A")]
         if len(listed) > _MOST_ENTRIES:
@@ -254,8 +282,3 @@ def _at_entries(
         n = physical.linear.n_states
         listed = [f"A[{i},{j}]" for i in range(n) for j in range(n) if physical.linear.A[i, j]]
     return [Effect(Entry.name, place) for place in listed]
-
-
-def _diagonal(physical: PhysicalModel, place: str, states: set[int]) -> bool:
-    row, column = physical.entry(place)
-    return row == column and row in states

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-__all__ = ["combine_units"]
+__all__ = ["combine_units", "parse_unit"]
 
 # what people write instead of the quotient
 _ALIASES = {
@@ -45,17 +45,17 @@ def combine_units(rule: str, units: Mapping[str, str]) -> str:
     'Ohm'
     """
     powers: dict[str, float] = {}
-    for name, power in _parse(rule).items():
+    for name, power in parse_unit(rule).items():
         unit = units.get(name, name)
         if not unit:
             return ""
-        for base, exponent in _parse(unit).items():
+        for base, exponent in parse_unit(unit).items():
             powers[base] = powers.get(base, 0) + power * exponent
     text = _format({base: power for base, power in powers.items() if power})
     return _ALIASES.get(text, text)
 
 
-def _parse(text: str) -> dict[str, float]:
+def parse_unit(text: str) -> dict[str, float]:
     """Exponents of the factors of ``"N s/m^2"``; ``"1"`` has none."""
     powers: dict[str, float] = {}
     for match in _FACTOR.finditer(text):

@@ -124,19 +124,14 @@ def _stage_one(given: dict[str, Any], sampled: Sampled, keep: bool) -> tuple[Pap
     numbers = {name: _BESIDE.get(name) if given[name] is None else given[name] for name in _NUMBERS}
     settings = as_settings(**numbers)[0], _INERT
     path = given["correction_input"], given["correction_feedthrough"]
-    if all(part is None for part in path) and not _reaches(sampled):
-        return None, "Stage 1 does not run: an input reaches no output, so no correction can go through it."
-    return PaperStages(make_setup(sampled, settings, *path, True, 1, given["scale"]), keep), ""
-
-
-def _reaches(sampled: Sampled) -> bool:
-    """Whether every input reaches an output."""
     model = sampled.discrete
     shown, power = np.abs(model.D).max(axis=0, initial=0.0), model.B
     for _ in range(model.n_states):
         shown = np.maximum(shown, np.abs(model.C @ power).max(axis=0, initial=0.0))
         power = model.A @ power
-    return bool((shown > 0).all())
+    if all(part is None for part in path) and not (shown > 0).all():
+        return None, "Stage 1 does not run: an input reaches no output, so no correction can go through it."
+    return PaperStages(make_setup(sampled, settings, *path, True, 1, given["scale"]), keep), ""
 
 
 def _filter_settings(given: dict[str, Any], sampled: Sampled) -> FilterSettings:

@@ -173,6 +173,12 @@ class RCORefiner(Learned):
             Complex values or text.
         DivergenceError
             If a correction diverges: when, why, and what to change.
+
+        Warns
+        -----
+        IdentifiabilityWarning
+            With ``effects=``, where the first samples have a constant part that no effect takes: a
+            sensor offset distorts the coefficients; estimate an ``"output_offset"`` beside them.
         """
         model, step = self._sampled.initial, self._sampled.step
         if self.missing == "raise":

@@ -43,7 +43,7 @@ def comparison_table(result: Comparison) -> Table:
                     name,
                     output,
                     data.output_units[i],
-                    number(fit[m, i], 3) if abs(fit[m, i]) < 99.5 else f"{fit[m, i]:.5g}",
+                    f"{fit[m, i]:.5g}" if abs(fit[m, i]) >= 99.5 else number(fit[m, i], 3),
                     number(rmse[m, i], 3),
                     number(residual[m, i].mean(), 2),
                     number(residual[m, i, worst], 3),
@@ -64,7 +64,9 @@ def comparison_table(result: Comparison) -> Table:
         "mean; largest: its largest value and when.",
     ]
     if np.isnan(fit).any():
-        notes.append("fit '-': the measured output is constant, so there is nothing to explain.")
+        notes.append(
+            "fit '-': the measured output is constant, so there is nothing to explain: check the sensor."
+        )
     lines = result.line_levels
     said = [*result.notes, *([] if lines is None else [lines.sentence()])]
     notes += [f"{note[0].upper()}{note[1:].removesuffix('.')}." for note in said]

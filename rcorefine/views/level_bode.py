@@ -7,14 +7,14 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..arguments import as_vector
 from ..data.channels import match_channels, record_for
 from ..data.frequency_response import FrequencyResponse
 from ..data.levels import MOST, stretches_by_level
 from ..data.records import as_records
-from ..engine.amplitude_response import AmplitudeResponse, frequency_response_at
+from ..engine.amplitude_response import frequency_response_at
 from ..engine.simulation import simulated, structure_of
 from ..exceptions import DivergenceError
 from ..systems.linear import Array, LinearModel
@@ -87,17 +87,13 @@ def level_bode(
             found = frequency_response_at(refinement, grid, peaks, source=j)
             for index, name in enumerate(names):
                 look = dict(style(index)._asdict(), label=name if j == 0 else f"_{name}", zorder=3)
-                curve = _seen(found, index) * factor
+                # broken where no stable steady state was found
+                curve = np.where(found.stable[index], found.response[index], np.nan) * factor
                 _draw(axes[:, j : j + 1], lines[:, j : j + 1], grid, curve[:, None, :], units, look)
         _draw_groups(axes, lines, groups, units, unit)
         for i, j in np.ndindex(linear.n_outputs, linear.n_inputs):
             magnitude_limits(axes[2 * i, j], lines[2 * i, j], units)
         return frame.finish(axes, lines, [axes[0, 0]])
-
-
-def _seen(found: AmplitudeResponse, index: int) -> NDArray[np.complex128]:
-    """Response at one level, broken where no stable steady state was found."""
-    return np.where(found.stable[index], found.response[index], np.nan)
 
 
 _Group = tuple[float, FrequencyResponse, FrequencyResponse | None]

@@ -99,7 +99,7 @@ def text_table(
     """
     table = [list(headers), *[[str(cell) for cell in row] for row in rows]]
     alike: list[str] = []
-    if len(rows) > 1 and _width(table) > WIDTH:
+    if len(rows) > 1 and sum(max(map(len, column)) + 2 for column in zip(*table, strict=True)) - 2 > WIDTH:
         # what stands in every row is told once, before any name is cut
         for i in range(left - 1, 0, -1):
             if len({row[i] for row in table[1:]}) == 1:
@@ -133,12 +133,7 @@ def text_table(
 
 def _lines(cell: str, size: int) -> list[str]:
     """A cell as lines of at most `size` characters: names are whole, a word too long is broken."""
-    return textwrap.wrap(" ".join(cell.split()), size, break_on_hyphens=False) or [""]
-
-
-def _width(table: Sequence[Sequence[str]]) -> int:
-    """Columns that a table takes, two between one and the next."""
-    return sum(max(map(len, column)) + 2 for column in zip(*table, strict=True)) - 2
+    return textwrap.wrap(" ".join(cell.split()), max(size, 1), break_on_hyphens=False) or [""]
 
 
 def html_table(

@@ -11,8 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...effects.output_path import OutputOffset
 from ...engine.engine import Engine
 from ...engine.structure import Structure
+from ...exceptions import IdentifiabilityWarning, warn
+from ...inference.autoregression import autoregression
 from ...systems.linear import Array
 from .memory import CoefficientMemory
 from .setup import floor_at
@@ -30,6 +33,9 @@ _FEW = 6  # passes that a rival gets
 _RIVALS = 4
 _SCENARIOS = 3  # times that the loss of each single parameter is tried
 _LOSSES = (0.35, 0.7)
+_ENOUGH = 90  # samples of which a mean is judged
+_FAR = 6.0  # standard errors of a mean that is no chance
+_FLAT = 1e-3  # of the rms of an output: a constant part that distorts nothing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,6 +46,7 @@ class _Pass:
     step: Array
     power: Array
     cost: float
+    left: Array
 
 
 def go_over(setup: EffectsSetup, memory: CoefficientMemory) -> CoefficientMemory:
@@ -57,8 +64,56 @@ def go_over(setup: EffectsSetup, memory: CoefficientMemory) -> CoefficientMemory
         return replace(memory, rounds=memory.rounds + 1, kernel=None)
     found.sort(key=lambda one: one.cost)
     best = _descend(setup, memory, initial, found[0].memory.centre, _PASSES) or found[0]
+    _judge_means(setup, memory, initial, best)
     rivals = np.array([one.memory.centre for one in found[1 : 1 + _RIVALS]]).reshape(-1, setup.layout.p)
     return replace(_adopted(setup, best, memory), rivals=rivals)
+
+
+def _judge_means(
+    setup: EffectsSetup, memory: CoefficientMemory, initial: tuple[Array, Array], best: _Pass
+) -> None:
+    """Warn where the first samples have a constant part that no effect takes: it distorts the coefficients.
+
+    Seen in what the best fit leaves, by the standard error of a mean of colored noise. But a fit that ran
+    away turns the constant into a slow motion: where it is the larger part of what the initial model
+    leaves, a fit without it must not be decisively better.
+    """
+    taken = {effect.place for effect in setup.effects if effect.spec.holds_constant}
+    labels = setup.model.output_labels
+    least = np.array([np.inf if label in taken else _FLAT for label in labels]) * memory.sizes[-len(labels) :]
+    mean, error, _ = _means(best.left)
+    suspect = np.abs(mean) > np.maximum(_FAR * error, least)
+    other = _over(setup, memory, initial, memory.origin, best.power)
+    if other is not None:
+        mean, _, sd = _means(other.left)
+        large = ~suspect & (np.abs(mean) > np.maximum(sd, least))
+        for _ in range(2 * bool(large.any())):
+            mean = np.where(large, _means(other.left)[0], 0.0)
+            memory = _sized(setup, replace(memory, outputs=memory.outputs - mean))
+            initial = _initial_state(setup, memory)
+            other = _descend(setup, memory, initial, other.memory.centre, _FEW) or other
+        _, error, sd = _means(other.left)
+        wide = max(1.0, float(np.max(len(best.left) * (error / np.maximum(sd, 1e-300)) ** 2)))
+        suspect |= large & (best.cost - other.cost > _FAR**2 * wide)
+    for i in np.flatnonzero(suspect & (len(best.left) >= _ENOUGH)):
+        warn(
+            f"output {labels[i]!r}: the first samples hold a constant part that is not in the model and "
+            "distorts the coefficients; estimate it beside them: "
+            f"rco.Effect({OutputOffset.name!r}, {labels[i]!r})",
+            IdentifiabilityWarning,
+        )
+
+
+def _means(left: Array) -> tuple[Array, Array, Array]:
+    """Mean of what is left at each output, its standard error for colored noise, standard deviation."""
+    found = np.array([[0.0], [np.inf], [0.0]]) * np.ones(left.shape[1])
+    for i, row in enumerate(left.T):
+        row = row[np.isfinite(row)]
+        if row.size:
+            a, variance = autoregression(row)
+            error = np.sqrt(variance / row.size) / max(abs(a.sum()), 1e-300)
+            found[:, i] = row.mean(), error, row.std()
+    return found[0], found[1], found[2]
 
 
 def _promising(
@@ -132,7 +187,8 @@ def _over(
     fixed = kernel.fixed.copy()
     floor = np.maximum(kernel.floor, R)
     fixed[floor_at(lay)] = floor
-    done, _ = replace(kernel, fixed=fixed).over(packed, counters, memory.first, lay.record(0), frozen=True)
+    course = lay.record(len(memory.inputs))
+    done, _ = replace(kernel, fixed=fixed).over(packed, counters, memory.first, course, frozen=True)
     if done < len(memory.inputs) or not np.isfinite(packed).all():
         return None
     cost, count = lay.view(packed, "cost")
@@ -141,7 +197,8 @@ def _over(
     away = (theta - memory.origin) / memory.spread
     step = lay.view(packed, "delta").copy()
     about = replace(about, discretized=memory.discretized + 1, kernel=kernel)
-    return _Pass(about, step, power, total + float(away @ away))
+    left = np.where(memory.use, memory.outputs - course.predicted, np.nan)
+    return _Pass(about, step, power, total + float(away @ away), left)
 
 
 def _adopted(setup: EffectsSetup, best: _Pass, memory: CoefficientMemory) -> CoefficientMemory:
@@ -185,13 +242,11 @@ def _shaped(setup: EffectsSetup, memory: CoefficientMemory) -> CoefficientMemory
     shapes = [i for i in range(setup.layout.p) if setup.is_shape(i)]
     if not shapes:
         return memory
-    origin = memory.origin.copy()
-    start = shape_starts(setup.structure(memory.widths), origin, _motion(setup, memory))[0]
+    start = shape_starts(setup.structure(memory.widths), memory.origin.copy(), _motion(setup, memory))[0]
     # a level that goes with a shape (friction) starts with it, or the shape has no gradient
-    origin[:] = start
     packed = memory.packed.copy()
-    setup.layout.view(packed, "theta")[:] = origin
-    return replace(memory, origin=origin, packed=packed)
+    setup.layout.view(packed, "theta")[:] = start
+    return replace(memory, origin=start, packed=packed)
 
 
 def _motion(setup: EffectsSetup, memory: CoefficientMemory) -> Any:

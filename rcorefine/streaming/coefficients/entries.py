@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from ...effects.entries import Entry
+from ...systems.conversion import to_discrete
 from ...systems.exponential import exponential
 from ...systems.linear import Array, LinearModel
+from ..free_run import state_power
 from .kernel import Kernel
 from .memory import CoefficientMemory
 from .packed import Layout
-from .restart import go_over
-from .setup import NEVER, FilterSettings, Setup
+from .setup import DOUBT, NEVER, FilterSettings, Setup
+from .stage import advanced
 
 __all__ = ["EntriesSetup"]
 
@@ -135,8 +137,34 @@ class EntriesSetup(Setup):
         )  # fmt: skip
 
     def go_over(self, memory: CoefficientMemory) -> CoefficientMemory:
-        """Memory after the first samples, gone over again from the present coefficients."""
-        return go_over(self, memory)
+        """Memory after the first samples, gone over again from the present coefficients.
+
+        Where that diverges, the filter goes on as it was.
+        """
+        lay = self.layout
+        memory = _sized(self, memory)
+        packed = np.zeros(lay.size)
+        theta = lay.view(memory.packed, "theta").copy()
+        lay.view(packed, "theta")[:] = theta
+        lay.view(packed, "Pb")[:] = np.diag(memory.states**2)
+        lay.view(packed, "Pt")[:] = self.prior_covariance(memory.spread)
+        lay.view(packed, "level")[:] = memory.sizes[-lay.ny :] ** 2
+        lay.view(packed, "count")[:] = DOUBT
+        about = replace(
+            memory,
+            packed=packed,
+            counters=self.counters(),
+            centre=theta,
+            rounds=memory.rounds + 1,
+            kernel=None,
+            doubted=0,
+        )
+        found, done = advanced(self, about, about.first, lay.record(0))
+        if done == len(about.inputs) and np.isfinite(found.packed).all():
+            return found
+        if memory.rounds == 0:  # from now on sample by sample: the guard says where it fails
+            return about
+        return replace(memory, rounds=memory.rounds + 1, kernel=None)
 
     # -- for the kernel ------------------------------------------------------------------------------
 
@@ -237,3 +265,22 @@ class EntriesSetup(Setup):
             by_rate = by_rate if np.isfinite(by_rate) else 1.0
             found[a] = max(0.5 * self.nominal[a], self.share_of_rate * by_rate) or _LEAST * by_rate
         return found
+
+
+def _sized(setup: EntriesSetup, memory: CoefficientMemory) -> CoefficientMemory:
+    """Memory with the sizes of signals and states, and the prior that goes with them."""
+    count = np.maximum(memory.use.sum(axis=0), 1)
+    outputs = np.sqrt(np.sum(np.where(memory.use, memory.outputs, 0.0) ** 2, axis=0) / count)
+    outputs = np.where(outputs > 0, outputs, 1.0)
+    inputs = np.sqrt(np.mean(memory.inputs**2, axis=0))
+    # an unstable model is followed no longer than it takes to grow twentyfold: under a controller its
+    # states do not leave that range either
+    discrete = to_discrete(setup.base, setup.settings.dt, setup.settings.hold)
+    poles = np.abs(np.linalg.eigvals(discrete.A)) if discrete.n_states else np.zeros(0)
+    growth = np.log(max(float(poles.max(initial=0.0)), 1.0))
+    span = max(int(min(3.0 / max(growth, 1e-9), len(memory.inputs))), 1)
+    shown = np.abs(np.linalg.pinv(discrete.C)) @ outputs
+    states = np.hypot(np.sqrt(state_power(discrete.A, discrete.B, memory.inputs[:span])), shown)
+    states = np.where(states > 0, states, 1.0)
+    spread = setup.prior(states, inputs, outputs)
+    return replace(memory, sizes=np.concatenate([inputs, outputs]), states=states, spread=spread)

@@ -1,31 +1,27 @@
-"""The loop over a block of samples: predict with the model at the present coefficients, compare, correct."""
+"""The loop over a block of samples: predict with the model at the present coefficients, compare, correct.
+
+The filter is a Kalman filter for state and coefficients jointly, kept in two parts
+(Friedland, IEEE Trans. Automatic Control 14 (1969) 359): the state as if the coefficients
+were known, and the sensitivity of the filtered state to them. What a sample teaches about
+the coefficients moves the state as if the model had always had them, to first order; that is the
+retrospective filter about the current refined model. Names as in `packed`.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...effects.compiled import raise_pending
 from ...engine.kernels import march_at
-from ...jit import compiled, put
+from ...jit import compiled, put, put_rows
 from ...systems.linear import Array
 from ..gaps import Block
-from .correction import (
-    coefficient_gain,
-    collect,
-    forget,
-    move_coefficients,
-    move_state,
-    moved,
-    reduce_covariance,
-    state_gain,
-    step_covariance,
-)
 from .input_laws import drive, hold, inputs_of, keep_first
-from .linear_model import linear_at, shift_outputs, step_outputs, step_sensitivity, step_state, through_state
-from .packed import CoefficientRecord, given_at, remembered, sample_of
+from .packed import CoefficientRecord, given_at, matrix, remembered, row, sample_of
 from .with_laws import Laws, enter, fill, march_of, push, read, shift_matrices
 
 __all__ = ["DIVERGED", "DONE", "MOVED", "SURPRISED", "Kernel", "advance"]
@@ -249,3 +245,296 @@ def advance(sizes, fixed, packed, counters, block, frozen, record, laws):
         if not frozen and moved(theta, centre, Pt, share, least):
             return k + 1, MOVED
     return block.inputs.shape[0], DONE
+
+
+@compiled
+def state_gain(i, R, Pb, F, H, gain):
+    """Gain of the state for known coefficients, before and after the transition; variance of output i."""
+    n = Pb.shape[0]
+    s = R
+    for a in range(n):
+        total = 0.0
+        for b in range(n):
+            total += Pb[a, b] * H[i, b]
+        gain[0, a] = total
+        s += H[i, a] * total
+    for a in range(n):
+        gain[0, a] /= s
+    for a in range(n):
+        total = 0.0
+        for b in range(n):
+            total += F[a, b] * gain[0, b]
+        gain[1, a] = total
+    return s
+
+
+@compiled
+def coefficient_gain(i, Pt, h, g):
+    """Covariance of the coefficients with output i, and what they add to its variance."""
+    p = g.shape[0]
+    spread = 0.0
+    for a in range(p):
+        total = 0.0
+        for b in range(p):
+            total += Pt[a, b] * h[i, b]
+        g[a] = total
+        spread += h[i, a] * total
+    return spread
+
+
+@compiled
+def collect(i, e, st, delta, h, g):
+    """What output i says about coefficients that are kept."""
+    for a in range(g.shape[0]):
+        e -= h[i, a] * delta[a]
+    for a in range(g.shape[0]):
+        delta[a] += g[a] * e / st
+
+
+@compiled
+def move_coefficients(i, e, st, theta, limits, x, S, h, g, yhat):
+    """Move the coefficients inside their bounds, and all that they move; return what is left of `e`."""
+    left = e
+    for a in range(theta.shape[0]):
+        aim = theta[a] + g[a] * e / st
+        if aim < limits[0, a]:
+            aim = limits[0, a]
+        elif aim > limits[1, a]:
+            aim = limits[1, a]
+        move = aim - theta[a]
+        theta[a] = aim
+        left -= h[i, a] * move
+        for b in range(x.shape[0]):
+            x[b] += S[a, b] * move
+        for j in range(i + 1, yhat.shape[0]):
+            yhat[j] += h[j, a] * move
+    return left
+
+
+@compiled
+def move_state(i, e, s, x, S, Pb, H, h, gain, yhat):
+    """Move the state, and what the later outputs and the sensitivities have of it."""
+    n, p = x.shape[0], S.shape[0]
+    for b in range(n):
+        x[b] += gain[1, b] * e
+    for j in range(i + 1, yhat.shape[0]):
+        c = 0.0
+        for b in range(n):
+            c += H[j, b] * gain[0, b]
+        yhat[j] += c * e
+        for a in range(p):
+            h[j, a] -= c * h[i, a]
+    for a in range(p):
+        for b in range(n):
+            S[a, b] -= gain[1, b] * h[i, a]
+    for a in range(n):
+        for b in range(n):
+            Pb[a, b] -= s * gain[0, a] * gain[0, b]
+
+
+@compiled
+def forget(i, s, spread, forgetting, S, h, g, gain, loose):
+    """Forget along what this sample saw only (Kulhavy); return the share that is learned of it.
+
+    The coefficients may have changed just now: the state no longer answers for them since the start.
+    """
+    n, p = gain.shape[1], g.shape[0]
+    st = s + spread
+    ratio = spread / s
+    kept = forgetting - (1.0 - forgetting) / ratio
+    down = kept / (s * (1.0 + kept * ratio))
+    extra = 1.0 / st - down
+    share = extra / (1.0 + extra * spread * st / s)
+    for b in range(n):
+        total = 0.0
+        for a in range(p):
+            total += g[a] * S[a, b]
+        gain[0, b] = total
+    for a in range(p):
+        for b in range(n):
+            S[a, b] -= share * h[i, a] * st / s * gain[0, b]
+    for a in range(n):
+        for b in range(n):
+            loose[a, b] += share * gain[0, a] * gain[0, b]
+    return down
+
+
+@compiled
+def reduce_covariance(Pt, g, down):
+    """Covariance of the coefficients after an output."""
+    p = g.shape[0]
+    for a in range(p):
+        before = Pt[a, a]
+        for b in range(p):
+            Pt[a, b] -= down * g[a] * g[b]
+        # rounding must not make it negative where one sample teaches almost everything
+        if Pt[a, a] < 1e-13 * before:
+            Pt[a, a] = 1e-13 * before
+
+
+@compiled
+def step_covariance(Pb, F, Q, loose, T):
+    """Covariance of the state one sample on: F Pb F', and what unknown forces and forgetting add."""
+    n = F.shape[0]
+    for a in range(n):
+        for b in range(n):
+            total = 0.0
+            for c in range(n):
+                total += F[a, c] * Pb[c, b]
+            T[a, b] = total
+    for a in range(n):
+        for b in range(a + 1):
+            total = Q[a, b] + loose[a, b]
+            for c in range(n):
+                total += T[a, c] * F[b, c]
+            Pb[a, b] = total
+            Pb[b, a] = total
+
+
+@compiled
+def moved(theta, centre, Pt, share, least):
+    """Whether a coefficient has moved so far that the model is to be discretized anew."""
+    for a in range(theta.shape[0]):
+        shift = abs(theta[a] - centre[a])
+        if shift > least[a] and shift > share * np.sqrt(max(Pt[a, a], 0.0)):
+            return True
+    return False
+
+
+class LinearPart(NamedTuple):
+    """A discretized model: x+ = M [x; w; w+], y = O [x; w], and their derivatives.
+
+    columns : coefficient of each derivative; rows : first row that it moves, and the last one + 1;
+    varied : 1 where O depends on a coefficient; Oc : O at the present coefficients; others : room.
+    """
+
+    M: Array
+    O: Array
+    dM: Array
+    dO: Array
+    columns: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    varied: bool
+    Oc: Array
+    step: Array
+    drive: Array
+    Sn: Array
+
+
+@compiled
+def linear_at(sizes, fixed, at):
+    """Views of the model among the packed numbers."""
+    n, nu, ny, q = sizes[0], sizes[2], sizes[3], sizes[4]
+    nz, no = n + 2 * nu, n + nu
+    M, at = matrix(fixed, at, n, nz)
+    O, at = matrix(fixed, at, ny, no)
+    slopes, at = row(fixed, at, q * n * nz)
+    shown, at = row(fixed, at, q * ny * no)
+    last, at = row(fixed, at, q)
+    dM, dO = slopes.reshape(q, n, nz), shown.reshape(q, ny, no)
+    columns = np.zeros(q, dtype=np.int64)
+    rows = np.zeros((q, 2), dtype=np.int64)
+    varied = False
+    for r in range(q):
+        columns[r] = int(last[r])
+        for i in range(n):
+            for j in range(nz):
+                if dM[r, i, j] != 0.0:
+                    if rows[r, 1] == 0:
+                        rows[r, 0] = i
+                    rows[r, 1] = i + 1
+        for i in range(ny):
+            for j in range(no):
+                if dO[r, i, j] != 0.0:
+                    varied = True
+    room = np.zeros(nz), np.zeros((q, n)), np.zeros(n)
+    return LinearPart(M, O, dM, dO, columns, rows, varied, O.copy(), room[0], room[1], room[2])
+
+
+@compiled
+def step_state(x, F, M, dM, columns, rows, theta, centre, step, drive):
+    """State and its transition at the present coefficients: first order about those of `M`."""
+    n, nz = M.shape
+    for i in range(n):
+        total = 0.0
+        for j in range(nz):
+            total += M[i, j] * step[j]
+        x[i] = total
+        for j in range(n):
+            F[i, j] = M[i, j]
+    for r in range(columns.shape[0]):
+        shift = theta[columns[r]] - centre[columns[r]]
+        for i in range(rows[r, 0], rows[r, 1]):
+            total = 0.0
+            for j in range(nz):
+                total += dM[r, i, j] * step[j]
+            drive[r, i] = total
+            x[i] += shift * total
+            for j in range(n):
+                F[i, j] += shift * dM[r, i, j]
+
+
+@compiled
+def step_sensitivity(S, F, columns, rows, drive, Sn):
+    """Sensitivity of the state to the coefficients."""
+    p, n = S.shape
+    for a in range(p):
+        for i in range(n):
+            total = 0.0
+            for j in range(n):
+                total += F[i, j] * S[a, j]
+            Sn[i] = total
+        for i in range(n):
+            S[a, i] = Sn[i]
+    for r in range(columns.shape[0]):
+        for i in range(rows[r, 0], rows[r, 1]):
+            S[columns[r], i] += drive[r, i]
+
+
+@compiled
+def shift_outputs(Oc, O, dO, columns, theta, centre):
+    """Matrix of the outputs at the present coefficients."""
+    put_rows(Oc, O)
+    for r in range(columns.shape[0]):
+        shift = theta[columns[r]] - centre[columns[r]]
+        for i in range(O.shape[0]):
+            for j in range(O.shape[1]):
+                Oc[i, j] += shift * dO[r, i, j]
+
+
+@compiled
+def step_outputs(x, w, S, Oc, dO, columns, varied, yhat, h):
+    """Outputs, and their sensitivity to the coefficients."""
+    n, p = x.shape[0], S.shape[0]
+    for i in range(yhat.shape[0]):
+        total = 0.0
+        for j in range(n):
+            total += Oc[i, j] * x[j]
+        for j in range(w.shape[0]):
+            total += Oc[i, n + j] * w[j]
+        yhat[i] = total
+        for a in range(p):
+            total = 0.0
+            for j in range(n):
+                total += Oc[i, j] * S[a, j]
+            h[i, a] = total
+        if varied:
+            for r in range(columns.shape[0]):
+                total = 0.0
+                for j in range(n):
+                    total += dO[r, i, j] * x[j]
+                for j in range(w.shape[0]):
+                    total += dO[r, i, n + j] * w[j]
+                h[i, columns[r]] += total
+
+
+@compiled
+def through_state(H, Oc, F):
+    """Outputs by the state before."""
+    n = F.shape[0]
+    for i in range(H.shape[0]):
+        for b in range(n):
+            total = 0.0
+            for j in range(n):
+                total += Oc[i, j] * F[j, b]
+            H[i, b] = total

@@ -53,16 +53,11 @@ def take(
                 raise explain_divergence(setup, memory, memory.n_samples)
         position = stop
         if target >= 0 and memory.n_samples == target:
-            memory = _gone_over(setup, memory)
+            memory = setup.go_over(memory)
+            if target == setup.milestones[-1]:
+                nothing = {name: part.copy() for name, part in memory.first.part(0, 0)._asdict().items()}
+                memory = replace(memory, rivals=memory.rivals[:0].copy(), **nothing)
     return memory, record
-
-
-def _gone_over(setup: Setup, memory: CoefficientMemory) -> CoefficientMemory:
-    memory = setup.go_over(memory)
-    if memory.n_samples < setup.milestones[-1]:
-        return memory
-    nothing = {name: part.copy() for name, part in memory.first.part(0, 0)._asdict().items()}
-    return replace(memory, rivals=memory.rivals[:0].copy(), **nothing)
 
 
 def advanced(

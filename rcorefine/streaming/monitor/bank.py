@@ -202,7 +202,7 @@ def build_bank(
     bank = replace(bank, scale=unit, codes=np.where(idle, CODES["constant"], bank.codes))
     columns = [(bank.effects[owner], name) for owner, name in zip(bank.owner, bank.names, strict=True)]
     at = np.array([columns.index(one) for one in numbers.moving], dtype=np.int64)
-    felt = unit[at] > 0
+    felt = (unit[at] > 0) & (np.diag(numbers.covariance) > 0)
     known = numbers.covariance[np.ix_(felt, felt)]
     spread = np.sqrt(np.diag(known))
     values, vectors = np.linalg.eigh(known / np.outer(spread, spread))

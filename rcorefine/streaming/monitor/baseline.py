@@ -23,7 +23,7 @@ from ...inference.whitening import innovations
 from ...systems.linear import Array
 from .kernels import CLIP, EVEN
 
-__all__ = ["FREE", "Healthy", "learn", "noise_law"]
+__all__ = ["FREE", "Healthy", "check_outputs", "gain_of", "learn", "noise_law"]
 
 #: Unknown force over the measured input, relative to sensor noise of 3 %: observer gains that are tried.
 RATIOS = (0.0, *(float(r) for r in np.geomspace(2**-11, 2, 13)))
@@ -84,6 +84,19 @@ class Healthy:
     power: Array
 
 
+def check_outputs(structure: Structure, data: Measurement, use: NDArray[np.uint8]) -> None:
+    """Refuse a learning phase where an output is hardly there, or does not move."""
+    for i, label in enumerate(structure.linear_model.output_labels):
+        there = use[:, i] > 0
+        if there.mean() < 1 - _MOST_MISSING:
+            raise DataError(
+                f"output {label!r} is missing in {100 * (1 - there.mean()):.0f} % of the learning phase "
+                f"({use.shape[0]} samples); learn from a whole stretch, or leave it out of the model"
+            )
+        if np.ptp(data.outputs[i][there]) == 0:
+            raise DataError(f"output {label!r} is constant over the learning phase; check the sensor")
+
+
 def learn(
     structure: Structure,
     theta: Array,
@@ -118,21 +131,7 @@ def learn(
         `use` without samples that stand out alone.
     scale : ndarray, shape (N, n_y)
         Standard deviation of the whitened innovation of each sample.
-
-    Raises
-    ------
-    DataError
-        If an output is hardly there, or does not move.
     """
-    for i, label in enumerate(structure.linear_model.output_labels):
-        there = use[:, i] > 0
-        if there.mean() < 1 - _MOST_MISSING:
-            raise DataError(
-                f"output {label!r} is missing in {100 * (1 - there.mean()):.0f} % of the learning phase "
-                f"({use.shape[0]} samples); learn from a whole stretch, or leave it out of the model"
-            )
-        if np.ptp(data.outputs[i][there]) == 0:
-            raise DataError(f"output {label!r} is constant over the learning phase; check the sensor")
     engine = Engine(structure, data, substeps=substeps)
     sound = use
     ratios = [ratio for ratio in RATIOS if ratio <= most] if disturbance is None else [disturbance]
@@ -165,11 +164,11 @@ def _chosen(
     best: tuple[float, Healthy, Array, Array] | None = None
     for ratio in ratios:
         for everywhere in (False, True):
-            gain, radius = _gain(structure, theta, data, ratio, everywhere)
+            gain, radius = gain_of(structure, theta, data, ratio, everywhere)
             if ratio == 0 and radius > FREE:
                 if len(ratios) > 1:
                     continue  # what was once wrong about the state would stay wrong
-                gain, radius = _gain(structure, theta, data, RATIOS[1], everywhere)
+                gain, radius = gain_of(structure, theta, data, RATIOS[1], everywhere)
             found = _evaluated(engine, theta, gain, ratio, radius, use, period)
             if found is not None and (best is None or found[0] < best[0] - _WORTH):
                 best = found
@@ -183,7 +182,7 @@ def _chosen(
     return best[1:]
 
 
-def _gain(
+def gain_of(
     structure: Structure, theta: Array, data: Measurement, ratio: float, everywhere: bool
 ) -> tuple[Array, float]:
     """Gain, and the spectral radius of the observer."""

@@ -110,6 +110,8 @@ class Fit:
         Their number.
     state : ndarray, shape (n,)
         State before the first sample.
+    doubt : ndarray, shape (n, n)
+        Covariance of that, zero where it was given.
     """
 
     effect: Effect | None
@@ -118,6 +120,7 @@ class Fit:
     cost: float
     points: int
     state: Array
+    doubt: Array
 
     @property
     def std(self) -> Array:
@@ -260,9 +263,10 @@ def descend(
         settled=settled,
     )
     point, cost, (r, J, _) = run.point, 2.0 * run.cost, run.rows
-    spread = covariance(J.T @ J)[:p, :p] if p and math.isfinite(cost) else np.diag(np.full(p, np.inf))
+    whole = covariance(J.T @ J) if math.isfinite(cost) else np.diag(np.full(p + free, np.inf))
+    doubt = whole[p:, p:] if free else np.zeros((n, n))
     points = r.size if math.isfinite(cost) else 0
-    return Fit(effect, point[:p], spread, cost, points, x0 + point[p:] if free else x0)
+    return Fit(effect, point[:p], whole[:p, :p], cost, points, x0 + point[p:] if free else x0, doubt)
 
 
 def _beside(residual: Array, jacobian: Array, prior: Rows) -> tuple[Array, Array]:

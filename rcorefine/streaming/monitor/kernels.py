@@ -205,7 +205,8 @@ def scores(  # type: ignore[no-untyped-def]
             there = use[step, i] != 0
             e[i] = E[step, i] - mean_e[i] if there else 0.0
             level_s[i] = y[i] - mean_s[i]
-            mean_s[i] += slow * level_s[i]
+            if calm[step]:
+                mean_s[i] += slow * level_s[i]
             white[i] = level_s[i]
             w = e[i]
             for a in range(q):
@@ -214,14 +215,17 @@ def scores(  # type: ignore[no-untyped-def]
                     w += f * past_e[a, i]
                     _add(white[i], f, past_s[a, i])
             crowd[i] -= thinning * crowd[i]
-            if there and known[i] >= q and abs(w) > GATE * scale[step, i] * spread_r[i] * math.sqrt(size[i]):
+            gate = GATE * scale[step, i] * spread_r[i] * math.sqrt(size[i])
+            if there and known[i] >= q and calm[step] and abs(w) > gate:
                 crowd[i] = min(crowd[i] + 1.0, 2.0 * FEW)
                 if crowd[i] <= FEW:  # as the past of the filter would have it
                     e[i] -= w
                     w = 0.0
                     use[step, i] = ALONE
                     alone = True
-            if there and use[step, i] != ALONE:  # slow drift of a sensor is none of the candidates
+            if (
+                there and use[step, i] != ALONE and calm[step]
+            ):  # slow drift of a sensor is none of the candidates
                 mean_e[i] += slow * e[i]
             r[i] = w / scale[step, i]
             white[i] /= scale[step, i]

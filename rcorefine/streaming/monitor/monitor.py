@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
-from typing import Any
+from typing import Any, Unpack
 
 import control as ct
 import numpy as np
@@ -18,25 +19,24 @@ from ...data.measurement import Measurement
 from ...effects.effect import Effect
 from ...exceptions import ModelError
 from ...inference.levels import levels
-from ...results import Result
+from ...results import Options, Result, picture, show
 from ...systems.discretization import check_sampling_time
+from ...systems.linear import Array
 from ..checks import as_size
 from ..gaps import Block, as_missing, block_with_gaps, whole_block
+from ..learned import alone
 from ..persistence import read_file, write_file
 from ..samples import checked_block
 from .adequacy import Adequacy
+from .alarm import Alarm, MonitorRow
 from .bank import checked_candidates
-from .course import Course
-from .learning import learned
+from .learning import learned, record_to_watch, window_lengths
 from .observer import as_base, pace_of
-from .readings import Readings
-from .records import record_to_watch
 from .saving import content_of, restored
 from .sequential_test import Watch
-from .standing import idle_remarks
+from .standing import idle_remarks, linear_rows
 from .stream import Stream
-from .thresholds import window_lengths
-from .watching import watch_block
+from .watching import Course, watch_block
 
 __all__ = ["Monitor"]
 
@@ -46,7 +46,7 @@ _LEARN_PERIODS = 20
 _BLOCKS = 256
 
 
-class Monitor(Result, Readings):
+class Monitor(Result):
     """Watch a structure on a stream: is it still healthy, and if not, what has changed since when.
 
     A steady observer of the healthy model follows the samples. What it does not explain is whitened;
@@ -73,8 +73,8 @@ class Monitor(Result, Readings):
     hold : {"zoh", "foh"}, optional
         Input between samples.
     missing : {"raise", "hold-out"}, optional
-        With "hold-out" samples that are NaN or masked are predicted over and not judged. After a gap of
-        an input the monitor pauses until its observer has settled, at most 8 periods.
+        With "hold-out" samples that are NaN or masked are predicted over and not judged. After a gap the
+        monitor pauses until the state is sure enough; after one of an input it finds the state anew.
     windows : tuple of two int, optional
         Shortest and longest memory of the test in samples; default a quarter of a period
         (at least 8) and 200 periods of the first mode.
@@ -124,7 +124,7 @@ class Monitor(Result, Readings):
     periods, so that growth is followed and healing is noticed.
 
     *Slow drift.* A slow mean (16 periods) is taken off innovations and candidates alike:
-    offsets and drift of sensors ring nothing, jumps do.
+    drift of sensors rings nothing, jumps do. A constant offset is estimated with the initial state.
 
     References
     ----------
@@ -194,8 +194,10 @@ class Monitor(Result, Readings):
         self._block = max(1, self._pace.period // 8)
         self.windows = windows
         self._lengths = window_lengths(windows, self._pace.period)
+        self._lock = threading.RLock()
         self.reset()
 
+    @alone
     def reset(self) -> None:
         """Forget all samples; the learning phase starts again."""
         linear = self._structure.linear_model
@@ -211,6 +213,7 @@ class Monitor(Result, Readings):
         self._course = Course(len(self.candidates) + 4, max(1, self._pace.period // 2))
 
     # ------------------------------------------------------------------ samples in
+    @alone
     @own_arithmetic()
     def update(self, w: ArrayLike, y: ArrayLike) -> None:
         """Take one sample or a block.
@@ -235,6 +238,7 @@ class Monitor(Result, Readings):
         Notes
         -----
         How the stream is cut into blocks makes no difference. An update that raises changes nothing.
+        Several threads may call it in turn.
         """
         linear = self._structure.linear_model
         if self.missing == "raise":
@@ -278,6 +282,7 @@ class Monitor(Result, Readings):
         watch_block(self._stream, self._watch, self._course, block, position)
         self._count = self._stream.n_samples
 
+    @alone
     def run(self, data: Measurement) -> Monitor:
         """Take a whole record, channels matched by name.
 
@@ -302,6 +307,7 @@ class Monitor(Result, Readings):
 
     # ------------------------------------------------------------------ files
 
+    @alone
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the monitor to a file (replaced in one step), to go on later exactly where it stood.
 
@@ -350,3 +356,82 @@ class Monitor(Result, Readings):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(restored(Monitor, state).__dict__)
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples taken."""
+        return self._count
+
+    @property
+    def alarm(self) -> Alarm | None:
+        """The alarm that is on, or None."""
+        return self._watch.alarm
+
+    @property
+    def past_alarms(self) -> tuple[Alarm, ...]:
+        """Alarms that have ended, the last 100."""
+        return tuple(self._watch.past)
+
+    @property
+    def timepts(self) -> Array:
+        """Times of the rows of `probability`."""
+        c = self._course
+        return np.asarray((c.samples[: c.count] - 1) * self.dt)
+
+    @property
+    def probability(self) -> Array:
+        """Course of the probabilities at `timepts`, shape (1 + n_candidates, n_rows).
+
+        The first row is "nothing has changed": one half where the statistic stands at its
+        threshold. The others follow in the order of `candidates`. At most 2048
+        rows are kept; a longer stream is thinned.
+        """
+        c = self._course
+        return c.rows[: c.count, : 1 + len(self.candidates)].T.copy()
+
+    @property
+    def statistic(self) -> Array:
+        """Course of the largest statistic over its threshold at `timepts`, shape (n_rows,)."""
+        c = self._course
+        return c.rows[: c.count, -3].copy()
+
+    @property
+    def coefficient(self) -> Array:
+        """Course of the named effect's first coefficient and its standard deviation, (2, n_rows).
+
+        NaN while no alarm is on.
+        """
+        c = self._course
+        return c.rows[: c.count, -2:].T.copy()
+
+    @property
+    def ranking(self) -> tuple[MonitorRow, ...]:
+        """All candidates, the most probable first; empty during the learning phase."""
+        if self._stream is None:
+            return ()
+        if self._watch.rows:
+            return tuple(self._watch.rows)
+        return tuple(linear_rows(self._stream))
+
+    @picture
+    def plot(self, **options: Unpack[Options]) -> ct.ControlPlot:
+        """Draw statistic, probabilities and the coefficient of the named effect over time.
+
+        Parameters
+        ----------
+        ax : array of Axes, shape (3, 1), optional
+            Where to draw.
+        label : str or sequence of str, optional
+            Labels of the probabilities shown, "nothing" first.
+
+        Returns
+        -------
+        ControlPlot
+            Lines, axes and figure.
+
+        Raises
+        ------
+        DataError
+            During the learning phase, when there is nothing to draw yet.
+        """
+        return show(self, "plot", **options)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ...data.measurement import Measurement
 from ...effects.effect import Effect
+from ...effects.output_path import OutputOffset
 from ...engine.engine import Engine
 from ...engine.structure import Structure
 from ...gauss_newton import Rows
@@ -17,10 +18,10 @@ from ...inference.assembly import nominal_size
 from ...inference.covariance import standard_deviations
 from ...models.library import effect_library
 from ...systems.linear import Array
-from .baseline import RATIOS, Healthy, learn
+from .baseline import FREE, RATIOS, Healthy, gain_of, learn
 from .isolation import Segment, descend
 
-__all__ = ["Numbers", "numbers_of", "settled"]
+__all__ = ["Numbers", "numbers_of", "offset", "settled"]
 
 _ROUNDS = 3  # of noise for the numbers, and numbers for the noise
 _LEAST = 1e-6  # variance of a combination of estimates that are alike but for the sign, relative
@@ -93,6 +94,9 @@ def numbers_of(
         if 0.0 < size < np.inf and (effect.kind, effect.place) not in held:
             extra.append(effect)
             sizes.append(tolerance * size)
+    offsets = [Effect(OutputOffset.name, label) for label in structure.linear_model.output_labels]
+    extra += sorted(set(offsets) - set(structure.effects), key=offsets.index)
+    sizes += [0.0] * (len(extra) - len(sizes))
     whole = Structure(structure.model, [*structure.effects, *extra], constants=structure.constants)
     q = whole.n_parameters
     spread = np.zeros((q, q))
@@ -110,6 +114,33 @@ def numbers_of(
         loose,
         spread[np.ix_(loose, loose)],
     )
+
+
+def offset(numbers: Numbers, data: Measurement, use: NDArray[np.uint8]) -> Numbers:
+    """The numbers with the constant offset of each sensor, estimated with the initial state.
+
+    Without it, observer and numbers would follow the offset.
+    """
+    structure, theta = numbers.structure, numbers.theta
+    n, ny = structure.n_states, structure.n_outputs
+    gain, radius = gain_of(structure, theta, data, 0.0, False)
+    if radius > FREE:
+        gain, _ = gain_of(structure, theta, data, RATIOS[1], False)
+    if not np.isfinite(gain).all():
+        return numbers
+    spread = np.array([np.std(y[there > 0]) for y, there in zip(data.outputs, use.T, strict=True)])
+    segment = Segment(
+        structure, theta, numbers.substeps, data, use, np.zeros(n), gain, np.zeros((ny, 0)),
+        np.diag(1.0 / spread), np.ones((data.n_samples, ny)), True,
+    )  # fmt: skip
+    kinds = [structure.effects[parameter.effect].kind for parameter in structure.parameters]
+    at = np.flatnonzero(np.array(kinds) == OutputOffset.name)
+    beyond = np.full(at.size, np.inf)
+    engine = Engine(structure, data, substeps=numbers.substeps)
+    fit = descend(segment, engine, gain, segment.x0, theta.copy(), at, -beyond, beyond)
+    theta = theta.copy()
+    theta[at] = fit.coefficients
+    return replace(numbers, theta=theta)
 
 
 def settled(

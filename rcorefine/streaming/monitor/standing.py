@@ -17,16 +17,9 @@ from .isolation import Fit, Segment, fit_candidate
 from .stream import Stream
 
 __all__ = [
-    "change_of",
-    "find_state",
-    "fit_all",
-    "fit_one",
-    "idle_remarks",
-    "linear_estimates",
-    "linear_rows",
-    "shares",
-    "standing",
-]
+    "change_of", "find_state", "fit_all", "fit_one", "idle_remarks", "linear_estimates", "linear_rows",
+    "shares", "standing",
+]  # fmt: skip
 
 _SHORTLIST = 10
 _LEADERS = 3  # candidates with which the time of the change is settled
@@ -121,7 +114,8 @@ def linear_rows(stream: Stream) -> list[MonitorRow]:
         j = own[c]
         scale = stream.bank.scale[j] / (1.0 + float(keep[m, 0]))  # forgetting sums s^2 once, not twice
         name = stream.bank.names[j]
-        value, std = scale * mem["N"][m, j] / V[m, j], scale * np.sqrt(wide[m, j]) / V[m, j]
+        value = scale * mem["N"][m, j] / V[m, j]
+        std = scale * np.sqrt(wide[m, j]) / V[m, j] if np.isfinite(V[m, j]) else np.inf
         rows.append(
             MonitorRow(
                 effect,
@@ -290,7 +284,8 @@ def find_state(stream: Stream) -> None:
     start = max(int(stream.memory["lost"][0]), stream.oldest)
     segment = segment_of(stream, start, True, stream.memory["mean_e"])
     motion = Motion(segment.structure, segment.theta, segment.data)
-    stream.found(start, fit_candidate(segment, None, motion).state)
+    fit = fit_candidate(segment, None, motion)
+    stream.found(start, fit.state, fit.doubt)
 
 
 def fit_one(stream: Stream, index: int, start: int, mean: Array, before: Array) -> tuple[Fit, Fit]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from ...effects.compiled import raise_pending
 from ...systems.linear import Array
@@ -23,6 +25,7 @@ _RINGS = ("ring_w", "ring_y", "ring_use", "ring_x", "ring_scale")  # the last sa
 _FIND = 64  # blocks after a missing input from which the state is found anew
 _CROWDED = 400  # most samples over which those that stand out are counted
 _SLOWEST = 1.0 / 50_000  # least weight of a sample in the noise level
+_DOUBT = 0.1  # by how much a state that is not sure yet may widen the variance of a statistic
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,6 +86,7 @@ class Stream:
     def __post_init__(self) -> None:
         self._spread = np.linalg.norm(np.linalg.inv(self.healthy.mix), axis=1)
         self._thinning = max(4 * self.windows.fading, 1 / _CROWDED)  # four periods
+        self._gaps()
         if self.memory:
             return
         k, M, p = self.bank.watched, self.windows.keep.size, self.bank.numbers.size
@@ -114,7 +118,7 @@ class Stream:
             "size": np.ones(ny),
             "sums": np.zeros((2, self.windows.blocks, k)),
             "counters": np.zeros(2, dtype=np.int64),
-            "pause": np.zeros(1, dtype=np.int64),
+            "pause": np.zeros(2, dtype=np.int64),  # samples to wait, outputs missing in a row
             "lost": np.full(1, -1, dtype=np.int64),
             "ring_w": np.zeros((kept, nw)),
             "ring_y": np.zeros((kept, ny)),
@@ -168,8 +172,8 @@ class Stream:
         """
         mem, bank, w = self.memory, self.bank, self.windows
         first = self.n_samples
-        use = use.copy()  # samples that stand out alone are marked in it
-        calm, pause = self._calm(known)
+        given, use = use, use.copy()  # samples that stand out alone are marked in it
+        calm, pause = self._calm(known, use)
         state = {key: mem[key] for key in ("x", "z", "w")}
         after, before, F, inner = self._motion(state, W, Y, use, first)
         ratio, scale = np.zeros(len(W)), np.ones(Y.shape)
@@ -186,12 +190,12 @@ class Stream:
         marks, use = use[:done], (use[:done] == 1).astype(np.uint8)
         if done < len(W) or left_out:  # the observer stops at the same sample, and does not follow it
             after, before, _, inner = self._motion(state, W[:done], Y[:done], use, first)
-            _, pause = self._calm(known[:done])
+            _, pause = self._calm(known[:done], given[:done])
         mem.update(after[0])
         mem["inner"] = inner
-        mem["pause"][0] = pause
+        mem["pause"][:] = pause
         gaps = np.flatnonzero(known[:done] == 0)
-        if gaps.size and self.wait < self.healthy.settle:
+        if gaps.size:
             mem["lost"][0] = first + gaps[-1] + 1
         at = np.arange(max(first, first + done - len(mem["ring_w"])), first + done)
         place, here = at % len(mem["ring_w"]), at - first
@@ -202,8 +206,9 @@ class Stream:
 
     @property
     def wait(self) -> int:
-        """Samples after a missing input before the state is trusted, or found anew."""
-        return min(self.healthy.settle, _FIND * self.windows.block)
+        """Samples after a missing input before the state is found anew."""
+        enough = 4 * (self.observer.structure.n_states + len(self.memory["past_e"]))
+        return max(min(self.healthy.settle, _FIND * self.windows.block), enough)
 
     @property
     def find_at(self) -> int:
@@ -211,16 +216,75 @@ class Stream:
         lost = int(self.memory["lost"][0])
         return -1 if lost < 0 else lost + self.wait
 
-    def _calm(self, known: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], int]:
-        """Samples that count: not those after an input was missing, until the observer has settled."""
-        pause = int(self.memory["pause"][0])
-        if known.all() and pause == 0:
-            return known, 0
+    def _gaps(self) -> None:
+        """Prepare what tells how long a doubtful state matters, and how long after missing outputs.
+
+        The energy of the whitened innovations by a state error, from a sample on, bounds the relative
+        increase of the variance of every statistic (Cauchy-Schwarz).
+        """
+        bank, h = self.bank, self.healthy
+        n, (ny, q) = len(bank.Phi), h.filters.shape
+        level = np.sqrt(h.noise[:, 0] + (h.noise[:, 1] + h.noise[:, 2]) * h.power)
+        step, seen = np.zeros((n + q * ny,) * 2), np.zeros((ny, n + q * ny))
+        step[:n, :n] = bank.Phi - bank.Phi @ h.gain @ bank.C
+        seen[:, :n] = bank.C
+        for a in range(q):  # the past of the whitening filters
+            rows = slice(n + a * ny, n + (a + 1) * ny)
+            step[rows, slice(0, n) if a == 0 else slice(rows.start - ny, rows.start)] = (
+                bank.C if a == 0 else np.eye(ny)
+            )
+            seen[:, rows] = np.diag(h.filters[:, a])
+        seen = h.mix / level @ seen
+        energy, self._steps = seen.T @ seen, [step]  # after 1, 2, 4, ... samples
+        with np.errstate(all="ignore"):
+            for _ in range(math.ceil(math.log2(4 * h.settle + 2))):
+                power = self._steps[-1]
+                energy = energy + power.T @ energy @ power
+                self._steps.append(power @ power)
+            self._energy = energy
+            impulse = np.eye(1, 1000)[0]
+            color = [np.linalg.norm(lfilter([1.0], np.r_[1.0, row], impulse)) for row in h.filters]
+            missed = bank.Phi @ h.gain * (level * color)  # what one correction does to the state
+            doubt, open_loop = missed @ missed.T, bank.Phi
+            self._pauses = []  # after 1, 2, 4, ... samples without an output
+            for _ in self._steps:
+                self._pauses.append(self._matters(doubt))
+                doubt = doubt + open_loop @ doubt @ open_loop.T
+                open_loop = open_loop @ open_loop
+
+    def _matters(self, doubt: Array) -> int:
+        """Samples over which a state of this covariance, (n, n), would widen the statistics."""
+        n, samples = len(doubt), 0
+        P = np.zeros_like(self._energy)
+        P[:n, :n] = doubt
+        if not (np.isfinite(doubt).all() and np.isfinite(self._energy).all()):
+            return self.healthy.settle
+        if np.sum(self._energy * P) <= _DOUBT:
+            return 0
+        for k in reversed(range(len(self._steps))):
+            later = self._steps[k] @ P @ self._steps[k].T
+            if np.sum(self._energy * later) > _DOUBT:
+                P, samples = later, samples + 2**k
+        return samples + 1
+
+    def _calm(
+        self, known: NDArray[np.uint8], use: NDArray[np.uint8]
+    ) -> tuple[NDArray[np.uint8], tuple[int, int]]:
+        """Samples that count: not those after a gap, until the state is sure enough."""
+        pause, gone = map(int, self.memory["pause"])
+        whole = np.asarray(use.all(axis=1))
+        if known.all() and whole.all() and pause == gone == 0:
+            return known, (0, 0)
         calm = np.ones_like(known)
         for i, there in enumerate(known):
-            pause = self.wait if not there else max(pause - 1, 0)
+            if whole[i] and gone:
+                pause = max(pause, self._pauses[min((gone - 1).bit_length(), len(self._pauses) - 1)])
+            gone = 0 if whole[i] else gone + 1
+            if not there:
+                pause = max(pause, self.wait + 1)
             calm[i] = pause == 0
-        return calm, pause
+            pause = max(pause - 1, 0)
+        return calm, (pause, gone)
 
     def _motion(
         self, state: dict[str, Array], W: Array, Y: Array, use: NDArray[np.uint8], first: int
@@ -284,8 +348,8 @@ class Stream:
         for key in ("N", "V", "sums", "Xc", "past_e", "past_s", "cross", "shared", "doubt"):
             self.memory[key][:] = 0
 
-    def found(self, start: int, state: Array) -> None:
-        """Go on from the state that was found at sample `start`."""
+    def found(self, start: int, state: Array, doubt: Array | None = None) -> None:
+        """Go on from the state that was found at sample `start`, with this covariance (none: exact)."""
         mem = self.memory
         W, Y, use, _, _ = self.recent(start)
         begin = {"x": state, "z": mem["z"], "w": mem["w"][:0]}
@@ -293,3 +357,6 @@ class Stream:
         mem["x"], mem["z"] = after["x"], after["z"]
         mem["known"][:] = 0
         mem["lost"][0] = -1
+        if doubt is not None:
+            wait = self._matters(doubt) - (self.n_samples - start)
+            mem["pause"][0] = max(int(mem["pause"][0]), wait)

@@ -15,14 +15,9 @@ from ...systems.linear import Array
 __all__ = ["add_scaled", "affine", "half_gradient", "product", "slide"]
 
 
-def _product_arrays(matrix: Array, vector: Array) -> Array:
-    """Matrix times vector."""
-    return matrix @ vector
-
-
 @compiled
 def _product_loops(matrix: Array, vector: Array) -> Array:
-    """Like `_product_arrays`, without the call into BLAS, which costs more than a small product."""
+    """Matrix times vector without the call into BLAS, which costs more than a small product."""
     count, m = matrix.shape
     out = np.empty(count)
     for i in range(count):
@@ -178,6 +173,6 @@ def _add_scaled_loops(out: Array, at: int, factor: float, values: Array) -> None
 
 add_scaled = _add_scaled_loops if NUMBA else _add_scaled_arrays
 affine = _affine_loops if NUMBA else _affine_arrays
-product = _product_loops if NUMBA else _product_arrays
+product = _product_loops if NUMBA else np.matmul
 half_gradient = _gradient_loops if NUMBA else _gradient_arrays
 slide = _slide_loops if NUMBA else _slide_arrays

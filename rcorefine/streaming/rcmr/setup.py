@@ -15,10 +15,9 @@ from ...systems.discretization import check_sampling_time, discretize
 from ...systems.linear import Array, LinearModel
 from ..checks import as_matrix, as_rate, as_size
 from .arrays import Plant
-from .memory import Settings
+from .memory import Settings, regressor_length
 from .path import column_delays, relative_degree
 from .scaling import Scales, declared_scales
-from .stage import regressor_length
 
 __all__ = ["Sampled", "Setup", "as_settings", "correction_path", "make_setup", "sampled_model"]
 
@@ -87,12 +86,6 @@ class Setup(Sampled):
 def warm_up(settings: tuple[Settings, Settings]) -> int:
     """Samples that tell the scales: a window, but neither very few nor very many."""
     return min(max(settings[0].window, LEAST_WARM_UP), MOST_WARM_UP)
-
-
-def sampled_model(model: Any, dt: float | None) -> Sampled:
-    """Check the initial model and discretize it."""
-    initial = LinearModel.from_statespace(getattr(model, "system", model))
-    return Sampled(initial, *_discretized(initial, dt))
 
 
 def make_setup(
@@ -166,8 +159,9 @@ def _declared(plant: Plant, scale: Any, n_samples: int) -> Scales | None:
     return declared_scales(plant, scale, n_samples)
 
 
-def _discretized(model: LinearModel, dt: float | None) -> tuple[LinearModel, float | None]:
-    """Discrete model and its sampling time, None where neither model nor `dt` tells it."""
+def sampled_model(model: Any, dt: float | None) -> Sampled:
+    """Check the initial model and discretize it."""
+    model = LinearModel.from_statespace(getattr(model, "system", model))
     if model.is_continuous and dt is None:
         raise ModelError(
             f"model {model.name!r} is continuous: give dt, the sampling time of the record in seconds"
@@ -180,5 +174,5 @@ def _discretized(model: LinearModel, dt: float | None) -> tuple[LinearModel, flo
                 "leave dt out, or give the continuous model (rcorefine.d2c converts one)"
             )
         discrete = to_discrete(model, dt)
-        return discrete, float(discrete.dt)
-    return model, None if model.dt is None or model.dt is True else float(model.dt)
+        return Sampled(model, discrete, float(discrete.dt))
+    return Sampled(model, model, None if model.dt is None or model.dt is True else float(model.dt))
