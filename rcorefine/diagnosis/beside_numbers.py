@@ -11,7 +11,7 @@ from ..exceptions import ModelError
 from ..inference.f_tests import FTest
 from ..inference.refinement import Refinement
 from ..refinement.refine import refit
-from .absorbed import numbers_that_moved, percent
+from .absorbed import determined, numbers_that_moved, percent
 from .asking import Ask, Unanswered
 from .case import Case, not_held
 from .result import Diagnosis
@@ -81,10 +81,8 @@ def told_beside(found: Diagnosis, beside: Answer | Unanswered) -> Answer:
 def _are_off(case: Case, found: Diagnosis) -> bool:
     """Whether a number is off beside the law, for certain and by what matters."""
     least, sure = _MATTERS * case.levels.off, case.levels.moved
-    rows = () if found.best is None else found.best.refinement.parameters
-    return any(
-        abs(r.coefficient) > max(sure * r.std, least * abs(r.initial)) for r in rows if r.role == "linear"
-    )
+    rows = [] if found.best is None else determined(found.best.refinement)
+    return any(abs(r.coefficient) > max(sure * r.std, least * abs(r.initial)) for r in rows)
 
 
 def _told(found: Diagnosis, tests: Sequence[FTest]) -> Diagnosis:
@@ -104,7 +102,6 @@ def _in_words(found: Diagnosis) -> str:
     """What is said where a law is sought while all numbers of the model float."""
     said = "No law alone explains the record, nor do the numbers of the model: these float beside every law."
     if found.verdict in ("effect", "ambiguous") and found.best is not None:
-        rows = [row for row in found.best.refinement.parameters if row.role == "linear"]
-        return f"{said} {numbers_that_moved(rows)}"
+        return f"{said} {numbers_that_moved(determined(found.best.refinement))}"
     before, after = (percent(fit) for fit in (found.base.initial_fit, found.base.fit))
     return f"{said} The numbers alone take the fit from {before} to {after}."
