@@ -79,7 +79,7 @@ def named(
     if word == "unexplained" and not case.in_time:  # laws that fail do not tell where
         places = {}
     rows = ranking(shown, p_values, shares, case.base, validation, case.settings["horizon"])
-    notes = [*about_hold(case), *fit_remarks(race), *remarks(race, scored, batteries)]
+    notes = [*about_hold(case), *fit_remarks(race), *remarks(race)]
     notes += said_of_families(race.rivals, held)
     notes += [said for said in (sentence, unknown, outweighed(judged, case.levels)) if said]
     own = {"force_ratio": race.ratio, "notes": tuple(notes), **case.about}

@@ -12,12 +12,10 @@ from ..inference.descent import descend
 from ..inference.fitted import FittedModel, coefficient_covariance
 from ..inference.levels import Levels
 from ..inference.refinement import EstimatedParameter, Refinement
-from ..inference.sensitivities import Candidate
 from ..systems.linear import Array
 from ..words import chance, with_error
 from .candidate_fits import CandidateFits
 from .ranking import estimates
-from .residual_tests import TestedResidual
 
 __all__ = ["amplitude_test", "essentials_known", "fit_remarks", "not_known", "remarks"]
 
@@ -144,39 +142,15 @@ def fit_remarks(race: CandidateFits) -> list[str]:
     return said
 
 
-def remarks(
-    race: CandidateFits, scored: Sequence[Candidate], batteries: Sequence[TestedResidual]
-) -> list[str]:
-    """Sentences on what should make the reader careful, or confident."""
-    said = []
-    tops = []
-    for battery in batteries[1:]:
-        tests = battery.each(scored)
-        tops.append(min(tests, key=lambda t: (t.p_value, -t.statistic)).name)
-    if len(set(tops)) > 1:
-        said.append(
-            f"On the estimated motion alone two observers prefer {' and '.join(dict.fromkeys(tops))}; "
-            "the refitted free run decided."
-        )
-    best = race.rivals[0].effect
-    fitted = race.model()
+def remarks(race: CandidateFits) -> list[str]:
+    """Sentences on what should make the reader careful."""
+    best, fitted = race.rivals[0].effect, race.model()
     ports = {port.name for port in fitted.structure.model.ports}
     if best.spec.turns and best.place in ports and fitted.problem.in_time:
         v = np.concatenate([fitted.port(best.place, 0.0, i)[1] for i in range(len(fitted.problem.records))])
         if v.min() >= 0 or v.max() <= 0:
-            said.append(
+            return [
                 f"The motion at {best.place} never changes direction: friction there cannot be told from a "
                 "constant force."
-            )
-    base = {(r.kind, r.place): r for r in race.fitted.refinement.parameters if r.role == "linear"}
-    home = []
-    for row in fitted.refinement.parameters:
-        before = base.get((row.kind, row.place))
-        if before is None or not row.initial or row.role != "linear":
-            continue
-        off = [abs(r.value - r.initial) / abs(r.initial) for r in (before, row)]
-        if off[0] > 0.02 and off[1] < 0.5 * off[0]:
-            home.append(f"{row.name} (off by {100 * off[0]:.2g} % before, {100 * off[1]:.2g} % now)")
-    if home:
-        said.append(f"With {best.label} the parameters come home to the model's: {', '.join(home[:4])}.")
-    return said
+            ]
+    return []

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..inference.levels import levels
 from ..words import chance, with_error
-from .absorbed import far_numbers, numbers_that_moved, what_was_absorbed
+from .absorbed import determined, far_numbers, numbers_that_moved, what_was_absorbed
 from .stepwise.improvement import Improvement
 from .verdict import overall
 
@@ -57,7 +57,7 @@ def sentences(found: Diagnosis) -> list[str]:
         alike += f", {_force(found)} that follows none of the laws"
     where = "" if found.place is None else f": at {found.place}, with probability {_place(found)}"
     lines = [_VERDICTS[found.verdict].format(best=_best(found), alike=alike, where=where)]
-    if found.verdict == "parameters" and far_numbers(found.parameters):
+    if found.floated is not None and far_numbers(determined(found.floated)):
         lines = ["The numbers of the model explain the record, moved so far that they may hide a law."]
     if found.verdict == "parameters" and found.left_to_noise:
         lines = ["Moved numbers of the model leave what no test tells from noise with a memory."]
@@ -74,8 +74,8 @@ def sentences(found: Diagnosis) -> list[str]:
         if found.verdict == "unexplained" and failed:
             left = min(found.winner_tests, key=lambda t: t.p_value)
             lines.append(f"With the best candidate the residual still fails {failed_test(left)}.")
-        if found.verdict == "parameters":
-            lines += [found.left_to_noise, numbers_that_moved(found.parameters), _ALIKE]
+        if found.floated is not None:
+            lines += [found.left_to_noise, numbers_that_moved(determined(found.floated)), _ALIKE]
         lines += _meaning(found)
         lines += _columns(found)
     place = None if found.best is None or found.verdict == "unexplained" else found.best.effect.place
@@ -183,8 +183,7 @@ def _open_law(found: Diagnosis) -> list[str]:
     port = found.base.physical_model.port(law.effect.place)
     lines = [f"law() tabulates the {port.acts_by} {_range(law.effect.law, port)}: {fits}."]
     near = ", ".join(f"{effect.label} {max(share, 0):.0f} %" for effect, share in law.nearest[:3])
-    lines += [f"Of that {port.acts_by} explain: {near}."] if near else []
-    return lines + ([law.beyond] if law.beyond else [])
+    return [*lines, f"Of that {port.acts_by} explain: {near}."] if near else lines
 
 
 def _range(table: Any, port: Port) -> str:
