@@ -118,10 +118,8 @@ def _static(race: CandidateFits) -> dict[str, tuple[float, list[Array]]]:
     held, p, weights = fitted.blocks(), fitted.problem.n_theta, fitted.problem.weights
     records = fitted.problem.records
     signals = {label: [r.inputs[j] for r in records] for j, label in enumerate(model.input_labels)}
-    for j, label in enumerate(model.output_labels):
-        signals[label] = [
-            r[j] / weights[j] + one.outputs[j] for (r, _), one in zip(held, records, strict=True)
-        ]
+    outputs = [r / weights[:, None] + one.outputs for (r, _), one in zip(held, records, strict=True)]
+    signals |= {label: [y[j] for y in outputs] for j, label in enumerate(model.output_labels)}
     for label, parts in signals.items():
         curve = Curve.along(label, np.concatenate(parts), np.zeros(sum(x.size for x in parts)))
         if not curve.d.size or label in [port.name for port in fitted.structure.model.ports]:
@@ -132,8 +130,7 @@ def _static(race: CandidateFits) -> dict[str, tuple[float, list[Array]]]:
             if label in model.input_labels:
                 blocks.append(force_responses(fitted, i, [(label, f) for f in F.T], fitted.gain(0.0)))
             else:
-                on = np.array(model.output_labels) == label
-                blocks.append((weights * on)[:, None, None] * F)
+                blocks.append((weights * (np.array(model.output_labels) == label))[:, None, None] * F)
         seen = evidence(battery.left, project(battery.whiten(blocks), battery.basis))
         J = [(j.reshape(r.size, -1), X.reshape(r.size, -1)) for (r, j), X in zip(held, blocks, strict=True)]
         basis = Basis.of([np.hstack([j[:, :p], X]) for j, X in J], [j[:, p:] for j, _ in J])
