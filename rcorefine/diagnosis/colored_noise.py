@@ -94,7 +94,10 @@ def left_to_noise(battery: TestedResidual, levels: Levels) -> str:
         )
     lasts = ""
     if problem.in_time:
-        lasts = f" of about {float(f'{_memory_of(battery.whitener) * problem.records[0].dt:.2g}'):g} s"
+        # samples after which the slowest mode of the filters has decayed to 1/e
+        slowest = max(float(np.abs(np.roots(a)).max()) for a in battery.whitener.filters if a.size > 1)
+        samples = -1.0 / float(np.log(min(slowest, 1.0 - 1e-9)))
+        lasts = f" of about {float(f'{samples * problem.records[0].dt:.2g}'):g} s"
     return (
         f"{run} explains only {fit:.3g} % of the record. The rest passes for noise with a memory{lasts}, "
         f"{memory:.2g} times as large as what is new in each sample: that is why no test fires.{pure} If "
@@ -102,12 +105,6 @@ def left_to_noise(battery: TestedResidual, levels: Levels) -> str:
         "there: what comes again when the record is repeated is the model's, and one with steps up and down, "
         "or a sweep, shows what it is."
     )
-
-
-def _memory_of(whitener: Whitener) -> float:
-    """Samples over which noise with these filters forgets itself to 1/e, by its slowest mode."""
-    slowest = max(float(np.abs(np.roots(a)).max()) for a in whitener.filters if a.size > 1)
-    return -1.0 / float(np.log(min(slowest, 1.0 - 1e-9)))
 
 
 def is_drowned(battery: TestedResidual, levels: Levels) -> bool:

@@ -74,7 +74,7 @@ def named(
     shares, none, places = probabilities(race, *odds, law)
     if word == "unexplained":  # none is printed for what fails its own tests
         shares, none = np.full(len(shares), np.nan), 1.0
-    shown = in_free_run(race) if word == "unexplained" and case.thorough else race
+    shown = in_free_run(race) if word == "unexplained" and case.thorough and not unknown else race
     p_values = [p_of[rival.effect] for rival in shown.rivals]
     if word == "unexplained" and not case.in_time:  # laws that fail do not tell where
         places = {}

@@ -83,9 +83,9 @@ def open_law(race: CandidateFits) -> FreeForces:
     -------
     FreeForces
     """
-    places = list(dict.fromkeys(rival.effect.place for rival in race.rivals))
+    places = [rival.effect.place for rival in race.rivals]
     found: dict[str, FreeForm] = {}
-    for place in places[:_PLACES]:
+    for place in list(dict.fromkeys(places))[:_PLACES]:
         led = race.ratio or 1.0  # an observer of high gain follows the motion of the record
         curve = curve_at(race.fitted, place, led)
         if curve is not None:
@@ -93,11 +93,10 @@ def open_law(race: CandidateFits) -> FreeForces:
     free = {place: form.log_likelihood(race.whitener, race.ratio) for place, form in found.items()}
     static = _static(race)
     free |= {place: value for place, (value, _) in static.items()}
-    named = {r.effect.place: (r.log_likelihood, i) for i, r in reversed([*enumerate(race.rivals)])}
-    likely = {place: value for place, (value, _) in named.items()}
-    best = max({**likely, **free}, key=lambda p: max(likely.get(p, -np.inf), free.get(p, -np.inf)))
+    best = max([(race.rivals[0].log_likelihood, places[0]), *zip(free.values(), free, strict=True)])[1]
     after = [static[best][1]] if best in static else []
-    after += [race.model(named[best][1]).residuals(race.ratio)] if best in named else []
+    if best in places:
+        after.append(race.model(places.index(best)).residuals(race.ratio))
     if best in found:
         first = found[best]
         found[best] = fit_free_form(race.fitted, first.curve, first.whitener, race.ratio, start=first)

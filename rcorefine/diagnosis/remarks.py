@@ -14,13 +14,14 @@ from ..inference.levels import Levels
 from ..inference.refinement import EstimatedParameter, Refinement
 from ..systems.linear import Array
 from ..words import chance, with_error
+from .absorbed import percent
 from .candidate_fits import CandidateFits
 from .ranking import estimates
 
 __all__ = ["amplitude_test", "essentials_known", "fit_remarks", "not_known", "remarks"]
 
 _SHOWN = 8  # rows of the ranking that are printed
-_RISEN = 0.02  # log of the error: what explains a record does not move the free run away from it
+_RISEN = 0.02  # of the error: what explains a record does not move the free run away from it
 _OTHER_AMPLITUDE = 1.3  # rms of the inputs over that of another record
 
 
@@ -98,9 +99,13 @@ def not_known(race: CandidateFits, levels: Levels) -> str:
     asked = [sizes, *([rows[name]] for name in effect.spec.essential if name in rows)]
     unknown = next((group for group in asked if group and not _known(refinement, group, levels)), None)
     if unknown is None:
-        if race.ratio or _rise(race.fitted.refinement.fit, refinement.fit) <= _RISEN:
+        fits = np.array([race.fitted.refinement.fit, refinement.fit])
+        told = np.isfinite(fits).all(axis=0)
+        before, after = np.where(told, fits, 0.0).sum(axis=1) / max(np.count_nonzero(told), 1)
+        if race.ratio or 100.0 - after <= (1.0 + _RISEN) * (100.0 - before):
             return ""
-        return f"{effect.label} would pass, but the free run is further off with it: it is not named."
+        fell = f"the fit decreases from {percent(before)} to {percent(after)} with it"
+        return f"{effect.label} would pass, but {fell}: it is not named."
     found = ", ".join(with_error(row.coefficient, row.std) for row in unknown)
     return f"{effect.label} would pass, but the record does not determine it ({found}): it is not named."
 
@@ -109,13 +114,6 @@ def essentials_known(refinement: Refinement, effect: Effect, levels: Levels) -> 
     """Whether a record determines each coefficient without which a law is another one."""
     rows = estimates(refinement, effect) if effect.spec.essential else {}
     return all(_known(refinement, [rows[name]], levels) for name in effect.spec.essential if name in rows)
-
-
-def _rise(before: Array, after: Array) -> float:
-    """By how much the log of the error is larger, as a mean over the outputs that have a fit."""
-    told = np.isfinite(before) & np.isfinite(after)
-    left, more = (np.maximum(100.0 - fit[told], 1e-9) for fit in (before, after))
-    return float(np.mean(np.log(more / left))) if told.any() else 0.0
 
 
 def _known(refinement: Refinement, rows: Sequence[EstimatedParameter], levels: Levels) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..inference.levels import levels
 from ..words import chance, with_error
@@ -12,7 +12,6 @@ from .verdict import overall
 
 if TYPE_CHECKING:
     from ..inference.f_tests import FTest
-    from ..models.ports import Port
     from .result import Diagnosis
 
 __all__ = ["failed_test", "next_step", "no_test_fires", "sentences"]
@@ -55,7 +54,8 @@ def sentences(found: Diagnosis) -> list[str]:
     alike = ", ".join(effect.label for effect in found.ambiguous)
     if len(found.ambiguous) == 1 and found.best is not None:
         alike += f", {_force(found)} that follows none of the laws"
-    where = "" if found.place is None else f": at {found.place}, with probability {_place(found)}"
+    place = found.place
+    where = "" if place is None else f": at {place}, with probability {found.places[place]:.2f}"
     lines = [_VERDICTS[found.verdict].format(best=_best(found), alike=alike, where=where)]
     if found.floated is not None and far_numbers(determined(found.floated)):
         lines = ["The numbers of the model explain the record, moved so far that they may hide a law."]
@@ -64,7 +64,9 @@ def sentences(found: Diagnosis) -> list[str]:
     worst = min(found.tests, key=lambda t: t.p_value) if found.tests else None
     if found.verdict == "adequate":
         head = found.left_to_noise or lines[0]
-        lines = [f"{head} {what_was_absorbed(found.base)}".rstrip(), *_shown(found)]
+        lines = [f"{head} {what_was_absorbed(found.base)}".rstrip(), no_test_fires(found)]
+        shown = ", ".join(f"{d.effect.label} {d.smallest:.3g} {d.unit}".strip() for d in found.detectable[:4])
+        lines += [f"It would have shown, with 95 % probability: {shown}."] if shown else []
     elif worst is not None:  # without motion nothing could be tested
         lines += _open_law(found)
         fails = f"The residual of the model as it is fails {failed_test(worst)}."
@@ -78,8 +80,8 @@ def sentences(found: Diagnosis) -> list[str]:
             lines += [found.left_to_noise, numbers_that_moved(determined(found.floated)), _ALIKE]
         lines += _meaning(found)
         lines += _columns(found)
-    place = None if found.best is None or found.verdict == "unexplained" else found.best.effect.place
-    hidden = place is not None and found.none_of_these > levels().no_law
+    is_law = found.best is not None and found.verdict != "unexplained"
+    hidden = is_law and found.none_of_these > levels().no_law
     if hidden and not found.force_ratio:
         lines.append(
             f"A{_force(found)[1:]} that follows none of the laws, though this record hardly "
@@ -132,10 +134,6 @@ def next_step(found: Diagnosis | Improvement) -> str:
     return "found.plot()  # the force against the motion, and what is left over"
 
 
-def _place(found: Diagnosis) -> str:
-    return f"{found.places[found.place]:.2f}" if found.place is not None else ""
-
-
 def failed_test(test: FTest) -> str:
     """What a failed test shows, under the name by which `Diagnosis.tests` has it.
 
@@ -165,15 +163,6 @@ def no_test_fires(found: Diagnosis) -> str:
     )
 
 
-def _shown(found: Diagnosis) -> list[str]:
-    """What no test saw, and what it would have seen."""
-    lines = [no_test_fires(found)]
-    if found.detectable:
-        shown = ", ".join(f"{d.effect.label} {d.smallest:.3g} {d.unit}".strip() for d in found.detectable[:4])
-        lines.append(f"It would have shown, with 95 % probability: {shown}.")
-    return lines
-
-
 def _open_law(found: Diagnosis) -> list[str]:
     """What is known of a force that follows none of the laws."""
     law = found.open_law
@@ -181,15 +170,11 @@ def _open_law(found: Diagnosis) -> list[str]:
         return []
     fits = f"fit {found.ranking[0].fit_before:.4g} -> {law.fit_after:.4g} %"
     port = found.base.physical_model.port(law.effect.place)
-    lines = [f"law() tabulates the {port.acts_by} {_range(law.effect.law, port)}: {fits}."]
+    knots = zip(port.senses, (law.effect.law.d, law.effect.law.v), strict=True)
+    shown = " and a ".join(f"{name} of {x[0]:.3g} to {x[-1]:.3g}" for name, x in knots if x)
+    lines = [f"law() tabulates the {port.acts_by} for a {shown}: {fits}."]
     near = ", ".join(f"{effect.label} {max(share, 0):.0f} %" for effect, share in law.nearest[:3])
     return [*lines, f"Of that {port.acts_by} explain: {near}."] if near else lines
-
-
-def _range(table: Any, port: Port) -> str:
-    """Where the table has its knots: what lies beyond them no record has shown."""
-    knots = zip(port.senses, (table.d, table.v), strict=True)
-    return "for a " + " and a ".join(f"{name} of {x[0]:.3g} to {x[-1]:.3g}" for name, x in knots if x)
 
 
 def _force(found: Diagnosis) -> str:
