@@ -84,7 +84,9 @@ def told_beside(found: Diagnosis, beside: Answer | Unanswered) -> Answer:
 
 def _with_a_gain(case: Case, found: Diagnosis) -> Refinement | None:
     """The model whose numbers float, where a gain is all that it lacks: that is one more of its numbers."""
-    if found.verdict != "effect" or found.best is None or not found.best.effect.spec.relative:
+    # where all parameters are estimated, a record may leave open which of two sensors has the gain
+    alike = all(effect.spec.relative for effect in found.ambiguous)
+    if found.best is None or not found.best.effect.spec.relative or not alike:
         return None
     model, gain = found.best.refinement, found.best.effect
     roles = ["linear" if e == gain else role for e, role in zip(model.effects, model.roles, strict=True)]

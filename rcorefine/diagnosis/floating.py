@@ -9,7 +9,7 @@ import numpy as np
 
 from ..effects.bodies import Mass
 from ..effects.effect import Effect
-from ..exceptions import ModelError
+from ..exceptions import IdentifiabilityWarning, ModelError, unheard
 from ..inference.assembly import nominal_size
 from ..inference.basis import Basis, project
 from ..inference.f_tests import FTest
@@ -113,7 +113,7 @@ def _fit(
     if sds is not None:
         named = zip(numbers, sds, strict=True)
         numbers = [e.replace(prior={e.coefficients[0]: float(sd)}) for e, sd in named]
-    with case.progress.step("parameters"):
+    with case.progress.step("parameters"), unheard(IdentifiabilityWarning):  # `determined` says it
         return by(case.base, case.records, free=numbers, **case.options)
 
 
@@ -148,7 +148,8 @@ def _let_go(case: Case, refined: Refinement) -> Refinement:
     not determine may be as far off: all priors grow by one factor, so that the mean square of the former
     is as expected, and that of a parameter which is further off still grows to what it is off by.
     """
-    numbers, by = _numbers(case), base_fit
+    by: Callable[..., Refinement] = base_fit
+    numbers = _numbers(case)
     near = np.array([sd for e in numbers for sd in e.prior.values()])
     wide = near
     if float(np.min(refined.fit)) < STRONG:  # resonances moved: another valley

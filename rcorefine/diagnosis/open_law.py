@@ -63,7 +63,8 @@ class FreeForces:
     law : OpenLaw or None
         At the likeliest place; None where that is no port, or where the free run is worse with it.
     left : float
-        Share of the error beyond noise that is left with whatever is likeliest: 0 where it explains all.
+        Share of the error beyond noise that is left at the likeliest place, 0 where it is explained: by the
+        free force there, by the best candidate where that is no port, else by the static curve.
     """
 
     log_likelihoods: dict[str, float]
@@ -86,26 +87,26 @@ def open_law(race: CandidateFits) -> FreeForces:
     places = [rival.effect.place for rival in race.rivals]
     found: dict[str, FreeForm] = {}
     for place in list(dict.fromkeys(places))[:_PLACES]:
-        led = race.ratio or 1.0  # an observer of high gain follows the motion of the record
-        curve = curve_at(race.fitted, place, led)
+        # an observer of high gain follows the motion of the record
+        curve = curve_at(race.fitted, place, race.ratio or 1.0)
         if curve is not None:
             found[place] = fit_free_form(race.fitted, curve, race.whitener, race.ratio, rounds=_FIRST)
     free = {place: form.log_likelihood(race.whitener, race.ratio) for place, form in found.items()}
     static = _static(race)
     free |= {place: value for place, (value, _) in static.items()}
     best = max([(race.rivals[0].log_likelihood, places[0]), *zip(free.values(), free, strict=True)])[1]
-    after = [static[best][1]] if best in static else []
-    if best in places:
-        after.append(race.model(places.index(best)).residuals(race.ratio))
     if best in found:
         first = found[best]
         found[best] = fit_free_form(race.fitted, first.curve, first.whitener, race.ratio, start=first)
         free[best] = found[best].log_likelihood(race.whitener, race.ratio)
-        after.append(found[best].fitted.residuals(race.ratio))
-    scales = [race.fitted.problem.whitener(residuals).scales for residuals in after]
-    before = race.fitted.residuals(race.ratio)
-    left = [beyond(r, x) / (beyond(before, x) or 1.0) for r, x in zip(after, scales, strict=True)]
-    return FreeForces(free, _tabulated(race, found[best]) if best in found else None, min(1.0, *left))
+        after = found[best].fitted.residuals(race.ratio)
+    elif best in places:  # fitted, where the curve is a linear step
+        after = race.model(places.index(best)).residuals(race.ratio)
+    else:
+        after = static[best][1]
+    scales = race.fitted.problem.whitener(after).scales
+    left = beyond(after, scales) / (beyond(race.fitted.residuals(race.ratio), scales) or 1.0)
+    return FreeForces(free, _tabulated(race, found[best]) if best in found else None, min(1.0, left))
 
 
 def _static(race: CandidateFits) -> dict[str, tuple[float, list[Array]]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..inference.levels import levels
 from ..words import chance, with_error
@@ -170,7 +170,8 @@ def _open_law(found: Diagnosis) -> list[str]:
         return []
     fits = f"fit {found.ranking[0].fit_before:.4g} -> {law.fit_after:.4g} %"
     port = found.base.physical_model.port(law.effect.place)
-    knots = zip(port.senses, (law.effect.law.d, law.effect.law.v), strict=True)
+    table: Any = law.effect.law
+    knots = zip(port.senses, (table.d, table.v), strict=True)
     shown = " and a ".join(f"{name} of {x[0]:.3g} to {x[-1]:.3g}" for name, x in knots if x)
     lines = [f"law() tabulates the {port.acts_by} for a {shown}: {fits}."]
     near = ", ".join(f"{effect.label} {max(share, 0):.0f} %" for effect, share in law.nearest[:3])
