@@ -197,7 +197,7 @@ def test_no_name_but_place_and_curve():
     model, records, noise, found = sine_spring()
     assert found.verdict == "unexplained"
     assert found.place == "link1"
-    assert sum(found.places.values()) == pytest.approx(1.0)
+    assert 0.99 < sum(found.places.values()) < 1.0  # what the curve leaves is at no known place
     assert found.none_of_these == 1.0
     assert np.isnan([row.probability for row in found.ranking]).all()
     law = found.law()
@@ -286,6 +286,6 @@ def test_a_true_law_keeps_its_name_and_all_sums_to_one():
     assert rco.Effect("cubic_stiffness", "link1") in found.ambiguous
     total = found.none_of_these + sum(row.probability for row in found.ranking)
     assert total == pytest.approx(1.0)
-    assert sum(found.places.values()) == pytest.approx(1.0)
+    assert 0.99 < sum(found.places.values()) < 1.0  # what the curve leaves is at no known place
     with pytest.raises(rco.ModelError, match="no law is open"):
         found.law()

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import control as ct
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete, dlsim
-from scipy.stats import chi2, norm
+from scipy.stats import binom, chi2, norm
 
 import rcorefine as rco
-from rcorefine.diagnosis.absorbed import numbers_that_moved
+from rcorefine.diagnosis.absorbed import determined, numbers_that_moved
 from rcorefine.diagnosis.case import Case
 from rcorefine.diagnosis.floating import explaining_numbers, floating
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
 from rcorefine.inference.refinement import EstimatedParameter
 from rcorefine.progress import Progress
+from rcorefine.refinement.base_fit import base_fit
 
 M, C, K = (1.0, 0.6), (0.4, 0.3), (120.0, 90.0)  # two masses on the ground and on each other
 FACTORS = {"m2": 0.97, "k1": 1.03, "k2": 0.98, "c1": 1.04}
@@ -110,11 +112,69 @@ def test_numbers_that_floated_to_no_model_at_all_are_no_answer(damping: float) -
     assert explaining_numbers(case, replace(floated, theta=theta)) is None
 
 
-def test_masses_of_a_plain_model_float_as_far_as_nothing_rescales_them() -> None:
-    found = rco.diagnose(PLAIN, record(3, **FACTORS))
+def test_every_parameter_of_a_plain_model_is_estimated() -> None:
+    """Masses, springs, dampers and the input gain: the outputs determine their quotients alone."""
+    factors = FACTORS | {"k1": 1.12, "k2": 0.9}
+    found = rco.diagnose(PLAIN, record(3, **factors))
     names = {row.name for row in found.parameters}
-    assert names >= {"m[q1]", "m[q2]"}
-    assert "gain[u[0]]" not in names
+    assert names >= {"m[q1]", "m[q2]", "k[q1]", "c[q1]", "gain[u[0]]"}
+    assert found.floated is not None
+    quotient = {row.name: row for row in determined(found.floated)}["k[q1] / m[q1]"]
+    assert abs(quotient.value - 1.12) < 4 * quotient.std < 0.02
+    single = next(row for row in found.parameters if row.name == "k[q1]")
+    assert single.std / single.initial > 0.01  # it may be off as a whole with all the others
+    assert "k[q1] / m[q1] 1.1" in " ".join(str(found).split())
+
+
+def oscillator(m: float, k: float, c: float, gain: float) -> ct.StateSpace:
+    return ct.ss([[0, 1], [-k / m, -c / m]], [[0], [gain / m]], [[1.0, 0]], 0, states=["x", "v"])
+
+
+def motor(J: float, b: float, L: float, R: float) -> rco.PhysicalModel:
+    return rco.dc_motor(R=R, L=0.005 * L, Kt=0.05, J=2e-4 * J, b=1e-4 * b)
+
+
+def chain(m1: float, m2: float, c1: float, c2: float, k1: float, k2: float) -> ct.StateSpace:
+    A, B = matrices(m1=m1, m2=m2, c1=c1, c2=c2, k1=k1, k2=k2)
+    return ct.ss(A, B, np.eye(4)[:2], np.zeros((2, 1)), states=["q1", "q2", "v1", "v2"])
+
+
+@pytest.mark.filterwarnings("ignore::rcorefine.exceptions.IdentifiabilityWarning")
+@pytest.mark.parametrize(
+    ("plant", "names", "dt"),
+    [
+        (lambda f: oscillator(0.5 * f[0], 25 * f[1], 0.4 * f[2], f[3]), "m[x] k[x] c[x] gain[u[0]]", 0.02),
+        (lambda f: motor(*f), "J b L R", 0.002),
+        (lambda f: chain(*f), "m[q1] m[q2] c[q1] c[q1-q2] k[q1] k[q1-q2]", 0.03),
+        (lambda f: rco.series_rlc(10 * f[0], 0.1 * f[1], 1e-3 / f[2]), "R L 1/C", 0.002),
+    ],
+    ids=["oscillator", "motor", "chain", "circuit"],
+)
+def test_intervals_of_95_percent_hold_the_truth(plant: Any, names: str, dt: float) -> None:
+    """Parameters drawn from the prior of 5 %: of each, one interval in 20 may miss (10 records)."""
+    inside = []
+    for seed in range(10):
+        rng = np.random.default_rng([seed, 7])
+        factors = 1.0 + 0.05 * rng.standard_normal(len(names.split()))
+        system = getattr(true := plant(factors), "linear", true)
+        A, B, C, D = (np.asarray(getattr(system, name), dtype=float) for name in "ABCD")
+        u = 10 * rng.standard_normal((1000, B.shape[1]))
+        y = dlsim((*cont2discrete((A, B, C, D), dt)[:4], dt), u)[1].T
+        y = y + 0.02 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
+        data = rco.Measurement(u.T, y, dt=dt)
+        asked = {"free": (), "tolerance": 0.0, "offset": True, "noise": None, "horizon": None}
+        model = plant(np.ones(factors.size))
+        case = Case.prepare(base_fit(model, [data], **asked), [data], None, asked, 0.01, Progress(), True)
+        found = explaining_numbers(case, floating(case))
+        if found is None:
+            continue
+        rows = {row.name: row for row in found.refinement.parameters}
+        told = [rows[name] for name in names.split()]
+        z = [(r.value / r.initial - f) / (r.std / r.initial) for r, f in zip(told, factors, strict=True)]
+        inside.append(np.abs(z) < norm.isf(0.025))
+    assert len(inside) >= 8
+    least = binom.ppf(0.005 / len(inside[0]), len(inside), 0.95)  # one parameter of a record tells on another
+    assert np.all(np.sum(inside, axis=0) >= least)
 
 
 def test_a_single_spring_keeps_its_name() -> None:

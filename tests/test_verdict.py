@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from rcorefine.diagnosis.open_law import FreeForces
 from rcorefine.diagnosis.open_law import probabilities as by_place
 from rcorefine.diagnosis.verdict import keeps_name, overall, passes, probabilities, tied, verdict
 from rcorefine.inference.f_tests import FTest
@@ -83,6 +84,14 @@ def test_a_force_at_no_known_place_is_at_no_place() -> None:
     shares, none, places = by_place(race, np.log(3.0), np.log(12.0), None)
     np.testing.assert_allclose([*shares, none], [*odds[:2] / odds.sum(), odds[2:].sum() / odds.sum()])
     assert places == pytest.approx({"a": 4.0 / odds.sum(), "b": odds[1] / odds.sum()})
+
+
+@pytest.mark.parametrize("left", [0.0, 0.3, 0.6, 1.0])
+def test_what_the_likeliest_force_leaves_is_at_no_known_place(left: float) -> None:
+    rival = SimpleNamespace(effect=SimpleNamespace(place="a"), log_likelihood=0.0)
+    free = FreeForces({"a": 40.0, "u": 0.0}, None, left)
+    places = by_place(SimpleNamespace(rivals=[rival]), -np.inf, -np.inf, free)[2]
+    assert sum(places.values()) == pytest.approx(1.0 - left, abs=1e-9)
 
 
 def test_levels_of_a_session() -> None:

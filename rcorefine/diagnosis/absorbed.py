@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,9 +11,12 @@ from ..inference.levels import levels
 from ..inference.refinement import EstimatedParameter, Refinement
 from ..words import with_error
 
-__all__ = ["far_numbers", "numbers_that_moved", "percent", "what_was_absorbed"]
+__all__ = ["determined", "far_numbers", "numbers_that_moved", "percent", "what_was_absorbed"]
 
 _MOST = 6  # numbers that are listed
+_TOLD = 0.1  # of the standard deviation of its prior, below which a parameter is determined alone
+_ALONE = 0.1  # of its variance that is left where others are known, below which only products are determined
+_POWER = 0.05  # of a parameter in a product, below which it takes no part
 
 
 def what_was_absorbed(base: Refinement) -> str:
@@ -71,6 +75,53 @@ def numbers_that_moved(rows: Sequence[EstimatedParameter]) -> str:
         f"Moved by more than chance, if the sensors are as the model has them: {', '.join(said)}{more}."
         f"{doubt if far else ''}"
     )
+
+
+def determined(model: Refinement) -> list[EstimatedParameter]:
+    """Return the parameters of a model, or their products and quotients, that the data determine.
+
+    Parameters
+    ----------
+    model : Refinement
+        Its linear parameters were estimated, each with a prior.
+
+    Returns
+    -------
+    list of EstimatedParameter
+        A parameter that the data determine only in relation to others is replaced by its product with
+        powers of as few of them as possible, as a multiple of nominal.
+    """
+    prior = {(e.kind, e.place): sd for e in model.effects for sd in e.prior.values()}
+    at = [i for i, r in enumerate(model.parameters) if r.role == "linear" and (r.kind, r.place) in prior]
+    rows = [model.parameters[i] for i in at]
+    size = np.abs([row.value for row in rows])  # of logarithms: products of parameters are sums
+    widths = np.array([prior[row.kind, row.place] for row in rows]) / size
+    C = model.covariance[np.ix_(at, at)] / np.outer(size, size)
+    left, held = C, list[int]()
+    while True:
+        sds = np.sqrt(np.maximum(np.diag(left), 1e-300))
+        alike = np.sum((left / np.outer(sds, sds)) ** 2 > 1.0 - _ALONE, axis=0) * (sds > _TOLD * widths)
+        if np.max(alike, initial=0) < 2:  # itself
+            break
+        held.append(int(np.argmax(alike)))  # known, it would determine the most others
+        taken = left[:, held[-1]]
+        left = left - np.outer(taken, taken) / taken[held[-1]]
+        left[held[-1]] = left[:, held[-1]] = 0.0
+    powers = -np.linalg.lstsq(C[np.ix_(held, held)], C[held], rcond=None)[0]
+    found = []
+    for i, row in enumerate(rows):
+        if left[i, i] > _ALONE * C[i, i] or C[i, i] < (_TOLD * widths[i]) ** 2:
+            found.append(row)
+        elif i not in held:
+            name, ratio = row.name, row.value / row.initial
+            for k, power in zip(held, powers[:, i], strict=True):
+                if abs(power) > _POWER:
+                    written = "" if abs(abs(power) - 1.0) < _POWER else f"^{abs(power):.2g}"
+                    name += f" {'*' if power > 0 else '/'} {rows[k].name}{written}"
+                    ratio *= abs(rows[k].value / rows[k].initial) ** power
+            std = abs(ratio) * float(np.sqrt(max(left[i, i], 0.0)))
+            found.append(replace(row, name=name, initial=1.0, value=ratio, coefficient=ratio - 1.0, std=std))
+    return found
 
 
 def far_numbers(rows: Sequence[EstimatedParameter]) -> list[str]:

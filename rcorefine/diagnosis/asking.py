@@ -103,9 +103,10 @@ def ask(case: Case, validation: Measurement | None) -> Answer | Unanswered:
     -------
     Answer or Unanswered
     """
-    unknown = _unseen(case)
-    if unknown is not None:
-        return Answer(unknown)
+    still = case.in_time and (no_motion(case.ordered) or not_excited(case.base, case.ordered))
+    if still:  # nothing moves in the records
+        own = {"force_ratio": 0.0, "notes": (still,), **case.about}
+        return Answer(Diagnosis("ambiguous", (), tuple(case.library), (), (), (), **own))
     with case.progress.step("tests"):
         near = in_race(case.fitted, case.library, (0.0, *case.observers))
         scored = candidate_columns(case.fitted, near, case.motions[0], (0.0, *case.observers))
@@ -156,12 +157,3 @@ def _fine(case: Case, explained: Explained) -> Answer:
         return Answer(fine)
     short = [explained.scored[i] for i in shortlist(explained.scored, [explained.battery])[0]]
     return Answer(fine, fit_candidates(case.fitted, short, progress=case.progress))
-
-
-def _unseen(case: Case) -> Diagnosis | None:
-    """The verdict on records in which nothing moves."""
-    still = case.in_time and (no_motion(case.ordered) or not_excited(case.base, case.ordered))
-    if not still:
-        return None
-    alike = tuple(case.library)
-    return Diagnosis("ambiguous", (), alike, (), (), (), force_ratio=0.0, notes=(still,), **case.about)

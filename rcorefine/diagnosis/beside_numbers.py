@@ -11,7 +11,7 @@ from ..exceptions import ModelError
 from ..inference.f_tests import FTest
 from ..inference.refinement import Refinement
 from ..refinement.refine import refit
-from .absorbed import numbers_that_moved, percent
+from .absorbed import determined, numbers_that_moved, percent
 from .asking import Ask, Unanswered
 from .case import Case, not_held
 from .result import Diagnosis
@@ -52,8 +52,12 @@ def beside_numbers(first: Unanswered, again: Ask) -> Answer | Unanswered | None:
     found, race = answer.found, answer.race
     if found.verdict == "unexplained":
         return answer
-    is_named = found.verdict in ("effect", "ambiguous")
-    if not (is_named and _are_off(case, found) and gains(case, first.judged, race)):
+    if found.verdict not in ("effect", "ambiguous") or found.best is None:
+        return None
+    least, sure = _MATTERS * case.levels.off, case.levels.moved  # a parameter deviates by what matters
+    rows = determined(found.best.refinement)
+    off = any(abs(r.coefficient) > max(sure * r.std, least * abs(r.initial)) for r in rows)
+    if not (off and gains(case, first.judged, race)):
         return None
     further = _with_a_gain(case, found)
     if further is not None:
@@ -78,33 +82,22 @@ def told_beside(found: Diagnosis, beside: Answer | Unanswered) -> Answer:
     return Answer(_told(beside.found, found.tests), beside.race)
 
 
-def _are_off(case: Case, found: Diagnosis) -> bool:
-    """Whether a number is off beside the law, for certain and by what matters."""
-    least, sure = _MATTERS * case.levels.off, case.levels.moved
-    rows = () if found.best is None else found.best.refinement.parameters
-    return any(
-        abs(r.coefficient) > max(sure * r.std, least * abs(r.initial)) for r in rows if r.role == "linear"
-    )
-
-
-def _told(found: Diagnosis, tests: Sequence[FTest]) -> Diagnosis:
-    return replace(found, tests=tuple(tests), notes=(_in_words(found), *found.notes))
-
-
 def _with_a_gain(case: Case, found: Diagnosis) -> Refinement | None:
     """The model whose numbers float, where a gain is all that it lacks: that is one more of its numbers."""
-    if found.verdict != "effect" or found.best is None or not found.best.effect.spec.relative:
+    # where all parameters are estimated, a record may leave open which of two sensors has the gain
+    alike = all(effect.spec.relative for effect in found.ambiguous)
+    if found.best is None or not found.best.effect.spec.relative or not alike:
         return None
     model, gain = found.best.refinement, found.best.effect
     roles = ["linear" if e == gain else role for e, role in zip(model.effects, model.roles, strict=True)]
     return refit(replace(model, roles=tuple(roles)), case.records, elsewhere=False, **case.options)
 
 
-def _in_words(found: Diagnosis) -> str:
-    """What is said where a law is sought while all numbers of the model float."""
+def _told(found: Diagnosis, tests: Sequence[FTest]) -> Diagnosis:
+    """The diagnosis, with what is said where a law is sought while all parameters are estimated."""
     said = "No law alone explains the record, nor do the numbers of the model: these float beside every law."
-    if found.verdict in ("effect", "ambiguous") and found.best is not None:
-        rows = [row for row in found.best.refinement.parameters if row.role == "linear"]
-        return f"{said} {numbers_that_moved(rows)}"
     before, after = (percent(fit) for fit in (found.base.initial_fit, found.base.fit))
-    return f"{said} The numbers alone take the fit from {before} to {after}."
+    more = f"The numbers alone take the fit from {before} to {after}."
+    if found.verdict in ("effect", "ambiguous") and found.best is not None:
+        more = numbers_that_moved(determined(found.best.refinement))
+    return replace(found, tests=tuple(tests), notes=(f"{said} {more}", *found.notes))

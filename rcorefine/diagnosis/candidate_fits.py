@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -189,6 +189,7 @@ def fit_candidates(
         whitener = _settle_widths(fitted, rivals, polished, ratio, whitener)
     with progress.step("substeps"):
         whitener = _settle_substeps(fitted, polished, ratio, whitener)
+    whitener = _from_free_runs(fitted, polished, ratio, whitener)
     _settle(fitted, rivals, ratio, whitener, progress)
     white = whitener.apply(fitted.residuals(ratio))
     base = -0.5 * (float(white @ white) + prior_cost(fitted.problem, fitted.point))
@@ -196,6 +197,29 @@ def fit_candidates(
     rivals = [r for r in rivals if r.log_likelihood + price(r, white.size) >= base - LACK]
     rivals.sort(key=lambda r: -r.log_likelihood)
     return CandidateFits(fitted, rivals, ratio, whitener, base, left) if rivals else None
+
+
+def _from_free_runs(
+    fitted: FittedModel, rivals: Sequence[CandidateFit], ratio: float, whitener: Whitener
+) -> Whitener:
+    """Restart the finalists from their free-run optima where one of these has the smaller innovations.
+
+    Those whose substeps or widths changed first find their free-run optima again. A filter fitted to slow
+    errors makes these cheap: under it, a descent may end far from the free-run optimum.
+    """
+    plain = [replace(r, descent=r.free_run) for r in rivals if r.free_run is not None]
+    for rival, free in zip(rivals, plain, strict=True):
+        if rival.raced is not rival.candidate and not ratio:
+            rival.free_run = free.descent = continued(fitted, free, ratio, None, 10)
+            rival.raced = rival.candidate
+    best = min(map(whitener_of, plain), key=lambda one: float(np.sum(np.log(one.scales))))
+    if 2 * fitted.problem.n_points * np.mean(np.log(whitener.scales / best.scales)) <= _AS_GOOD:
+        return whitener
+    for rival, free in zip(rivals, plain, strict=True):
+        stands = [remeasured(r.candidate.problem, r.descent, best) for r in (rival, free)]
+        rival.descent = min(stands, key=lambda descent: descent.cost)
+        rival.descent = continued(fitted, rival, ratio, best, 10, 1e-7)
+    return whitener_of(min(rivals, key=lambda r: r.descent.cost))
 
 
 def _entered(fitted: FittedModel, rival: CandidateFit, ratio: float) -> CandidateFit:

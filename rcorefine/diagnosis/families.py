@@ -17,14 +17,7 @@ from ..systems.linear import Array
 from .candidate_fit import LACK, CandidateFit, price
 from .starts import force_along, gain_for, imitated
 
-__all__ = [
-    "contains",
-    "hosts",
-    "in_families",
-    "said_of_families",
-    "start_from",
-    "stuck_fits",
-]
+__all__ = ["contains", "hosts", "in_families", "said_of_families", "start_from", "stuck_fits"]
 
 _MOVING = 0.98  # of the samples: friction turns over in the others
 
@@ -85,11 +78,9 @@ def _same_force(special: CandidateFit, general: CandidateFit, level: float) -> b
         return True
     simple, more = (force_along(r.candidate, r.descent.point) for r in (special, general))
     if simple is None or more is None:  # what it does to the outputs tells, where no force is known
-        without, one, other = (
-            _outputs(special.candidate.fitted.problem, special.candidate.fitted.point),
-            _outputs(special.candidate.problem, special.descent.point),
-            _outputs(general.candidate.problem, general.descent.point),
-        )
+        base, fits = special.candidate.fitted, (special, general)
+        without = _outputs(base.problem, base.point)
+        one, other = (_outputs(r.candidate.problem, r.descent.point) for r in fits)
         return bool(np.linalg.norm(other - one) <= level * np.linalg.norm(one - without))
     one, other = (force - np.median(force) for *_, force in (simple, more))
     apart = np.sort(np.abs(other - one - np.median(other - one)))[: int(_MOVING * one.size)]

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..effects.bodies import Mass
 from ..effects.effect import Effect
-from ..exceptions import ModelError
+from ..exceptions import IdentifiabilityWarning, ModelError, unheard
 from ..inference.assembly import nominal_size
 from ..inference.basis import Basis, project
 from ..inference.f_tests import FTest
 from ..inference.fitted import FittedModel, fitted_from
 from ..inference.refinement import Refinement
-from ..inference.sensitivities import Candidate, candidate_columns, parameter_columns
+from ..inference.sensitivities import Candidate, candidate_columns
 from ..inference.starts import estimated_motion
 from ..models.library import effect_library
 from ..refinement.base_fit import base_fit
@@ -39,7 +39,8 @@ __all__ = [
     "rivals_of_numbers",
 ]
 
-_OWN = 1e-4  # share of a column that no other number explains, below which it is none of its own
+_SEEN = 0.5  # share of its prior variance that the data take from a combination which they determine
+_SAME = 0.1  # relative change of a prior that is none
 _PROMISED = 0.5  # share of the gain of the numbers that the score of a law must promise to be worth a refit
 _LAWS = 3  # of them
 _LEFT = 2.0  # standard deviations of a prior beyond which a number has left it
@@ -106,57 +107,68 @@ def explaining_numbers(case: Case, refined: Refinement | None, *, far: bool = Fa
     return Floated(fitted, battery, tests, _evidence(battery, case.fitted.problem.n_theta), reported)
 
 
-def _fit(case: Case, numbers: list[Effect], by: Callable[..., Refinement] = base_fit) -> Refinement:
-    with case.progress.step("parameters"):
+def _fit(
+    case: Case, numbers: list[Effect], by: Callable[..., Refinement] = base_fit, sds: Array | None = None
+) -> Refinement:
+    if sds is not None:
+        named = zip(numbers, sds, strict=True)
+        numbers = [e.replace(prior={e.coefficients[0]: float(sd)}) for e, sd in named]
+    with case.progress.step("parameters"), unheard(IdentifiabilityWarning):  # `determined` says it
         return by(case.base, case.records, free=numbers, **case.options)
 
 
 def _tested(case: Case, refined: Refinement) -> tuple[FittedModel, TestedResidual, list[FTest]] | None:
     """A model whose numbers float on its records, if it passes every test."""
     try:
-        return _passing(case, refined)
+        problem = case.fitted.problem
+        noise = 1.0 / problem.weights  # in the units of the noise that the candidates are compared in
+        fitted = fitted_from(refined, problem.records, tolerance=case.options["tolerance"], noise=noise)
+        battery = TestedResidual(fitted)
+        motions = [estimated_motion(fitted.structure, fitted.theta, m.data) for m in case.motions]
+        if case.excess(fitted) > case.levels.noise_excess:
+            return None
+        others = passed_without_library(battery, motions, case.significance)
+        if others is None:
+            return None  # the library cannot mend what fails without it
+        library = not_held(case.library, fitted.structure.effects)
+        near = in_race(fitted, library, (0.0,))
+        scored = candidate_columns(fitted, near, motions[0], (0.0,))
+        tests = run_tests(battery, scored, motions, len(library) - len(near), others)
+        if overall(tests) < case.significance or gain_over_color(battery, scored) >= case.levels.color:
+            return None
+        return fitted, battery, tests
     except ModelError:  # floated to where no observer leads it, or it runs away within a sample
         return None
 
 
-def _passing(case: Case, refined: Refinement) -> tuple[FittedModel, TestedResidual, list[FTest]] | None:
-    problem = case.fitted.problem
-    noise = 1.0 / problem.weights  # in the units of the noise that the candidates are compared in
-    fitted = fitted_from(refined, problem.records, tolerance=case.options["tolerance"], noise=noise)
-    battery = TestedResidual(fitted)
-    motions = [estimated_motion(fitted.structure, fitted.theta, m.data) for m in case.motions]
-    if case.excess(fitted) > case.levels.noise_excess:
-        return None
-    others = passed_without_library(battery, motions, case.significance)
-    if others is None:
-        return None  # the library cannot mend what fails without it
-    library = not_held(case.library, fitted.structure.effects)
-    near = in_race(fitted, library, (0.0,))
-    scored = candidate_columns(fitted, near, motions[0], (0.0,))
-    tests = run_tests(battery, scored, motions, len(library) - len(near), others)
-    if overall(tests) < case.significance or gain_over_color(battery, scored) >= case.levels.color:
-        return None
-    return fitted, battery, tests
-
-
 def _let_go(case: Case, refined: Refinement) -> Refinement:
-    """The numbers without the pull of a prior that they have left: it grows to as far as they went."""
+    """Re-estimate with priors as wide as the parameters turn out to be off.
+
+    Where the combinations that the data determine are further off than the prior says, those that they do
+    not determine may be as far off: all priors grow by one factor, so that the mean square of the former
+    is as expected, and that of a parameter which is further off still grows to what it is off by.
+    """
+    by: Callable[..., Refinement] = base_fit
     numbers = _numbers(case)
+    near = np.array([sd for e in numbers for sd in e.prior.values()])
+    wide = near
     if float(np.min(refined.fit)) < STRONG:  # resonances moved: another valley
-        wide = 1.0 / case.levels.off
-        loose = [e.replace(prior={name: wide * sd for name, sd in e.prior.items()}) for e in numbers]
-        return _fit(case, loose, refine)
+        wide, by = near / case.levels.off, refine
+        refined = _fit(case, numbers, by, wide)
     for _ in range(_ROUNDS):
-        moved = {(row.kind, row.place): abs(row.coefficient) for row in refined.parameters}
-        wider = []
-        for effect in numbers:
-            (name,), (sd,) = effect.coefficients, effect.prior.values()
-            far = moved[effect.kind, effect.place]
-            wider.append(effect.replace(prior={name: far}) if far > _LEFT * sd else effect)
-        if [e.prior for e in wider] == [e.prior for e in numbers]:  # equality of effects leaves priors out
+        rows = [(row.kind, row.place) for row in refined.parameters]
+        at = [rows.index((e.kind, e.place)) for e in numbers]
+        moved = refined.theta[at]
+        C = np.nan_to_num(refined.covariance[np.ix_(at, at)] / np.outer(wide, wide), posinf=1.0)
+        told, turn = np.linalg.eigh(np.eye(len(at)) - C)  # share of the prior variance that data took away
+        seen = told > _SEEN
+        off = (turn.T @ (moved / wide))[seen] ** 2 / told[seen]
+        wider = np.maximum(near, wide * np.sqrt(np.mean(off) if off.size else 0.0))
+        wider = np.where(np.abs(moved) > _LEFT * wider, np.abs(moved), wider)
+        if np.allclose(wider, wide, rtol=_SAME):
             break
-        numbers = wider
-        refined = _fit(case, numbers)
+        wide = wider
+        refined = _fit(case, numbers, by, wide)
     return refined
 
 
@@ -174,43 +186,18 @@ def _evidence(battery: TestedResidual, held: int) -> float:
 
 
 def _numbers(case: Case) -> list[Effect]:
-    """What can float yet, each with its prior; a number that only rescales earlier ones is left out.
+    """Return every parameter that can be estimated, with its prior.
 
-    Masses come first, so that beside them it is a gain that is left out.
+    Parameters that only rescale others are among them: held at nominal, they would make the others look
+    surer than the record makes them.
     """
     physical, structure = case.base.physical_model, case.fitted.structure
     declared = [Effect(q.kind, q.place) for q in physical.parameters]
     masses = [e for e in effect_library(physical) if e.kind == Mass.name]
     everything = list({(e.kind, e.place): e for e in [*masses, *declared]}.values())
     sized = [(e, nominal_size(structure, e)) for e in not_held(everything, case.base.effects)]
-    sized = [(e, size) for e, size in sized if 0.0 < size < np.inf]
-    if not sized:
-        return []
-    columns = parameter_columns(case.fitted, [e for e, _ in sized], case.motions[0], 0.0)
-    flat = np.concatenate([block.reshape(-1, len(sized)) for block in columns])
-    held = [j.reshape(r.size, j.shape[2]) for r, j in case.fitted.blocks()]
-    p = case.fitted.problem.n_theta
-    own = _independent(flat, Basis.of([J[:, :p] for J in held], [J[:, p:] for J in held]))
     spread = case.levels.off
-    return [
-        e.replace(prior={e.coefficients[0]: spread * size})
-        for (e, size), new in zip(sized, own, strict=True)
-        if new
-    ]
-
-
-def _independent(columns: Array, basis: Basis) -> list[bool]:
-    """Whether each column holds something that the basis and the columns before it do not."""
-    own = []
-    for column in columns.T:
-        size = float(np.linalg.norm(column))
-        for _ in range(2):  # twice: the first projection leaves rounding of what it takes away
-            column = project(column, basis)
-        left = float(np.linalg.norm(column))
-        own.append(left > _OWN * size)
-        if own[-1]:
-            basis = replace(basis, common=np.column_stack([basis.common, column / left]))
-    return own
+    return [e.replace(prior={e.coefficients[0]: spread * x}) for e, x in sized if 0.0 < x < np.inf]
 
 
 def rivals_of_numbers(case: Case, numbers: Floated, scored: Sequence[Candidate]) -> bool:

@@ -9,11 +9,11 @@ import numpy as np
 
 from ..exceptions import ModelError
 from ..inference.f_tests import FTest
-from ..inference.fitted import FittedModel
 from ..inference.levels import Levels
 from ..inference.sensitivities import Candidate, candidate_columns
 from ..inference.starts import estimated_motion
 from ..progress import Progress
+from ..systems.linear import Array
 from .beside import Beside
 from .candidate_fits import CandidateFits, fit_candidates
 from .case import Case, not_held
@@ -27,6 +27,7 @@ from .unmeasured_force import likely_forces
 __all__ = [
     "Judged",
     "beside_force",
+    "beyond",
     "judge",
     "outweighed",
     "outweighs",
@@ -151,15 +152,17 @@ def _left_to_force(race: CandidateFits, free: CandidateFits) -> float:
     Nobody has measured that force, and it explains whatever a law does: the name is as likely as its share
     of the error of the free run, beyond what is new in each sample.
     """
-
-    def beyond(fitted: FittedModel) -> float:
-        left = np.hstack(fitted.residuals()) / race.whitener.scales[:, None]
-        return float(np.sum(np.maximum(np.mean(left**2, axis=1) - 1.0, 0.0)))
-
     same = [i for i, rival in enumerate(free.rivals) if rival.effect == race.rivals[0].effect]
-    after, before = beyond(free.model(same[0]) if same else race.model()), beyond(free.fitted)
+    fits, scales = (free.model(same[0]) if same else race.model(), free.fitted), race.whitener.scales
+    after, before = (beyond(fitted.residuals(), scales) for fitted in fits)
     share = np.clip(after / before if before else 1.0, 1e-12, 1.0 - 1e-12)
     return float(np.log(share) - np.log1p(-share))
+
+
+def beyond(residuals: Sequence[Array], scales: Array) -> float:
+    """Return the power of residuals beyond their innovations, over that of these, summed over outputs."""
+    left = np.hstack(residuals) / scales[:, None]
+    return float(np.sum(np.maximum(np.mean(left**2, axis=1) - 1.0, 0.0)))
 
 
 def with_the_rest(case: Case, first: Judged, scored: Sequence[Candidate], chosen: Sequence[int]) -> Judged:

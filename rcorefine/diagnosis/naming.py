@@ -74,12 +74,12 @@ def named(
     shares, none, places = probabilities(race, *odds, law)
     if word == "unexplained":  # none is printed for what fails its own tests
         shares, none = np.full(len(shares), np.nan), 1.0
-    shown = in_free_run(race) if word == "unexplained" and case.thorough else race
+    shown = in_free_run(race) if word == "unexplained" and case.thorough and not unknown else race
     p_values = [p_of[rival.effect] for rival in shown.rivals]
     if word == "unexplained" and not case.in_time:  # laws that fail do not tell where
         places = {}
     rows = ranking(shown, p_values, shares, case.base, validation, case.settings["horizon"])
-    notes = [*about_hold(case), *fit_remarks(race), *remarks(race, scored, batteries)]
+    notes = [*about_hold(case), *fit_remarks(race), *remarks(race)]
     notes += said_of_families(race.rivals, held)
     notes += [said for said in (sentence, unknown, outweighed(judged, case.levels)) if said]
     own = {"force_ratio": race.ratio, "notes": tuple(notes), **case.about}

@@ -6,16 +6,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.signal import lfilter
 
 from ..effects.along_motion import unit_forces
 from ..effects.effect import Effect
 from ..effects.tabulated import Table, Tabulated
-from ..inference.free_form import FreeForm, fit_free_form
-from ..inference.levels import levels
+from ..inference.basis import Basis, project
+from ..inference.free_form import Curve, FreeForm, evidence, fit_free_form
 from ..inference.sensitivities import force_responses
 from ..systems.linear import Array
-from .beside import curve_at, motion_at, stops
+from .beside import curve_at, motion_at
+from .judging import beyond
 from .residual_tests import TestedResidual
 from .verdict import probabilities as softmax
 
@@ -42,8 +42,6 @@ class OpenLaw:
     nearest : tuple of (Effect, float)
         Laws at the place, and how much of the tabulated force each explains, in percent of its
         mean square.
-    beyond : str
-        What the force is beside a function of position and velocity, in a sentence; "" for nothing.
     rmse : ndarray, shape (n_y,)
         What is left of each output.
     """
@@ -51,13 +49,12 @@ class OpenLaw:
     effect: Effect
     fit_after: float
     nearest: tuple[tuple[Effect, float], ...]
-    beyond: str
     rmse: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FreeForces:
-    """Free forces at the likeliest places.
+    """Free forces at the likeliest places, and curves at the inputs and outputs.
 
     Attributes
     ----------
@@ -65,10 +62,14 @@ class FreeForces:
         By place, the freedom paid, in the metric of the candidates.
     law : OpenLaw or None
         At the likeliest place; None where that is no port, or where the free run is worse with it.
+    left : float
+        Share of the error beyond noise that is left at the likeliest place, 0 where it is explained: by the
+        free force there, by the best candidate where that is no port, else by the static curve.
     """
 
     log_likelihoods: dict[str, float]
     law: OpenLaw | None
+    left: float
 
 
 def open_law(race: CandidateFits) -> FreeForces:
@@ -83,21 +84,61 @@ def open_law(race: CandidateFits) -> FreeForces:
     -------
     FreeForces
     """
-    places = list(dict.fromkeys(rival.effect.place for rival in race.rivals))
+    places = [rival.effect.place for rival in race.rivals]
     found: dict[str, FreeForm] = {}
-    for place in places[:_PLACES]:
-        led = race.ratio or 1.0  # an observer of high gain follows the motion of the record
-        curve = curve_at(race.fitted, place, led)
+    for place in list(dict.fromkeys(places))[:_PLACES]:
+        # an observer of high gain follows the motion of the record
+        curve = curve_at(race.fitted, place, race.ratio or 1.0)
         if curve is not None:
             found[place] = fit_free_form(race.fitted, curve, race.whitener, race.ratio, rounds=_FIRST)
     free = {place: form.log_likelihood(race.whitener, race.ratio) for place, form in found.items()}
-    named = {rival.effect.place: rival.log_likelihood for rival in reversed(race.rivals)}
-    best = max({**named, **free}, key=lambda place: max(named.get(place, -np.inf), free.get(place, -np.inf)))
+    static = _static(race)
+    free |= {place: value for place, (value, _) in static.items()}
+    best = max([(race.rivals[0].log_likelihood, places[0]), *zip(free.values(), free, strict=True)])[1]
     if best in found:
         first = found[best]
         found[best] = fit_free_form(race.fitted, first.curve, first.whitener, race.ratio, start=first)
         free[best] = found[best].log_likelihood(race.whitener, race.ratio)
-    return FreeForces(free, _tabulated(race, found[best]) if best in found else None)
+        after = found[best].fitted.residuals(race.ratio)
+    elif best in places:  # fitted, where the curve is a linear step
+        after = race.model(places.index(best)).residuals(race.ratio)
+    else:
+        after = static[best][1]
+    scales = race.fitted.problem.whitener(after).scales
+    left = beyond(after, scales) / (beyond(race.fitted.residuals(race.ratio), scales) or 1.0)
+    return FreeForces(free, _tabulated(race, found[best]) if best in found else None, min(1.0, left))
+
+
+def _static(race: CandidateFits) -> dict[str, tuple[float, list[Array]]]:
+    """Log-likelihood of a curve at each input and output, and the residual that its least squares leave."""
+    fitted, found = race.fitted, dict[str, tuple[float, list[Array]]]()
+    if race.ratio:  # the observer follows what a sensor says, whatever curve it has
+        return found
+    battery, model = TestedResidual(fitted, 0.0, race.whitener), fitted.structure.linear_model
+    held, p, weights = fitted.blocks(), fitted.problem.n_theta, fitted.problem.weights
+    records = fitted.problem.records
+    signals = {label: [r.inputs[j] for r in records] for j, label in enumerate(model.input_labels)}
+    outputs = [r / weights[:, None] + one.outputs for (r, _), one in zip(held, records, strict=True)]
+    signals |= {label: [y[j] for y in outputs] for j, label in enumerate(model.output_labels)}
+    for label, parts in signals.items():
+        curve = Curve.along(label, np.concatenate(parts), np.zeros(sum(x.size for x in parts)))
+        if not curve.d.size or label in [port.name for port in fitted.structure.model.ports]:
+            continue
+        blocks = []
+        for i, x in enumerate(parts):
+            F = curve.columns(x, np.zeros(x.size)) @ curve.root
+            if label in model.input_labels:
+                blocks.append(force_responses(fitted, i, [(label, f) for f in F.T], fitted.gain(0.0)))
+            else:
+                blocks.append((weights * (np.array(model.output_labels) == label))[:, None, None] * F)
+        seen = evidence(battery.left, project(battery.whiten(blocks), battery.basis))
+        J = [(j.reshape(r.size, -1), X.reshape(r.size, -1)) for (r, j), X in zip(held, blocks, strict=True)]
+        basis = Basis.of([np.hstack([j[:, :p], X]) for j, X in J], [j[:, p:] for j, _ in J])
+        rest = project(np.concatenate([r.ravel() for r, _ in held]), basis)
+        ends = np.cumsum([r.size for r, _ in held])[:-1]
+        after = [x.reshape(r.shape) for x, (r, _) in zip(np.split(rest, ends), held, strict=True)]
+        found[label] = (seen.gain - 0.5 * float(battery.left @ battery.left), after)
+    return found
 
 
 def probabilities(
@@ -132,8 +173,9 @@ def probabilities(
             logs.append((place, top + odds))
     if free is not None:
         logs += free.log_likelihoods.items()
-        if free.law is None:  # no force at the best place mends it: as likely it is where the model has none
-            logs.append(("", max(value for _, value in logs)))
+        left = np.clip(free.left, 1e-12, 1.0 - 1e-12)  # what nothing explains is at no known place
+        known = np.logaddexp.reduce([value for _, value in logs])
+        logs.append(("", float(known + np.log(left) - np.log1p(-left))))
     weights = softmax([value for _, value in logs])
     shares: dict[str, float] = {}
     for (place, _), weight in zip(logs, weights, strict=True):
@@ -159,7 +201,7 @@ def _tabulated(race: CandidateFits, form: FreeForm) -> OpenLaw | None:
     if fit.mean() <= np.mean(race.fitted.refinement.fit):
         return None
     rmse = np.sqrt(np.mean(errors**2, axis=1))
-    return OpenLaw(effect, float(np.mean(fit)), _nearest(race, form), _beyond(form, race.ratio), rmse)
+    return OpenLaw(effect, float(np.mean(fit)), _nearest(race, form), rmse)
 
 
 def _nearest(race: CandidateFits, form: FreeForm) -> tuple[tuple[Effect, float], ...]:
@@ -182,39 +224,3 @@ def _nearest(race: CandidateFits, form: FreeForm) -> tuple[tuple[Effect, float],
             left = force - F @ np.linalg.lstsq(F, force, rcond=1e-10)[0]
             rows.append((rival.effect, 100.0 * (1.0 - float(left @ left) / float(force @ force))))
     return tuple(sorted(rows, key=lambda row: -row[1]))
-
-
-def _beyond(form: FreeForm, ratio: float) -> str:
-    """What the table leaves, where memory or time would take up a part of it.
-
-    No certain word: a curve that is finer than the knots leaves the same.
-    """
-    fitted, place = form.fitted, form.curve.place
-    battery = TestedResidual(fitted, ratio)
-    said = {"remembers": _remembered, "changes with time": _slow}
-    best: tuple[float, str] = (levels().no_function, "")
-    for words, make in said.items():
-        blocks = []
-        for i in range(len(fitted.problem.records)):
-            forces = [(place, column) for column in make(*fitted.port(place, ratio, i))]
-            blocks.append(force_responses(fitted, i, forces, fitted.gain(ratio)))
-        best = min(best, (battery.test(words, blocks).p_value, words))
-    acts = fitted.structure.model.port(place).acts_by
-    finer = "or like a curve finer than its knots"
-    return f"What the table leaves looks like a {acts} that {best[1]}, {finer}." if best[1] else ""
-
-
-def _remembered(d: Array, v: Array) -> list[Array]:
-    """Stops of several radii, and what relaxes within a share of a swing, or some of them."""
-    moved = d if np.any(d) else v
-    steps = np.diff(moved, prepend=moved[0])
-    swing = float(np.std(moved)) / (float(np.std(steps)) or 1.0)  # samples
-    relaxed = [lfilter([1.0], [1.0, -np.exp(-1.0 / (k * swing))], steps) for k in (0.3, 1.0, 3.0)]
-    return [*stops(moved, float(np.std(moved))).T, *relaxed]
-
-
-def _slow(d: Array, v: Array) -> list[Array]:
-    """Stiffness and damping that change over the record."""
-    t = np.linspace(-1.0, 1.0, d.size)
-    shapes = [t, t * t, *(f(k * np.pi * t) for k in (1, 2, 3) for f in (np.sin, np.cos))]
-    return [x * shape for x in (d, v) if np.any(x) for shape in shapes]

@@ -116,9 +116,10 @@ class Diagnosis(Reported):
         ranked. Departures from the best law up to its
         own size count alike, whether this record would have shown them or not.
     places : dict
-        Probability of each place, the most probable first: what its candidates and the free forces
-        tried there have together. To one is missing what an unmeasured force stands for, whose place
-        nobody knows, or half where no free force mends the best place; empty where nothing was ranked.
+        Probability of each place, the most probable first, from its candidates and the free force or static
+        curve fitted there. Inputs and outputs count as places. The sum is below one by the probability that
+        the place is unknown: an unmeasured force, or the share of the error that the likeliest place leaves.
+        Empty where nothing was ranked.
     open_law : OpenLaw or None
         Where the verdict is "unexplained": the force as a table, and the laws nearest to it.
     left_to_noise : str

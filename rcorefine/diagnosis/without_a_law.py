@@ -122,8 +122,7 @@ def under_another_hold(case: Case, rival: Floated | None) -> Diagnosis | None:
     numbers = explaining_numbers(other, floating(other))
     if numbers is None or likelihood(numbers.battery) < least:
         return None
-    mended = by_numbers(other, numbers, tests)
-    return replace(mended, notes=(sentence,))
+    return replace(by_numbers(other, numbers, tests), notes=(sentence,))
 
 
 def gains(case: Case, judged: Judged, other: CandidateFits | None) -> bool:
@@ -142,10 +141,7 @@ def likelihood(battery: TestedResidual) -> float:
 
 def about_hold(case: Case) -> list[str]:
     """What the hold has to say; only where the case is looked into thoroughly."""
-    if not case.thorough:
-        return []
-    sentence = case.hold[1]
-    return [sentence] if sentence else []
+    return [case.hold[1]] if case.thorough and case.hold[1] else []
 
 
 def by_numbers(case: Case, numbers: Floated, tests: Sequence[FTest]) -> Diagnosis:

@@ -6,13 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 from ..inference.levels import levels
 from ..words import chance, with_error
-from .absorbed import far_numbers, numbers_that_moved, what_was_absorbed
+from .absorbed import determined, far_numbers, numbers_that_moved, what_was_absorbed
 from .stepwise.improvement import Improvement
 from .verdict import overall
 
 if TYPE_CHECKING:
     from ..inference.f_tests import FTest
-    from ..models.ports import Port
     from .result import Diagnosis
 
 __all__ = ["failed_test", "next_step", "no_test_fires", "sentences"]
@@ -55,17 +54,19 @@ def sentences(found: Diagnosis) -> list[str]:
     alike = ", ".join(effect.label for effect in found.ambiguous)
     if len(found.ambiguous) == 1 and found.best is not None:
         alike += f", {_force(found)} that follows none of the laws"
-    at = found.place
-    where = "" if at is None else f": at {at}, with probability {found.places[at]:.2f}"
+    place = found.place
+    where = "" if place is None else f": at {place}, with probability {found.places[place]:.2f}"
     lines = [_VERDICTS[found.verdict].format(best=_best(found), alike=alike, where=where)]
-    if found.verdict == "parameters" and far_numbers(found.parameters):
+    if found.floated is not None and far_numbers(determined(found.floated)):
         lines = ["The numbers of the model explain the record, moved so far that they may hide a law."]
     if found.verdict == "parameters" and found.left_to_noise:
         lines = ["Moved numbers of the model leave what no test tells from noise with a memory."]
     worst = min(found.tests, key=lambda t: t.p_value) if found.tests else None
     if found.verdict == "adequate":
         head = found.left_to_noise or lines[0]
-        lines = [f"{head} {what_was_absorbed(found.base)}".rstrip(), *_shown(found)]
+        lines = [f"{head} {what_was_absorbed(found.base)}".rstrip(), no_test_fires(found)]
+        shown = ", ".join(f"{d.effect.label} {d.smallest:.3g} {d.unit}".strip() for d in found.detectable[:4])
+        lines += [f"It would have shown, with 95 % probability: {shown}."] if shown else []
     elif worst is not None:  # without motion nothing could be tested
         lines += _open_law(found)
         fails = f"The residual of the model as it is fails {failed_test(worst)}."
@@ -75,12 +76,12 @@ def sentences(found: Diagnosis) -> list[str]:
         if found.verdict == "unexplained" and failed:
             left = min(found.winner_tests, key=lambda t: t.p_value)
             lines.append(f"With the best candidate the residual still fails {failed_test(left)}.")
-        if found.verdict == "parameters":
-            lines += [found.left_to_noise, numbers_that_moved(found.parameters), _ALIKE]
+        if found.floated is not None:
+            lines += [found.left_to_noise, numbers_that_moved(determined(found.floated)), _ALIKE]
         lines += _meaning(found)
         lines += _columns(found)
-    place = None if found.best is None or found.verdict == "unexplained" else found.best.effect.place
-    hidden = place is not None and found.none_of_these > levels().no_law
+    is_law = found.best is not None and found.verdict != "unexplained"
+    hidden = is_law and found.none_of_these > levels().no_law
     if hidden and not found.force_ratio:
         lines.append(
             f"A{_force(found)[1:]} that follows none of the laws, though this record hardly "
@@ -162,15 +163,6 @@ def no_test_fires(found: Diagnosis) -> str:
     )
 
 
-def _shown(found: Diagnosis) -> list[str]:
-    """What no test saw, and what it would have seen."""
-    lines = [no_test_fires(found)]
-    if found.detectable:
-        shown = ", ".join(f"{d.effect.label} {d.smallest:.3g} {d.unit}".strip() for d in found.detectable[:4])
-        lines.append(f"It would have shown, with 95 % probability: {shown}.")
-    return lines
-
-
 def _open_law(found: Diagnosis) -> list[str]:
     """What is known of a force that follows none of the laws."""
     law = found.open_law
@@ -178,16 +170,12 @@ def _open_law(found: Diagnosis) -> list[str]:
         return []
     fits = f"fit {found.ranking[0].fit_before:.4g} -> {law.fit_after:.4g} %"
     port = found.base.physical_model.port(law.effect.place)
-    lines = [f"law() tabulates the {port.acts_by} {_range(law.effect.law, port)}: {fits}."]
-    near = ", ".join(f"{effect.label} {max(share, 0):.0f} %" for effect, share in law.nearest[:3])
-    lines += [f"Of that {port.acts_by} explain: {near}."] if near else []
-    return lines + ([law.beyond] if law.beyond else [])
-
-
-def _range(table: Any, port: Port) -> str:
-    """Where the table has its knots: what lies beyond them no record has shown."""
+    table: Any = law.effect.law
     knots = zip(port.senses, (table.d, table.v), strict=True)
-    return "for a " + " and a ".join(f"{name} of {x[0]:.3g} to {x[-1]:.3g}" for name, x in knots if x)
+    shown = " and a ".join(f"{name} of {x[0]:.3g} to {x[-1]:.3g}" for name, x in knots if x)
+    lines = [f"law() tabulates the {port.acts_by} for a {shown}: {fits}."]
+    near = ", ".join(f"{effect.label} {max(share, 0):.0f} %" for effect, share in law.nearest[:3])
+    return [*lines, f"Of that {port.acts_by} explain: {near}."] if near else lines
 
 
 def _force(found: Diagnosis) -> str:

@@ -82,9 +82,6 @@ class Levels:
         at a resonance wanders.
     no_law : float
         Probability that none of the laws is the true one. Above it the answer says so.
-    no_function : float
-        p-value of memory, or of a change with time, where a free force is fitted; uniform by chance. Below
-        it the answer says so, beside a curve finer than the knots.
     hold : float
         Log of the error that another hold between samples must save, 0 where it is the declared one.
     hold_alike : float
@@ -157,7 +154,6 @@ class Levels:
     line_share: float = 0.2
     line_drift: float = 0.2
     no_law: float = 0.05
-    no_function: float = 1e-4
     hold: float = 0.05
     hold_alike: float = 0.01
     moved: float = 3.0

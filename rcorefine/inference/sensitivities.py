@@ -272,35 +272,39 @@ def generic_forces(fitted: FittedModel, ratio: float, record: int) -> list[tuple
 
 def slow_forces(fitted: FittedModel, ratio: float, record: int) -> list[tuple[str, Array]]:
     """Forces of stiffness and damping that change over the record."""
-    n = fitted.problem.records[record].n_samples
-    t = np.linspace(-1.0, 1.0, n)
+    t = np.linspace(-1.0, 1.0, fitted.problem.records[record].n_samples)
     shapes = [t, t * t, np.sin(2 * np.pi * t), np.cos(2 * np.pi * t)]
     forces = []
     for port in fitted.structure.model.ports:
-        d, v = fitted.port(port.name, ratio, record)
-        for signal in (d, v):
-            if np.any(signal):
-                forces += [(port.name, signal * shape) for shape in shapes]
+        moved = [signal for signal in fitted.port(port.name, ratio, record) if np.any(signal)]
+        forces += [(port.name, signal * shape) for signal in moved for shape in shapes]
     return forces
 
 
 def force_responses(
     fitted: FittedModel, record: int, forces: Sequence[tuple[str, Array]], gain: Array | None = None
 ) -> Array:
-    """Outputs that small forces at ports would add, linearized: (n_y, N, k), in units of the noise."""
+    """Outputs that small forces at ports would add, linearized: (n_y, N, k), in units of the noise.
+
+    In place of ports, inputs may be named: what is added to them is held as they are.
+    """
     structure = fitted.structure
     A, C0 = fitted.linearized()
-    n, n0 = structure.n_states, structure.linear_model.n_states
-    data = fitted.problem.records[record]
+    linear, data = structure.linear_model, fitted.problem.records[record]
+    n, n0 = structure.n_states, linear.n_states
     names = list(dict.fromkeys(name for name, _ in forces))
-    ports = [structure.model.port(name) for name in names]
-    unique = np.column_stack([np.pad(port.act, (0, n - n0)) for port in ports])
-    through = np.column_stack([felt(port, structure.model.output_rate) for port in ports])
-    Phi, G0, G1 = discretize(A, unique, data.dt, "foh")
+    if forced := {port.name for port in structure.model.ports}.issuperset(names):
+        ports = [structure.model.port(name) for name in names]
+        pairs = [(port.act, felt(port, structure.model.output_rate)) for port in ports]
+    else:
+        pairs = [(linear.B[:, j], linear.D[:, j]) for j in map(list(linear.input_labels).index, names)]
+    unique = np.column_stack([np.pad(act, (0, n - n0)) for act, _ in pairs])
+    through = np.column_stack([column for _, column in pairs])
+    Phi, G0, G1 = discretize(A, unique, data.dt, "foh" if forced else data.hold)
     jumps = sample_jumps(structure, data.dt)
     Phi = jumps @ Phi if jumps.size else Phi
     where = np.array([names.index(name) for name, _ in forces])
-    F = np.array([force for _, force in forces]).T  # (N, k)
-    out = linear_responses(Phi, (G0[:, where], G1[:, where]), C0, through[:, where], F, gain=gain)
+    drives, F = (G0[:, where], G1[:, where]), np.array([force for _, force in forces]).T  # (N, k)
+    out = linear_responses(Phi, drives, C0, through[:, where], F, gain=gain)
     with np.errstate(over="ignore"):  # one unit of a coefficient may be enormous on this plant
         return np.asarray(np.moveaxis(out, 0, 1) * fitted.problem.weights[:, None, None])
