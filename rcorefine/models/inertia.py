@@ -46,7 +46,8 @@ def coupled_inverse(K: Array, C: Array, B: Array, without: int) -> tuple[Array, 
     n = len(K)
     if n < 2:
         return None
-    d = _scales(K, C)
+    # units of the coordinates in which the couplings are of one size
+    d = balance(np.abs(K) + np.sqrt(np.abs(K).max(initial=0.0)) * np.abs(C))
     K, C, B = K * d / d[:, None], C * d / d[:, None], B / d[:, None]
     basis = np.array([_unit(n, i, j) for i in range(n) for j in range(i, n)])
     rows = np.vstack([_asymmetries(X, basis) for X in (K, C)])
@@ -87,12 +88,6 @@ def _null(rows: Array, tolerance: float) -> Array:
     _, s, right = np.linalg.svd(rows)
     rank = int(np.count_nonzero(s > tolerance))
     return np.asarray(right[rank:].T)
-
-
-def _scales(K: Array, C: Array) -> Array:
-    """Units of the coordinates in which the couplings are of one size."""
-    speed = np.sqrt(np.abs(K).max(initial=0.0))
-    return balance(np.abs(K) + speed * np.abs(C))
 
 
 def _unit(n: int, i: int, j: int) -> Array:

@@ -60,16 +60,12 @@ def parse_unit(text: str) -> dict[str, float]:
     powers: dict[str, float] = {}
     for match in _FACTOR.finditer(text):
         base, exponent = match.group(1), float(match.group(2) or 1)
-        divided = text[: match.start()].rstrip().endswith("/") or _inside_division(text, match.start())
+        opening = text.rfind("(", 0, match.start())  # of a parenthesis that may follow a slash
+        inside = opening > 0 and ")" not in text[opening : match.start()]
+        divided = any(text[:at].rstrip().endswith("/") for at in (match.start(), *[opening] * inside))
         if base != "1":
             powers[base] = powers.get(base, 0) + (-exponent if divided else exponent)
     return powers
-
-
-def _inside_division(text: str, position: int) -> bool:
-    """Whether `position` lies in a parenthesis that follows a slash."""
-    opening = text.rfind("(", 0, position)
-    return opening > 0 and ")" not in text[opening:position] and text[:opening].rstrip().endswith("/")
 
 
 def _format(powers: Mapping[str, float]) -> str:
