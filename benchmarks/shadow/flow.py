@@ -34,7 +34,7 @@ def case_of(model, data, candidates=None, controller=None):
     records = spread_lines(given)
     base = base_fit(model, records, **options)
     ordered = [ordered_record(base.physical_model, r) for r in records]
-    offsets = {e.kind for e, role in zip(base.effects, base.roles) if role == "offset"}
+    offsets = {e.kind for e, role in zip(base.effects, base.roles, strict=True) if role == "offset"}
     if offsets and not integrates(base.physical_model.linear, ordered[0]):
         everywhere = offsets_everywhere(base.physical_model, ordered)
         base = refit(
@@ -49,70 +49,58 @@ def words(s, trial):
 
 
 def one(seed, show=5):
+    """One record: what was said as a row, and the table printed."""
     c, truth, p, records = made(seed)
     if records is None:
         return None
-    t = time.process_time()
+    start = time.process_time()
     with warnings.catch_warnings(), own_arithmetic():
         warnings.simplefilter("ignore")
         model = handed(p, c["handed"])
-        case = case_of(model, records, controller=controller(p) if p.loop else None)
-        s = Search(case).run()
-        word, named, P, pv = verdict(s)
-    cpu = time.process_time() - t
-    rows = s.table()
-    top = rows[0][0]
-    truths = [bool(truth) and is_truth(e, c, truth, p, model) for e in named]
-    if word in ("effect", "ambiguous"):
-        right = len(named) == 1 and truths[0]
-    elif word == "unexplained":
-        right = False
-    else:
-        right = c["type"] == "none" if word == "adequate" else "P" in truth
-    best = rows[0][1]
-    print(
-        f"{seed} {c['plant']} {c['handed']} {c['type']}/{c['missing']}@{c['site']} {c['nuisance']} {c['input']} noise {c['noise']}"
-        f" loss {c['loss']} CPU {cpu:.1f} { {k: round(v, 1) for k, v in s.log.items()} } fit0 {s.trials[0].fit.min():.0f}"
-        f" -> {word} {'+'.join(e.label for e in named)} P {P:.3f} p {pv:.3g} {'RIGHT' if right else 'wrong'}"
-    )
-    for value, trial in rows[:show]:
-        good = [is_truth(e, c, truth, p, model) for e in trial.effects] if truth else []
-        print(
-            f"    {value - top:8.1f} {words(s, trial)} {'TRUE' if good and all(good) else ''} fit {trial.fit.min():.1f} {trial.noise.names} {[round(float(x), 1) for x in trial.surest()]}"
-        )
-    sys.stdout.flush()
-    return {
-        "seed": seed,
-        "plant": c["plant"],
-        "type": c["type"],
-        "missing": c["missing"],
-        "nuisance": c["nuisance"],
+        search = Search(case_of(model, records, controller=controller(p) if p.loop else None)).run()
+        word, named, probability, p_value = verdict(search)
+    cpu = time.process_time() - start
+    true = [bool(truth) and is_truth(e, c, truth, p, model) for e in named]
+    right = {
+        "adequate": c["type"] == "none",
+        "parameters": "P" in truth,
+        "unexplained": False,
+    }.get(word, len(named) == 1 and true[0])
+    row = {key: c[key] for key in ("seed", "plant", "handed", "type", "missing", "site", "nuisance", "input")}
+    row |= {
         "noise": c["noise"],
         "loss": c["loss"],
         "verdict": word,
         "named": "+".join(e.label for e in named),
-        "P": round(P, 4),
-        "p": pv,
-        "right": right,
-        "cpu": round(cpu, 1),
     }
+    row |= {"P": round(probability, 4), "p": float(f"{p_value:.3g}"), "right": right, "cpu": round(cpu, 1)}
+    print(*row.values(), {key: round(value, 1) for key, value in search.log.items()})
+    rows = search.table()
+    for value, trial in rows[:show]:
+        sure = [round(float(x), 1) for x in trial.surest()]
+        told = f"{value - rows[0][0]:10.1f} {words(search, trial)} fit {trial.fit.min():.1f}"
+        print(told, trial.noise.names, sure)
+    sys.stdout.flush()
+    return row
+
+
+def append(name, row):
+    """A row at the end of a CSV file: a run can be stopped and continued."""
+    new = not Path(name).exists()
+    with open(name, "a", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, row.keys())
+        if new:
+            writer.writeheader()
+        writer.writerow(row)
 
 
 if __name__ == "__main__":
     first, count = int(sys.argv[1]), int(sys.argv[2])
-    out = sys.argv[3] if len(sys.argv) > 3 else None
-    rows = []
-    for seed in range(first, first + count):
+    for number in range(first, first + count):
         try:
-            row = one(seed)
-        except Exception:
+            found = one(number)
+        except Exception:  # the others go on
             traceback.print_exc()
-            print(seed, "ERROR", flush=True)
             continue
-        if row and out:
-            new = not Path(out).exists()
-            with open(out, "a", newline="") as f:
-                w = csv.DictWriter(f, row.keys())
-                if new:
-                    w.writeheader()
-                w.writerow(row)
+        if found and len(sys.argv) > 3:
+            append(sys.argv[3], found)

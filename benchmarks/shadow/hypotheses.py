@@ -140,28 +140,29 @@ def score(trial: Trial, base_residual, steps, n_base, numbers=slice(0, 0)):
     mean = np.where(np.isfinite(problem.prior_mean), problem.prior_mean, 0.0)
     informed = np.flatnonzero(~flat & (fixed_sd > 0))
 
-    def value(sd, move):
+    def value(sd):
+        """(log evidence at the point, what the minimum under this prior would gain), to first order."""
         X = np.hstack([C[:, informed] * sd[informed], E])
         u = (theta - mean)[informed] / sd[informed]
-        change = 0.0
-        if move:  # the minimum under another prior, to first order
-            A = X.T @ X + np.eye(X.shape[1])
-            pull = np.concatenate([u, np.zeros(E.shape[1])])
-            step = -np.linalg.solve(A, X.T @ r + pull)
-            moved = r + X @ step
-            change = -0.5 * (float(moved @ moved) - float(r @ r))
-            u = u + step[: len(informed)]
         counted = ~shaping[informed]
-        occam = np.linalg.slogdet(np.eye(X.shape[1]) + X.T @ X)[1]
-        return noise.log_likelihood + change - 0.5 * float(u[counted] @ u[counted]) - 0.5 * float(occam)
+        A = X.T @ X + np.eye(X.shape[1])
+        step = -np.linalg.solve(A, X.T @ r + np.concatenate([u, np.zeros(E.shape[1])]))
+        moved = r + X @ step
+        occam = 0.5 * float(np.linalg.slogdet(A)[1])
+        here = -0.5 * float(u[counted] @ u[counted])
+        v = (u + step[: len(informed)])[counted]
+        there = -0.5 * (float(moved @ moved) - float(r @ r) + float(v @ v))
+        return noise.log_likelihood + here - occam, there - here
 
-    trial.log_evidence = value(fixed_sd, False)
+    trial.log_evidence, lack = value(fixed_sd)
     span = range(*numbers.indices(p))
     if len(span):
         for s in SPREADS:
             sd = fixed_sd.copy()
             sd[numbers] *= s / FITTED_SPREAD
-            trial.by_spread[s] = value(sd, s != FITTED_SPREAD)
+            here, gain = value(sd)
+            # what the fit lacks under its own prior is no gain of another one
+            trial.by_spread[s] = here + gain - lack
     precision = np.zeros(p)
     precision[numbers] = fixed_sd[numbers] ** -2.0 if len(span) else 0.0
     E0 = np.hstack([C, E])

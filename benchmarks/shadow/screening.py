@@ -247,7 +247,7 @@ class Screen:
                     [self.held_sd, self.number_sd]
                 )
         # initial states and offsets: least squares of what is left
-        p, p_old = problem.n_theta, self.fitted.problem.n_theta
+        p_old = self.fitted.problem.n_theta
         left = (
             self.raw[:, 0] + (self.raw[:, columns] / self.scale[columns]) @ u if columns else self.raw[:, 0]
         )

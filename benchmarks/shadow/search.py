@@ -501,7 +501,9 @@ class Search:
         structure = problem.structure
         for k in range(len(structure.effects) - len(trial.effects), len(structure.effects)):
             effect, price = structure.effects[k], 0.5 * float(np.log(problem.n_points))
-            for factor in (0.5, 2.0, 1 / 1.4, 1.4) if effect.spec.jumps and "width" not in effect.fixed else ():
+            for factor in (
+                (0.5, 2.0, 1 / 1.4, 1.4) if effect.spec.jumps and "width" not in effect.fixed else ()
+            ):
                 for _ in range(4):
                     widths = problem.structure.constants
                     widths = {**widths, k: factor * widths[k]}

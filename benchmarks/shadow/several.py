@@ -5,7 +5,6 @@ python several.py FIRST COUNT OUT.csv
 
 from __future__ import annotations
 
-import csv
 import inspect
 import sys
 import time
@@ -14,9 +13,11 @@ import warnings
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+import control as ct
 import numpy as np
 from calibration_plants import LAWS, PLANTS, excite, law
-from flow import case_of, words
+from flow import append, case_of, words
+from scipy.signal import lfilter
 from search import Search
 from verdict import verdict
 
@@ -89,8 +90,6 @@ def made(seed):
         elif fault == "saturation":
             sent = np.clip(u, -1.1 * true.amp[0], 1.1 * true.amp[0])
         else:
-            from scipy.signal import lfilter
-
             a = np.exp(-true.dt / (T / 8))
             sent = lfilter([1 - a], [1, -a], u, axis=1)
         truth.append((fault, "input"))
@@ -131,7 +130,6 @@ def made(seed):
         truth.append((pick, site))
     y, _ = march(true, sent, laws, n)
     y = y + 0.01 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
-    import control as ct
 
     model = ct.ss(
         nominal.A,
@@ -169,55 +167,40 @@ def is_one(effect, truth, plant, model):
 
 
 def one(seed):
+    """One record: what was said as a row, and the table printed."""
     name, truth, plant, model, data = made(seed)
-    t = time.process_time()
+    start = time.process_time()
     with warnings.catch_warnings(), own_arithmetic():
         warnings.simplefilter("ignore")
-        s = Search(case_of(model, [data])).run()
-        word, named, P, p = verdict(s)
-    cpu = time.process_time() - t
-    best = s.best
-    hit = lambda effects: [any(is_one(e, k, plant, model) for e in effects) for k in truth]  # noqa: E731
+        search = Search(case_of(model, [data])).run()
+        word, named, probability, p_value = verdict(search)
+    cpu = time.process_time() - start
+
+    def hits(effects):
+        return sum(any(is_one(e, k, plant, model) for e in effects) for k in truth)
+
     false = [e.label for e in named if not any(is_one(e, k, plant, model) for k in truth)]
-    exact = all(hit(named)) and len(named) == len(truth) and not false
-    linear = s.floated.refinement.rmse
-    print(
-        f"{seed} {name} truth {truth} fit0 {s.trials[0].fit.min():.0f} -> {word} {[e.label for e in named]} P {P:.3f} p {p:.2g} exact {exact} false {false} CPU {cpu:.1f} { {k: round(v, 1) for k, v in s.log.items()} }"
-    )
-    for value, trial in s.table()[:4]:
-        print(
-            f"    {value - s.table()[0][0]:8.1f} {words(s, trial)} fit {trial.fit.min():.1f} {trial.noise.names} {[round(float(x), 1) for x in trial.surest()]} hits {sum(hit(trial.effects))}/{len(truth)}"
-        )
+    exact = hits(named) == len(truth) == len(named) and not false
+    row = {"seed": seed, "plant": name, "truth": truth, "verdict": word, "named": [e.label for e in named]}
+    row |= {"P": round(probability, 3), "p": float(f"{p_value:.3g}"), "exact": exact, "false": false}
+    row |= {"hits": hits(named), "cpu": round(cpu, 1), "fit": round(float(search.best.fit.min()), 1)}
+    print(*row.values(), {key: round(value, 1) for key, value in search.log.items()})
+    rows = search.table()
+    for value, trial in rows[:4]:
+        sure = [round(float(x), 1) for x in trial.surest()]
+        told = f"{value - rows[0][0]:10.1f} {words(search, trial)} fit {trial.fit.min():.1f}"
+        print(told, trial.noise.names, sure, f"hits {hits(trial.effects)} of {len(truth)}")
     sys.stdout.flush()
-    return {
-        "seed": seed,
-        "plant": name,
-        "truth": truth,
-        "verdict": word,
-        "named": [e.label for e in named],
-        "P": round(P, 3),
-        "exact": exact,
-        "false": false,
-        "hits": sum(hit(named)),
-        "of": len(truth),
-        "cpu": round(cpu, 1),
-        "fit": round(float(best.fit.min()), 1),
-    }
+    return row
 
 
 if __name__ == "__main__":
     first, count = int(sys.argv[1]), int(sys.argv[2])
-    out = sys.argv[3] if len(sys.argv) > 3 else None
-    for seed in range(first, first + count):
+    for number in range(first, first + count):
         try:
-            row = one(seed)
-        except Exception:
+            found = one(number)
+        except Exception:  # the others go on
             traceback.print_exc()
             continue
-        if out:
-            new = not Path(out).exists()
-            with open(out, "a", newline="") as f:
-                w = csv.DictWriter(f, row.keys())
-                if new:
-                    w.writeheader()
-                w.writerow(row)
+        if len(sys.argv) > 3:
+            append(sys.argv[3], found)
