@@ -7,14 +7,14 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..arguments import as_vector
 from ..data.channels import match_channels, record_for
 from ..data.frequency_response import FrequencyResponse
 from ..data.levels import MOST, stretches_by_level
 from ..data.records import as_records
-from ..engine.amplitude_response import AmplitudeResponse, frequency_response_at
+from ..engine.amplitude_response import frequency_response_at
 from ..engine.simulation import simulated, structure_of
 from ..exceptions import DivergenceError
 from ..systems.linear import Array, LinearModel
@@ -79,25 +79,25 @@ def level_bode(
     names = frame.labels([f"{peak:.4g} {unit} sine".replace("  ", " ") for peak in peaks])
     with frame.axes([1.9, 1.4] * linear.n_outputs, linear.n_inputs) as (axes, lines):
         units = bode_rows(axes, linear.output_labels, linear.input_labels, extra=None)
-        factor = hold_factor(grid, dt, hold)
-        base = frequency_response(initial, grid) * factor
+        base = frequency_response(initial, grid) * hold_factor(grid, dt, hold)
         look: dict[str, Any] = {"color": "0.55", "linestyle": (0, (2, 1.5)), "linewidth": 1.3}
         _draw(axes, lines, grid, base, units, look | {"label": "initial model"})
         for j in range(linear.n_inputs):
             found = frequency_response_at(refinement, grid, peaks, source=j)
+            if omega is None:  # with the peaks, which lie between
+                found = frequency_response_at(
+                    refinement, np.union1d(grid, found.peak_omega[found.peak_omega > 0]), peaks, source=j
+                )
+            seen = np.where(found.stable[:, None], found.response, np.nan)  # broken where none is stable
+            seen = seen * hold_factor(found.omega, dt, hold)
             for index, name in enumerate(names):
                 look = dict(style(index)._asdict(), label=name if j == 0 else f"_{name}", zorder=3)
-                curve = _seen(found, index) * factor
-                _draw(axes[:, j : j + 1], lines[:, j : j + 1], grid, curve[:, None, :], units, look)
+                curve = seen[index, :, None]
+                _draw(axes[:, j : j + 1], lines[:, j : j + 1], found.omega, curve, units, look)
         _draw_groups(axes, lines, groups, units, unit)
         for i, j in np.ndindex(linear.n_outputs, linear.n_inputs):
             magnitude_limits(axes[2 * i, j], lines[2 * i, j], units)
         return frame.finish(axes, lines, [axes[0, 0]])
-
-
-def _seen(found: AmplitudeResponse, index: int) -> NDArray[np.complex128]:
-    """Response at one level, broken where no stable steady state was found."""
-    return np.where(found.stable[index], found.response[index], np.nan)
 
 
 _Group = tuple[float, FrequencyResponse, FrequencyResponse | None]
