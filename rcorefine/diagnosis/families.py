@@ -17,14 +17,7 @@ from ..systems.linear import Array
 from .candidate_fit import LACK, CandidateFit, price
 from .starts import force_along, gain_for, imitated
 
-__all__ = [
-    "contains",
-    "hosts",
-    "in_families",
-    "said_of_families",
-    "start_from",
-    "stuck_fits",
-]
+__all__ = ["contains", "hosts", "in_families", "said_of_families", "start_from", "stuck_fits"]
 
 _MOVING = 0.98  # of the samples: friction turns over in the others
 

@@ -10,14 +10,7 @@ from ...effects.effect import Effect
 from ...inference.refinement import Refinement
 from .selection import StepwiseSelection, coefficients_of, determined, same
 
-__all__ = [
-    "drop_last",
-    "drop_needless",
-    "drop_undetermined",
-    "return_trust",
-    "shorten",
-    "swap_better",
-]
+__all__ = ["drop_last", "drop_needless", "drop_undetermined", "return_trust", "shorten", "swap_better"]
 
 
 Cost = Callable[[Effect, Refinement], float]
