@@ -5,6 +5,7 @@ from __future__ import annotations
 import control as ct
 import numpy as np
 import pytest
+from scipy.optimize import root
 
 import rcorefine as rco
 
@@ -278,6 +279,50 @@ def test_hardening_is_found_from_several_levels():
     assert abs(found.best.coefficients["cubic_stiffness"] - 300.0) < 4 * found.best.std["cubic_stiffness"]
     assert rco.compare(found.refine(), data).levels[2].over_noise.max() < 1.25
     assert len(found.records) == 3
+
+
+def balanced(peaks, omega, cubic):
+    """Fundamental over the sine of d'' + 0.4 d' + 100 d + cubic d^3 = peak cos, odd harmonics to the 9th."""
+    order, turn = np.arange(1, 10, 2), 2 * np.pi * np.arange(64) / 64
+    waves, found = np.exp(1j * np.outer(turn, order)), np.zeros((len(peaks), omega.size), complex)
+
+    def mismatch(z, peak, w):
+        x = z[:5] + 1j * z[5:]
+        force = cubic * (waves @ x).real ** 3 @ waves.conj() / 32
+        left = (100.0 - (order * w) ** 2 + 0.4j * order * w) * x + force - peak * (order == 1)
+        return np.concatenate([left.real, left.imag])
+
+    for i, peak in enumerate(peaks):
+        z = np.zeros(10)
+        for k, w in enumerate(omega):
+            tried = [root(mismatch, start, args=(peak, w), tol=1e-13).x for start in (z, np.zeros(10))]
+            left = [np.abs(mismatch(each, peak, w)).max() for each in tried]
+            z = tried[0] if left[0] < 1e-11 else tried[1]  # beyond its end the branch is left
+            assert min(left) < 1e-11
+            found[i, k] = (z[0] + 1j * z[5]) / peak
+    return found
+
+
+@pytest.mark.parametrize(("cubic", "lines", "std"), [(60.0, 201, None), (300.0, 61, 1e-9)])
+def test_exact_responses_at_two_levels_are_explained(cubic, lines, std):
+    """What is left of them is no noise but the error of solving for the response; no test may judge it."""
+    omega, names = np.linspace(6.0, 16.0, lines), {"input_labels": "force", "output_labels": "q1"}
+    data = [
+        rco.FrequencyResponse(
+            points[None, None],
+            omega,
+            std=None if std is None else std * np.abs(points)[None, None],
+            amplitude=peak,
+            **names,
+        )
+        for peak, points in zip((0.5, 2.0), balanced((0.5, 2.0), omega, cubic), strict=True)
+    ]
+    one = rco.mass_spring_damper(1.0, 0.4, 100.0, sensors="displacement", outputs="q1")
+    laws = rco.effect_library(one, kinds=["stiffness", "damping", "cubic_stiffness", "clearance"])
+    found = rco.diagnose(one, data, candidates=laws)
+    assert found.verdict in ("effect", "ambiguous")
+    assert "cubic_stiffness at link1" in [each.label for each in found.ambiguous]
+    assert found.best.coefficients["cubic_stiffness"] == pytest.approx(cubic, rel=1e-5)
 
 
 def test_quadratic_damping_is_not_excluded_by_the_law_that_contains_it():

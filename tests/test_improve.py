@@ -134,3 +134,36 @@ def test_coulomb_friction_with_an_offset_is_tied_with_asymmetric_friction() -> N
     assert step.effect.kind == "coulomb_friction"
     assert [effect.kind for effect in step.rivals] == ["asymmetric_friction"]
     assert any("by another name" in note for note in ladder.notes)
+
+
+def hardening(size, samples, seed):
+    """A mass on a spring 100 d + 60 d^3 by Runge and Kutta, the force straight between samples."""
+    rng, dt, x = np.random.default_rng(seed), 0.02, np.zeros(2)
+    force, found = size * rng.standard_normal(samples), np.zeros(samples)
+
+    def rate(x, u):
+        return np.array([x[1], u - 0.4 * x[1] - 100 * x[0] - 60 * x[0] ** 3])
+
+    for k in range(samples - 1):
+        for j in range(4):
+            h, u = dt / 4, [force[k] + (force[k + 1] - force[k]) * (j + s) / 4 for s in (0, 0.5, 1)]
+            a = rate(x, u[0])
+            b = rate(x + h / 2 * a, u[1])
+            c = rate(x + h / 2 * b, u[1])
+            x = x + h / 6 * (a + 2 * b + 2 * c + rate(x + h * c, u[2]))
+        found[k + 1] = x[0]
+    noisy = found + 0.02 * found.std() * rng.standard_normal(samples)
+    return rco.Measurement(force, noisy, dt=dt, hold="foh")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_ties_are_those_that_a_diagnosis_of_the_same_record_lists(seed):
+    """What three fifths of a record cannot tell apart, all of it may."""
+    one = rco.mass_spring_damper([1.0], [0.4], [100.0], sensors="displacement")
+    laws = rco.effect_library(one, kinds=["cubic_stiffness", "clearance", "end_stop", "stiffness", "damping"])
+    data = hardening(4.0, 1000, seed)
+    found = rco.diagnose(one, data, candidates=laws)
+    ladder = rco.improve(one, data, validation=hardening(4.0, 400, seed + 10), candidates=laws)
+    assert [step.effect.label for step in ladder.steps[1:]] == [found.best.effect.label]
+    tied = {effect.label for effect in (ladder.steps[1].effect, *ladder.steps[1].rivals)}
+    assert tied == {effect.label for effect in found.ambiguous}

@@ -310,6 +310,43 @@ def test_integrator_with_friction():
     assert found.response[0, 1] == pytest.approx(found.response[0, 0] / (1j * found.omega), rel=1e-6)
 
 
+# ------------------------------------------------------------------ peaks between the frequencies
+def highest(amplitude, cubic):
+    """Peak of `duffing` and its frequency: the displacement beyond which no frequency answers."""
+
+    def beyond(x):
+        return C**4 - 4 * C**2 * M * (K + 0.75 * cubic * x**2) + (2 * M * amplitude / x) ** 2
+
+    x = brentq(beyond, 1e-9, 10 * amplitude / (C * np.sqrt(K / M)), xtol=1e-14)
+    return x / amplitude, np.sqrt((K + 0.75 * cubic * x**2) / M - C**2 / (2 * M**2))
+
+
+@pytest.mark.parametrize(("amplitude", "cubic"), [(1.0, 0.0), (0.5, 60.0), (2.0, 60.0), (4.0, 60.0)])
+def test_a_coarse_grid_neither_passes_over_the_peak_nor_leaves_its_branch(amplitude, cubic):
+    """A linear oscillator and the single-term balance of Duffing's, both in closed form."""
+    gain, at = highest(amplitude, cubic)
+    found = rco.frequency_response_at(
+        with_effect("cubic_stiffness", [cubic]), np.linspace(5, 20, 31), amplitude, harmonics=1
+    )
+    assert found.peak_gain[0, 0] == pytest.approx(gain, rel=5e-3)
+    assert found.peak_omega[0, 0] == pytest.approx(at, rel=5e-3)
+    for w, g in zip(found.omega, found.response[0, 0], strict=True):
+        upper = np.abs(duffing(w, amplitude, cubic)).max()  # swept upward: the upper branch to its end
+        assert w > at or abs(g) == pytest.approx(upper, rel=1e-6)
+
+
+def test_picture_and_table_show_one_peak():
+    """Default grid of the picture, coarse grid of the table; harmonics add a percent at most here."""
+    held, levels = with_effect("cubic_stiffness", [60.0]), [0.5, 4.0]
+    curves = level_bode(held, levels).lines[0, 0]
+    drawn = [np.nanmax(np.abs(line.get_ydata())) for line in curves if "sine" in line.get_label()]
+    rows = str(rco.frequency_response_at(held, np.linspace(5, 20, 31), levels)).splitlines()[3:5]
+    printed = [float(row.split()[3]) for row in rows]
+    exact = [highest(level, 60.0)[0] for level in levels]
+    assert drawn == pytest.approx(exact, rel=0.01)
+    assert printed == pytest.approx(exact, rel=0.01)
+
+
 # ------------------------------------------------------------------ arguments, table, pickle
 def test_arguments_are_checked():
     model = spring()

@@ -36,6 +36,7 @@ __all__ = ["SHORTEST", "Case", "candidates_of", "no_motion", "not_excited", "not
 
 OBSERVERS = (1.0, 0.1)  # a high gain follows the record, a low one tells candidates apart
 _FEW_LEVELS = 3  # distinct values of an output that does not move but for its last digit
+_SOLVED = 1e-7  # of a response: its balance of harmonics is solved to 1e-8, which grows near a resonance
 SHORTEST, _FEWEST = 200, 60  # samples of a record, and values of a frequency response, that can be tested
 
 
@@ -163,7 +164,11 @@ class Case:
         return float(np.sqrt(np.mean(residual**2, axis=1)).max())
 
     def passes(self, tests: Sequence[FTest], fitted: FittedModel) -> bool:
-        """Whether the residual of a model is noise."""
+        """Whether the residual of a model is noise, or no larger than the error of solving for a response."""
+        left, records = np.concatenate(fitted.residuals(), axis=1), fitted.problem.records
+        whole = fitted.problem.weights[:, None] * np.concatenate([r.outputs for r in records], axis=1)
+        if not self.in_time and (np.sum(left**2, axis=1) <= _SOLVED**2 * np.sum(whole**2, axis=1)).all():
+            return True
         return passes(tests, self.excess(fitted), self.significance, self.levels)
 
 

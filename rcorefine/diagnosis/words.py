@@ -103,6 +103,8 @@ def sentences(found: Diagnosis) -> list[str]:
             if found.base.of_responses
             else "suggest_experiment() names the record that would tell them apart."
         )
+    if found.base.physical_model.operating_point is not None and found.ranking:
+        lines.append("About the operating point laws enter without their tangent, which the model contains.")
     return [*filter(None, lines), *found.notes]
 
 

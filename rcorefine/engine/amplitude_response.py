@@ -26,7 +26,7 @@ __all__ = ["AmplitudeResponse", "frequency_response_at"]
 _HARMONICS = 15
 _MOST_HARMONICS = 1000
 _AFAR, _APPROACH = 0.3, 30
-_UNSTABLE = 1.001
+_STEP, _SMALL, _FINEST = 0.1, 0.05, 2e-5  # change of the answer in one step; of the largest; least step
 _PERIODS, _PER_PERIOD = 200, 64
 
 
@@ -53,6 +53,10 @@ class AmplitudeResponse(Result):
     stable : ndarray of bool, shape (n_levels, n_omega)
         Whether small disturbances of the steady state die out; where they do not, the
         system answers otherwise (jumps, subharmonics), and the curve is not what is seen.
+    peak_gain : ndarray, shape (n_levels, n_y)
+        Largest magnitude of the response, also between the frequencies in `omega`.
+    peak_omega : ndarray, shape (n_levels, n_y)
+        Frequency of this peak in rad/s.
     input_label : str
         Input that is driven.
     output_labels : tuple of str
@@ -71,6 +75,8 @@ class AmplitudeResponse(Result):
     forces: Array
     converged: NDArray[np.bool_]
     stable: NDArray[np.bool_]
+    peak_gain: Array
+    peak_omega: Array
     input_label: str
     output_labels: tuple[str, ...]
     input_unit: str
@@ -105,12 +111,12 @@ def frequency_response_at(
         Harmonics that are balanced; jumping forces (dry friction) need more for more digits.
     sweep : {"up", "down"}
         Direction in which the frequencies are visited. Where several steady states exist, as
-        beside the resonance of a hardening spring, the one nearest to the last frequency is found.
+        beside the resonance of a hardening spring, the branch of the last frequency is followed.
 
     Returns
     -------
     AmplitudeResponse
-        Arrays over level, output and frequency; prints as a table.
+        Arrays over level, output and frequency, and the peaks; prints as a table.
 
     Raises
     ------
@@ -154,19 +160,16 @@ def frequency_response_at(
     forces = np.full((levels.size, structure.n_ports, points.size), np.nan)
     converged = np.zeros((levels.size, points.size), dtype=bool)
     stable = np.zeros((levels.size, points.size), dtype=bool)
+    gain, where = np.full((2, levels.size, linear.n_outputs), np.nan)
     for level, peak in enumerate(levels):
-        starts: list[Array] = []
+        way: list[tuple[float, SteadyState]] = []
         for k in order:
-            state = balance.solve(float(points[k]), float(peak), starts)
-            if not state.converged:
-                state = _approach(balance, float(points[k]), float(peak), sweep)
-            if not state.converged or state.growth > _UNSTABLE:
-                state = _settled(balance, float(points[k]), float(peak), state)
+            state = _onward(balance, float(points[k]), float(peak), sweep, way)
             converged[level, k] = state.converged
-            stable[level, k] = state.converged and state.growth <= _UNSTABLE
+            stable[level, k] = state.stable
             if not state.converged:
                 continue
-            starts = [state.forces]
+            way.append((float(points[k]), state))
             first = state.outputs[:, 1]
             response[level, :, k] = first / peak
             higher = np.sqrt(np.sum(np.abs(state.outputs[:, 2:]) ** 2, axis=1))
@@ -175,36 +178,59 @@ def frequency_response_at(
             )
             mean[level, :, k] = state.outputs[:, 0].real
             forces[level, :, k] = np.hypot(state.forces[:, 1], state.forces[:, 2])
-    units = structure.model.input_units
-    return AmplitudeResponse(
-        points,
-        levels,
-        response,
-        distortion,
-        mean,
-        forces,
-        converged,
-        stable,
-        linear.input_labels[channel],
-        linear.output_labels,
-        units[channel] if units else "",
-        linear.name,
-    )
+        if way:
+            sizes = np.array([np.abs(state.outputs[:, 1]) for _, state in way])
+            gain[level] = sizes.max(axis=0) / peak
+            where[level] = np.array([at for at, _ in way])[sizes.argmax(axis=0)]
+    unit = (structure.model.input_units or [""] * (channel + 1))[channel]
+    found = (response, distortion, mean, forces, converged, stable, gain, where)
+    labels = (linear.input_labels[channel], linear.output_labels, unit, linear.name)
+    return AmplitudeResponse(points, levels, *found, *labels)
 
 
-def _approach(balance: Balance, omega: float, peak: float, sweep: str) -> SteadyState:
-    """Sweep to a frequency from afar, where the answer is plain."""
+def _onward(
+    balance: Balance, omega: float, peak: float, sweep: str, way: list[tuple[float, SteadyState]]
+) -> SteadyState:
+    """Steady state at the next frequency; the states on the way there are appended.
+
+    Steps are halved while the answer changes much: long ones pass over peaks, and leave a branch
+    before it ends.
+    """
+    if not way:
+        return _settled(balance, omega, peak, sweep, balance.solve(omega, peak, []))
+    at, last = way[-1]
+    least = _SMALL * np.max([np.abs(state.outputs[:, 1]) for _, state in way], axis=0)
+    step, there = omega - at, omega
+    while True:
+        state = balance.solve(there, peak, [last.forces])
+        if last.stable and state.converged and abs(step) > _FINEST * omega:
+            one, two = last.outputs[:, 1], state.outputs[:, 1]
+            scale = np.max([np.abs(one), np.abs(two), least], axis=0)
+            if not state.stable or (np.abs(two - one) > _STEP * scale).any():
+                step /= 2
+                there = at + step
+                continue
+        if there == omega or not state.stable:
+            break
+        way.append((there, state))
+        at, last = there, state
+        step = min(2 * step, omega - at, key=abs)
+        there = omega if step == omega - at else at + step
+    if there != omega:
+        state = balance.solve(omega, peak, [last.forces])
+    return _settled(balance, omega, peak, sweep, state)
+
+
+def _settled(balance: Balance, omega: float, peak: float, sweep: str, state: SteadyState) -> SteadyState:
+    """Return a stable state: if this one is not, sweep to it from afar, then simulate from rest."""
     starts: list[Array] = []
     afar = _AFAR if sweep == "up" else 1.0 / _AFAR
-    for frequency in np.geomspace(afar * omega, omega, _APPROACH):
+    for frequency in [] if state.converged else np.geomspace(afar * omega, omega, _APPROACH):
         state = balance.solve(float(frequency), peak, starts)
         if state.converged:
             starts = [state.forces]
-    return state
-
-
-def _settled(balance: Balance, omega: float, peak: float, state: SteadyState) -> SteadyState:
-    """Simulate from rest, and balance what the motion settles at."""
+    if state.stable:
+        return state
     structure = balance.structure
     n = _PERIODS * _PER_PERIOD
     signal = np.zeros((structure.n_inputs, n))
@@ -220,7 +246,7 @@ def _settled(balance: Balance, omega: float, peak: float, state: SteadyState) ->
     if run.blew_up >= 0 or not np.isfinite(last).all():
         return state
     found = balance.solve(omega, peak, [balance.coded(last)])
-    return found if found.converged and found.growth <= _UNSTABLE else state
+    return found if found.stable else state
 
 
 def _channel(source: int | str, labels: tuple[str, ...]) -> int:

@@ -25,6 +25,7 @@ _TIMES_FOR_JUMPS = 512
 _SAMPLES_PER_JUMP = 1.5  # a jumping force is spread over as many samples, so that its slope is seen
 _ITERATIONS = 40
 _TOLERANCE = 1e-8
+_UNSTABLE = 1.001
 # how a solution is approached: (spread of a jumping force, strength of all laws) from step to step
 _Plan = tuple[tuple[float, float], ...]
 _AT_ONCE: _Plan = ((1.0, 1.0),)
@@ -55,6 +56,11 @@ class SteadyState:
     forces: Array
     converged: bool
     growth: float
+
+    @property
+    def stable(self) -> bool:
+        """Whether small disturbances of a solution die out."""
+        return self.converged and self.growth <= _UNSTABLE
 
 
 class Balance:
@@ -120,7 +126,9 @@ class Balance:
         unit = np.eye(n)
         drive = np.zeros((s.n_inputs + 1, K + 1), complex)
         drive[:-1] = w
-        drive[-1, 0] = 1.0 if not self._integrates(omega) else 0.0
+        sizes = np.linalg.svd(A, compute_uv=False)
+        # behind an integrator a constant input has no steady answer
+        drive[-1, 0] = 0.0 if n and sizes[-1] < 1e-12 * max(sizes[0], omega) else 1.0
         toward = np.empty((K + 1, n, m), complex)  # states per force
         moved = np.empty((n, K + 1), complex)  # states by the inputs
         for k in range(K + 1):
@@ -158,13 +166,6 @@ class Balance:
         for step in steps:
             turn = step @ turn
         return float(np.abs(np.linalg.eigvals(turn)).max()) if np.isfinite(turn).all() else np.inf
-
-    def _integrates(self, omega: float) -> bool:
-        """Whether a constant input has no steady answer."""
-        if not self.structure.n_states:
-            return False
-        sizes = np.linalg.svd(self.matrices.A, compute_uv=False)
-        return bool(sizes[-1] < 1e-12 * max(sizes[0], omega))
 
     def _input(self, omega: float, amplitude: float) -> Complex:
         """Fourier coefficients of all inputs behind dead zones, saturations and delays."""

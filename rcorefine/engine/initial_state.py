@@ -131,13 +131,9 @@ def estimate_initial_state(
         return found.point
     whole = partial(rows, theta)
     # where the linear part alone explains little, its start may lie beyond every motion: rest is nearer then
-    nearer = min(found.point, rest, key=lambda point: _square(whole(point).residual))
+    nearer = min(found.point, rest, key=lambda point: float(np.sum(whole(point).residual ** 2)))
     for ratio in _RATIOS if gain is None else ():  # a free run far off has valleys; one that is led has few
         lead = observer_gain(engine.structure, theta, engine.data, ratio)
         if np.isfinite(lead).all():
             nearer = descend(partial(rows, theta, gain=lead), nearer, evaluations=12).point
     return descend(whole, nearer, evaluations=40).point
-
-
-def _square(residual: Array) -> float:
-    return float(residual @ residual)

@@ -25,13 +25,7 @@ from .initial_state import estimate_initial_state
 from .leading import leading_gain
 from .structure import Structure
 
-__all__ = [
-    "Simulation",
-    "simulate",
-    "simulated",
-    "structure_of",
-    "unjudged_samples",
-]
+__all__ = ["Simulation", "simulate", "simulated", "structure_of", "unjudged_samples"]
 
 _STILL, _MOST_STEPS = 1e-3, 64  # a run that doubled substeps move by less of its size has enough of them
 
@@ -80,11 +74,7 @@ def structure_of(model: Any) -> tuple[Structure, Array, int]:
 
 
 def simulate(
-    model: Any,
-    data: Measurement,
-    x0: str | Array = "estimate",
-    *,
-    controller: ct.StateSpace | None = None,
+    model: Any, data: Measurement, x0: str | Array = "estimate", *, controller: ct.StateSpace | None = None
 ) -> Simulation:
     """Free run of a model over a record.
 

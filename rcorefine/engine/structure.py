@@ -85,11 +85,7 @@ class Structure:
     """
 
     def __init__(
-        self,
-        model: Any,
-        effects: Sequence[Effect] = (),
-        *,
-        constants: Mapping[int, float] | None = None,
+        self, model: Any, effects: Sequence[Effect] = (), *, constants: Mapping[int, float] | None = None
     ) -> None:
         self.model: PhysicalModel = as_physical(model)
         self.effects: tuple[Effect, ...] = tuple(effects)
@@ -361,9 +357,5 @@ class Structure:
         A, B, C, D = about_point(open_loop(self), theta.astype(float))
         nw = self.n_inputs
         return self.linear_model.with_arrays(
-            A=A,
-            B=B[:, :nw],
-            C=C,
-            D=D[:, :nw],
-            state_labels=tuple(self.state_labels()),
+            A=A, B=B[:, :nw], C=C, D=D[:, :nw], state_labels=tuple(self.state_labels())
         ).to_statespace(name)

@@ -10,8 +10,8 @@ from .tables import Table, tabulates
 __all__ = ["amplitude_table"]
 
 _NOTES = (
-    "|G|: fundamental of the output over the sine at the input; a linear model shows the same at every "
-    "amplitude.",
+    "|G|: fundamental of the output over the sine at the input, largest also between the frequencies; a "
+    "linear model shows the same at every amplitude.",
     "distortion: the largest share of higher harmonics over the frequencies.",
 )
 
@@ -32,19 +32,11 @@ def amplitude_table(found: AmplitudeResponse) -> Table:
     rows = []
     for level, amplitude in enumerate(found.amplitude):
         for i, label in enumerate(found.output_labels):
-            size = np.abs(found.response[level, i])
-            if not np.isfinite(size).any():
-                rows.append([f"{amplitude:.4g} {found.input_unit}".strip(), label, "-", "-", "-"])
-                continue
-            k = int(np.nanargmax(size))
-            rows.append(
-                [
-                    f"{amplitude:.4g} {found.input_unit}".strip(),
-                    label,
-                    f"{size[k]:.4g}",
-                    f"{found.omega[k]:.5g}",
-                    f"{100 * np.nanmax(found.distortion[level, i]):.2g}",
-                ]
-            )
+            gain, omega = found.peak_gain[level, i], found.peak_omega[level, i]
+            cells = ["-", "-", "-"]
+            if np.isfinite(gain):
+                most = 100 * np.nanmax(found.distortion[level, i])
+                cells = [f"{gain:.4g}", f"{omega:.5g}", f"{most:.2g}"]
+            rows.append([f"{amplitude:.4g} {found.input_unit}".strip(), label, *cells])
     headers = ["amplitude", "output", "largest |G|", "at [rad/s]", "distortion [%]"]
     return Table(headers, rows, _title(found), _NOTES, left=2)

@@ -79,17 +79,21 @@ def level_bode(
     names = frame.labels([f"{peak:.4g} {unit} sine".replace("  ", " ") for peak in peaks])
     with frame.axes([1.9, 1.4] * linear.n_outputs, linear.n_inputs) as (axes, lines):
         units = bode_rows(axes, linear.output_labels, linear.input_labels, extra=None)
-        factor = hold_factor(grid, dt, hold)
-        base = frequency_response(initial, grid) * factor
+        base = frequency_response(initial, grid) * hold_factor(grid, dt, hold)
         look: dict[str, Any] = {"color": "0.55", "linestyle": (0, (2, 1.5)), "linewidth": 1.3}
         _draw(axes, lines, grid, base, units, look | {"label": "initial model"})
         for j in range(linear.n_inputs):
             found = frequency_response_at(refinement, grid, peaks, source=j)
+            if omega is None:  # with the peaks, which lie between
+                found = frequency_response_at(
+                    refinement, np.union1d(grid, found.peak_omega[found.peak_omega > 0]), peaks, source=j
+                )
+            seen = np.where(found.stable[:, None], found.response, np.nan)  # broken where none is stable
+            seen = seen * hold_factor(found.omega, dt, hold)
             for index, name in enumerate(names):
                 look = dict(style(index)._asdict(), label=name if j == 0 else f"_{name}", zorder=3)
-                # broken where no stable steady state was found
-                curve = np.where(found.stable[index], found.response[index], np.nan) * factor
-                _draw(axes[:, j : j + 1], lines[:, j : j + 1], grid, curve[:, None, :], units, look)
+                curve = seen[index, :, None]
+                _draw(axes[:, j : j + 1], lines[:, j : j + 1], found.omega, curve, units, look)
         _draw_groups(axes, lines, groups, units, unit)
         for i, j in np.ndindex(linear.n_outputs, linear.n_inputs):
             magnitude_limits(axes[2 * i, j], lines[2 * i, j], units)

@@ -11,14 +11,7 @@ from ...inference.refinement import Refinement
 from ..case import not_held
 from .selection import StepwiseSelection, coefficients_of, determined
 
-__all__ = [
-    "drop_last",
-    "drop_needless",
-    "drop_undetermined",
-    "return_trust",
-    "shorten",
-    "swap_better",
-]
+__all__ = ["drop_last", "drop_needless", "drop_undetermined", "return_trust", "shorten", "swap_better"]
 
 
 Cost = Callable[[Effect, Refinement], float]

@@ -280,6 +280,12 @@ class StepwiseSelection:
         self.parts = self.parts.pooled()
         self.current = self.refit(self.current)
         self._verdicts.clear()
+        for i, step in enumerate(self.steps):  # more data may tell apart what was tied
+            if step.effect in self.effects and step.rivals:
+                asked = [step.effect, *step.rivals]
+                alike = self.investigate(self.without(step.effect), asked).found.ambiguous
+                if step.effect in alike:
+                    self.steps[i] = replace(step, rivals=tuple(e for e in alike if e != step.effect))
 
     # ------------------------------------------------------------------ moving
     def add(self, choice: Choice, verdict: str) -> None:
