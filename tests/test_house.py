@@ -35,14 +35,14 @@ ORDER = (
 #: Lines of code (no docstring, comment, blank) of each top-level folder, and of the files beside them.
 #: A commit may lower a figure; one that raises it says in its message what went out in exchange.
 BUDGET = {
-    ".": 854, "arguments": 306, "commands": 1313, "comparison": 2833, "data": 2814, "diagnosis": 5694,
-    "effects": 3198, "engine": 3298, "examples": 263, "exercises": 568, "explorer": 1121, "export": 511,
-    "fleet": 1043, "inference": 2849, "localization": 1330, "models": 4144, "refinement": 193,
-    "streaming": 7522, "systems": 654, "views": 4296,
+    ".": 854, "arguments": 306, "commands": 1313, "comparison": 2830, "data": 2814, "diagnosis": 5694,
+    "effects": 3187, "engine": 3296, "examples": 263, "exercises": 565, "explorer": 1107, "export": 511,
+    "fleet": 1043, "inference": 2846, "localization": 1330, "models": 4143, "refinement": 193,
+    "streaming": 7509, "systems": 654, "views": 4286,
 }  # fmt: skip
 #: Functions of a radon complexity above 15, functions that take more than 8 parameters (private ones and
 #: kernels), private functions of fewer than 6 lines of code that one place calls: not more than there are.
-COMPLEX, WIDE, TINY = 109, 12, 162
+COMPLEX, WIDE, TINY = 109, 12, 107
 
 
 @functools.cache

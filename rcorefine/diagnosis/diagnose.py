@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any, TypeGuard
 
 import control as ct
@@ -202,16 +201,13 @@ def investigate(
     case = Case.prepare(base, records, asked, settings, significance, progress, thorough)
     answer = ask(case, validation)
     if isinstance(answer, Unanswered):
-        answer = _none_passing(answer, partial(_ask_otherwise, case, validation), numbers)
+
+        def again(base: Refinement, thorough: bool) -> Answer | Unanswered:
+            given = (case.settings, case.significance, case.progress, thorough)
+            return ask(Case.prepare(base, case.records, case.library, *given), validation)
+
+        answer = _none_passing(answer, again, numbers)
     return answer
-
-
-def _ask_otherwise(
-    case: Case, validation: Measurement | None, base: Refinement, thorough: bool
-) -> Answer | Unanswered:
-    """The same asked of the model fitted otherwise."""
-    given = (case.settings, case.significance, case.progress, thorough)
-    return ask(Case.prepare(base, case.records, case.library, *given), validation)
 
 
 def _none_passing(first: Unanswered, again: Ask, numbers: bool) -> Answer:

@@ -95,7 +95,8 @@ def proposals(
     for factor in lengths:
         name = f"record {factor_in_words(factor)} as long"
         cost = costs["longer"] * factor
-        found.append(Proposal("longer", name, _record(record, _longer(w, factor)), cost))
+        n = round(factor * w.shape[1])  # the same kind of input, repeated from its beginning
+        found.append(Proposal("longer", name, _record(record, np.tile(w, -(-n // w.shape[1]))[:, :n]), cost))
     for place, label, row in sensor_rows(model, sensors):
         name = f"repeat with a sensor at {place}"
         found.append(Proposal("sensor", name, _record(record, w), costs["sensor"], (label, row)))
@@ -107,12 +108,6 @@ def _record(like: Measurement, inputs: Array) -> Measurement:
         inputs, np.zeros((like.n_outputs, inputs.shape[1])), dt=like.dt, hold=like.hold,
         input_labels=like.input_labels, output_labels=like.output_labels,
     )  # fmt: skip
-
-
-def _longer(w: Array, factor: float) -> Array:
-    """The same kind of input for longer: repeated from its beginning."""
-    n = round(factor * w.shape[1])
-    return np.tile(w, -(-n // w.shape[1]))[:, :n]
 
 
 def in_band(w: Array, dt: float, low: float, high: float) -> Array:

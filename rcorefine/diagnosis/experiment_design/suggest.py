@@ -289,7 +289,9 @@ def _advice(
     best = max(possible, key=lambda o: o.probability)
     who = _who(contenders)
     if chosen is not None:
-        message = f"{_sentence(chosen.name)}: {who} with probability {chosen.probability:.2f}."
+        message = (
+            f"{chosen.name[0].upper()}{chosen.name[1:]}: {who} with probability {chosen.probability:.2f}."
+        )
     else:
         chosen = best
         message = (
@@ -310,10 +312,6 @@ def _advice(
     if chosen.kind == "sensor":
         notes.append("The new record alone is counted there: the model then has one output more.")
     return ExperimentAdvice(chosen, tuple(options), names, probability, message, tuple(notes))
-
-
-def _sentence(name: str) -> str:
-    return name[0].upper() + name[1:]
 
 
 def _who(contenders: Sequence[Contender]) -> str:
