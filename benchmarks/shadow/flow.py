@@ -45,7 +45,8 @@ def case_of(model, data, candidates=None, controller=None):
 
 def words(s, trial):
     names = "+".join(f"{e.kind}@{e.place}" for e in trial.effects) or "nothing"
-    return names + (" | numbers" if trial.base is not s.fitted else "")
+    force = f" | force {s.ratio(trial.base):g}" if s.ratio(trial.base) else ""
+    return names + (" | numbers" if s.is_floated(trial) else "") + force
 
 
 def one(seed, show=5):
@@ -58,7 +59,8 @@ def one(seed, show=5):
         warnings.simplefilter("ignore")
         model = handed(p, c["handed"])
         search = Search(case_of(model, records, controller=controller(p) if p.loop else None)).run()
-        word, named, probability, p_value = verdict(search)
+        word, named, probability, trial, _ = verdict(search)
+        p_value = search.tested(trial)[0]
     cpu = time.process_time() - start
     true = [bool(truth) and is_truth(e, c, truth, p, model) for e in named]
     right = {

@@ -20,6 +20,7 @@ from rcorefine.diagnosis.case import Case, not_held
 from rcorefine.diagnosis.floating import is_number
 from rcorefine.diagnosis.residual_tests import TestedResidual, passed_without_library, run_tests
 from rcorefine.diagnosis.starts import plain_cost
+from rcorefine.diagnosis.unmeasured_force import likely_forces
 from rcorefine.diagnosis.verdict import overall
 from rcorefine.effects.along_motion import unit_forces
 from rcorefine.effects.effect import Effect
@@ -40,6 +41,7 @@ STRONG = 75.0  # fit in percent of the base below which screens led by an observ
 SINGLES, SETS, MOST = 6, 4, 4  # refits of each screen: single effects, sets; effects of a set
 ROUNDS = 2  # linearizations about the winner
 NEAR = 60.0  # log evidence behind the best within which a trial is polished
+FORCES = 14  # sizes and places of an unmeasured force
 STEP_SHARE = 0.25  # standard deviations that halving the substep may shift a coefficient
 
 Values = list[dict[str, float]]  # coefficients of each effect, by name
@@ -80,7 +82,8 @@ class Search:
         self._tested: dict[int, tuple[float, list[Any]]] = {}
         self._polished: set[int] = set()
         self._asked: set[Any] = set()
-        self._kept: list[Trial] = []  # their ids stay theirs
+        self._kept: list[Any] = []  # their ids stay theirs
+        self._ratios: dict[int, float] = {}
 
     @contextmanager
     def timed(self, name: str) -> Iterator[None]:
@@ -106,9 +109,23 @@ class Search:
         noise = 1.0 / problem.weights
         return fitted_from(refined, problem.records, tolerance=options["tolerance"], noise=noise)
 
+    def ratio(self, base: FittedModel) -> float:
+        """Unmeasured force over the measured one that a base allows for, 0 for none."""
+        return self._ratios.get(id(base), 0.0)
+
+    def gain(self, base: FittedModel, problem: Problem | None = None) -> Array | None:
+        """Gain of the predictor at a base, None for the free run."""
+        gain, n = base.gain(self.ratio(base)), (problem or base.problem).n_states
+        return None if gain is None else np.pad(gain, ((0, n - gain.shape[0]), (0, 0)))
+
+    def is_floated(self, trial: Trial) -> bool:
+        """Whether the parameters are free in a trial."""
+        return trial.base.problem.n_theta > self.fitted.problem.n_theta
+
     def posterior(self, trial: Trial) -> float:
-        """Log evidence and log prior: each effect is one of the library."""
-        return trial.total - float(np.log(2.0)) - self.price * len(trial.effects)
+        """Log evidence and log prior: each effect is one of the library, a force one of its sizes."""
+        force = float(np.log(FORCES)) if self.ratio(trial.base) else 0.0
+        return trial.total - float(np.log(2.0)) - self.price * len(trial.effects) - force
 
     @property
     def best(self) -> Trial:
@@ -118,15 +135,27 @@ class Search:
     def scored(self, trial: Trial) -> Trial:
         """A trial with its noise and its score."""
         p0 = trial.base.problem.n_theta
-        n = self.fitted.problem.n_theta
-        own = slice(n, p0) if trial.base is not self.fitted else slice(0, 0)
-        return score(trial, self.base_residual, self.steps, p0, own)
+        n, ratio = self.fitted.problem.n_theta, self.ratio(trial.base)
+        trial.ratio = ratio
+        before = [r for r, _ in trial.base.blocks(ratio)] if ratio else self.base_residual
+        return score(trial, before, self.steps, p0, slice(n, p0) if p0 > n else slice(0, 0))
 
     def add(self, trial: Trial | None) -> Trial | None:
         """Enter a trial into the table."""
         if trial is not None and np.isfinite(trial.total):
             self.trials.append(trial)
         return trial
+
+    @staticmethod
+    def is_gain(effect: Effect) -> bool:
+        """Whether an effect is the gain of a channel: a parameter of the record, beside the model's."""
+        return bool(effect.spec.relative and effect.spec.at_channel)
+
+    def is_free(self, group: Group) -> bool:
+        """Whether a candidate is more than a parameter that is free already."""
+        e = group.effect
+        held = {(o.kind, o.place) for o, _ in self.numbers}
+        return not is_number(e) or (self.is_gain(e) and (e.kind, e.place) not in held)
 
     def first_time(self, *key: Any) -> bool:
         """Whether something was not asked yet."""
@@ -175,7 +204,7 @@ class Search:
         for start in starts:
             for share in shares:
                 problem, point = self.placed(base, effects, self._shared(base, effects, start, share))
-                gain = _padded(base.gain(0.0), problem)
+                gain = self.gain(base, problem)
                 tried.append((plain_cost(problem, point, gain), point))
                 if tried[-1][0] < 0.3 * self.base_cost:
                     break
@@ -216,7 +245,7 @@ class Search:
                 continue
             run = descend(problem, point, gain=strong, evaluations=5, tolerance=1e-3)
             point = run.point if np.isfinite(run.cost) else point
-        gain = _padded(base.gain(0.0), problem)
+        gain = self.gain(base, problem)
         options = [point, problem.pack(problem.unpack(point)[0], problem.unpack(nearest)[1])]
         costs = [plain_cost(problem, option, gain) for option in options]
         return descend(problem, options[int(np.argmin(costs))], gain=gain, evaluations=evaluations)
@@ -246,8 +275,8 @@ class Search:
 
     def empty(self, base: FittedModel) -> Trial:
         """A base without effects, under its own noise."""
-        run = descend(base.problem, base.point, gain=base.gain(0.0), evaluations=1)
-        return self._under_own_noise((), base, base.problem, run, base.gain(0.0), 8)
+        run = descend(base.problem, base.point, gain=self.gain(base), evaluations=1)
+        return self._under_own_noise((), base, base.problem, run, self.gain(base), 8)
 
     # ------------------------------------------------------------ the search
     def run(self) -> Search:
@@ -273,7 +302,7 @@ class Search:
                     self.single(group.effect, screens, strong)
         with self.timed("beside"):
             order = sorted((x for x in self.trials if len(x.effects) == 1), key=self.posterior)[::-1]
-            for trial in [x for x in order if not is_number(x.effects[0])][:3]:
+            for trial in [x for x in order if not is_number(x.effects[0]) or self.is_gain(x.effects[0])][:3]:
                 self.beside(trial)
         self.polish()
         if not self.passed(self.best):
@@ -291,6 +320,10 @@ class Search:
             self.polish()
             if self.best is before:
                 break
+        if case.in_time and (self.best.effects or not self.passed(self.best)):
+            with self.timed("forces"):
+                self.forces()
+            self.polish()
         with self.timed("names"):
             self.prune()
             self.names()
@@ -310,7 +343,7 @@ class Search:
         found, own = [plain], noise_of(residual, measured(fitted.problem), self.steps)
         if any(own.whitener.orders) or own.uneven:
             found.append(made(own.whitener, own.weights))
-        best = plain.beam(MOST, True, self.price, usable=is_law)[0]
+        best = plain.beam(MOST, True, self.price, usable=self.is_free)[0]
         left = plain.left(best[1], True)
         if len(left) == sum(r.size for r in residual):
             parts = np.split(left, np.cumsum([r.size for r in residual])[:-1])
@@ -337,7 +370,7 @@ class Search:
         """Sets of effects beside the parameters: a short fit of each, and the best to the end."""
         begun: list[Trial] = []
         for screen in screens:
-            ranked = [one for one in screen.beam(MOST, True, self.price, usable=is_law) if one[1]]
+            ranked = [one for one in screen.beam(MOST, True, self.price, usable=self.is_free) if one[1]]
             for _, groups in ranked[:SETS]:
                 effects = tuple(g.effect for g in groups)
                 if self.first_time("set", frozenset(effects)):
@@ -360,12 +393,13 @@ class Search:
     def relinearized(self, trial: Trial) -> None:
         """More effects about the winner, beside the parameters."""
         fitted = as_fitted(trial)
-        rest = [e for e in not_held(self.case.library, fitted.structure.effects) if not is_number(e)]
+        rest = not_held(self.case.library, fitted.structure.effects)
+        rest = [e for e in rest if not is_number(e) or self.is_gain(e)]
         scored = candidate_columns(fitted, rest, self.motion, (0.0,))
-        numbers = self.numbers if trial.base is self.fitted else []
+        numbers = [] if self.is_floated(trial) else self.numbers
         sd = FITTED_SPREAD * np.array([s for _, s in numbers])
         here = start_of(trial)
-        if trial.base is not self.floated:
+        if not self.is_floated(trial) and self.floated is not self.fitted:
             mean = self.floated.problem.prior_mean[len(here.theta) :]
             here = here._replace(theta=np.concatenate([here.theta, mean]))
         held = [Group.of(e) for e in trial.effects]
@@ -383,6 +417,29 @@ class Search:
                     weaker = [{n: 0.3 * v for n, v in own.items()} for own in values]
                     weak = here._replace(values=[*here.values, *weaker])
                     self.add(self.refit(effects, self.floated, [start, weak]))
+
+    def forces(self) -> None:
+        """An unmeasured force beside nothing, and beside the leaders."""
+        best = self.best
+        fewer = [x for x in self.trials if 0 < len(x.effects) < len(best.effects) and eligible(x)]
+        leaders = [
+            best,
+            *sorted(fewer, key=self.posterior)[::-1][:2],
+            *[x for x in self.trials if not x.effects],
+        ]
+        for trial in dict.fromkeys(leaders):
+            if self.ratio(trial.base):
+                continue
+            fitted = as_fitted(trial)
+            for led in likely_forces(fitted, TestedResidual(fitted), 3.0, self.case.levels)[:1]:
+                base = trial.base.forced(led.fitted.force_at)
+                base = replace(base) if base is trial.base else base
+                self._kept.append(base)
+                self._ratios[id(base)] = led.ratio
+                if trial.effects:
+                    self.add(self.refit(trial.effects, base, [start_of(trial)]))
+                else:
+                    self.add(self.empty(base))
 
     def without(self, trial: Trial, kept: Sequence[int]) -> None:
         """A trial with some of its effects, from where it stands."""
@@ -481,7 +538,7 @@ class Search:
 
     def _polish(self, trial: Trial) -> Trial:
         """The trial at its minimum, with the substeps and widths that the record asks for."""
-        problem, gain = trial.problem, _padded(trial.base.gain(0.0), trial.problem)
+        problem, gain = trial.problem, self.gain(trial.base, trial.problem)
         # weights take errors of a fit that is far from its minimum for outliers: once without them
         plain = descend(problem, trial.point, gain=gain, evaluations=20, tolerance=1e-6)
         if np.isfinite(plain.cost):
@@ -533,12 +590,13 @@ class Search:
         fitted, odds = as_fitted(trial), -np.inf
         self.odds[id(trial)] = odds
         motions = [estimated_motion(fitted.structure, fitted.theta, m.data) for m in self.case.motions]
-        battery = TestedResidual(fitted)
+        ratio = self.ratio(trial.base)
+        battery = TestedResidual(fitted, ratio)
         others = passed_without_library(battery, motions, self.case.significance)
         if others is None:
             return 0.0, []
         rest = not_held(self.case.library, fitted.structure.effects)
-        scored = candidate_columns(fitted, rest, motions[0], (0.0,))
+        scored = candidate_columns(fitted, rest, motions[0], (ratio,))
         tests = run_tests(battery, scored, motions, 0, others)
         if fitted.problem.in_time and overall(tests) >= self.case.significance:
             for place in dict.fromkeys(e.place for e in trial.effects):
@@ -555,15 +613,10 @@ class Search:
         """Best trial of each set of effects and kind of base, with its log posterior."""
         rows: dict[Any, tuple[float, Trial]] = {}
         for trial in self.trials:
-            key, value = (frozenset(trial.effects), trial.base is self.fitted), self.posterior(trial)
+            key, value = (frozenset(trial.effects), self.is_floated(trial)), self.posterior(trial)
             if key not in rows or rows[key][0] < value:
                 rows[key] = value, trial
         return sorted(rows.values(), key=lambda row: -row[0])
-
-
-def is_law(group: Group) -> bool:
-    """Whether a candidate is more than a changed parameter."""
-    return not is_number(group.effect)
 
 
 def _padded(gain: Array | None, problem: Problem) -> Array | None:
@@ -629,7 +682,7 @@ def as_fitted(trial: Trial) -> FittedModel:
         problem = weighted(problem, noise)
         blocks = [(w * r, w[:, :, None] * j) for w, (r, j) in zip(noise.weights, blocks, strict=True)]
     found = FittedModel(refinement, problem, trial.point, trial.base.tolerance, trial.base.force_at)
-    found._blocks[0.0] = blocks
+    found._blocks[trial.ratio] = blocks
     return found
 
 

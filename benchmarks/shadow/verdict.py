@@ -1,68 +1,98 @@
-"""From the table of hypotheses to a verdict."""
+"""From the table of hypotheses to a verdict: pure functions, and the only levels of the decision."""
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
-NAMED, EXCLUDED, FAMILY, SURE = 0.95, 0.01, 20.0, 3.0
+NAMED = 0.95  # probability from which a set of effects is named alone
+EXCLUDED = 0.01  # odds below which another set is excluded
+FAMILY = 20.0  # odds within which the simplest member of a family is named, and "nothing" is kept
+SURE = 3.0  # standard deviations that each effect must be from zero
 
 
-def eligible(trial):
-    """Whether each member is determined."""
-    return all(x >= SURE for x in trial.surest()) if trial.effects else True
+class Row(NamedTuple):
+    """A set of effects, all nuisances averaged."""
+
+    effects: tuple[Any, ...]
+    floated: bool  # of the empty set: whether parameters are free
+    value: float  # log posterior
+    trials: list[Any]  # the most probable first
 
 
-def verdict(search):
-    """(word, effects named, probability, p-value)."""
-    significance = search.case.significance
-    rows = [(search.posterior(t), t) for t in search.trials if eligible(t)]
-    by_set, variants = {}, {}
-    for value, trial in rows:
-        variants.setdefault(
-            frozenset(trial.effects) if trial.effects else trial.base is not search.fitted, []
-        ).append((value, trial))
-        key = frozenset(trial.effects) if trial.effects else trial.base is not search.fitted
-        old = by_set.get(key)
-        best = trial if old is None or value > search.posterior(old[1]) else old[1]
-        by_set[key] = (value if old is None else np.logaddexp(old[0], value), best)
-    ordered = sorted(by_set.items(), key=lambda kv: -kv[1][0])
-    nothing = by_set[False]
-    total = np.logaddexp.reduce([v for _, (v, _) in ordered])
-    p0 = search.tested(search.trials[0])[0]
-    if p0 >= significance and ordered[0][1][0] - nothing[0] < np.log(FAMILY):
-        return "adequate", (), float(np.exp(nothing[0] - total)), p0
-    for key, (value, trial) in ordered[:4]:
-        if value < ordered[0][1][0] - np.log(1 / EXCLUDED):
+class Answer(NamedTuple):
+    """What is said of a record."""
+
+    word: str
+    effects: tuple[Any, ...]
+    probability: float
+    trial: Any
+    ties: tuple[tuple[Any, ...], ...]
+
+
+def eligible(trial: Any) -> bool:
+    """Whether each effect of a trial is determined."""
+    return all(x >= SURE for x in trial.surest())
+
+
+def rows_of(search: Any) -> list[Row]:
+    """The table by sets of effects, the most probable first."""
+    by_set: dict[Any, list[tuple[float, Any]]] = {}
+    for trial in search.trials:
+        if eligible(trial):
+            key = frozenset(trial.effects) or search.is_floated(trial)
+            by_set.setdefault(key, []).append((search.posterior(trial), trial))
+    found = []
+    for key, entries in by_set.items():
+        entries.sort(key=lambda entry: -entry[0])
+        value = float(np.logaddexp.reduce([v for v, _ in entries]))
+        near = [t for v, t in entries if v > entries[0][0] + np.log(EXCLUDED)]
+        found.append(Row(near[0].effects, key is True, value, near))
+    return sorted(found, key=lambda row: -row.value)
+
+
+def special(one: tuple[Any, ...], other: tuple[Any, ...]) -> bool:
+    """Whether a set of effects is a special case of another: each a member, or contained in one."""
+    if len(one) != len(other) or set(one) == set(other):
+        return False
+    inside = [any(e == o or (o.place == e.place and e.kind in o.spec.contains) for o in other) for e in one]
+    return all(inside)
+
+
+def verdict(search: Any) -> Answer:
+    """The verdict on a search."""
+    rows = rows_of(search)
+    total = float(np.logaddexp.reduce([row.value for row in rows]))
+    nothing = next(row for row in rows if not row.effects and not row.floated)
+    if rows[0].value - nothing.value < np.log(FAMILY) and search.passed(nothing.trials[0]):
+        share = float(np.exp(nothing.value - total))
+        return Answer("adequate", (), share, nothing.trials[0], ())
+    for row in rows[:4]:
+        if row.value < rows[0].value + np.log(EXCLUDED):
             break
-        likely = sorted(
-            (x for x in variants[key] if x[0] > value - np.log(1 / EXCLUDED)), key=lambda x: -x[0]
-        )[:3]
-        fine = [
-            t
-            for _, t in likely
-            if search.tested(t)[0] >= significance
-            and not search.odds.get(id(t), -np.inf) > np.log(1 / EXCLUDED)
-        ]
-        if not fine:
-            continue
-        trial = fine[0]
-        p = search.tested(trial)[0]
-        if not trial.effects:
-            return ("parameters" if key else "adequate"), (), float(np.exp(value - total)), p
-        # the simplest member of its family within 20:1, with the probability of the family
-        name, mass = trial.effects, value
-        if len(trial.effects) == 1:
-            e = trial.effects[0]
-            for other, (v, t) in ordered:
-                if not t.effects or len(t.effects) != 1 or other == key:
-                    continue
-                o = t.effects[0]
-                if o.place == e.place and (o.kind in e.spec.contains or e.kind in o.spec.contains):
-                    if o.kind in e.spec.contains and v > value - np.log(FAMILY) and name == trial.effects:
-                        name = t.effects
-                    mass = np.logaddexp(mass, v)
-        prob = float(np.exp(mass - total))
-        prob /= 1.0 + np.exp(search.odds.get(id(trial), -np.inf))
-        ties = [t.effects for _, (v, t) in ordered if v > ordered[0][1][0] - np.log(1 / EXCLUDED)]
-        return ("effect" if (prob >= 0.5 and len(ties) == 1) or prob >= NAMED else "ambiguous"), name, prob, p
-    return "unexplained", (), float(np.exp(ordered[0][1][0] - total)), p0
+        trial = next((t for t in row.trials[:3] if search.passed(t)), None)
+        if trial is not None:
+            return _named(search, rows, row, trial, total)
+    return Answer("unexplained", (), float(np.exp(rows[0].value - total)), rows[0].trials[0], ())
+
+
+def _named(search: Any, rows: list[Row], row: Row, trial: Any, total: float) -> Answer:
+    """The answer where a set of effects passes its tests."""
+    family = [r for r in rows if special(r.effects, row.effects) or special(row.effects, r.effects)]
+    simpler = [r for r in family if special(r.effects, row.effects)]
+    simpler = [r for r in simpler if r.value > row.value - np.log(FAMILY) and search.passed(r.trials[0])]
+    if simpler:
+        row = simpler[0]
+        trial = row.trials[0]
+    mass = float(np.logaddexp.reduce([r.value for r in [row, *family] if r is not row] + [row.value]))
+    probability = float(np.exp(mass - total) / (1.0 + np.exp(search.odds[id(trial)])))
+    free = search.is_floated(trial)
+    effects = tuple(e for e in row.effects if not (free and search.is_gain(e)))
+    if not effects:
+        word = "parameters" if free or row.effects else "adequate"
+        return Answer(word, (), probability, trial, ())
+    others = [r for r in rows if r is not row and r not in family]
+    ties = tuple(r.effects for r in others if r.value > row.value + np.log(EXCLUDED))
+    alone = probability >= NAMED or (probability >= 0.5 and not ties)
+    return Answer("effect" if alone else "ambiguous", effects, probability, trial, ties)
