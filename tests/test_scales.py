@@ -199,18 +199,3 @@ def test_names_do_not_depend_on_units_of_length_time_and_force(units):
     row = found.best
     assert abs(row.coefficients["cubic_stiffness"] - hardening) < 4 * row.std["cubic_stiffness"]
     assert row.std["cubic_stiffness"] < 0.05 * hardening
-
-
-@pytest.mark.parametrize("second", [1.0, 1e9])
-def test_names_do_not_depend_on_the_unit_of_time(second):
-    """A spring that lost a tenth, the time in seconds and in billions of them."""
-    model, true = (rco.mass_spring_damper(second**2, 0.4 * second, k) for k in (100.0, 90.0))
-    rng = np.random.default_rng(0)
-    w = rng.standard_normal(1000)
-    y = rco.simulate(true, rco.Measurement(w, np.zeros(1000), dt=0.02 * second), "zero").outputs
-    data = rco.Measurement(w, y + 0.02 * y.std() * rng.standard_normal(y.shape), dt=0.02 * second)
-    candidates = [rco.Effect(k, "link1") for k in ("stiffness", "damping")]
-    found = rco.diagnose(model, data, candidates=[*candidates, rco.Effect("input_gain", "force")])
-    assert (found.verdict, found.best.effect.kind) == ("effect", "stiffness")
-    row = found.best
-    assert abs(row.coefficients["stiffness"] + 10.0) < 4 * row.std["stiffness"] < 0.1

@@ -269,8 +269,8 @@ CONDITIONS = {
     "above_fleet": ({"effect": "stiffness", "above_fleet": 50.0}, set()),
     "above": ({"effect": "stiffness", "above": -20.0}, {"pump0", "pump1", "pump2", "pump3"}),
     "machine": ({"effect": "stiffness", "above": -20.0, "machine": "pump1"}, {"pump1"}),
-    "errors": ({"errors": 0}, {"gone"}),
-    "some errors": ({"errors": 1}, set()),
+    "errors": ({"errors": 0}, {"gone", "still"}),  # an output that never moves cannot be asked
+    "some errors": ({"errors": 2}, set()),
     "share": ({"verdict": "effect", "share": 0.99}, set()),
     "growth": ({"growth": 0.01}, set()),
 }

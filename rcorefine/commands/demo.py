@@ -156,7 +156,7 @@ def _draw(
     stretch = test.segment(test.timepts[0], test.timepts[0] + STRETCH)
     compare(models, stretch).plot(ax=axes)
     left.suptitle("One effect missing: held-out record, both models, what is left over")
-    right.suptitle("Two effects missing: each that is added takes its part of the error")
+    right.suptitle("Two changes at once: each step takes its part of the error")
     ladder.plot(ax=right.subplots(), title="")
     pictures = {
         "overview.png": (overview, 100),

@@ -141,14 +141,6 @@ def price(rival: CandidateFit, samples: int) -> float:
     return 0.5 * max(rival.n_coefficients - 1, 0) * float(np.log(samples))
 
 
-def _words(rival: CandidateFit) -> list[str]:
-    """How far its fit got, and what stands at a bound."""
-    bound = rival.descent.at_bound(rival.candidate.problem)
-    far = "Not polished: far behind the best candidate." if rival.settled else "Not converged."
-    state = "Converged." if rival.converged else far
-    return [state, f"At its bound: {', '.join(bound)}."] if bound else [state]
-
-
 def fitted_model(fitted: FittedModel, rival: CandidateFit, whitener: Whitener, ratio: float) -> FittedModel:
     """The rival as a refinement; its covariance is that of generalized least squares."""
     problem, point = rival.candidate.problem, rival.descent.point
@@ -163,6 +155,9 @@ def fitted_model(fitted: FittedModel, rival: CandidateFit, whitener: Whitener, r
     free = [r for r, _ in (blocks if ratio == 0 else evaluated(problem, point))]
     fit, rmse = fit_of(problem.records, [r / problem.weights[:, None] for r in free])
     roles = [*old.roles, "effect"]
+    bound = rival.descent.at_bound(problem)
+    far = "Not polished: far behind the best candidate." if rival.settled else "Not converged."
+    state = "Converged." if rival.converged else far
     refinement: Refinement = replace(
         old,
         effects=problem.structure.effects,
@@ -177,7 +172,7 @@ def fitted_model(fitted: FittedModel, rival: CandidateFit, whitener: Whitener, r
         substeps=problem.engines[0].substeps,
         residual_orders=whitener.orders,
         success=rival.converged,
-        message=" ".join(_words(rival)),
+        message=state + (f" At its bound: {', '.join(bound)}." if bound else ""),
         warnings=(),
     )
     extended = FittedModel(refinement, problem, point, fitted.tolerance, fitted.force_at)

@@ -27,7 +27,7 @@ from .case import Case, not_held
 from .colored_noise import gain_over_color
 from .places import in_race
 from .residual_tests import TestedResidual, passed_without_library, run_tests
-from .verdict import overall
+from .verdict import keeps_name, overall
 
 __all__ = [
     "Floated",
@@ -226,7 +226,7 @@ def is_number(effect: Effect) -> bool:
 def as_good(case: Case, race: CandidateFits, numbers: Floated) -> bool:
     """Whether the best candidate explains the records as well as all the numbers of the model together."""
     own = max(log_likelihood(rival, numbers.battery.whitener) for rival in race.rivals)
-    return 2 * (numbers.evidence - own) <= case.levels.rival  # the best single effect beside all numbers
+    return keeps_name(own, numbers.evidence, case.levels)
 
 
 def outdone(race: CandidateFits, battery: TestedResidual, price: float) -> bool:

@@ -218,7 +218,7 @@ def _nearest(race: CandidateFits, form: FreeForm) -> tuple[tuple[Effect, float],
             q.name: q.coefficient for q in race.model(i).refinement.parameters[race.fitted.problem.n_theta :]
         }
         columns = unit_forces(rival.effect, d, v, [shape], w)
-        if columns:
+        if columns and force.any():
             F = np.column_stack(columns)
             F = F - F.mean(axis=0)
             left = force - F @ np.linalg.lstsq(F, force, rcond=1e-10)[0]

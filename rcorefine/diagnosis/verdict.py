@@ -9,7 +9,7 @@ import numpy as np
 from ..inference.f_tests import FTest
 from ..inference.levels import Levels
 
-__all__ = ["overall", "passes", "probabilities", "tied", "verdict"]
+__all__ = ["keeps_name", "overall", "passes", "probabilities", "tied", "verdict"]
 
 
 def overall(tests: Sequence[FTest], equal: bool = False) -> float:
@@ -78,6 +78,25 @@ def tied(log_likelihoods: Sequence[float], lacks: Sequence[float], levels: Level
     best = log_likelihoods[0]
     both = zip(log_likelihoods, lacks, strict=True)
     return [i for i, (value, lack) in enumerate(both) if 2 * (best - value) <= levels.rival + 2 * lack]
+
+
+def keeps_name(single: float, numbers: float, levels: Levels) -> bool:
+    """Whether one effect is named where all the parameters of the model together explain a record too.
+
+    Parameters
+    ----------
+    single : float
+        Log-likelihood of the best single effect.
+    numbers : float
+        Log-likelihood averaged over the prior of the parameters.
+    levels : Levels
+        Of rivals.
+
+    Returns
+    -------
+    bool
+    """
+    return 2 * (numbers - single) <= levels.rival
 
 
 def verdict(passed: bool, agreement: float, ties: int, levels: Levels, beside: float = -np.inf) -> str:

@@ -195,7 +195,8 @@ def test_sensors_that_show_nothing_are_left_out():
             assert (found is not None) == (damage == "dead"), (seed, damage)
             assert found is None or (len(found.kept), len(found.said)) == (2, 1)
     rest = rco.Measurement(truth.w, 0 * truth.y, dt=DT)
-    assert without_dead_sensors(truth.model(), [rest]) is None  # nobody is left to ask
+    with pytest.raises(rco.DataError, match="no output ever changes"):  # nobody is left to ask
+        without_dead_sensors(truth.model(), [rest])
 
 
 def test_what_belongs_to_a_dead_sensor_is_left_out_with_it():

@@ -2,9 +2,6 @@
 # Before: F0 = b v0 + c v0^2; slope b + 2 c v0. Time constants 30 s and about 18 s. About 24 m/s c v^2 is
 # mostly a damper of 2 c v0; c (dv)^2 of the deviation alone has no slope at all.
 
-# Step 1
-c_balance = (F0 - b * v0) / v0**2
-
 # Step 2: what looks missing is the slope, a damper
 above = train.deviation(F0, v0)
 linear = rco.diagnose(plain, above)
@@ -19,7 +16,7 @@ drag = rco.Effect("quadratic_damping", "v")
 assert drag in found.ambiguous
 better = rco.refine(car, train, [drag])
 c, std = (getattr(better.parameter("quadratic_damping"), what) for what in ("coefficient", "std"))
-assert abs(c - c_balance) < 0.02
+assert abs(c - c0) < 0.02
 print(f"speeds {train.outputs.min():.1f} to {train.outputs.max():.1f} m/s")
 
 # Step 4
@@ -40,7 +37,6 @@ for _ in times:
 late = np.argmax(np.array(reached) > 24 + 9) * 0.1
 promised = np.argmax(ct.step_response(ct.feedback(plain * controller), times).outputs > 0.9) * 0.1
 print(
-    f"c = {c:.4f} +- {std:.4f}, from the balance {c_balance:.4f}; "
-    f"90 % after {late:.1f} s, promised {promised:.1f} s"
+    f"c = {c:.4f} +- {std:.4f}, from the balance {c0:.4f}; 90 % after {late:.1f} s, promised {promised:.1f} s"
 )
 assert late > promised
