@@ -10,8 +10,8 @@ from .diagnosis.checks.result import Check
 from .diagnosis.checks.row import CheckRow
 from .diagnosis.confirm import confirm
 from .diagnosis.confirmation import Confirmation
-from .diagnosis.stepwise.improve import improve
-from .diagnosis.stepwise.improvement import Improvement
+from .diagnosis.improve import improve
+from .diagnosis.improvement import Improvement
 from .effects.effect import Effect
 from .effects.tabulated import Table
 from .engine.amplitude_response import AmplitudeResponse, frequency_response_at

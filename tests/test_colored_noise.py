@@ -1,29 +1,18 @@
-"""A fault near a resonance is told from noise that has its color."""
+"""What noise is, and that a fault near a resonance is told from noise that has its color."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import control as ct
 import numpy as np
 import pytest
 from hidden.wider import Wider, wider_record
+from scipy import stats
 from scipy.signal import lfilter
 
 import rcorefine as rco
-from rcorefine.diagnosis import residual_tests
-from rcorefine.diagnosis.case import candidates_of
-from rcorefine.diagnosis.colored_noise import gain_over_color
-from rcorefine.inference.fitted import fitted_from
-from rcorefine.inference.levels import levels
-from rcorefine.inference.sensitivities import candidate_columns
-from rcorefine.inference.starts import Motion
-
-
-def _gain(record: Wider, data: rco.Measurement) -> float:
-    base = rco.refine(record.plant.model, data)
-    fitted = fitted_from(base, [data], tolerance=0.0)
-    motion = Motion(fitted.structure, fitted.theta, data)
-    scored = candidate_columns(fitted, candidates_of(base.physical_model), motion, (0.0,))
-    return gain_over_color(residual_tests.TestedResidual(fitted), scored)
+from rcorefine.diagnosis.noise import noise_of, rounding_step
 
 
 def _ringing(record: Wider, rng: np.random.Generator) -> rco.Measurement:
@@ -35,14 +24,44 @@ def _ringing(record: Wider, rng: np.random.Generator) -> rco.Measurement:
     return rco.Measurement(data.inputs, y, dt=data.dt, hold=data.hold)
 
 
-def test_what_is_missing_takes_the_color_away() -> None:
-    """A law that costs 5 % leaves white noise; noise at the resonance stays what it is with any law."""
-    for seed in range(6):
-        lacking = wider_record(seed, plant="pendulum")
-        assert _gain(lacking, lacking.data) > levels().color
+def test_noise_that_rings_as_the_plant_does_is_no_fault() -> None:
+    for seed in range(3):
         sound = wider_record(seed, plant="pendulum", kind=None)
-        assert _gain(sound, _ringing(sound, np.random.default_rng(seed))) < levels().color
-        assert _gain(sound, sound.data) < levels().color
+        found = rco.diagnose(sound.plant.model, _ringing(sound, np.random.default_rng(seed)))
+        assert (seed, found.verdict) == (seed, "adequate")
+
+
+def _noises(rng: np.random.Generator) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    """Name, outputs of a model, and what is measured of them."""
+    y = 5 * np.sin(0.02 * np.arange(3000)) + rng.standard_normal(3000)
+    e = rng.standard_normal(3000)
+    yield "autoregressive 0", y, y + e
+    yield "autoregressive 1", y, y + lfilter([1.0], [1.0, -0.8], e)
+    yield "Student", y, y + rng.standard_t(3, 3000)
+    yield "proportional", y, y + e * np.hypot(0.1, y)
+    yield "rounded", y, np.round(y + 0.1 * e)
+
+
+def test_each_sort_of_noise_is_recognized(rng: np.random.Generator) -> None:
+    for name, y, seen in _noises(rng):
+        outputs, steps = np.array([[*seen], [*(y + rng.standard_normal(3000))]]), [rounding_step(seen), 0.0]
+        found = noise_of([np.array([y, y]) - outputs], [outputs], steps)
+        assert found.names[0].startswith(name)
+        assert found.names[1] == "autoregressive 0"
+        assert found.uneven == (name in ("Student", "proportional"))
+        if name == "autoregressive 1":
+            np.testing.assert_allclose(found.whitener.filters[0], [1.0, -0.8], atol=0.05)
+        if found.uneven:  # weights are one over the spread
+            even = found.weights[0][0] * (y - seen)
+            assert stats.kurtosis(even) < 0.5 * stats.kurtosis(y - seen)
+        assert found.whitener.scales[1] == pytest.approx(1.0, rel=0.1)
+
+
+def test_only_rounded_values_have_a_step(rng: np.random.Generator) -> None:
+    y = rng.standard_normal(2000)
+    assert rounding_step(y) == 0.0
+    for step in (0.01, 0.3):
+        assert rounding_step(step * np.round(y / step)) == pytest.approx(step)
 
 
 @pytest.mark.parametrize("seed", [41002, 41006])

@@ -35,7 +35,7 @@ ORDER = (
 #: Lines of code (no docstring, comment, blank) of each top-level folder, and of the files beside them.
 #: A commit may lower a figure; one that raises it says in its message what went out in exchange.
 BUDGET = {
-    ".": 854, "arguments": 306, "commands": 1313, "comparison": 2830, "data": 2814, "diagnosis": 5694,
+    ".": 854, "arguments": 306, "commands": 1313, "comparison": 2830, "data": 2814, "diagnosis": 5572,
     "effects": 3187, "engine": 3296, "examples": 263, "exercises": 565, "explorer": 1107, "export": 511,
     "fleet": 1043, "inference": 2843, "localization": 1330, "models": 4143, "refinement": 193,
     "streaming": 7509, "systems": 654, "views": 4286,
@@ -127,7 +127,7 @@ def test_no_module_imports_itself_by_a_detour():
 #: Words that are the name of an effect too, where they mean something else: a heading, an argument.
 _HOMONYMS = {
     "coefficient": {
-        "diagnosis/stepwise/backward.py", "diagnosis/stepwise/selection.py",
+        
         "fleet/tasks.py", "models/physical_model.py", "streaming/coefficients/entries.py",
         "views/data.py", "views/diagnosis.py", "views/exercises.py", "views/experiment.py",
         "views/improvement.py", "views/monitor.py", "views/pages/diagnosis.py", "views/pages/survey.py",

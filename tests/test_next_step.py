@@ -35,7 +35,7 @@ CASES = {
     "ambiguous": ambiguous,
     "unexplained": nameless,
     "effect ": of_points,
-    "unexplained ": improvement,
+    "adequate ": improvement,
 }
 
 

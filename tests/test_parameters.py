@@ -14,7 +14,8 @@ from scipy.stats import binom, chi2, norm
 import rcorefine as rco
 from rcorefine.diagnosis.absorbed import determined, numbers_that_moved
 from rcorefine.diagnosis.case import Case
-from rcorefine.diagnosis.floating import explaining_numbers, floating
+from rcorefine.diagnosis.nuisances import with_fitting_priors
+from rcorefine.diagnosis.search import Search
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
 from rcorefine.inference.refinement import EstimatedParameter
@@ -99,17 +100,24 @@ def test_numbers_beyond_their_prior_are_found_and_not_pulled_back(factors: dict[
     assert np.sum(np.square(z)) < chi2.isf(0.005, len(z))
 
 
+def asked(base: rco.Refinement, data: rco.Measurement) -> Search:
+    options = {"free": (), "tolerance": 0.0, "offset": True, "noise": None, "horizon": None}
+    return Search(Case.prepare(base, [data], None, options, 0.01, Progress()))
+
+
 @pytest.mark.parametrize("damping", [-1e3, -1e6])
 def test_numbers_that_floated_to_no_model_at_all_are_no_answer(damping: float) -> None:
     """A damper of the second mass that drives it: past following by an observer, or within one sample."""
     data = record(6, c2=1.3)
-    asked = {"free": (), "tolerance": 0.0, "offset": True, "noise": None, "horizon": None}
-    case = Case.prepare(rco.refine(BUILT, data), [data], None, asked, 0.01, Progress(), False)
-    floated = floating(case)
-    assert explaining_numbers(case, floated) is not None
-    theta = floated.theta.copy()
-    theta[[row.kind == "damping" and row.place == "link2" for row in floated.parameters]] = damping
-    assert explaining_numbers(case, replace(floated, theta=theta)) is None
+    search = asked(rco.refine(BUILT, data), data)
+    trial = search.empty(search.opened)
+    assert trial is not None
+    assert search.passed(trial)
+    structure, point = trial.problem.structure, trial.point.copy()
+    point[[(e.kind, e.place) for e in structure.effects].index(("damping", "link2"))] = damping
+    wild = replace(trial, run=replace(trial.run, point=point))
+    wild.noise = trial.noise
+    assert not search.passed(wild)
 
 
 def test_every_parameter_of_a_plain_model_is_estimated() -> None:
@@ -162,13 +170,12 @@ def test_intervals_of_95_percent_hold_the_truth(plant: Any, names: str, dt: floa
         y = dlsim((*cont2discrete((A, B, C, D), dt)[:4], dt), u)[1].T
         y = y + 0.02 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
         data = rco.Measurement(u.T, y, dt=dt)
-        asked = {"free": (), "tolerance": 0.0, "offset": True, "noise": None, "horizon": None}
-        model = plant(np.ones(factors.size))
-        case = Case.prepare(base_fit(model, [data], **asked), [data], None, asked, 0.01, Progress(), True)
-        found = explaining_numbers(case, floating(case))
-        if found is None:
+        options: Any = {"free": (), "tolerance": 0.0, "offset": True, "noise": None, "horizon": None}
+        search = asked(base_fit(plant(np.ones(factors.size)), [data], **options), data)
+        trial = search.empty(search.opened)
+        if trial is None or not search.passed(trial):
             continue
-        rows = {row.name: row for row in found.refinement.parameters}
+        rows = {row.name: row for row in with_fitting_priors(search.case, trial).parameters}
         told = [rows[name] for name in names.split()]
         z = [(r.value / r.initial - f) / (r.std / r.initial) for r, f in zip(told, factors, strict=True)]
         inside.append(np.abs(z) < norm.isf(0.025))

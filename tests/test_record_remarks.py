@@ -1,4 +1,4 @@
-"""Remarks on the record: the hold told from parameters and filters, clipping told from an ADC's steps."""
+"""What is said of a record: its hold told from other faults, motion, signs, clipping told from steps."""
 
 from __future__ import annotations
 
@@ -7,11 +7,9 @@ import pytest
 from scipy.signal import butter, cont2discrete, lfilter
 
 import rcorefine as rco
+from rcorefine.diagnosis.case import no_motion
 from rcorefine.diagnosis.checks.signals import signal_rows
-from rcorefine.diagnosis.holds import best_hold, hold_errors
-from rcorefine.refinement.base_fit import base_fit
 
-SETTINGS = {"tolerance": 0.0, "offset": True, "noise": None}
 FINE = 16  # points per sample
 
 
@@ -42,9 +40,10 @@ def record(seed, declared, true, *, off=0.0, behind=None):
     return model, rco.Measurement(w, y, dt=dt, hold=declared)
 
 
-def held(model, data):
-    base = base_fit(model, [data], free=(), tolerance=0.0, offset=True, noise=None)
-    return base, best_hold(base, [data], SETTINGS)
+def blamed(found):
+    """Hold that is said to fit better, empty where none is."""
+    notes = [note for note in found.notes if note.startswith("The hold matters")]
+    return [note.split("hold='")[-1].split("'")[0] for note in notes]
 
 
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
@@ -60,20 +59,87 @@ def held(model, data):
     ids=str,
 )
 def test_what_else_is_wrong_is_not_blamed_on_the_hold(hold, fault):
-    assert held(*record(7, hold, hold, **fault))[1] == (hold, "")
+    assert blamed(rco.diagnose(*record(7, hold, hold, **fault))) == []
 
 
 def test_some_of_these_would_be_blamed_with_the_parameters_held():
-    base, _ = held(*record(7, "foh", "foh", behind=(4, 0.8)))
-    errors = hold_errors(base, [record(7, "foh", "foh", behind=(4, 0.8))[1]], SETTINGS)
-    assert errors["foh"] - errors["zoh"] > 0.05
+    model, data = record(7, "foh", "foh", behind=(4, 0.8))
+    left = {hold: rco.refine(model, data.with_hold(hold)).rmse[0] for hold in ("zoh", "foh")}
+    assert np.log(left["foh"] / left["zoh"]) > 0.05
 
 
 @pytest.mark.parametrize(("declared", "true"), [("zoh", "foh"), ("foh", "zoh")])
 def test_a_wrong_hold_is_still_said(declared, true):
-    _, (hold, sentence) = held(*record(8, declared, true))
-    assert hold == true
-    assert "The hold matters" in sentence
+    assert blamed(rco.diagnose(*record(8, declared, true))) == [true]
+
+
+MODEL = rco.mass_spring_damper([1.0], [0.6], [90.0], sensors="displacement")
+LAWS = [rco.Effect(kind, "link1") for kind in ("stiffness", "cubic_stiffness")]
+
+
+def coarse(hold, seed, noise=0.01):
+    """Coarse sampling, seven samples a period, so that the hold matters."""
+    rng = np.random.default_rng(seed)
+    w = rng.standard_normal(1500)
+    blank = rco.Measurement(w, np.zeros(w.size), dt=0.095, hold=hold)
+    y = rco.simulate(MODEL, blank, "zero").outputs[0]
+    return rco.Measurement(w, y + noise * y.std() * rng.standard_normal(y.size), dt=0.095, hold=hold)
+
+
+@pytest.mark.parametrize("true", ["zoh", "foh", "bandlimited"])
+@pytest.mark.parametrize("declared", ["zoh", "foh", "bandlimited"])
+def test_the_hold_of_the_record_is_found(true, declared):
+    data = coarse(true, 3).with_hold(declared)
+    found = rco.diagnose(MODEL, data, candidates=LAWS)
+    assert found.verdict == "adequate"
+    assert blamed(found) == ([true] if true != declared else [])
+    better = found.refine()
+    assert (better.hold or declared) == true
+    assert better.rmse[0] == pytest.approx(0.01 * data.outputs.std(), rel=0.1)
+
+
+def test_records_that_declare_different_holds_are_taken_at_their_word():
+    found = rco.diagnose(MODEL, [coarse("zoh", 1), coarse("foh", 2)], candidates=LAWS)
+    assert (found.verdict, blamed(found), found.refine().hold) == ("adequate", [], None)
+
+
+def test_improve_says_and_uses_the_right_hold():
+    ladder = rco.improve(MODEL, coarse("foh", 4).with_hold("zoh"), candidates=LAWS)
+    assert ladder.verdict == "adequate"
+    assert ladder.effects == ()
+    assert blamed(ladder) == [ladder.refinement.hold] == ["foh"]
+
+
+def test_a_record_without_motion_cannot_tell():
+    """A commanded input, an output that only flickers in its last digit."""
+    rng = np.random.default_rng(0)
+    y = np.where(rng.random(800) < 0.01, -0.5, 0.0)
+    data = rco.Measurement(np.repeat([0.5, 1.0, 1.5, 2.0], 200), y, dt=0.01)
+    model = rco.dc_motor(R=1.0, L=5e-3, Kt=0.05, J=2e-4, b=1e-4, sensors=["speed"])
+    found = rco.diagnose(model, data)
+    assert found.verdict == "ambiguous"
+    assert found.best is None
+    assert "Cannot tell" in str(found)
+    with pytest.raises(rco.DataError, match="does not move"):
+        rco.improve(model, data)
+
+
+def test_moving_records_are_not_held_for_motionless():
+    rng = np.random.default_rng(1)
+    square = np.sign(np.sin(np.arange(500) * 0.7))
+    for y in (rng.standard_normal(500), square, np.round(rng.standard_normal(500))):
+        assert no_motion([rco.Measurement(rng.standard_normal(500), y, dt=0.1)]) == ""
+
+
+def test_clipping_and_one_sign_are_said():
+    rng = np.random.default_rng(2)
+    w = 1.0 + 0.2 * rng.random(2000)
+    y = np.minimum(np.cumsum(rng.standard_normal(2000)), 5.0)
+    said = " ".join(row.sentence for row in signal_rows(rco.Measurement(w, y, dt=0.1, input_labels="pump")))
+    assert "exactly 5" in said
+    assert "pump never changes sign" in said
+    quiet = rco.Measurement(rng.standard_normal(2000), rng.standard_normal(2000), dt=0.1)
+    assert all(row.status == "ok" for row in signal_rows(quiet))
 
 
 def said_of(y):

@@ -16,7 +16,7 @@ from ..comparison.compare import compare
 from ..data.measurement import Measurement
 from ..diagnosis.checks.check import check
 from ..diagnosis.diagnose import diagnose
-from ..diagnosis.stepwise.improve import improve
+from ..diagnosis.improve import improve
 from ..effects.effect import Effect
 from ..effects.law import KINDS
 from ..exceptions import ModelError

@@ -13,8 +13,8 @@ import numpy as np
 from ..comparison import Comparison, compare
 from ..data.measurement import Measurement
 from ..diagnosis import Diagnosis, diagnose
-from ..diagnosis.stepwise.improve import improve
-from ..diagnosis.stepwise.improvement import Improvement
+from ..diagnosis.improve import improve
+from ..diagnosis.improvement import Improvement
 from ..effects.effect import Effect
 from ..exercises.record import hidden_outputs, noisy, record_of
 from ..jit import NUMBA

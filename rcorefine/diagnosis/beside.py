@@ -15,7 +15,7 @@ from ..inference.sensitivities import force_responses
 from ..systems.linear import Array
 from .residual_tests import TestedResidual
 
-__all__ = ["Beside", "curve_at", "motion_at", "nested", "stops"]
+__all__ = ["Beside", "channel_curve", "curve_at", "motion_at", "nested", "stops"]
 
 _NESTED = (1, 2, 4, 8, 16)  # leading directions that are tested together
 _SEEN = 1e-10  # of the largest: what a direction must move the output to be one
@@ -23,14 +23,14 @@ _RADII = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)  # of stops, over the rms of the motio
 
 
 class Beside:
-    """Free forces at the place of a law, beside it.
+    """Free forces at the place of a law, or free curves of the channel where it sits, beside it.
 
     Parameters
     ----------
     battery : TestedResidual
         Residual of the model with the law.
     place : str
-        Where the law sits.
+        Where the law sits: a port, an input or an output.
 
     Notes
     -----
@@ -68,13 +68,23 @@ class Beside:
         """What they would do to the whitened residual, what was fitted already taken out."""
         fitted, battery = self._battery.fitted, self._battery
         gain, found = fitted.gain(battery.ratio), {}
+        responses = {}
         for name, blocks in self._forces.items():
             forces = [[(self.place, column) for column in block.T] for block in blocks]
-            white = battery.whiten([force_responses(fitted, i, f, gain) for i, f in enumerate(forces)])
-            columns = project(white, battery.basis)
+            responses[name] = [force_responses(fitted, i, f, gain) for i, f in enumerate(forces)]
+        curve = channel_curve(fitted, self.place)
+        if not responses and curve is not None and not battery.ratio:  # an observer follows any sensor
+            responses["free curve"] = curve
+        for name, blocks in responses.items():
+            columns = project(battery.whiten(blocks), battery.basis)
             if np.isfinite(columns).all() and columns.any():
                 found[name] = columns
         return found
+
+    @property
+    def at_channel(self) -> bool:
+        """Whether the place is a channel, and no port."""
+        return not self._forces
 
     def tests(self) -> list[FTest]:
         """Whether a free curve, and whether memory, explains what the model leaves there.
@@ -90,13 +100,14 @@ class Beside:
             for name, columns in self._columns.items()
         ]
 
-    def odds(self, force: Array) -> float:
+    def odds(self, size: float) -> float:
         """Log of the odds of a force that departs from the law, over the law.
 
         Parameters
         ----------
-        force : ndarray, shape (N,)
-            Of the law, along the motion.
+        size : float
+            Of the law: standard deviation of its force along the motion; at a channel, norm of what it does
+            to the whitened outputs.
 
         Returns
         -------
@@ -106,8 +117,10 @@ class Beside:
         """
         if not self._columns:
             return -np.inf
-        size, columns = float(np.std(force)), self._columns.values()
-        each = [averaged_evidence(self._battery.left, size * c) for c in columns]
+        each = []
+        for columns in self._columns.values():
+            scale = size / float(np.linalg.norm(columns)) if self.at_channel else size
+            each.append(averaged_evidence(self._battery.left, scale * columns))
         return float(np.logaddexp.reduce(each) - np.log(len(each)))
 
 
@@ -130,6 +143,32 @@ def curve_at(fitted: FittedModel, place: str, ratio: float) -> Curve | None:
         return None
     d, v = motion_at(fitted, place, ratio)
     return Curve.along(place, d, v) if np.isfinite([d, v]).all() and (np.ptp(d) or np.ptp(v)) else None
+
+
+def channel_curve(fitted: FittedModel, label: str) -> list[Array] | None:
+    """Responses (n_y, N, k) per record to a free curve of an input or an output; None where there is none."""
+    model, records = fitted.structure.linear_model, fitted.problem.records
+    weights, held = fitted.problem.weights, fitted.blocks()
+    if label in model.input_labels:
+        j = list(model.input_labels).index(label)
+        parts = [record.inputs[j] for record in records]
+    elif label in model.output_labels:
+        j = list(model.output_labels).index(label)
+        parts = [r[j] / weights[j] + one.outputs[j] for (r, _), one in zip(held, records, strict=True)]
+    else:
+        return None
+    joined = np.concatenate(parts)
+    curve = Curve.along(label, joined, np.zeros(joined.size))
+    if not curve.d.size:
+        return None
+    blocks = []
+    for i, x in enumerate(parts):
+        F = curve.columns(x, np.zeros(x.size)) @ curve.root
+        if label in model.input_labels:
+            blocks.append(force_responses(fitted, i, [(label, f) for f in F.T], fitted.gain(0.0)))
+        else:
+            blocks.append((weights * (np.array(model.output_labels) == label))[:, None, None] * F)
+    return blocks
 
 
 def motion_at(fitted: FittedModel, place: str, ratio: float) -> tuple[Array, Array]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 
 import control as ct
@@ -29,12 +28,10 @@ from ..models.library import effect_library
 from ..models.operating_point import ordered_record
 from ..models.physical_model import PhysicalModel
 from ..progress import Progress
-from .holds import best_hold
-from .verdict import passes
+from .residual_tests import passes
 
 __all__ = ["SHORTEST", "Case", "candidates_of", "no_motion", "not_excited", "not_held", "seen_in_responses"]
 
-OBSERVERS = (1.0, 0.1)  # a high gain follows the record, a low one tells candidates apart
 _FEW_LEVELS = 3  # distinct values of an output that does not move but for its last digit
 _SOLVED = 1e-7  # of a response: its balance of harmonics is solved to 1e-8, which grows near a resonance
 SHORTEST, _FEWEST = 200, 60  # samples of a record, and values of a frequency response, that can be tested
@@ -56,8 +53,6 @@ class Case:
         Level of the tests.
     progress : Progress
         What does the steps and counts them.
-    thorough : bool
-        Whether to try harder where no candidate passes, and pairs of them.
     fitted : FittedModel
         The model on the free runs that are tested.
     motions : list of Motion or ResponseMotion
@@ -73,7 +68,6 @@ class Case:
     settings: dict[str, Any]
     significance: float
     progress: Progress
-    thorough: bool
     ordered: list[Measurement]
     fitted: FittedModel
     motions: list[Any]
@@ -89,7 +83,6 @@ class Case:
         settings: dict[str, Any],
         significance: float,
         progress: Progress,
-        thorough: bool,
     ) -> Case:
         """A case from a model that was fitted to the records already.
 
@@ -120,7 +113,7 @@ class Case:
         library = not_held(library, base.effects)
         if not library:
             raise ct.ControlArgument("no candidate is left that the model does not hold already; give others")
-        given = (tuple(records), settings, significance, progress, thorough)
+        given = (tuple(records), settings, significance, progress)
         return cls(base, *given, ordered, fitted, motions, library)
 
     @property
@@ -133,23 +126,10 @@ class Case:
             "settings": self.settings,
         }
 
-    @cached_property
-    def hold(self) -> tuple[str, str]:
-        """The hold that suits the records, and a sentence where it is not the declared one."""
-        if not self.in_time:
-            return "", ""
-        with self.progress.step("holds"):
-            return best_hold(self.base, self.ordered, self.options)
-
     @property
     def in_time(self) -> bool:
         """Whether the records are signals in time, and no frequency responses."""
         return self.fitted.problem.in_time
-
-    @property
-    def observers(self) -> tuple[float, ...]:
-        """Observers that lead the model along the records; a frequency response has none."""
-        return OBSERVERS if self.in_time else ()
 
     @property
     def options(self) -> dict[str, Any]:

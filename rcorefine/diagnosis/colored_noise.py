@@ -2,65 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from ..inference.basis import in_own_units, project
-from ..inference.levels import Levels, levels
-from ..inference.sensitivities import Candidate
-from ..inference.whitening import Whitener
-from ..systems.linear import Array
+from ..inference.levels import Levels
 from ..words import frequency_text
 from .residual_tests import TestedResidual
 from .spectral_line import spectral_line
 
-__all__ = ["gain_over_color", "is_drowned", "left_to_noise", "takes_error_for_color"]
-
-
-def gain_over_color(battery: TestedResidual, candidates: Sequence[Candidate]) -> float:
-    """Log-likelihood that the best candidate gains where the noise is what it leaves.
-
-    Parameters
-    ----------
-    battery : TestedResidual
-        Residual of the model.
-    candidates : sequence of Candidate
-        With columns at its ratio.
-
-    Returns
-    -------
-    float
-        Each column paid for by half the log of the number of samples. 0 where the residual is
-        white, for then its tests say the same, and where every candidate leaves most of the color.
-
-    Notes
-    -----
-    A filter fitted to a residual makes noise of all of it. A fault near a resonance, where the
-    columns of the fault pass the filter as little, then passes every test. So each side has a
-    filter of its own here, that of the candidate fitted to what ordinary least squares leaves.
-    Noise near that resonance that has nothing to do with the candidate keeps its color without it.
-    """
-    if not any(battery.whitener.orders):
-        return 0.0
-    residuals = battery.fitted.residuals(battery.ratio)
-    plain = TestedResidual(battery.fitted, battery.ratio, Whitener.fit(residuals, order=0))
-    n, best = sum(r.shape[1] for r in residuals), 0.0
-    none, color = _likelihood(plain.left, residuals)
-    for candidate in candidates:
-        if battery.ratio not in candidate.columns:
-            continue
-        columns = project(in_own_units(plain.whiten(candidate.columns[battery.ratio])), plain.basis)
-        x, _, rank, _ = np.linalg.lstsq(columns, plain.left, rcond=1e-7)
-        reached, left = _likelihood(plain.left - columns @ x, residuals)
-        if left < levels().color_left * color:
-            best = max(best, reached - 0.5 * int(rank) * float(np.log(n)) - none)
-    return best
-
-
-def takes_error_for_color(battery: TestedResidual, candidates: Sequence[Candidate], levels: Levels) -> bool:
-    """Whether a residual that passes may be a model error: much of it is color, or a candidate fits it."""
-    return left_to_noise(battery, levels) != "" or gain_over_color(battery, candidates) >= levels.color
+__all__ = ["is_drowned", "left_to_noise"]
 
 
 def left_to_noise(battery: TestedResidual, levels: Levels) -> str:
@@ -119,15 +68,3 @@ def _fit_and_memory(battery: TestedResidual) -> tuple[float, float]:
     whole = np.hstack(battery.fitted.residuals(battery.ratio)).std(axis=1)
     memory = float(np.max(whole / battery.whitener.scales, where=orders > 0, initial=0.0))
     return float(refined.fit[np.isfinite(refined.fit)].min(initial=100.0)), memory
-
-
-def _likelihood(stacked: Array, like: Sequence[Array]) -> tuple[float, float]:
-    """Log-likelihood under a filter of its own, of a residual stacked as blocks of these shapes are.
-
-    Beside it, what of that the color of the filter gains.
-    """
-    ends = np.cumsum([r.size for r in like])[:-1]
-    blocks = [part.reshape(r.shape) for part, r in zip(np.split(stacked, ends), like, strict=True)]
-    n = sum(r.shape[1] for r in like)
-    own = Whitener.fit(blocks).log_likelihood(n)
-    return own, own - Whitener.fit(blocks, order=0).log_likelihood(n)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, TypeGuard
+from typing import Any
 
 import control as ct
+import numpy as np
 
 from ..arguments import as_share
 from ..arithmetic import own_arithmetic
@@ -14,23 +15,36 @@ from ..data.measurement import Measurement
 from ..data.response_record import in_frequency
 from ..effects.effect import Effect
 from ..effects.several import as_effects
+from ..engine.free_runs import integrates
 from ..exceptions import IdentifiabilityWarning, unheard
-from ..inference.assembly import check_settings
+from ..inference.assembly import check_settings, offsets_everywhere
+from ..inference.fitted import FittedModel
+from ..inference.levels import Levels, levels
 from ..inference.refinement import Refinement
+from ..inference.sensitivities import candidate_columns
 from ..inference.windows import about_noise, as_data, check_validation, spread_lines
 from ..models.conversion import as_physical, under_control
+from ..models.operating_point import ordered_record
 from ..progress import Progress
 from ..refinement.base_fit import base_fit
-from .asking import Ask, Unanswered, ask
-from .beside_numbers import beside_numbers, gains_by_numbers, told_beside
-from .case import Case
+from ..refinement.refine import refit
+from ..words import with_error
+from .absorbed import determined, numbers_that_moved, percent
+from .case import Case, no_motion, not_excited
 from .checks.check import looks
+from .colored_noise import is_drowned, left_to_noise
 from .dead_sensors import without_dead_sensors
+from .hypothesis import Trial
+from .nuisances import Hold, Nuisance, with_fitting_priors
+from .open_law import FreeForces, Rivals, open_law
+from .ranking import detectable, ranking, undetermined
+from .remarks import amplitude_test, remarks
+from .residual_tests import TestedResidual
 from .result import Diagnosis
-from .without_a_law import Answer, gains
-from .zeros import with_zeros_sought
+from .search import Search, is_gain
+from .verdict import Answer, TableRow, answer, table
 
-__all__ = ["diagnose", "investigate"]
+__all__ = ["about_hold", "ask", "diagnose", "open_force", "with_offsets"]
 
 
 def diagnose(
@@ -51,11 +65,10 @@ def diagnose(
 ) -> Diagnosis:
     """Find the physical effect that a model lacks.
 
-    The model is fitted as far as it is declared to be free; its whitened residual must
-    pass a battery of tests. If it does not, all its numbers float by a few percent: where
-    that passes, the record shows no need for a law. Else every candidate is scored on the motion that
-    the record itself shows, the best are refitted, and the winner must pass the same
-    battery.
+    Every hypothesis (nothing is missing, the parameters are off, an effect or a set of effects acts, each
+    beside what is not known of the record) is fitted and gets one score: the log of its marginal likelihood
+    plus that of its prior probability. The verdict is read off the table of these scores, and what it names
+    must leave a residual that passes a battery of tests.
 
     Parameters
     ----------
@@ -98,15 +111,12 @@ def diagnose(
 
     Notes
     -----
-    Score tests project every candidate off what was fitted; p-values are corrected for
-    the number of candidates and of tests. Before any law is sought, every number that the model
-    declares, and every mass of a plain `StateSpace`, floats with a prior of 5 %
-    (``control.config.defaults["rcorefine.off"]``). If the residual then passes, the verdict is
-    "parameters", unless a single effect explains the record as well: a log-likelihood
-    within 4.6 of that of all the numbers, averaged over their prior. Rivals are compared by
-    their likelihood under the whitening filter of the best one. Where neither the numbers nor a law
-    explain the record, every law is tried once more while the numbers float: then `base` is the model
-    with its numbers fitted, and the notes list those that moved.
+    The marginal likelihood is Laplace's, under the likeliest noise of each hypothesis: autoregressive,
+    heavy-tailed, in proportion to the signal, or rounded. Parameters have a prior of 5, 20 or 100 % of their
+    value (probability .6, .3, .1), each coefficient of an effect one as wide as the effect as a whole is
+    large. Candidates are compared to first order, in sets of up to four; the best are refitted. "Nothing"
+    is kept where its residual passes the tests, unless a set is ``1 / significance`` times as likely. A set
+    is named from probability .95 on, and of a law and one that contains it the simpler one within 10:1.
 
     An output of several that shows nothing in any record (constant, stopped, or noise alone) is left out with
     all that belongs to it; the notes say which and why, and `Diagnosis.records` holds what was kept.
@@ -148,102 +158,275 @@ def diagnose(
             base = base_fit(model, records, **options)
         with steps.step("what is odd"):
             odd = () if in_frequency(records) else looks(seen, given, horizon)
-        found = investigate(
-            base,
-            records,
-            asked=candidates,
-            validation=validation,
-            settings=options | {"candidates": None if candidates is None else tuple(candidates)},
-            significance=significance,
-            progress=steps,
-        ).found
+        asked = options | {"candidates": None if candidates is None else tuple(candidates)}
+        found = ask(Case.prepare(base, records, candidates, asked, significance, steps), validation)
+        more = with_offsets(base, records, options) if found.verdict == "unexplained" else base
+        if more is not base:  # laws know where zero is, a linear model and its constant offset do not
+            again = ask(Case.prepare(more, records, candidates, asked, significance, steps), validation)
+            found = found if again.verdict == "unexplained" else again
         said = about_noise(base.physical_model, records, live)
         return replace(found, checks=odd, records=tuple(live), notes=(*silent, *found.notes, *said))
 
 
-def investigate(
-    base: Refinement,
-    records: Sequence[Measurement],
-    *,
-    asked: Sequence[Effect] | None,
-    validation: Measurement | None,
-    settings: dict[str, Any],
-    significance: float,
-    progress: Progress,
-    thorough: bool = True,
-    numbers: bool = True,
-) -> Answer:
-    """Diagnose a model that was fitted to the records already.
+_LISTED = 20  # rows of a ranking
+_MATTERS = 0.2  # of what parameters are off by: those that move less take up what a law lacks in form
+
+
+def with_offsets(base: Refinement, records: Sequence[Measurement], options: dict[str, Any]) -> Refinement:
+    """The model with a constant offset at every input and output: laws know where zero is.
+
+    Behind a linear model an offset of a sensor is one of an input, or an initial state; a law that acts about
+    the wrong zero is not recognized.
+    """
+    if "offset" not in base.roles:
+        return base
+    ordered = [ordered_record(base.physical_model, record) for record in records]
+    if in_frequency(ordered) or integrates(base.physical_model.linear, ordered[0]):
+        return base
+    y = np.concatenate([record.outputs for record in ordered], axis=1)
+    if not np.any(np.abs(y.mean(axis=1)) > levels().zero * y.std(axis=1)):
+        return base  # a zero that is off by as little is not what laws fail by
+    everywhere = offsets_everywhere(base.physical_model, ordered)
+    given = {name: options[name] for name in ("tolerance", "offset", "noise", "horizon")}
+    return refit(base, records, offsets=everywhere, elsewhere=False, **given)
+
+
+def ask(case: Case, validation: Measurement | None = None) -> Diagnosis:
+    """What a case lacks.
 
     Parameters
     ----------
-    base : Refinement
-        The model at its minimum.
-    records : sequence of Measurement
-        What it was fitted to.
-    asked : sequence of Effect, or None
-        Candidates; the library for None.
-    validation, settings, significance
-        As in `diagnose`; settings holds its options of fitting.
-    progress : Progress
-        What does the steps and counts them.
-    thorough : bool
-        Whether to try harder where no candidate passes, and pairs of them.
-    numbers : bool
-        Whether laws are sought beside numbers of the model that are off, too.
+    case : Case
+        A model that was fitted to the records, and the candidates.
+    validation : Measurement or None
+        Record on which the rows of the ranking are judged.
 
     Returns
     -------
-    Answer
-        Beside "adequate", unless `thorough`, with the refitted rivals of a fault that few samples alone
-        would show, or that a color of the noise may hide.
+    Diagnosis
     """
-    case = Case.prepare(base, records, asked, settings, significance, progress, thorough)
-    answer = ask(case, validation)
-    if isinstance(answer, Unanswered):
+    still = case.in_time and (no_motion(case.ordered) or not_excited(case.base, case.ordered))
+    if still:  # nothing moves in the records
+        own = {"force_ratio": 0.0, "notes": (still,), **case.about}
+        return Diagnosis("ambiguous", (), tuple(case.library), (), (), (), **own)
+    search = Search(case).run()
+    agreements: dict[Trial, tuple[float, str]] = {}
 
-        def again(base: Refinement, thorough: bool) -> Answer | Unanswered:
-            given = (case.settings, case.significance, case.progress, thorough)
-            return ask(Case.prepare(base, case.records, case.library, *given), validation)
+    def passed(trial: Trial) -> bool:
+        """Whether the tests pass, and records of different amplitudes agree on the effects."""
+        if not search.passed(trial):
+            return False
+        if not trial.effects:
+            return not is_drowned(TestedResidual(trial.model, trial.hypothesis.ratio), case.levels)
+        if trial.hypothesis.floated and not parameters_off(trial, case.levels):
+            return False
+        if len(case.records) > 1 and trial not in agreements:
+            agreements[trial] = amplitude_test(trial.model, len(trial.effects), case.levels)
+        return agreements.get(trial, (1.0, ""))[0] >= case.levels.disagree
 
-        answer = _none_passing(answer, again, numbers)
-    return answer
-
-
-def _none_passing(first: Unanswered, again: Ask, numbers: bool) -> Answer:
-    """The diagnosis where no likely law passes: any law, beside what the model knows less, trying harder."""
-    first = first.with_the_rest()
-    if first.judged.passed:
-        return first.told()
-    zeros = with_zeros_sought(first, again)
-    if isinstance(zeros, Unanswered):
-        beside = beside_numbers(zeros, again) if numbers else None
-        if _names(beside):
-            return beside
-        if gains(first.case, first.judged, zeros.judged.race):
-            return _finished(zeros.with_the_rest(), beside)
-    elif zeros is not None:
-        return zeros
-    beside = beside_numbers(first, again) if numbers else None
-    return beside if _names(beside) else _finished(first, beside)
+    rows = table(search)
+    found = answer(search, rows, passed)
+    said = [sentence for _, sentence in [agreements.get(found.trial, (1.0, ""))] if sentence]
+    return _told(search, rows, found, said, validation)
 
 
-def _names(beside: Answer | Unanswered | None) -> TypeGuard[Answer]:
-    """Whether something explains the record while the numbers float."""
-    return isinstance(beside, Answer) and beside.found.verdict != "unexplained"
+def parameters_off(trial: Trial, levels: Levels) -> bool:
+    """Whether parameters that are open are off, for certain and by what matters.
+
+    Those that hardly move take up what a law of almost the right form lacks, as a cubic spring in place of a
+    sine: that law is not named.
+    """
+    rows, least = determined(trial.model.refinement), _MATTERS * levels.off
+    moved = (abs(r.coefficient) > max(levels.moved * r.std, least * abs(r.initial)) for r in rows)
+    return any(map(is_gain, trial.effects)) or any(moved)
 
 
-def _finished(open_: Unanswered, beside: Answer | Unanswered | None) -> Answer:
-    """The diagnosis after what may be wrong with the fits; `beside` is the same while the numbers float."""
-    last = open_ if open_.judged.passed else open_.insisted()
-    answer = last.told()
-    if last.judged.passed:
-        return answer
-    if not last.case.thorough:
-        return answer._replace(floated=last.floated)
-    if beside is not None and gains_by_numbers(answer.found, beside):
-        answer = told_beside(answer.found, beside)
-        if isinstance(beside, Answer):
-            return answer
-        last = beside
-    return answer._replace(found=replace(answer.found, notes=(*answer.found.notes, *last.pairs())))
+def _told(
+    search: Search, rows: Sequence[TableRow], found: Answer, said: list[str], validation: Measurement | None
+) -> Diagnosis:
+    """The answer as a diagnosis."""
+    case, trial, word = search.case, found.trial, found.verdict
+    nothing = search.trials[0]
+    battery, own = TestedResidual(nothing.model), TestedResidual(trial.model, trial.hypothesis.ratio)
+    tests = search.criticized(nothing).tests or search.all_tests(nothing, battery)
+    notes = [*about_hold(trial, search), *said]
+    about = {**case.about, "force_ratio": trial.hypothesis.ratio}
+    held = trial.hypothesis.nuisances
+    if word == "adequate":
+        tests = search.criticized(trial).tests
+        if held and not trial.hypothesis.ratio:
+            about["base"] = trial.model.refinement
+        scored = candidate_columns(trial.model, case.library, case.motions[0], (own.ratio,))
+        shown = detectable(own, scored, len(tests), case.significance, case.levels)
+        left = left_to_noise(own, case.levels)
+        return Diagnosis(
+            word, (), (), tuple(tests), (), shown, notes=tuple(notes), left_to_noise=left, **about
+        )
+    holds = frozenset(one for one in held if isinstance(one, Hold))
+    if holds:
+        about["base"] = search.base(holds).refinement
+    if word == "parameters":
+        passed, notes = search.criticized(trial).tests, [*notes, *_against(rows, found)]
+        left = left_to_noise(own, case.levels)
+        return Diagnosis(
+            word, (), (), tuple(tests), tuple(passed), (), notes=tuple(notes), left_to_noise=left,
+            floated=with_fitting_priors(case, trial), **about,
+        )  # fmt: skip
+    law = None
+    if word == "unexplained" and case.in_time:
+        with case.progress.step("free forces"):
+            law, base = open_force(search)
+        about["base"] = base.refinement
+    if trial.hypothesis.floated and (word != "unexplained" or about["base"] is trial.base.refinement):
+        about["base"] = trial.base.refinement
+        notes.append(_beside_parameters(trial, word))
+    notes += [*remarks(trial.model, trial.effects), *_denied(search, trial)]
+    known = {row.trials[0]: row for row in rows if row.effects}
+    listed = _listed(search, rows, found, about["base"])
+    effects = list(dict.fromkeys(effect for one in listed for effect in one.effects))
+    scored = candidate_columns(case.fitted, effects, case.motions[0], (0.0,))
+    free_run = TestedResidual(case.fitted)
+    scores = {c.effect: t.p_value for c, t in zip(scored, free_run.each(scored), strict=True)}
+    shares = _shares(rows, found, listed, known)
+    tied = [set(row.effects) for row in (found.row, *found.ties)]
+    alike = [word != "unexplained" and set(one.effects) in tied for one in listed]
+    ranked = ranking(listed, shares, alike, scores, nothing.total, case, validation)
+    others = [e for row in ranked if row.alike for e in row.effects if e not in trial.effects]
+    ambiguous, none = tuple(dict.fromkeys([ranked[0].effect, *others])), found.none
+    winner = search.criticized(trial).tests or search.all_tests(trial, own)
+    places, left = (
+        _places(rows, found, law, case.in_time),
+        "" if winner else left_to_noise(battery, case.levels),
+    )
+    return Diagnosis(
+        word, ranked, ambiguous, tuple(tests), tuple(winner), (), notes=tuple(notes), none_of_these=none,
+        places=places, open_law=None if law is None else law.law, left_to_noise=left, **about,
+    )  # fmt: skip
+
+
+def about_hold(trial: Trial, search: Search) -> list[str]:
+    """What is said where another hold suits the inputs better than the declared one."""
+    model, records = search.case.base.physical_model, search.case.records
+    said = "the record declares" if model.hold is None else "the model was fitted with"
+    return [
+        f"The hold matters more than most effects: {said} hold={model.hold or records[0].hold!r}, "
+        f"hold={one.hold!r} fits better."
+        for one in trial.hypothesis.nuisances
+        if isinstance(one, Hold)
+    ]
+
+
+def _beside_parameters(trial: Trial, word: str) -> str:
+    """What is said where effects are sought while the parameters are open."""
+    base = trial.base.refinement
+    before, after = (percent(fit) for fit in (base.initial_fit, base.fit))
+    said = "No effect alone explains the record, nor do the parameters of the model: these are open, too."
+    if word == "unexplained":
+        return f"{said} The parameters alone take the fit from {before} to {after}."
+    return f"{said} {numbers_that_moved(determined(trial.model.refinement))}"
+
+
+def _denied(search: Search, trial: Trial) -> list[str]:
+    """Why a set that explains clearly more than the answer is not named."""
+    first = search.ranked()[0]
+    if search.determined(first) or search.posterior(first) < search.posterior(trial) + search.price:
+        return []
+    names, rows = " with ".join(e.label for e in first.effects), []
+    for effect in first.effects:
+        rows += undetermined(first.model.refinement, effect, search.case.levels)
+    values = ", ".join(with_error(row.coefficient, row.std) for row in rows)
+    why = "the record does not determine it" if first.possible else "physics asks for a positive value"
+    return [f"{names} would explain more, but {why} ({values}): it is not named."]
+
+
+def _against(rows: Sequence[TableRow], found: Answer) -> list[str]:
+    """What is said where effects are nearly as likely as parameters that are off."""
+    if found.probability >= levels().named:
+        return []
+    first = next(row for row in rows if row.effects)
+    share = float(np.exp(first.value - np.logaddexp.reduce([row.value for row in rows])))
+    names = " with ".join(effect.label for effect in first.effects)
+    return [f"The probability of that is {found.probability:.2f}; {names} has {share:.2f}."]
+
+
+def _listed(search: Search, rows: Sequence[TableRow], found: Answer, base: Refinement) -> list[Trial]:
+    """The trials that the ranking shows: the answer, the table, single effects that are not determined.
+
+    Where nothing passes, those at the base, by the error of the free run: a filter that is fitted to errors
+    makes these cheap.
+    """
+    trials = [row.trials[0] for row in rows if row.effects]
+    if found.trial.effects:
+        trials = [found.trial, *trials]
+    trials += [trial for trial in search.ranked() if len(trial.effects) == 1]
+    if found.verdict == "unexplained":
+        here = [trial for trial in trials if trial.base.refinement is base]
+        trials = [search.fitter.in_free_run(trial) for trial in dict.fromkeys(here or trials)]
+        trials.sort(key=lambda trial: -float(np.mean(trial.model.refinement.fit)))
+    first: dict[frozenset[Effect], Trial] = {}
+    for trial in trials:
+        first.setdefault(frozenset(trial.effects), trial)
+    return list(first.values())[:_LISTED]
+
+
+def _shares(
+    rows: Sequence[TableRow], found: Answer, listed: Sequence[Trial], known: dict[Trial, TableRow]
+) -> list[float]:
+    """Probability of each set that is listed; special cases of the answer count for it."""
+    if found.verdict == "unexplained":
+        return [np.nan] * len(listed)
+    total = float(np.logaddexp.reduce([row.value for row in rows]))
+    of_set = {
+        frozenset(row.effects): float(np.exp(row.value - total)) * (1.0 - found.none)
+        for row in known.values()
+        if not any(row is one for one in found.inside)
+    }
+    of_set[frozenset(found.row.effects)] = found.probability
+    return [of_set.get(frozenset(trial.effects), 0.0) for trial in listed]
+
+
+def open_force(search: Search) -> tuple[FreeForces | None, FittedModel]:
+    """Free forces where no set passes, and the model to which they are added.
+
+    That is the model as it was given, unless its parameters take more from the error than a free force does.
+    """
+    empty = {trial.hypothesis.key: trial for trial in search.trials if not trial.effects}
+    for nuisances in dict.fromkeys((frozenset[Nuisance](), search.opened)):
+        base = search.base(nuisances)
+        offered = [
+            x for x in search.ranked() if x.base is base and set(x.effects) <= set(search.case.library)
+        ]
+        alone = [x for x in offered if len(x.effects) == 1]
+        if not alone:
+            continue
+        whitener = base.problem.whitener([r for r, _ in alone[0].blocks])
+        free = open_law(Rivals(base, alone, whitener, 0.0))
+        opened = empty.get((frozenset(), search.opened))
+        after = max(
+            free.law.fit_after if free.law else 0.0, *(float(np.mean(x.model.refinement.fit)) for x in alone)
+        )
+        if opened is None or nuisances or after >= float(np.mean(opened.model.refinement.fit)):
+            return free, base
+    return None, search.base(search.opened)
+
+
+def _places(rows: Sequence[TableRow], found: Answer, free: Any, in_time: bool) -> dict[str, float]:
+    """Probability of each place, the most probable first."""
+    if found.verdict == "unexplained" and not in_time:  # laws that fail do not tell where
+        return {}
+    logs: list[tuple[str, float]] = []
+    if free is not None:
+        logs = list(free.log_likelihoods.items())
+        left = np.clip(free.left, 1e-12, 1.0 - 1e-12)  # what nothing explains is at no known place
+        known = np.logaddexp.reduce([value for _, value in logs])
+        logs.append(("", float(known + np.log(left) - np.log1p(-left))))
+    else:
+        logs = [(e.place, row.value) for row in rows for e in row.effects]
+    if not logs:
+        return {}
+    total = float(np.logaddexp.reduce([value for _, value in logs]))
+    shares: dict[str, float] = {}
+    for place, value in logs:
+        shares[place] = shares.get(place, 0.0) + float(np.exp(value - total))
+    shares.pop("", None)
+    return dict(sorted(shares.items(), key=lambda item: -item[1]))

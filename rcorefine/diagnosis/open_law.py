@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,18 +11,16 @@ from ..effects.along_motion import unit_forces
 from ..effects.effect import Effect
 from ..effects.tabulated import Table, Tabulated
 from ..inference.basis import Basis, project
-from ..inference.free_form import Curve, FreeForm, evidence, fit_free_form
-from ..inference.sensitivities import force_responses
+from ..inference.fitted import FittedModel
+from ..inference.free_form import FreeForm, evidence, fit_free_form
+from ..inference.whitening import Whitener
 from ..systems.linear import Array
-from .beside import curve_at, motion_at
-from .judging import beyond
+from .beside import channel_curve, curve_at, motion_at
+from .hypothesis import Trial
+from .places import likely_places
 from .residual_tests import TestedResidual
-from .verdict import probabilities as softmax
 
-if TYPE_CHECKING:
-    from .candidate_fits import CandidateFits
-
-__all__ = ["FreeForces", "OpenLaw", "open_law", "probabilities"]
+__all__ = ["FreeForces", "OpenLaw", "Rivals", "open_law"]
 
 _NAME = "law open, tabulated"
 _PLACES = 3  # at which a curve is fitted
@@ -52,6 +50,37 @@ class OpenLaw:
     rmse: Array
 
 
+@dataclass(eq=False)
+class Rivals:
+    """Single effects at one base, none of which passes.
+
+    Attributes
+    ----------
+    fitted : FittedModel
+        The base.
+    trials : list of Trial
+        The effects, the best one first.
+    whitener : Whitener
+        Metric in which they are compared with free forces: that of what the best one leaves.
+    ratio : float
+        Unmeasured force that is allowed for.
+    """
+
+    fitted: FittedModel
+    trials: list[Trial]
+    whitener: Whitener
+    ratio: float
+
+    def log_likelihood(self, i: int) -> float:
+        """Of one of them, in the metric of all; a coefficient beyond the first has its price."""
+        trial, problem = self.trials[i], self.trials[i].problem
+        white = self.whitener.apply([r for r, _ in trial.blocks])
+        theta, held = problem.unpack(trial.point)[0], np.isfinite(problem.prior_sd)
+        moved = ((theta - problem.prior_mean)[held] / problem.prior_sd[held]) ** 2
+        more = max(problem.n_theta - self.fitted.problem.n_theta - 1, 0)
+        return -0.5 * (float(white @ white) + float(moved.sum()) + more * float(np.log(white.size)))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FreeForces:
     """Free forces at the likeliest places, and curves at the inputs and outputs.
@@ -72,65 +101,64 @@ class FreeForces:
     left: float
 
 
-def open_law(race: CandidateFits) -> FreeForces:
+def open_law(race: Rivals) -> FreeForces:
     """Fit free forces to a record that no candidate explains.
 
     Parameters
     ----------
-    race : CandidateFits
-        Candidates, none of which passes.
+    race : Rivals
+        Effects, none of which passes.
 
     Returns
     -------
     FreeForces
     """
-    places = [rival.effect.place for rival in race.rivals]
-    found: dict[str, FreeForm] = {}
-    for place in list(dict.fromkeys(places))[:_PLACES]:
-        # an observer of high gain follows the motion of the record
-        curve = curve_at(race.fitted, place, race.ratio or 1.0)
-        if curve is not None:
-            found[place] = fit_free_form(race.fitted, curve, race.whitener, race.ratio, rounds=_FIRST)
+    places = [trial.effects[0].place for trial in race.trials]
+    found = _forms(race, places)
     free = {place: form.log_likelihood(race.whitener, race.ratio) for place, form in found.items()}
     static = _static(race)
     free |= {place: value for place, (value, _) in static.items()}
-    best = max([(race.rivals[0].log_likelihood, places[0]), *zip(free.values(), free, strict=True)])[1]
+    best = max([(race.log_likelihood(0), places[0]), *zip(free.values(), free, strict=True)])[1]
     if best in found:
         first = found[best]
         found[best] = fit_free_form(race.fitted, first.curve, first.whitener, race.ratio, start=first)
         free[best] = found[best].log_likelihood(race.whitener, race.ratio)
         after = found[best].fitted.residuals(race.ratio)
     elif best in places:  # fitted, where the curve is a linear step
-        after = race.model(places.index(best)).residuals(race.ratio)
+        after = [r for r, _ in race.trials[places.index(best)].blocks]
     else:
         after = static[best][1]
     scales = race.fitted.problem.whitener(after).scales
-    left = beyond(after, scales) / (beyond(race.fitted.residuals(race.ratio), scales) or 1.0)
+    left = _beyond(after, scales) / (_beyond(race.fitted.residuals(race.ratio), scales) or 1.0)
     return FreeForces(free, _tabulated(race, found[best]) if best in found else None, min(1.0, left))
 
 
-def _static(race: CandidateFits) -> dict[str, tuple[float, list[Array]]]:
+def _forms(race: Rivals, places: Sequence[str]) -> dict[str, FreeForm]:
+    """Curves at the ports of the effects, else at those where a force explains most."""
+    ports = {port.name for port in race.fitted.structure.model.ports}
+    likely = [place for place in places if place in ports]
+    likely = likely or likely_places(TestedResidual(race.fitted, race.ratio or 1.0), ports)
+    found = {}
+    for place in list(dict.fromkeys(likely))[:_PLACES]:
+        # an observer of high gain follows the motion of the record
+        curve = curve_at(race.fitted, place, race.ratio or 1.0)
+        if curve is not None:
+            found[place] = fit_free_form(race.fitted, curve, race.whitener, race.ratio, rounds=_FIRST)
+    return found
+
+
+def _static(race: Rivals) -> dict[str, tuple[float, list[Array]]]:
     """Log-likelihood of a curve at each input and output, and the residual that its least squares leave."""
     fitted, found = race.fitted, dict[str, tuple[float, list[Array]]]()
     if race.ratio:  # the observer follows what a sensor says, whatever curve it has
         return found
     battery, model = TestedResidual(fitted, 0.0, race.whitener), fitted.structure.linear_model
-    held, p, weights = fitted.blocks(), fitted.problem.n_theta, fitted.problem.weights
-    records = fitted.problem.records
-    signals = {label: [r.inputs[j] for r in records] for j, label in enumerate(model.input_labels)}
-    outputs = [r / weights[:, None] + one.outputs for (r, _), one in zip(held, records, strict=True)]
-    signals |= {label: [y[j] for y in outputs] for j, label in enumerate(model.output_labels)}
-    for label, parts in signals.items():
-        curve = Curve.along(label, np.concatenate(parts), np.zeros(sum(x.size for x in parts)))
-        if not curve.d.size or label in [port.name for port in fitted.structure.model.ports]:
+    held, p = fitted.blocks(), fitted.problem.n_theta
+    ports = [port.name for port in fitted.structure.model.ports]
+    for label in (*model.input_labels, *model.output_labels):
+        blocks = None if label in ports else channel_curve(fitted, label)
+        if blocks is None:
             continue
-        blocks = []
-        for i, x in enumerate(parts):
-            F = curve.columns(x, np.zeros(x.size)) @ curve.root
-            if label in model.input_labels:
-                blocks.append(force_responses(fitted, i, [(label, f) for f in F.T], fitted.gain(0.0)))
-            else:
-                blocks.append((weights * (np.array(model.output_labels) == label))[:, None, None] * F)
         seen = evidence(battery.left, project(battery.whiten(blocks), battery.basis))
         J = [(j.reshape(r.size, -1), X.reshape(r.size, -1)) for (r, j), X in zip(held, blocks, strict=True)]
         basis = Basis.of([np.hstack([j[:, :p], X]) for j, X in J], [j[:, p:] for j, _ in J])
@@ -141,52 +169,13 @@ def _static(race: CandidateFits) -> dict[str, tuple[float, list[Array]]]:
     return found
 
 
-def probabilities(
-    race: CandidateFits, beside: float, elsewhere: float, free: FreeForces | None
-) -> tuple[Array, float, dict[str, float]]:
-    """Probabilities of the candidates, of none of these, and of the places.
-
-    Parameters
-    ----------
-    race : CandidateFits
-        Candidates, the best one first.
-    beside : float
-        Log of the odds of a force at its place that departs from the best one, over it.
-    elsewhere : float
-        The same of a force at no known place.
-    free : FreeForces or None
-        Free forces in place of the candidates, where none passes.
-
-    Returns
-    -------
-    shares : ndarray, shape (n,)
-        Of the candidates.
-    none : float
-        Of none of these; all sum to one.
-    places : dict
-        Of each place, the most probable first; to one is missing what is at no known place.
-    """
-    logs = [(rival.effect.place, rival.log_likelihood) for rival in race.rivals]
-    here, top = logs[0]
-    for place, odds in ((here, beside), ("", elsewhere)):
-        if np.isfinite(odds):
-            logs.append((place, top + odds))
-    if free is not None:
-        logs += free.log_likelihoods.items()
-        left = np.clip(free.left, 1e-12, 1.0 - 1e-12)  # what nothing explains is at no known place
-        known = np.logaddexp.reduce([value for _, value in logs])
-        logs.append(("", float(known + np.log(left) - np.log1p(-left))))
-    weights = softmax([value for _, value in logs])
-    shares: dict[str, float] = {}
-    for (place, _), weight in zip(logs, weights, strict=True):
-        shares[place] = shares.get(place, 0.0) + float(weight)
-    n = len(race.rivals)
-    shares.pop("", None)
-    ordered = dict(sorted(shares.items(), key=lambda item: -item[1]))
-    return weights[:n], float(weights[n:].sum()), ordered
+def _beyond(residuals: Sequence[Array], scales: Array) -> float:
+    """Power of residuals beyond their innovations, over that of these, summed over outputs."""
+    left = np.hstack(residuals) / scales[:, None]
+    return float(np.sum(np.maximum(np.mean(left**2, axis=1) - 1.0, 0.0)))
 
 
-def _tabulated(race: CandidateFits, form: FreeForm) -> OpenLaw | None:
+def _tabulated(race: Rivals, form: FreeForm) -> OpenLaw | None:
     """The curve as a law; none if the free run is worse with it."""
     fitted, place = form.fitted, form.curve.place
     table = form.table
@@ -204,23 +193,21 @@ def _tabulated(race: CandidateFits, form: FreeForm) -> OpenLaw | None:
     return OpenLaw(effect, float(np.mean(fit)), _nearest(race, form), rmse)
 
 
-def _nearest(race: CandidateFits, form: FreeForm) -> tuple[tuple[Effect, float], ...]:
+def _nearest(race: Rivals, form: FreeForm) -> tuple[tuple[Effect, float], ...]:
     """How much of the tabulated force each law at the place explains along the motion, in percent."""
     d, v = motion_at(form.fitted, form.curve.place, race.ratio)
     force = form.table(d, v)
     force = force - force.mean()
     w = np.concatenate([record.inputs for record in form.fitted.problem.records], axis=1)
     rows = []
-    for i, rival in enumerate(race.rivals):
-        if rival.effect.place != form.curve.place:
+    for trial in race.trials:
+        effect, shape = trial.effects[0], trial.start.values[0]
+        if effect.place != form.curve.place:
             continue
-        shape = {
-            q.name: q.coefficient for q in race.model(i).refinement.parameters[race.fitted.problem.n_theta :]
-        }
-        columns = unit_forces(rival.effect, d, v, [shape], w)
+        columns = unit_forces(effect, d, v, [shape], w)
         if columns and force.any():
             F = np.column_stack(columns)
             F = F - F.mean(axis=0)
             left = force - F @ np.linalg.lstsq(F, force, rcond=1e-10)[0]
-            rows.append((rival.effect, 100.0 * (1.0 - float(left @ left) / float(force @ force))))
+            rows.append((effect, 100.0 * (1.0 - float(left @ left) / float(force @ force))))
     return tuple(sorted(rows, key=lambda row: -row[1]))

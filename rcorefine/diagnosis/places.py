@@ -10,7 +10,7 @@ from ..effects.effect import Effect
 from ..inference.fitted import FittedModel
 from .residual_tests import TestedResidual
 
-__all__ = ["in_race"]
+__all__ = ["in_race", "likely_places"]
 
 _MOST = 8  # places up to which none is left out: their laws cost less than a choice that errs
 _BEST = 3  # that each residual keeps; twice as many for what has a motion of its own
@@ -39,7 +39,7 @@ def in_race(fitted: FittedModel, library: Sequence[Effect], ratios: Sequence[flo
     places = {effect.place for effect in library if effect.place in ports}
     if len(places) <= _MOST or not fitted.problem.in_time:
         return list(library)
-    orders = [_order(TestedResidual(fitted, ratio), places) for ratio in ratios]
+    orders = [likely_places(TestedResidual(fitted, ratio), places) for ratio in ratios]
     near, far = ({place for order in orders for place in order[:count]} for count in (_BEST, 2 * _BEST))
     return [
         effect
@@ -48,8 +48,8 @@ def in_race(fitted: FittedModel, library: Sequence[Effect], ratios: Sequence[flo
     ]
 
 
-def _order(battery: TestedResidual, places: set[str]) -> list[str]:
-    """The places, that first where a force of any form explains most."""
+def likely_places(battery: TestedResidual, places: set[str]) -> list[str]:
+    """Return places, that first where a force of any form explains most."""
     names, blocks = battery.generic
     tests = []
     for place in dict.fromkeys(names):

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -16,55 +14,62 @@ from ..inference.basis import project
 from ..inference.levels import Levels
 from ..inference.refinement import EstimatedParameter, Refinement
 from ..inference.sensitivities import Candidate
-from .candidate_fit import log_likelihood, prior_cost, unphysical, whitener_of
-from .candidate_fits import CandidateFits
+from .case import Case
+from .hypothesis import Trial, unphysical
 from .residual_tests import TestedResidual
 from .result import Detectable, RankedEffect
 
-__all__ = ["detectable", "estimates", "in_free_run", "ranking", "undetermined"]
-
-
-def in_free_run(race: CandidateFits) -> CandidateFits:
-    """The rivals at the minima of their plain error, the smallest first.
-
-    That tells them apart where no residual is noise: a filter fitted to slow errors makes them cheap,
-    and a likelihood then trades most of the free run for little at high frequencies.
-    """
-    rivals = [replace(r, descent=r.free_run) for r in race.rivals if r.free_run is not None]
-    rivals.sort(key=lambda rival: rival.descent.cost)
-    whitener = whitener_of(rivals[0])
-    for rival in rivals:
-        rival.log_likelihood = log_likelihood(rival, whitener)
-    white = whitener.apply(race.fitted.residuals(race.ratio))
-    base = -0.5 * (float(white @ white) + prior_cost(race.fitted.problem, race.fitted.point))
-    return replace(race, rivals=rivals, whitener=whitener, base_log_likelihood=base, _models={})
+__all__ = ["detectable", "estimates", "ranking", "undetermined"]
 
 
 def ranking(
-    race: CandidateFits,
-    p_values: Sequence[float],
-    probabilities: Any,
-    base: Refinement,
+    trials: Sequence[Trial],
+    probabilities: Sequence[float],
+    alike: Sequence[bool],
+    scores: dict[Effect, float],
+    nothing: float,
+    case: Case,
     validation: Measurement | None,
-    horizon: float | None,
 ) -> tuple[RankedEffect, ...]:
-    """A row for each candidate, in the order of the fits."""
-    before = _validated(base, validation, horizon)
-    rows = []
-    for i, (rival, p, probability) in enumerate(zip(race.rivals, p_values, probabilities, strict=True)):
-        refinement = race.model(i).refinement
-        own = estimates(refinement, rival.effect)
+    """A row for each trial, in their order.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        One for each set of effects.
+    probabilities : sequence of float
+        Of the sets.
+    alike : sequence of bool
+        Whether the records do not tell them from the first.
+    scores : dict
+        p-value of the score of each effect.
+    nothing : float
+        Log evidence without any effect.
+    case : Case
+        What is asked.
+    validation : Measurement or None
+        Record on which the fits are judged.
+    """
+    horizon, rows = case.settings["horizon"], []
+    before = _validated(case.base, validation, horizon)
+    for i, (trial, probability) in enumerate(zip(trials, probabilities, strict=True)):
+        refinement = trial.model.refinement
+        order = sorted(range(len(trial.effects)), key=lambda k: -trial.surest[k])
+        first, *more = (trial.effects[k] for k in order)
+        own = estimates(refinement, first)
         rows.append(
             RankedEffect(
-                effect=rival.effect,
+                effect=first,
                 coefficients={name: row.coefficient for name, row in own.items()},
                 std={name: row.std for name, row in own.items()},
                 fit_before=before,
                 fit_after=_validated(refinement, validation if i < 8 else None, horizon),
-                p_value=float(p),
+                p_value=min(scores.get(effect, 1.0) for effect in trial.effects),
                 probability=float(probability),
-                log_likelihood_gain=rival.log_likelihood - race.base_log_likelihood,
+                log_likelihood_gain=trial.total - nothing,
                 refinement=refinement,
+                beside=tuple(more),
+                alike=alike[i],
             )
         )
     return tuple(rows)
@@ -72,7 +77,8 @@ def ranking(
 
 def estimates(refinement: Refinement, effect: Effect) -> dict[str, EstimatedParameter]:
     """Rows of the free coefficients of an effect, by their names; none where the model does not hold it."""
-    rows = [row for row in refinement.parameters if (row.kind, row.place) == (effect.kind, effect.place)]
+    name = (effect.kind, effect.place, "effect")
+    rows = [row for row in refinement.parameters if (row.kind, row.place, row.role) == name]
     return dict(zip(effect.free, rows, strict=True)) if rows else {}
 
 

@@ -1,35 +1,35 @@
-"""What else a diagnosis noticed: amplitudes that disagree, gains that disagree, motion without reversal."""
+"""What else a diagnosis noticed: amplitudes that disagree, motion without reversal, bounds."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from ..effects.effect import Effect
 from ..inference.covariance import wald
 from ..inference.descent import descend
 from ..inference.fitted import FittedModel, coefficient_covariance
 from ..inference.levels import Levels
 from ..systems.linear import Array
 from ..words import chance, with_error
-from .absorbed import percent
-from .candidate_fits import CandidateFits
-from .ranking import undetermined
 
-__all__ = ["amplitude_test", "fit_remarks", "not_known", "remarks"]
+__all__ = ["amplitude_test", "remarks"]
 
-_SHOWN = 8  # rows of the ranking that are printed
-_RISEN = 0.02  # of the error: what explains a record does not move the free run away from it
 _OTHER_AMPLITUDE = 1.3  # rms of the inputs over that of another record
 
 
-def amplitude_test(race: CandidateFits, levels: Levels) -> tuple[float, str]:
-    """Whether records of different amplitude agree on the coefficients of the winner.
+def amplitude_test(fitted: FittedModel, added: int, levels: Levels) -> tuple[float, str]:
+    """Whether records of different amplitude agree on the coefficients of the effects that were added.
 
     A law that only mimics the true one needs other coefficients at another amplitude.
 
     Parameters
     ----------
-    race : CandidateFits
-        CandidateFits on several records.
+    fitted : FittedModel
+        Model with them, on several records.
+    added : int
+        Number of its last effects that are asked about.
     levels : Levels
         Of the agreement.
 
@@ -40,20 +40,18 @@ def amplitude_test(race: CandidateFits, levels: Levels) -> tuple[float, str]:
     sentence : str
         What was compared, empty where nothing was.
     """
-    problem = race.rivals[0].candidate.problem
-    sizes = [float(np.sqrt(np.mean(r.inputs**2))) for r in problem.records]
+    structure = fitted.structure
+    sizes = [float(np.sqrt(np.mean(r.inputs**2))) for r in fitted.problem.records]
     low, high = int(np.argmin(sizes)), int(np.argmax(sizes))
     if sizes[high] <= _OTHER_AMPLITUDE * max(sizes[low], 1e-300):
         return 1.0, ""
-    fitted = race.model()
-    p = race.fitted.structure.n_parameters
-    estimates = [_alone(fitted, i) for i in (low, high)]
-    own = slice(p, fitted.structure.n_parameters)
-    difference = estimates[0][0][own] - estimates[1][0][own]
+    first = len(structure.effects) - added
+    own = np.flatnonzero([q.effect >= first for q in structure.parameters])
+    (one, C1), (two, C2) = (_alone(fitted, i) for i in (low, high))
     spread = np.diag((levels.same_value * fitted.theta[own]) ** 2)
-    p_value = wald(difference, estimates[0][1][own, own] + estimates[1][1][own, own] + spread)
-    values = " and ".join(with_error(e[0][p], np.sqrt(e[1][p, p])) for e in estimates)
-    name = race.rivals[0].effect.label
+    p_value = wald((one - two)[own], (C1 + C2)[np.ix_(own, own)] + spread)
+    p, name = own[0], structure.effects[first].label
+    values = " and ".join(with_error(e[p], np.sqrt(C[p, p])) for e, C in ((one, C1), (two, C2)))
     sentence = (
         f"Fitted alone at the smallest and the largest amplitude, {name} is {values} "
         f"({'they disagree' if p_value < levels.disagree else 'they agree'}, {chance(p_value, 'p')})."
@@ -78,59 +76,17 @@ def _alone(fitted: FittedModel, record: int) -> tuple[Array, Array]:
     return problem.unpack(run.point)[0].copy(), C
 
 
-def not_known(race: CandidateFits, levels: Levels) -> str:
-    """Why the first candidate gives no estimate though it may pass; empty where it does.
-
-    Parameters
-    ----------
-    race : CandidateFits
-        Fits.
-    levels : Levels
-        Of what is known.
-    """
-    effect = race.rivals[0].effect
-    refinement = race.model().refinement
-    unknown = undetermined(refinement, effect, levels)
-    if not unknown:
-        fits = np.array([race.fitted.refinement.fit, refinement.fit])
-        told = np.isfinite(fits).all(axis=0)
-        before, after = np.where(told, fits, 0.0).sum(axis=1) / max(np.count_nonzero(told), 1)
-        if race.ratio or 100.0 - after <= (1.0 + _RISEN) * (100.0 - before):
-            return ""
-        fell = f"the fit decreases from {percent(before)} to {percent(after)} with it"
-        return f"{effect.label} would pass, but {fell}: it is not named."
-    found = ", ".join(with_error(row.coefficient, row.std) for row in unknown)
-    wrong = race.rivals[0].unphysical
-    why = "physics asks for a positive value" if wrong else "the record does not determine it"
-    return f"{effect.label} would pass, but {why} ({found}): it is not named."
-
-
-def fit_remarks(race: CandidateFits) -> list[str]:
-    """Sentences on fits of the ranking that stand at a bound, or did not reach a minimum."""
-    bound, loose = [], []
-    for rival in race.rivals[:_SHOWN]:
-        run = rival.descent
-        bound += run.at_bound(rival.candidate.problem)
-        if not rival.settled and rival is not race.rivals[0]:
-            loose.append(rival.effect.label)
-    said = [f"At its bound, and so no estimate: {', '.join(dict.fromkeys(bound))}."] if bound else []
-    best = race.rivals[0]
-    if not best.settled:  # it would only win by more
-        said.append(f"Not converged, so its numbers are not final: {best.effect.label}.")
-    if loose:
-        said.append(f"Not converged, so neither named nor excluded for certain: {', '.join(loose)}.")
-    return said
-
-
-def remarks(race: CandidateFits) -> list[str]:
+def remarks(fitted: FittedModel, effects: Sequence[Effect]) -> list[str]:
     """Sentences on what should make the reader careful."""
-    best, fitted = race.rivals[0].effect, race.model()
-    ports = {port.name for port in fitted.structure.model.ports}
-    if best.spec.turns and best.place in ports and fitted.problem.in_time:
-        v = np.concatenate([fitted.port(best.place, 0.0, i)[1] for i in range(len(fitted.problem.records))])
+    ports, said = {port.name for port in fitted.structure.model.ports}, []
+    for effect in effects:
+        if not (effect.spec.turns and effect.place in ports and fitted.problem.in_time):
+            continue
+        v = np.concatenate([fitted.port(effect.place, 0.0, i)[1] for i in range(len(fitted.problem.records))])
         if v.min() >= 0 or v.max() <= 0:
-            return [
-                f"The motion at {best.place} never changes direction: friction there cannot be told from a "
+            said.append(
+                f"The motion at {effect.place} never changes direction: friction there cannot be told from a "
                 "constant force."
-            ]
-    return []
+            )
+    bound = fitted.refinement.message.partition(" At its bound: ")[2]
+    return [*said, *([f"At its bound, and so no estimate: {bound}"] if bound else [])]

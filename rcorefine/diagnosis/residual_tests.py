@@ -14,6 +14,7 @@ from ..effects.effect import Effect
 from ..inference.basis import Basis, in_own_units, lengths, project
 from ..inference.f_tests import FTest, apart_test, f_test, projected_test
 from ..inference.fitted import FittedModel
+from ..inference.levels import Levels
 from ..inference.sensitivities import (
     Candidate,
     force_responses,
@@ -25,9 +26,8 @@ from ..inference.starts import Motion
 from ..inference.whitening import Whitener, huber_weights
 from ..systems.linear import Array
 from .response_tests import response_tests
-from .verdict import overall
 
-__all__ = ["TestedResidual", "passed_without_library", "run_tests"]
+__all__ = ["TestedResidual", "overall", "passed_without_library", "passes", "run_tests"]
 
 _LAGS = 41
 _POWER_LAGS = {2: 21, 3: 6}
@@ -267,3 +267,43 @@ def _lagged(record: Measurement, at_once: NDArray[np.bool_], powers: dict[int, i
                     if lag or at_once[i, j]:
                         own.append(moved)
     return [np.reshape(own, (len(own), record.n_samples)).T for own in rows]
+
+
+def overall(tests: Sequence[FTest], equal: bool = False) -> float:
+    """Smallest p-value, corrected for the number of tests.
+
+    Parameters
+    ----------
+    tests : sequence of FTest
+        Tests of one residual; those without a degree of freedom do not count.
+    equal : bool
+        Whether to take all samples as equally noisy.
+
+    Returns
+    -------
+    float
+        0 where nothing could be tested: what was not tested has not passed.
+    """
+    valid = [t.p_equal if equal else t.p_value for t in tests if t.dof]
+    return min(1.0, min(valid) * len(valid)) if valid else 0.0
+
+
+def passes(tests: Sequence[FTest], excess: float, significance: float, levels: Levels) -> bool:
+    """Whether a residual is noise: no test fires, and it is no larger than the declared noise.
+
+    Parameters
+    ----------
+    tests : sequence of FTest
+        Tests of the residual.
+    excess : float
+        Residual over the declared noise, 0 where none was declared.
+    significance : float
+        Level of the tests together.
+    levels : Levels
+        Of the excess.
+
+    Returns
+    -------
+    bool
+    """
+    return overall(tests) >= significance and excess <= levels.noise_excess

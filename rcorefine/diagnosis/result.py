@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ..data.measurement import Measurement
 from ..effects.effect import Effect
-from ..exceptions import ModelError
+from ..exceptions import IdentifiabilityWarning, ModelError, unheard
 from ..inference.f_tests import FTest
 from ..inference.refinement import EstimatedParameter, Refinement
 from ..results import Look, Reported, Row, picture, show
@@ -45,13 +45,16 @@ class RankedEffect(Row):
     p_value : float
         Of its score, if nothing were missing.
     probability : float
-        Among the candidates and "none of these" (`Diagnosis.none_of_these`), given that exactly one
-        force is missing; they sum to one. NaN where the verdict is "unexplained": then it is none of them.
+        Of this hypothesis, special cases of the same law counted in; all rows, `Diagnosis.none_of_these` and
+        "nothing is missing" sum to one. NaN where the verdict is "unexplained": then it is none of them.
     log_likelihood_gain : float
-        Over the model as it is, less half the log of the number of samples for each
-        coefficient beyond the first.
+        Log marginal likelihood over that of the model as it is.
     refinement : Refinement
         Model with this effect, refitted.
+    beside : tuple of Effect
+        Other effects of the same hypothesis: `refinement` holds them all.
+    alike : bool
+        Whether the records do not tell it from the best one; the best one itself is.
     """
 
     effect: Effect
@@ -63,6 +66,27 @@ class RankedEffect(Row):
     probability: float
     log_likelihood_gain: float
     refinement: Refinement
+    beside: tuple[Effect, ...] = ()
+    alike: bool = False
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """All effects of this hypothesis, the surest one first."""
+        return (self.effect, *self.beside)
+
+    @property
+    def label(self) -> str:
+        """Names of all its effects."""
+        return " + ".join(effect.label for effect in self.effects)
+
+    @property
+    def estimates(self) -> list[tuple[Effect, dict[str, EstimatedParameter]]]:
+        """Each effect with the rows of its coefficients by name."""
+        rows = self.refinement.parameters
+        return [
+            (e, {r.name: r for r in rows if (r.kind, r.place, r.role) == (e.kind, e.place, "effect")})
+            for e in self.effects
+        ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +113,8 @@ class Diagnosis(Reported):
     ranking : tuple of RankedEffect
         Candidates that were refitted, the most probable first.
     ambiguous : tuple of Effect
-        Effects that this record cannot tell from the best one, the best included.
+        Effects that this record cannot tell from the best one, the best included. Of sets of effects: those
+        of the tied sets that the best set does not have. Rows of `ranking` that are tied are `alike`.
     tests : tuple of FTest
         Tests of the model as it is; each has name, statistic, p_value.
     winner_tests : tuple of FTest
@@ -201,8 +226,14 @@ class Diagnosis(Reported):
         """First row of the ranking, None where nothing was needed or tried."""
         return self.ranking[0] if self.ranking else None
 
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """What is missing: the effects of the best row, the surest first; empty where none is named."""
+        named = self.best is not None and self.verdict in ("effect", "ambiguous")
+        return self.best.effects if named and self.best is not None else ()
+
     def refine(self) -> Refinement:
-        """The model with the best effect, fitted to convergence from where the ranking left it.
+        """The model with the best set of effects, fitted to convergence from where the ranking left it.
 
         Returns
         -------
@@ -219,7 +250,8 @@ class Diagnosis(Reported):
         options = ("tolerance", "offset", "noise", "horizon")
         settings = {k: self.settings[k] for k in options if k in self.settings}
         ranked = self.best.refinement
-        polished = refit(ranked, list(self.records), elsewhere=False, **settings)
+        with unheard(IdentifiabilityWarning):  # the sentences name what the records leave open
+            polished = refit(ranked, list(self.records), elsewhere=False, **settings)
         # priors and weights may trade one output for another: what was shown is not given away
         return polished if np.mean(polished.fit) >= np.mean(ranked.fit) else ranked
 

@@ -1,125 +1,167 @@
-"""From tests, likelihoods and levels to a verdict: pure functions that a reader can follow."""
+"""From the table of hypotheses to a verdict: pure functions."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..inference.f_tests import FTest
-from ..inference.levels import Levels
+from ..effects.effect import Effect
+from .case import not_held
+from .hypothesis import Trial
+from .search import Search, is_gain, is_number
 
-__all__ = ["keeps_name", "overall", "passes", "probabilities", "tied", "verdict"]
+__all__ = ["Answer", "TableRow", "answer", "special", "table"]
 
 
-def overall(tests: Sequence[FTest], equal: bool = False) -> float:
-    """Smallest p-value, corrected for the number of tests.
+class TableRow(NamedTuple):
+    """A set of effects, its nuisances averaged.
+
+    Attributes
+    ----------
+    effects : tuple of Effect
+        The set; empty where nothing is missing.
+    floated : bool
+        Of the empty set: whether the parameters of the model are open.
+    value : float
+        Log posterior probability, up to a constant.
+    trials : list of Trial
+        The most probable first.
+    """
+
+    effects: tuple[Effect, ...]
+    floated: bool
+    value: float
+    trials: list[Trial]
+
+
+class Answer(NamedTuple):
+    """A verdict and what it rests on.
+
+    Attributes
+    ----------
+    verdict : str
+        As `Diagnosis.verdict`.
+    row : TableRow
+        What is said to be missing, or the likeliest where nothing passes.
+    trial : Trial
+        Its fit that passes.
+    effects : tuple of Effect
+        What is named.
+    ties : tuple of TableRow
+        Rows that the records do not exclude beside it.
+    inside : tuple of TableRow
+        Rows that contain it, or are contained in it, and count for it.
+    shares : dict
+        Probability of each row by its number in the table, given that one is right.
+    none : float
+        Probability of a force that follows none of the laws.
+    """
+
+    verdict: str
+    row: TableRow
+    trial: Trial
+    effects: tuple[Effect, ...]
+    ties: tuple[TableRow, ...]
+    inside: tuple[TableRow, ...]
+    probability: float
+    none: float
+
+
+def table(search: Search) -> list[TableRow]:
+    """Return the table by sets of effects, the most probable first."""
+    by_set: dict[Any, list[Trial]] = {}
+    for trial in search.ranked():
+        if search.determined(trial):
+            by_set.setdefault(frozenset(trial.effects) or trial.hypothesis.floated, []).append(trial)
+    excluded = -0.5 * search.case.levels.rival
+    rows = []
+    for key, trials in by_set.items():
+        values = [search.posterior(trial) for trial in trials]
+        near = [t for t, v in zip(trials, values, strict=True) if v > values[0] + excluded]
+        rows.append(TableRow(near[0].effects, key is True, float(np.logaddexp.reduce(values)), near))
+    return sorted(rows, key=lambda row: -row.value)
+
+
+def special(one: Sequence[Effect], other: Sequence[Effect]) -> bool:
+    """Return whether a set of effects is a special case of another: each a member, or contained in one."""
+    if len(one) != len(other) or set(one) == set(other):
+        return False
+    return all(any(e == o or (o.place == e.place and e.kind in o.spec.contains) for o in other) for e in one)
+
+
+def answer(search: Search, rows: Sequence[TableRow], passed: Callable[[Trial], bool]) -> Answer:
+    """Return the verdict of a table.
 
     Parameters
     ----------
-    tests : sequence of FTest
-        Tests of one residual; those without a degree of freedom do not count.
-    equal : bool
-        Whether to take all samples as equally noisy.
-
-    Returns
-    -------
-    float
-        0 where nothing could be tested: what was not tested has not passed.
+    search : Search
+        What was fitted.
+    rows : sequence of TableRow
+        Its table.
+    passed : callable
+        Whether a trial passes its tests.
     """
-    valid = [t.p_equal if equal else t.p_value for t in tests if t.dof]
-    return min(1.0, min(valid) * len(valid)) if valid else 0.0
+    levels = search.case.levels
+    keeps, excluded = -float(np.log(search.case.significance)), -0.5 * levels.rival
+    total = float(np.logaddexp.reduce([row.value for row in rows]))
+    nothing = next(row for row in rows if not row.effects and not row.floated)
+    top, first = search.ranked()[0], rows[0]
+    unexplained = Answer("unexplained", first, first.trials[0], first.effects, (), (), np.nan, 1.0)
+    if search.posterior(top) > rows[0].value + keeps + search.price and not search.determined(top):
+        return unexplained
+    plainest = sorted(nothing.trials, key=lambda trial: len(trial.hypothesis.nuisances))
+    fine = rows[0].value - nothing.value < keeps and next(filter(passed, plainest), None)
+    if fine:
+        share = float(np.exp(nothing.value - total))
+        return Answer("adequate", nothing, fine, (), (), (), share, np.nan)
+    for row in rows[:4]:
+        if row.value < rows[0].value + excluded:
+            break
+        trial = next((t for t in row.trials[:3] if passed(t)), None)
+        if trial is not None:
+            return _named(search, rows, row, trial, passed) if _likely(rows, row, total) else unexplained
+    return unexplained
 
 
-def passes(tests: Sequence[FTest], excess: float, significance: float, levels: Levels) -> bool:
-    """Whether a residual is noise: no test fires, and it is no larger than the declared noise.
-
-    Parameters
-    ----------
-    tests : sequence of FTest
-        Tests of the residual.
-    excess : float
-        Residual over the declared noise, 0 where none was declared.
-    significance : float
-        Level of the tests together.
-    levels : Levels
-        Of the excess.
-
-    Returns
-    -------
-    bool
-    """
-    return overall(tests) >= significance and excess <= levels.noise_excess
+def _likely(rows: Sequence[TableRow], row: TableRow, total: float) -> bool:
+    """Whether the sets before a row, which failed, are less likely than all the others together."""
+    before = rows[: next(i for i, one in enumerate(rows) if one is row)]
+    failed = [one.value for one in before if not _related(one, row)]
+    return bool(np.logaddexp.reduce(failed or [-np.inf]) < total + np.log(0.5))
 
 
-def probabilities(log_likelihoods: Sequence[float]) -> np.ndarray:
-    """Probability of each candidate if one of them is right and all were as likely before, (n,)."""
-    weights = np.exp(np.asarray(log_likelihoods) - max(log_likelihoods))
-    return np.asarray(weights / weights.sum())
+def _related(one: TableRow, other: TableRow) -> bool:
+    """Whether one set is a special case of the other."""
+    return special(one.effects, other.effects) or special(other.effects, one.effects)
 
 
-def tied(log_likelihoods: Sequence[float], lacks: Sequence[float], levels: Levels) -> list[int]:
-    """Candidates that the record does not tell from the first one.
-
-    Parameters
-    ----------
-    log_likelihoods : sequence of float
-        Of the candidates, the best one first.
-    lacks : sequence of float
-        What each would still gain in log-likelihood by fitting on, 0 at a minimum.
-    levels : Levels
-        Of rivals.
-
-    Returns
-    -------
-    list of int
-        The first one among them.
-    """
-    best = log_likelihoods[0]
-    both = zip(log_likelihoods, lacks, strict=True)
-    return [i for i, (value, lack) in enumerate(both) if 2 * (best - value) <= levels.rival + 2 * lack]
-
-
-def keeps_name(single: float, numbers: float, levels: Levels) -> bool:
-    """Whether one effect is named where all the parameters of the model together explain a record too.
-
-    Parameters
-    ----------
-    single : float
-        Log-likelihood of the best single effect.
-    numbers : float
-        Log-likelihood averaged over the prior of the parameters.
-    levels : Levels
-        Of rivals.
-
-    Returns
-    -------
-    bool
-    """
-    return 2 * (numbers - single) <= levels.rival
-
-
-def verdict(passed: bool, agreement: float, ties: int, levels: Levels, beside: float = -np.inf) -> str:
-    """What is said of a model that is not adequate.
-
-    Parameters
-    ----------
-    passed : bool
-        Whether the residual of the best candidate is noise.
-    agreement : float
-        p-value that all amplitudes ask for the same coefficients of it; 1 where there is one.
-    ties : int
-        Candidates that the record does not tell apart, the best one included.
-    levels : Levels
-        Of the agreement, and of a force of no law.
-    beside : float
-        Log of the odds of a force of no law over the best candidate.
-
-    Returns
-    -------
-    str
-        "unexplained", "effect" or "ambiguous".
-    """
-    if not passed or agreement < levels.disagree or 2 * beside > levels.rival:
-        return "unexplained"
-    return "effect" if ties == 1 and beside <= levels.departs else "ambiguous"
+def _named(
+    search: Search, rows: Sequence[TableRow], row: TableRow, trial: Trial, passed: Callable[[Trial], bool]
+) -> Answer:
+    """The answer where a set of effects passes its tests."""
+    levels = search.case.levels
+    family = [r for r in rows if _related(r, row)]
+    if row.effects and all(is_number(effect) for effect in row.effects):  # one of the parameters of the model
+        family += [r for r in rows if not r.effects and r.floated]
+    simpler = [r for r in family if special(r.effects, row.effects) and r.value > row.value - levels.family]
+    simpler = [r for r in simpler if passed(r.trials[0])][:1]
+    if simpler:
+        family = [*(r for r in family if r is not simpler[0]), row]
+        row, trial = simpler[0], simpler[0].trials[0]
+    total = float(np.logaddexp.reduce([r.value for r in rows]))
+    mass = float(np.logaddexp.reduce([r.value for r in [row, *family]]))
+    none = 1.0 / (1.0 + float(np.exp(-search.criticized(trial).odds)))
+    probability = float(np.exp(mass - total)) * (1.0 - none)
+    free = trial.hypothesis.floated
+    asked = [e for e in row.effects if not not_held([e], search.case.library)]
+    effects = tuple(e for e in asked if not (free and is_gain(e)))
+    if not effects:
+        word = "parameters" if free or row.effects else "adequate"
+        return Answer(word, row, trial, (), (), (), probability, none)
+    near = [r for r in rows if r.value > row.value - 0.5 * levels.rival]
+    ties = tuple(r for r in near if not any(r is one for one in [row, *family]))
+    alone = probability >= levels.named or (probability >= 0.5 and not ties)
+    word = "effect" if alone else "ambiguous"
+    return Answer(word, row, trial, effects, ties, tuple(family), probability, none)

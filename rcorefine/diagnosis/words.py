@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 from ..inference.levels import levels
 from ..words import chance, with_error
 from .absorbed import determined, far_numbers, numbers_that_moved, what_was_absorbed
-from .stepwise.improvement import Improvement
-from .verdict import overall
+from .improvement import Improvement
+from .residual_tests import overall
 
 if TYPE_CHECKING:
     from ..inference.f_tests import FTest
@@ -19,7 +19,7 @@ __all__ = ["failed_test", "next_step", "no_test_fires", "sentences"]
 _VERDICTS = {
     "adequate": "Nothing is missing that this record could show.",
     "parameters": "Moved numbers of the model explain the record: it shows no need for a law.",
-    "effect": "What is missing: {best}.",
+    "effect": "{missing}: {best}.",
     "ambiguous": "This record cannot tell apart: {alike}. Most probable: {best}.",
     "unexplained": "Something is missing that no candidate explains{where}. Closest: {best}.",
 }
@@ -33,6 +33,7 @@ _FAILED = {
     "powers of the input": ": something in it follows powers of the input",
     "neighbors": ": points beside each other err alike",
 }
+_NUMBERS = ("No", "One", "Two", "Three", "Four", "Five", "Six")
 _ALIKE = (
     "A weak law that acts here as moved numbers do would pass for them: a record at another amplitude, or in "
     "another band, tells."
@@ -51,12 +52,15 @@ def sentences(found: Diagnosis) -> list[str]:
     -------
     list of str
     """
-    alike = ", ".join(effect.label for effect in found.ambiguous)
+    alike = ", ".join([row.label for row in found.ranking if row.alike] or [e.label for e in found.ambiguous])
     if len(found.ambiguous) == 1 and found.best is not None:
-        alike += f", {_force(found)} that follows none of the laws"
+        force = found.none_of_these > levels().no_law
+        alike += f", {_force(found)} that follows none of the laws" if force else ", parameters that are off"
+    n = len(found.effects)
+    missing = "What is missing" if n < 2 else f"{_NUMBERS[n]} effects are missing"
     place = found.place
     where = "" if place is None else f": at {place}, with probability {found.places[place]:.2f}"
-    lines = [_VERDICTS[found.verdict].format(best=_best(found), alike=alike, where=where)]
+    lines = [_VERDICTS[found.verdict].format(best=_best(found), alike=alike, where=where, missing=missing)]
     if found.floated is not None and far_numbers(determined(found.floated)):
         lines = ["The numbers of the model explain the record, moved so far that they may hide a law."]
     if found.verdict == "parameters" and found.left_to_noise:
@@ -70,8 +74,15 @@ def sentences(found: Diagnosis) -> list[str]:
     elif worst is not None:  # without motion nothing could be tested
         lines += _open_law(found)
         fails = f"The residual of the model as it is fails {failed_test(worst)}."
-        told = found.verdict != "unexplained" or overall(found.tests) < found.significance
-        lines.append(fails if told else f"{no_test_fires(found)} {found.left_to_noise}".rstrip())
+        if overall(found.tests) < found.significance:
+            lines.append(fails)
+        elif found.verdict == "unexplained":
+            lines.append(f"{no_test_fires(found)} {found.left_to_noise}".rstrip())
+        else:
+            odds = 1.0 / found.significance
+            lines.append(
+                f"{no_test_fires(found)} But this is more than {odds:.3g} times as likely as nothing."
+            )
         failed = found.winner_tests and overall(found.winner_tests) < found.significance
         if found.verdict == "unexplained" and failed:
             left = min(found.winner_tests, key=lambda t: t.p_value)
@@ -224,7 +235,9 @@ def _columns(found: Diagnosis) -> list[str]:
 def _best(found: Diagnosis) -> str:
     if found.best is None:
         return "nothing"
-    row = found.best
-    values = ", ".join(with_error(value, row.std[name]) for name, value in row.coefficients.items())
+    row, told = found.best, []
+    for effect, own in row.estimates:
+        values = ", ".join(with_error(r.coefficient, r.std) for r in own.values())
+        told.append(f"{effect.label} ({values})")
     sure = "" if found.verdict == "unexplained" else f", probability {row.probability:.2f}"
-    return f"{row.effect.label} ({values}): fit {row.fit_before:.4g} -> {row.fit_after:.4g} %{sure}"
+    return f"{' and '.join(told)}: fit {row.fit_before:.4g} -> {row.fit_after:.4g} %{sure}"

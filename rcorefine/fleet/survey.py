@@ -13,7 +13,7 @@ import control as ct
 from ..arguments import as_choice, as_mapping, as_share
 from ..data.files import read_record
 from ..diagnosis.diagnose import diagnose
-from ..diagnosis.stepwise.improve import improve
+from ..diagnosis.improve import improve
 from ..effects.effect import Effect
 from ..localization.localize import localize_damage
 from ..progress import Progress

@@ -9,7 +9,7 @@ from typing import Any
 
 from ..data.measurement import Measurement
 from ..diagnosis.diagnose import diagnose
-from ..diagnosis.stepwise.improve import improve
+from ..diagnosis.improve import improve
 from ..effects.effect import Effect
 from ..inference.refinement import EstimatedParameter, Refinement
 from ..localization.localize import localize_damage
@@ -59,11 +59,11 @@ def _diagnosed(model: Any, data: Measurement, options: Mapping[str, Any]) -> Fou
     if best is None or found.verdict == "unexplained":
         return Found(found.verdict, (None, found.place), sentences=said)
     leading = (best.effect.kind, best.effect.place)
-    rows = _estimates(best.refinement.parameters, "effect", [leading])
+    rows = _estimates(best.refinement.parameters, "effect", [(e.kind, e.place) for e in best.effects])
     alone = found.verdict == "effect"
     return Found(
         found.verdict, leading, _finite(best.probability), rows if alone else (),
-        (best.effect,) if alone else (), said, () if alone else rows,
+        best.effects if alone else (), said, () if alone else rows,
     )  # fmt: skip
 
 

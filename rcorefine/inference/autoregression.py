@@ -21,9 +21,9 @@ def highest_order(n_samples: int) -> int:
 
 
 def autoregression(
-    signal: Array, *, order: int | None = None, known: NDArray[np.bool_] | None = None
+    signal: Array, *, order: int | None = None, known: NDArray[np.bool_] | None = None, price: float = 2.0
 ) -> tuple[Array, float]:
-    """Autoregressive model of a signal, order by Akaike's criterion.
+    """Autoregressive model of a signal, order by Akaike's criterion or another one.
 
     Parameters
     ----------
@@ -33,6 +33,8 @@ def autoregression(
         Given rather than chosen, where likelihoods of several signals are compared.
     known : ndarray of bool, shape (N,), optional
         Samples that count; by default all.
+    price : float, optional
+        Of a coefficient in twice the log-likelihood: 2 for Akaike, the log of the samples for Schwarz.
 
     Returns
     -------
@@ -72,7 +74,7 @@ def autoregression(
     lower = cholesky(products[1:, 1:] + ridge, lower=True)
     along = solve_triangular(lower, products[1:, 0], lower=True)
     rest = np.maximum(power - np.concatenate([[0.0], np.cumsum(along**2)]), 1e-14 * power)
-    best = int(np.argmin(n * np.log(rest) + 2 * np.arange(rest.size))) if order is None else order
+    best = int(np.argmin(n * np.log(rest) + price * np.arange(rest.size))) if order is None else order
     past = solve_triangular(lower[:best, :best], along[:best], lower=True, trans="T")
     return np.concatenate([[1.0], -past]), float(rest[best]) / n
 

@@ -9,6 +9,13 @@ import control as ct
 __all__ = ["Levels", "levels"]
 
 
+#: Levels of the comparisons that one table of hypotheses has replaced.
+_GONE = frozenset({
+    "same_force", "departs", "force", "force_beside", "hopeless", "color", "color_left",
+    "hold", "hold_alike", "swap",
+})  # fmt: skip
+
+
 @dataclass(frozen=True, slots=True)
 class Levels:
     """Levels at which tests and likelihoods decide.
@@ -22,15 +29,13 @@ class Levels:
         Residual over the declared noise, 1 by chance. Beyond it no color of the noise excuses
         the residual: the model is not adequate.
     rival : float
-        Twice the log-likelihood between two candidates, chi-squared of one degree of freedom by
-        chance. Within it they are tied; 9.2 are odds of 100 to 1.
-    same_force : float
-        Rms difference of two forces over their rms, within which a law that contains another one
-        merely contains it: no rival.
-    departs : float
-        Log of the odds of a force of no law over the best law, where that passes all tests. Beyond it,
-        even odds, the two are not told apart: ambiguous. Beyond half of `rival`, odds of 100 to 1, it
-        excludes the law as it would exclude a rival: unexplained.
+        Twice the log of the odds of two hypotheses, or of a force of no law over the best one. Within it they
+        are tied; 9.2 are odds of 100 to 1.
+    named : float
+        Probability from which on a set of effects is named alone.
+    family : float
+        Log of the odds within which the simpler one of a law and one that contains it is named: where the
+        simpler one is true, the other one is further ahead in one record of several hundred.
     disagree : float
         p-value of Wald's test that two amplitudes ask for the same coefficients, uniform by
         chance. Below it the law only mimics the true one: unexplained.
@@ -38,25 +43,13 @@ class Levels:
         Standard deviation, as a share of a coefficient, that this test allows beside the errors of the fits:
         that of kinks within a step, of a clock or a gain that differs from record to record.
     off : float
-        Relative standard deviation within which all numbers of a model float before a law is
-        sought. Where the residual passes with that, the record shows no need for a law.
+        Relative standard deviation of parameters that are hardly off: the least prior under which they are
+        reported.
     power : float
         Standard deviations, normal by chance, that an effect must have beyond the test's own
         level to be promised as visible; 1.645 are 95 %.
-    force : float
-        Log-likelihood that an unmeasured force must earn over none, or an effect over such a
-        force. Below it the simpler one stands.
-    force_beside : float
-        The same beside an effect that fails without it, where the tests decide.
     force_size : float
         Log-likelihood within which another size of that force is as good.
-    hopeless : float
-        p-value of a model beside an unmeasured force, uniform by chance. Below it no fit of
-        the candidates beside that force is tried.
-    color : float
-        Log-likelihood that an effect must earn over noise of any color that passes the tests, each
-        side with a filter of its own. By chance below 15, and up to 54 where the noise has the
-        period and the damping of a mode that rings through the whole record.
     colored_fit : float
         Fit of the free run in percent, 100 without noise. Below it a residual that passes as noise with
         a memory may be the error of the model: candidates and numbers are asked all the same.
@@ -64,14 +57,11 @@ class Levels:
         Standard deviation of such a residual over that of its innovations, 1 for white noise. Above it
         likewise.
     drowned : float
-        Fit of the free run in percent, 100 without noise. Below it such a residual is more than noise may
-        be: unexplained, where neither candidate, numbers nor force explain it.
+        Fit of the free run in percent, 100 without noise. Below it such a residual is more than noise may be:
+        unexplained, where no set of effects explains it.
     zero : float
-        Mean of an output over its standard deviation, about 0 by chance. Above it, and where no candidate
-        passes, offsets are tried wherever a law could want them.
-    color_left : float
-        Share of what the color of a residual gains, 1 where nothing explains it. A candidate that leaves
-        more than this has not explained the color.
+        Mean of an output over its standard deviation, about 0 by chance. Above it offsets are open wherever a
+        law could want them.
     line : float
         Power at one frequency over the mean of its neighbors, about 1 by chance and rarely above 10. Above
         it the residual may hold a line...
@@ -82,10 +72,6 @@ class Levels:
         at a resonance wanders.
     no_law : float
         Probability that none of the laws is the true one. Above it the answer says so.
-    hold : float
-        Log of the error that another hold between samples must save, 0 where it is the declared one.
-    hold_alike : float
-        The same, within which a delay explains the record as well as another hold.
     moved : float
         Standard deviations, normal by chance, from which on a parameter has moved. The size of an effect, and
         each coefficient that shapes it, must be as many from zero: else the effect is neither named nor kept.
@@ -93,9 +79,6 @@ class Levels:
         Share of a number. One that moved further, for certain, may stand in for a law.
     moved_wide : float
         Declared tolerances. A monitor whose numbers moved further does not call its model adequate.
-    swap : float
-        Log-likelihood by which a candidate must win to take another one's place in a model;
-        4.6 are odds of 100 to 1.
     earned : float
         Log of the error on the choosing part, about 0 by chance, that each coefficient must
         save to be added by `improve`.
@@ -134,32 +117,24 @@ class Levels:
 
     noise_excess: float = 1.2
     rival: float = 9.2
-    same_force: float = 0.1
-    departs: float = 0.0
+    named: float = 0.95
+    family: float = 2.3
     disagree: float = 0.005
     same_value: float = 0.005
     off: float = 0.05
     power: float = 1.645
-    force: float = 15.0
-    force_beside: float = 3.0
     force_size: float = 6.0
-    hopeless: float = 1e-9
-    color: float = 60.0
     colored_fit: float = 75.0
     colored_size: float = 3.0
     drowned: float = 50.0
     zero: float = 0.1
-    color_left: float = 0.5
     line: float = 30.0
     line_share: float = 0.2
     line_drift: float = 0.2
     no_law: float = 0.05
-    hold: float = 0.05
-    hold_alike: float = 0.01
     moved: float = 3.0
     moved_far: float = 0.3
     moved_wide: float = 2.0
-    swap: float = 4.6
     earned: float = 0.05
     spoiled: float = 0.02
     failure: float = 0.01
@@ -202,6 +177,10 @@ def levels() -> Levels:
     given = {k.removeprefix(prefix): v for k, v in ct.config.defaults.items() if k.startswith(prefix)}
     known = {field.name: field.default for field in fields(Levels)}
     for name, value in given.items():
+        if name in _GONE:
+            raise ct.ControlArgument(
+                f"rcorefine.{name} in control.config decides nothing any more; remove it"
+            )
         if name not in known:
             raise ct.ControlArgument(f"control.config holds rcorefine.{name}; there is {', '.join(known)}")
         number = isinstance(value, (int, float)) and not isinstance(value, bool)

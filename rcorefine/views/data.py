@@ -17,8 +17,8 @@ from ..comparison.result import Comparison
 from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement
 from ..diagnosis.hidden_force import HiddenForce
+from ..diagnosis.improvement import Improvement, Step
 from ..diagnosis.result import Diagnosis, RankedEffect
-from ..diagnosis.stepwise.improvement import Improvement, Step
 from ..diagnosis.words import next_step
 from ..effects.effect import Effect
 from ..engine.amplitude_response import AmplitudeResponse
@@ -121,7 +121,7 @@ def _shown(kind: type, *names: str) -> None:
 
 _shown(Failure, "role", "dimension", "where", "measure", "statistic", "p_value", "share", "sentence")
 _shown(FTest, "name", "statistic", "dof", "p_value")
-_shown(RankedEffect, "effect", "coefficients", "std", "fit_before", "fit_after", "p_value", "probability")
+_shown(RankedEffect, *"effect beside coefficients std fit_before fit_after p_value probability".split())
 _shown(EstimatedParameter, "name", "kind", "place", "role", "initial", "value", "coefficient", "std", "unit")
 _shown(
     Step, "action", "effect", "coefficients", "std", "train_rmse", "choice_rmse", "validation_rmse", "rivals"

@@ -34,7 +34,7 @@ _SHOWN = 8
 def diagnosis_told(found: Diagnosis) -> Told:
     """The verdict in words, and the ranking."""
     explained = found.verdict in ("adequate", "parameters", "effect")
-    places = () if found.best is None else (found.best.effect.place,)
+    places = () if found.best is None else tuple(e.place for e in found.best.effects)
     answer, *more = found.sentences()
     odd = warned(found.checks, explained, places)
     above = [f"Diagnosis: {found.verdict.upper()}", answer, *odd, *more]
@@ -46,10 +46,11 @@ def diagnosis_told(found: Diagnosis) -> Told:
     headers += ["P"] if named else []
     rows = []
     for row in found.ranking[:_SHOWN]:
-        first = next(iter(row.coefficients))
-        value, fit = estimate(row.coefficients[first], row.std[first]), f"{row.fit_after:.2f}"
-        probability = [f"{row.probability:.3f}"] if named else []
-        rows.append([row.effect.label, *value, fit, chance(row.p_value), *probability])
+        for i, (effect, own) in enumerate(row.estimates):
+            first = next(iter(own.values()))
+            whole = [f"{row.fit_after:.2f}", chance(row.p_value), f"{row.probability:.3f}"][: 2 + named]
+            value = estimate(first.coefficient, first.std)
+            rows.append(["+ " * (i > 0) + effect.label, *value, *([""] * len(whole) if i else whole)])
     if rows and named:
         rows.append(["none of these", "", "", "", "", f"{found.none_of_these:.3f}"])
     if found.open_law is not None:
@@ -145,7 +146,7 @@ def _residuals(axes: Any, found: Diagnosis, record: Measurement) -> tuple[list[A
     if found.floated is not None:
         models.append(("its numbers fitted", found.floated))
     if found.best is not None:
-        models.append((f"with {found.best.effect.label}", found.best.refinement))
+        models.append((f"with {found.best.label}", found.best.refinement))
     in_time, in_frequency = [], []
     scale = record.outputs.std(axis=1)
     main = int(np.argmax(scale > 0))

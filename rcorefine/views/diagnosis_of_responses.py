@@ -24,7 +24,7 @@ def plot_of_responses(found: Diagnosis, frame: Frame) -> ct.ControlPlot:
     if found.floated is not None:
         models, names = [*models, found.floated], [*names, "its numbers fitted"]
     if found.best is not None:
-        models, names = [*models, found.best.refinement], [*names, f"with {found.best.effect.label}"]
+        models, names = [*models, found.best.refinement], [*names, f"with {found.best.label}"]
     first: Any = found.records[0]
     result: FrequencyComparison = compare(models, first)
     i, j = np.unravel_index(int(np.argmin(result.fit[0])), result.fit[0].shape)

@@ -6,7 +6,7 @@ import control as ct
 import numpy as np
 
 from ..diagnosis.checks.row import warned
-from ..diagnosis.stepwise.improvement import Improvement
+from ..diagnosis.improvement import Improvement
 from ..diagnosis.words import next_step
 from ..words import counted, with_error
 from .figures import Frame, draws

@@ -21,15 +21,14 @@ def title_of(found: Diagnosis) -> str:
         return f"Diagnosis: {found.verdict}"
     if unexplained and place is not None:
         return f"Diagnosis: {found.verdict} (at {place}, probability {found.places[place]:.2f})"
-    return f"Diagnosis: {found.verdict} ({found.best.effect.label}, probability {found.best.probability:.2f})"
+    return f"Diagnosis: {found.verdict} ({found.best.label}, probability {found.best.probability:.2f})"
 
 
 def ranking_bars(ax: Any, found: Diagnosis) -> list[Any]:
     """What each refitted candidate misses."""
     rows = found.ranking[:_SHOWN][::-1]
     where = np.arange(len(rows))
-    alike = {effect.label for effect in found.ambiguous}
-    colors = [style(1).color if row.effect.label in alike else "0.75" for row in rows]
+    colors = [style(1).color if row.alike or row is found.best else "0.75" for row in rows]
     loss = [100 - row.fit_after for row in rows]
     bars = ax.barh(where, loss, color=colors, edgecolor="0.3", height=0.65)
     before = 100 - rows[0].fit_before
@@ -43,7 +42,7 @@ def ranking_bars(ax: Any, found: Diagnosis) -> list[Any]:
             va="center",
             fontsize=8,
         )
-    ax.set_yticks(where, [_wrapped(row.effect.label) for row in rows], fontsize=8)
+    ax.set_yticks(where, [_wrapped(row.label) for row in rows], fontsize=8)
     ax.set_xlim(0, 1.25 * max(before, *loss))
     ax.set_xlabel("what the refitted model misses: 100 - fit [%]")
     ax.set_title("Rivals, refitted")
@@ -51,8 +50,10 @@ def ranking_bars(ax: Any, found: Diagnosis) -> list[Any]:
 
 
 def _wrapped(label: str) -> str:
-    kind, at, place = label.partition(" at ")  # the name of a place stays as its owner wrote it
-    return plain(kind.replace("_", " ") + at.replace(" at", "\nat") + place)
+    parts = [one.partition(" at ") for one in label.split(" + ")]  # a place stays as its owner wrote it
+    return plain(
+        "\n+ ".join(f"{a.replace('_', ' ')}{at.replace(' at', chr(10) + 'at')}{b}" for a, at, b in parts)
+    )
 
 
 def test_bars(ax: Any, found: Diagnosis) -> list[Any]:

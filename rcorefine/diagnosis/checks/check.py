@@ -188,7 +188,7 @@ def _shown(model: Any, data: Measurement) -> tuple[Detectable, ...]:
     """Smallest coefficients that one of the tests of `diagnose` would show."""
     try:
         base = base_fit(model, [data], free=(), tolerance=0.0, offset=True, noise=None)
-        case = Case.prepare(base, [data], None, dict(_SETTINGS), 0.01, Progress(), False)
+        case = Case.prepare(base, [data], None, dict(_SETTINGS), 0.01, Progress())
     except (DataError, ct.ControlArgument):
         return ()  # too short, or nothing that could be missing: there is no such row then
     scored = candidate_columns(case.fitted, case.library, case.motions[0], (0.0,))

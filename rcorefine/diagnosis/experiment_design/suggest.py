@@ -23,8 +23,10 @@ from ...inference.whitening import Whitener
 from ...inference.windows import windows
 from ...models.operating_point import refuse_point
 from ...systems.linear import Array
-from ..candidate_fits import fit_candidates
+from ..hypothesis import Hypothesis
+from ..refits import Fitter
 from ..residual_tests import TestedResidual
+from ..screening import Metric, Numbers, Screen
 from .planning import Proposal, default_bands, proposals
 from .result import ExperimentAdvice, ExperimentOption
 from .sensors import sensor_rows
@@ -124,8 +126,8 @@ def _contenders(found: Diagnosis, records: Sequence[Measurement]) -> tuple[list[
         )
         return [], fitted_from(found.base, segments, **options), why
     fitted = fitted_from(found.best.refinement, segments, **options)
-    rows = [r for r in found.ranking if r.effect in found.ambiguous][:_MOST]
-    total = sum(row.probability for row in rows)
+    rows = [r for r in found.ranking if r.alike][:_MOST]
+    total = sum(row.probability for row in rows) or 1.0
     contenders = [
         Contender(row.effect, row.refinement, row.probability / total, 2 * row.log_likelihood_gain)
         for row in rows
@@ -157,20 +159,26 @@ def _near(found: Diagnosis, fitted: FittedModel) -> tuple[list[Contender], Fitte
     if not effects:
         return alone, fitted, nothing
     motion = Motion(fitted.structure, fitted.theta, fitted.problem.records[0])
-    scored = candidate_columns(fitted, effects, motion, (found.force_ratio,))
+    scored = candidate_columns(fitted, effects, motion, (0.0, found.force_ratio))
     tests = TestedResidual(fitted, found.force_ratio).each(scored)
     order = np.argsort([t.p_value for t in tests], kind="stable")
     near = [i for i in order if tests[i].p_value * len(tests) < _NEAR]
-    race = fit_candidates(fitted, [scored[i] for i in near[:_FEW]], found.force_ratio) if near else None
-    if race is None:
+    fitter = Fitter(fitted, motion)
+    metric = Metric(fitted.problem.whitener(fitted.residuals()), None, 0.0)
+    trials = []
+    for candidate in (scored[i] for i in near[:_FEW]):
+        screen = Screen(fitted, [candidate], Numbers([], np.zeros(0)), metric, motion)
+        starts = [screen.start([group], False, fitted) for group in screen.groups]
+        trials.append(fitter.fit(Hypothesis((candidate.effect,)), fitted, starts, shared=True))
+    likely = sorted((t for t in trials if t is not None), key=lambda trial: -trial.total)
+    if not likely:
         return alone, fitted, nothing
-    logs = np.array([rival.log_likelihood for rival in race.rivals])
-    weights = np.exp(logs - logs[0])
+    base = fitter.empty(Hypothesis(), fitted).total
+    weights = np.exp([trial.total - likely[0].total for trial in likely])
     weights /= weights.sum()
-    base = 2 * race.base_log_likelihood
     contenders = [
-        Contender(rival.effect, race.model(i).refinement, float(weights[i]), 2 * float(logs[i]) - base)
-        for i, rival in enumerate(race.rivals)
+        Contender(trial.effects[0], trial.model.refinement, float(weight), 2 * (trial.total - base))
+        for trial, weight in zip(likely, weights, strict=True)
     ]
     return [*contenders, *alone], fitted, ""
 
@@ -275,7 +283,6 @@ def _advice(
     why: str,
 ) -> ExperimentAdvice:
     possible = [option for option in options if not option.failed]
-    enough = [option for option in possible if option.probability >= probability]
     names = tuple(c.label for c in contenders)
     notes = [why.strip()] if why else []
     notes += [f"Not possible: {o.name} ({o.failed})." for o in options if o.failed]
@@ -284,20 +291,9 @@ def _advice(
             "None of these experiments is possible; allow others (amplitudes=, lengths=, bands=, sensors=)."
         )
         return ExperimentAdvice(None, tuple(options), names, probability, message, tuple(notes))
-    # cheapest first; of equals the most probable
-    chosen = min(enough, key=lambda o: (o.cost, -o.probability)) if enough else None
     best = max(possible, key=lambda o: o.probability)
-    who = _who(contenders)
-    if chosen is not None:
-        message = (
-            f"{chosen.name[0].upper()}{chosen.name[1:]}: {who} with probability {chosen.probability:.2f}."
-        )
-    else:
-        chosen = best
-        message = (
-            f"No option reaches {probability:g}. Best: {chosen.name}: {who} with probability "
-            f"{chosen.probability:.2f}."
-        )
+    chosen = _cheapest(possible, probability) or best
+    message = _who(contenders, chosen, None if chosen.probability >= probability else probability)
     if chosen.reach > _BEYOND:
         notes.append(
             f"That takes {chosen.reach_where} to {chosen.reach:.2g} times the largest value in this record, "
@@ -314,10 +310,23 @@ def _advice(
     return ExperimentAdvice(chosen, tuple(options), names, probability, message, tuple(notes))
 
 
-def _who(contenders: Sequence[Contender]) -> str:
-    if any(c.effect is None for c in contenders):
-        return f"{contenders[0].label} would then stand out, if it is there,"
+def _cheapest(possible: Sequence[ExperimentOption], probability: float) -> ExperimentOption | None:
+    """The cheapest option that is probable enough, of equals the most probable; None where there is none."""
+    enough = [option for option in possible if option.probability >= probability]
+    return min(enough, key=lambda o: (o.cost, -o.probability), default=None)
+
+
+def _who(contenders: Sequence[Contender], option: ExperimentOption, missed: float | None) -> str:
+    """What an option would tell, with the probability that was asked for where it misses that."""
     names = [c.label for c in contenders]
-    if len(names) == 2:
-        return f"{names[0]} and {names[1]} then separate"
-    return f"the {len(names)} rivals then separate"
+    who = (
+        f"{names[0]} and {names[1]} then separate"
+        if len(names) == 2
+        else f"the {len(names)} rivals then separate"
+    )
+    if any(c.effect is None for c in contenders):
+        who = f"{names[0]} would then stand out, if it is there,"
+    what = f"{option.name[0].upper()}{option.name[1:]}"
+    if missed is not None:
+        what = f"No option reaches {missed:g}. Best: {option.name}"
+    return f"{what}: {who} with probability {option.probability:.2f}."

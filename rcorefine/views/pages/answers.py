@@ -15,8 +15,8 @@ from ..tables import number, root_mean_square
 if TYPE_CHECKING:
     from ...comparison.responses import FrequencyComparison
     from ...comparison.result import Comparison
+    from ...diagnosis.improvement import Improvement
     from ...diagnosis.result import Diagnosis
-    from ...diagnosis.stepwise.improvement import Improvement
     from ...inference.refinement import EstimatedParameter, Refinement
 
 __all__ = [

@@ -26,8 +26,7 @@ def report_diagnosis(found: Diagnosis, *, title: str | None, code: str | None) -
     answer, fine = diagnosis_answer(found)
     named = found.verdict != "unexplained"
     shown = ", ".join(
-        f"{row.effect.label} {row.probability:.2f}" if named else row.effect.label
-        for row in found.ranking[:4]
+        f"{row.label} {row.probability:.2f}" if named else row.label for row in found.ranking[:4]
     )
     drawn = pictures(
         [
@@ -131,15 +130,13 @@ def _own_code(found: Diagnosis) -> str:
 def _ranking_rows(found: Diagnosis) -> list[list[str]]:
     rows = []
     for row in found.ranking:
-        for i, (name, value) in enumerate(row.coefficients.items()):
-            head = row.effect.label if i == 0 else ""
-            tail = [
-                number(row.fit_before),
-                number(row.fit_after),
-                chance(row.p_value),
-                number(row.probability, 3),
-            ]
-            rows.append([head, name, f"{value:.5g}", f"{row.std[name]:.2g}", *(tail if i == 0 else [""] * 4)])
+        fits = [number(row.fit_before), number(row.fit_after)]
+        tail = [*fits, chance(row.p_value), number(row.probability, 3)]
+        for k, (effect, own) in enumerate(row.estimates):
+            for i, (name, one) in enumerate(own.items()):
+                head = "" if i else "+ " * (k > 0) + effect.label
+                rest = [""] * 4 if k or i else tail
+                rows.append([head, name, f"{one.coefficient:.5g}", f"{one.std:.2g}", *rest])
     if found.verdict != "unexplained":
         rows.append(["none of these", *[""] * 6, number(found.none_of_these, 3)])
     if found.open_law is not None:

@@ -11,7 +11,7 @@ from ...comparison.compare import compare
 from ...data.levels import stretches_by_level
 from ...data.measurement import Measurement
 from ...data.response_record import in_frequency
-from ...diagnosis.stepwise.improvement import Improvement
+from ...diagnosis.improvement import Improvement
 from ...inference.refinement import Refinement
 from ...words import counted, with_error
 from ..check import odd

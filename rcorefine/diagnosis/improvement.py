@@ -7,12 +7,12 @@ from typing import Unpack
 
 import control as ct
 
-from ...effects.effect import Effect
-from ...inference.refinement import Refinement
-from ...results import Options, ReportedModel, Row, picture, show
-from ...systems.linear import Array
-from ...words import with_error
-from ..checks.row import CheckRow
+from ..effects.effect import Effect
+from ..inference.refinement import Refinement
+from ..results import Options, ReportedModel, Row, picture, show
+from ..systems.linear import Array
+from ..words import with_error
+from .checks.row import CheckRow
 
 __all__ = ["Improvement", "Step"]
 

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from ...data.measurement import Measurement
-from ...data.response_record import in_frequency, some_lines
-from ...exceptions import DataError
-from ...inference.windows import spread_lines, windows
-from ...models.physical_model import PhysicalModel
-from ..case import SHORTEST
+from ..data.measurement import Measurement
+from ..data.response_record import in_frequency, some_lines
+from ..exceptions import DataError
+from ..inference.windows import spread_lines, windows
+from ..models.physical_model import PhysicalModel
+from .case import SHORTEST
 
 __all__ = ["Parts", "common_horizon", "split_in_parts"]
 

@@ -1,0 +1,530 @@
+"""Find the set of effects that a model lacks, and watch the error fall."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from ..arguments import as_share, as_whole
+from ..arithmetic import own_arithmetic
+from ..comparison.compare import compare
+from ..data.channels import match_channels, record_for
+from ..data.measurement import Measurement
+from ..data.response_record import in_frequency
+from ..effects.effect import Effect
+from ..effects.several import as_effects
+from ..engine.response_engine import engine_on
+from ..exceptions import (
+    DataError,
+    DivergenceError,
+    ExcitationWarning,
+    IdentifiabilityWarning,
+    ModelError,
+    unheard,
+)
+from ..inference.assembly import check_settings
+from ..inference.levels import levels
+from ..inference.refinement import Refinement
+from ..inference.windows import as_data, check_validation
+from ..models.conversion import as_physical, under_control
+from ..models.operating_point import ordered_record
+from ..progress import Progress
+from ..refinement.base_fit import base_fit
+from ..refinement.refine import refine, refit
+from ..systems.linear import Array
+from .case import Case, candidates_of, no_motion, not_held, seen_in_responses
+from .checks.check import looks
+from .colored_noise import left_to_noise
+from .diagnose import about_hold, open_force, with_offsets
+from .hypothesis import Trial
+from .improvement import Improvement, Step
+from .parts import Parts, common_horizon, split_in_parts
+from .ranking import estimates, undetermined
+from .residual_tests import TestedResidual
+from .search import Search
+from .verdict import table
+
+__all__ = ["improve"]
+
+_JUDGED, _SETTLED = 30, 10  # sets that the second part may choose from; of them, those that are fitted again
+
+
+def improve(
+    model: Any,
+    data: Measurement | Sequence[Measurement],
+    *,
+    validation: Measurement | None = None,
+    max_effects: int = 4,
+    candidates: Sequence[Effect] | None = None,
+    free: str | Sequence[Any] = (),
+    tolerance: float = 0.0,
+    offset: bool = True,
+    noise: float | Sequence[float] | None = None,
+    horizon: float | None = None,
+    significance: float = 0.01,
+    controller: ct.StateSpace | None = None,
+    executor: Any = None,
+    progress: bool = False,
+) -> Improvement:
+    """Find the set of effects that a model lacks, and watch the error fall.
+
+    The record is split in three: sets of effects are compared on the first part (three fifths of the
+    samples, and at least 200) as in `diagnose`, chosen on the second, and the error that is reported comes
+    from the third, which took part in nothing.
+
+    Parameters
+    ----------
+    model : StateSpace, PhysicalModel or Refinement
+        Initial model, continuous time.
+    data : Measurement or list of Measurement
+        Record, or several of the same system. Or a `FrequencyResponse`, or a list of them: of five
+        frequencies in turn three are fitted, one chooses, one judges, and errors are over the noise.
+    validation : Measurement or FrequencyResponse, optional
+        Record that judges; by default the last fifth of `data`.
+    max_effects : int
+        Effects at most.
+    candidates : sequence of Effect, optional
+        What could be missing, default `effect_library(model)`.
+    free, tolerance, offset, noise, horizon
+        As in `refine`.
+    significance : float
+        Level of the gate of `diagnose`.
+    controller : StateSpace or TransferFunction, optional
+        As in `refine`: the controller under which the record was taken.
+    executor : concurrent.futures.Executor or dask.distributed.Client, optional
+        Refits candidates in parallel.
+    progress : bool
+        Whether to show steps and remaining time on standard error.
+
+    Returns
+    -------
+    Improvement
+        The steps, the last model, the picture.
+
+    Raises
+    ------
+    DataError
+        If the record is too short to split.
+
+    Notes
+    -----
+    The table of hypotheses is that of `diagnose`, with sets of up to `max_effects`. The most probable set
+    that passes every test is taken, unless the error of its free run on the second part is 2 % above that
+    without it; where none passes, that which lowers the error on both parts most (mean of the logarithms), by
+    at least 5 % for each coefficient. No effect stays that the record does not determine: its size, and each
+    coefficient that shapes it, must be more than 3 standard deviations from zero (``rcorefine.moved``), and
+    friction and losses must be positive. Where parameters of the model are off, they are estimated beside the
+    effects.
+    The steps tell what each effect takes from the error, that first without which the others are worst off.
+    Steps after which the third part is worse off than at the start are taken back. Where no set passes,
+    the last step is the force that is left, as a table (`Diagnosis.law`), if that lowers the error on the
+    second part.
+
+    Where the model integrates, one horizon holds for all parts: that of `compare` on the whole record.
+
+    Examples
+    --------
+    >>> import numpy as np, rcorefine as rco
+    >>> model = rco.mass_spring_damper([1.0], [0.4], [100.0], sensors="displacement")
+    >>> true = rco.mass_spring_damper([1.0], [0.4], [80.0], sensors="displacement")
+    >>> rng = np.random.default_rng(0)
+    >>> force = 10 * rng.standard_normal(3000)
+    >>> y = rco.simulate(true, rco.Measurement(force, np.zeros(3000), dt=0.02), "zero").outputs[0]
+    >>> data = rco.Measurement(force, y + 0.03 * y.std() * rng.standard_normal(3000), dt=0.02)
+    >>> laws = [rco.Effect(kind, "link1") for kind in ("stiffness", "damping", "cubic_stiffness")]
+    >>> ladder = rco.improve(model, data, candidates=laws)
+    >>> [step.effect.kind for step in ladder.steps[1:]], ladder.verdict
+    (['stiffness'], 'adequate')
+    """
+    max_effects = as_whole(max_effects, "max_effects")
+    significance = as_share(significance, "significance")
+    records = as_data(data, horizon=horizon, noise=noise, controller=controller)
+    model = under_control(model, controller, data)
+    physical = as_physical(model)
+    check_settings(physical, free=free, tolerance=tolerance, offset=offset, noise=noise, horizon=horizon)
+    library = candidates_of(physical) if candidates is None else as_effects(candidates, "candidates")
+    if validation is not None:
+        check_validation(model, validation)
+    parts = split_in_parts(records, validation)
+    ordered = [ordered_record(physical, record) for record in records]
+    horizon, cut = common_horizon(physical, ordered, horizon)
+    settings: dict[str, Any] = {"tolerance": tolerance, "offset": offset, "noise": noise, "horizon": horizon}
+    in_time = not in_frequency(parts.fit)
+    if not in_time:
+        library = seen_in_responses(physical, library, ordered, candidates is not None)
+    with own_arithmetic(), unheard(IdentifiabilityWarning), Progress(progress, executor) as bar:
+        with bar.step("the model as it is"):
+            start = base_fit(model, parts.fit, free=free, **settings)
+            # parameters that are all free are open beside the effects: each with a prior, the widest 100 %
+            nominal = base_fit(model, parts.fit, free=(), **settings) if free == "linear" else start
+        if in_time and (still := no_motion(parts.fit)):  # by now every channel is known to be there
+            raise DataError(still)
+        odd = looks(model, records, horizon) if in_time else ()
+        ladder = _Ladder((start, nominal), parts, settings, library, significance, bar)
+        verdict, message, notes = ladder.climb(max_effects)
+    outputs = physical.linear.output_labels
+    units = tuple(parts.fit[0].output_units) if in_time else ("std",) * len(outputs)
+    return Improvement(
+        tuple(ladder.steps), verdict, message, outputs, units, (*parts.remarks, *notes, *cut), odd
+    )
+
+
+class _Ladder:
+    """From the initial model to the one with the chosen set, step by step.
+
+    Parameters
+    ----------
+    starts : tuple of Refinement
+        The initial model, fitted to the first part as far as it is free, and that which is to be mended.
+    parts : Parts
+        Records.
+    settings : dict
+        tolerance, offset, noise and horizon as in `refine`.
+    library : list of Effect
+        Candidates.
+    significance : float
+        Level of the tests.
+    progress : Progress
+        What does the steps and counts them.
+    """
+
+    def __init__(
+        self,
+        starts: tuple[Refinement, Refinement],
+        parts: Parts,
+        settings: dict[str, Any],
+        library: Sequence[Effect],
+        significance: float,
+        progress: Progress,
+    ) -> None:
+        (self.start, self.nominal), self.parts, self.settings = starts, parts, settings
+        self.library, self.significance = not_held(list(library), self.nominal.effects), significance
+        self.progress = progress
+        self.steps: list[Step] = []
+
+    def climb(self, most: int) -> tuple[str, str, list[str]]:
+        """Choose a set and tell its steps; the verdict, why it ends there, and notes."""
+        if not most or not self.library:
+            self._tell([(None, "start", self._settled(self.start))], "")
+            why = "Stopped at max_effects = 0" if not most else "No candidate is left"
+            return "unexplained", f"{why}; the residual still speaks.", []
+        search = Search(self._case(self.nominal, self.parts.fit), most, alone=False).run()
+        chosen = self._chosen(search)
+        doubtful = self._doubtful(search, chosen)
+        if doubtful:
+            search, chosen = self._by_error(search, most)
+        if not doubtful and self.parts.whole:
+            search, chosen = self._pooled(search, chosen)
+        passed, doubtful = search.passed(chosen), self._doubtful(search, chosen)
+        self._tell(self._rungs(chosen, search), "adequate" if passed else "unexplained")
+        if not passed:
+            self._cut()
+        notes = [*self._tie(chosen, search), *about_hold(chosen, search)]
+        back = self._back()
+        law, back = self._with_table(search, back, most) if doubtful else (None, back)
+        verdict = "adequate" if passed and (not back or search.passed(search.trials[0])) else "unexplained"
+        return verdict, self._ending(verdict, back, len(chosen.effects) >= most, law), notes
+
+    def _with_table(self, search: Search, back: list[str], most: int) -> tuple[Any, list[str]]:
+        """The force that is left as one more step, where it stays; and what was taken back."""
+        room = search.case.in_time and sum(step.effect is not None for step in self.steps) < most
+        law = self._tabulated(search, self.steps[-1].refinement) if room else None
+        if law is None:
+            return None, back
+        self._tell([law], "unexplained")
+        gone = self._back()
+        return (None, [*back, *gone]) if gone else (law, back)
+
+    def _case(self, start: Refinement, records: Sequence[Measurement]) -> Case:
+        """What is asked of some of the records."""
+        given = {**self.settings, "free": ()}
+        base = with_offsets(start, records, given)
+        return Case.prepare(base, records, self.library, given, self.significance, self.progress)
+
+    # ------------------------------------------------------------------ choosing
+    def _pooled(self, search: Search, chosen: Trial) -> tuple[Search, Trial]:
+        """The likely sets on all that does not judge: where noise alone is left, no second part is needed."""
+        learn, excluded = self.parts.learn, 0.5 * search.case.levels.rival
+        more = Search(
+            self._case(refit(self.nominal, learn, elsewhere=False, **self.settings), learn),
+            search.most,
+            alone=False,
+        )
+        more.empty(frozenset())
+        if chosen.hypothesis.nuisances:
+            more.empty(chosen.hypothesis.nuisances)
+        least = search.posterior(chosen) - 2.0 * excluded
+        likely = [row.trials[0] for row in table(search) if row.effects and row.value > least]
+        for trial in dict.fromkeys([chosen, *likely]):
+            if trial.effects:
+                base = more.base(trial.hypothesis.nuisances)
+                start = trial.start.on(base.problem.unpack(base.point)[1])
+                more.try_(trial.effects, trial.hypothesis.nuisances, [start])
+        more.polish()
+        ranked = [t for t in more.ranked() if more.determined(t)]
+        best = next((t for t in ranked[:3] if more.passed(t)), None)
+        keeps = -float(np.log(self.significance))
+        return (search, chosen) if best is None else (more, self._plainer(best, more, keeps))
+
+    @staticmethod
+    def _doubtful(search: Search, chosen: Trial) -> bool:
+        """Whether a set fails its tests, or passes only because a filter makes noise of much of the error."""
+        if not search.passed(chosen):
+            return True
+        battery = TestedResidual(chosen.model, chosen.hypothesis.ratio)
+        return left_to_noise(battery, search.case.levels) != ""
+
+    def _by_error(self, search: Search, most: int) -> tuple[Search, Trial]:
+        """The set of least error where none passes: sought once more under white noise, effect by effect."""
+        plain = Search(search.case, most, colored=False, alone=False).run()
+        for trial in search.trials:
+            if not trial.hypothesis.ratio:
+                plain.add(plain.fitter.scored(replace(trial)))
+        for _ in range(most):
+            before = self._chosen(plain)
+            plain.climbed(before)
+            if self._chosen(plain) is before:
+                break
+        return plain, self._chosen(plain)
+
+    def _chosen(self, search: Search) -> Trial:
+        """The most probable set that passes; where none does, that of least error on the second part."""
+        levels, nothing = search.case.levels, search.trials[0]
+        keeps = -float(np.log(self.significance))
+        if search.posterior(search.best) - search.posterior(nothing) < keeps and search.passed(nothing):
+            return nothing
+        tried = [t for t in search.ranked() if search.determined(t) and not t.hypothesis.ratio][:_JUDGED]
+        without = self._log_error(self.start)
+        errors = {trial: self._log_error(trial.model.refinement) for trial in tried}
+        near = [t for t in tried if search.posterior(t) > search.posterior(tried[0]) - 0.5 * levels.rival]
+        passed = [t for t in near if errors[t] < without + levels.spoiled and search.passed(t)][:1]
+        if passed:
+            return self._plainer(passed[0], search, keeps)
+        return self._of_least_error(tried, errors, without) or nothing
+
+    def _of_least_error(
+        self, tried: Sequence[Trial], errors: dict[Trial, float], without: float
+    ) -> Trial | None:
+        """The set of least error whose effects all data determine; None where none earns its coefficients."""
+        cost = {trial: self._cost(trial, errors[trial]) for trial in tried}
+        least = 0.5 * (float(np.mean(np.log(self.start.rmse + 1e-300))) + without)
+        for trial in sorted(tried, key=cost.__getitem__)[:_SETTLED]:
+            if not cost[trial] < least:
+                break
+            if not _loose(self._settled(_with_spread(trial)), trial.effects):
+                return trial
+        return None
+
+    @staticmethod
+    def _cost(trial: Trial, error: float) -> float:
+        """Log of the error on both parts, and what each coefficient has to save of it."""
+        fitted = float(np.mean(np.log(trial.model.refinement.rmse + 1e-300)))
+        return 0.5 * (fitted + error) + levels().earned * sum(len(effect.free) for effect in trial.effects)
+
+    def _plainer(self, trial: Trial, search: Search, keeps: float) -> Trial:
+        """The same effects in the model as it is, where that is hardly less likely, or errs no more."""
+        for other in search.trials:
+            if set(other.effects) != set(trial.effects) or other.hypothesis.nuisances:
+                continue
+            near = search.posterior(other) > search.posterior(trial) - keeps and search.passed(other)
+            errors = [self._log_error(one.model.refinement) for one in (other, trial)]
+            if search.determined(other) and (near or errors[0] < errors[1] + search.case.levels.spoiled):
+                return other
+        return trial
+
+    def _log_error(self, refinement: Refinement) -> float:
+        """Mean over the outputs of the log error of the free run on the second part."""
+        return float(np.mean(np.log(self._errors(refinement, self.parts.choose) + 1e-300)))
+
+    def _errors(self, refinement: Refinement, records: Sequence[Any]) -> Array:
+        """Root mean square of the free run's residual, (n_y,), in the windows that `compare` chooses."""
+        found = []
+        for record in records:
+            try:
+                found.append(_left(refinement, record, self.settings["horizon"]))
+            except DivergenceError:
+                return np.full(refinement.physical_model.linear.n_outputs, np.inf)
+        return np.asarray(np.sqrt(np.mean(np.concatenate(found, axis=1) ** 2, axis=1)))
+
+    # ------------------------------------------------------------------ telling
+    def _rungs(self, chosen: Trial, search: Search) -> list[tuple[Effect | None, str, Refinement]]:
+        """The models on the way to the chosen one: the start, its parameters, then effect by effect."""
+        rungs: list[tuple[Effect | None, str, Refinement]] = [(None, "start", self._settled(self.start))]
+        held = chosen.hypothesis.nuisances
+        if held and self.start is self.nominal:
+            rungs.append((None, "parameters", self._settled(search.base(held).refinement)))
+        last = _with_spread(chosen)
+        if not chosen.effects:
+            if held:
+                rungs = [*rungs[:1], (None, "parameters", self._settled(last))]
+            return rungs
+        whole = self._settled(last)
+        order = list(chosen.effects)
+        if len(order) > 1:  # that first without which the others are worst off
+            lost = {e: float(np.mean(np.log(self._without(whole, [e]).rmse + 1e-300))) for e in order}
+            order.sort(key=lambda e: -lost[e])
+        for k in range(1, len(order)):
+            rungs.append((order[k - 1], "add", self._without(whole, order[k:])))
+        return [*rungs, (order[-1], "add", whole)]
+
+    def _settled(self, refinement: Refinement) -> Refinement:
+        """A model fitted on all that does not judge, if it runs there."""
+        with self.progress.step("last fits"):
+            learned = refit(refinement, self.parts.learn, elsewhere=False, **self.settings)
+        return learned if np.isfinite(self._log_error(learned)) else refinement
+
+    def _without(self, model: Refinement, effects: Iterable[Effect]) -> Refinement:
+        """A model without some of its effects, fitted again."""
+        for effect in effects:
+            model = refit(model, self.parts.learn, without=effect, elsewhere=False, **self.settings)
+        return model
+
+    def _tabulated(self, search: Search, last: Refinement) -> tuple[Effect | None, str, Refinement] | None:
+        """The force that no set of effects explains, as a table, where it earns its place."""
+        with self.progress.step("free forces"):
+            free, _ = open_force(search)
+        law = None if free is None else free.law
+        held = [e for e in last.effects if law is not None and e.place == law.effect.place]
+        roles = dict(zip(last.effects, last.roles, strict=True))
+        if law is None or any(roles[e] == "effect" for e in held):
+            return None
+        try:
+            with_table = refine(last, self.parts.learn, [law.effect], **self.settings)
+        except (DataError, ModelError):
+            return None
+        saved = self._log_error(last) - self._log_error(with_table)
+        return (law.effect, "add", with_table) if saved >= search.case.levels.earned else None
+
+    def _tell(self, rungs: Iterable[tuple[Effect | None, str, Refinement]], verdict: str) -> None:
+        """Steps with their figures."""
+        for effect, action, model in rungs:
+            rows = {} if effect is None else estimates(model, effect)
+            train = model.rmse.copy() if not model.of_responses else self._errors(model, self.parts.fit)
+            self.steps.append(
+                Step(
+                    effect,
+                    action,
+                    train,
+                    self._errors(model, self.parts.choose),
+                    self._errors(model, self.parts.judge),
+                    {name: float(row.coefficient) for name, row in rows.items()},
+                    {name: float(row.std) for name, row in rows.items()},
+                    "effect" if action == "add" else verdict,
+                    (),
+                    model,
+                )
+            )
+
+    def _cut(self) -> None:
+        """Leave out the last steps where the part that chooses is no better off with them."""
+        costs = [
+            float(np.mean(np.log(step.choice_rmse + 1e-300)))
+            + levels().earned * sum(len(s.coefficients) for s in self.steps[: k + 1])
+            for k, step in enumerate(self.steps)
+        ]
+        self.steps = self.steps[: int(np.argmin(costs)) + 1]
+
+    def _tie(self, chosen: Trial, search: Search) -> list[str]:
+        """Give each step the effects that the records do not tell from its own; what is said of them."""
+        said = []
+        near = search.posterior(chosen) - 0.5 * search.case.levels.rival
+        ties: dict[Effect, list[Effect]] = {e: [] for e in chosen.effects}
+        for row in table(search):
+            gone = set(chosen.effects) - set(row.effects)
+            new = set(row.effects) - set(chosen.effects)
+            if row.value > near and len(gone) == len(new) == 1:
+                ties[gone.pop()].append(new.pop())
+        for i, step in enumerate(self.steps):
+            if step.effect in ties:
+                others = _other_name(step)
+                rivals = (*not_held(ties[step.effect], others), *others)
+                self.steps[i] = replace(step, rivals=tuple(not_held(rivals, [step.effect])))
+                said += [
+                    f"{step.effect.label} with the constant offset is {other.label} by another name: the "
+                    "record cannot tell them apart."
+                    for other in others
+                ]
+        return said
+
+    def _back(self) -> list[str]:
+        """Names of the steps taken back: they are not determined, or the part that judges is worse off."""
+        back: list[str] = []
+        while len(self.steps) > 1:
+            first, last = (float(np.mean(np.log(s.validation_rmse))) for s in (self.steps[0], self.steps[-1]))
+            held = [step.effect for step in self.steps if step.effect is not None]
+            if last <= first and not _loose(self.steps[-1].refinement, held):
+                break
+            back.insert(0, self.steps.pop().name)
+        return back
+
+    def _ending(self, verdict: str, back: list[str], full: bool, law: Any) -> str:
+        """Why it ends where it ends."""
+        said = "" if law is None or back else f" The law at {law[0].place} is open: its force is a table."
+        if back and verdict == "adequate":
+            names = ", ".join(back)
+            return f"Every test passes. Taken back, since the part that judges was worse off: {names}."
+        if verdict == "adequate":
+            return "Every test passes: nothing is missing that this record could show."
+        if back:
+            return (
+                f"Taken back: {', '.join(back)}. On the part that took part in nothing the model was worse "
+                "with that than at the start. The residual still speaks."
+            )
+        if full:
+            return f"Stopped at max_effects = {len(self.steps) - 1}; the residual still speaks.{said}"
+        return f"No other set of effects lowers the held-out error enough to earn a place.{said}"
+
+
+def _loose(model: Refinement, effects: Sequence[Effect]) -> bool:
+    """Whether the records leave an effect of a model undetermined."""
+    return any(undetermined(model, effect, levels()) for effect in effects)
+
+
+def _left(refinement: Refinement, record: Any, horizon: float | None) -> Array:
+    """Residual (n_y, N) of a model on a record; of a frequency response at its points, over their noise."""
+    if in_frequency([record]):
+        structure, theta, _ = refinement.simulation_structure()
+        ordered = ordered_record(refinement.physical_model, record)
+        run = engine_on(structure, ordered).run(theta, sensitivity=False)
+        if run.blew_up >= 0:
+            raise DivergenceError("the model runs away")
+        return np.asarray(ordered.outputs - run.outputs)
+    ordered = record_for(record, match_channels(refinement.physical_model.linear, record))
+    with unheard(ExcitationWarning):  # parts are cut here: what they lack is nothing a user chose
+        return np.atleast_2d(compare(refinement, ordered, horizon=horizon).residual)
+
+
+def _with_spread(chosen: Trial) -> Refinement:
+    """The model of a trial, its parameters under the prior that is most probable."""
+    model = chosen.model.refinement
+    spread = max(chosen.log_evidence, key=lambda s: chosen.log_evidence[s])
+    if not chosen.hypothesis.floated or not spread:
+        return model
+    factor = spread / chosen.hypothesis.spread
+    effects = tuple(
+        e.replace(prior={n: factor * sd for n, sd in e.prior.items()}) if role == "linear" and e.prior else e
+        for e, role in zip(model.effects, model.roles, strict=True)
+    )
+    return replace(model, effects=effects)
+
+
+def _other_name(step: Step) -> list[Effect]:
+    """The law that this one is by another name, where a constant offset acts at the same place."""
+    effect, held = step.effect, step.refinement
+    if effect is None or not effect.spec.with_offset:
+        return []
+    linear = held.physical_model.linear
+    act = held.physical_model.port(effect.place).act
+    for offset, role in zip(held.effects, held.roles, strict=True):
+        if role != "offset":
+            continue
+        port = next((p for p in held.physical_model.ports if p.name == offset.place), None)
+        push = offset.spec.push(linear, offset.place, None if port is None else port.act)
+        if push is not None and abs(push @ act) > (1 - 1e-9) * np.linalg.norm(push) * np.linalg.norm(act):
+            other = Effect(effect.spec.with_offset, effect.place)
+            return not_held([other], held.effects)
+    return []

@@ -1,0 +1,265 @@
+"""Fits of sets of effects from starts, under their own noise, to the end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..data.measurement import Measurement
+from ..effects.effect import Effect
+from ..engine.structure import Structure
+from ..inference.descent import Descent, descend
+from ..inference.fitted import FittedModel
+from ..inference.problem import Problem
+from ..inference.search import search, step_matters
+from ..inference.starts import Motion
+from ..systems.linear import Array
+from .hypothesis import Hypothesis, Recorded, Start, Trial, evidence, weighted
+from .noise import Noise
+
+__all__ = ["Fitter"]
+
+_SHARES = (1.0, 0.4, 0.1)  # of the sizes of a start: a linear solution may run away
+_STEP = 0.25  # standard deviations that halving the substep may shift a coefficient
+_WIDTHS = (0.5, 2.0, 1 / 1.4, 1.4)  # factors on the width over which a law turns over
+_NOISE_ROUNDS, _FINER, _WIDER = 3, 3, 4
+
+
+class Fitter:
+    """Fits hypotheses about one model and its records.
+
+    Parameters
+    ----------
+    fitted : FittedModel
+        The model without effects.
+    motion : Motion
+        Estimated motion.
+    colored : bool
+        Whether noise may have a memory, heavy tails and so on. Where nothing explains the records, a filter
+        makes noise of any error; white noise then counts the error of the free run itself.
+
+    Attributes
+    ----------
+    substeps : int
+        Substeps that effects of this record were found to ask for.
+    """
+
+    def __init__(self, fitted: FittedModel, motion: Motion, colored: bool = True) -> None:
+        self.fitted, self.motion, self.substeps = fitted, motion, 1
+        self.before = fitted.residuals()
+        self.cost = 0.5 * sum(float(np.sum(r**2)) for r in self.before)
+        self.recorded = Recorded.of(fitted.problem, colored)
+
+    def scored(self, trial: Trial) -> Trial:
+        """A trial with its noise and its evidence."""
+        ratio = trial.hypothesis.ratio
+        before = trial.base.residuals(ratio) if ratio else self.before
+        return evidence(trial, before, self.recorded, self.fitted.problem.n_theta)
+
+    def empty(self, hypothesis: Hypothesis, base: FittedModel) -> Trial:
+        """A base without effects, under its own noise."""
+        gain = _gain(base, base.problem, hypothesis.ratio)
+        run = descend(base.problem, base.point, gain=gain, evaluations=1)
+        return self._under_own_noise(Trial(hypothesis, base, base.problem, run), gain, 8)
+
+    def placed(self, effects: Sequence[Effect], base: FittedModel, start: Start) -> tuple[Problem, Array]:
+        """The problem of effects at a base, and the point of a start."""
+        problem, absent = base.extended(list(effects), self.motion)
+        if self.substeps > problem.substeps and not problem.structure.is_linear:
+            problem = problem.like(substeps=self.substeps)
+        structure, theta = problem.structure, problem.unpack(absent)[0].copy()
+        theta[: len(start.theta)] = start.theta
+        first = len(structure.effects) - len(effects)
+        for i, own in enumerate(start.values):
+            for name, value in own.items():
+                if (at := structure.position(first + i, name)) >= 0:
+                    theta[at] = value
+        states = np.zeros((len(problem.records), problem.n_states))
+        states[:, : base.problem.n_states] = start.states[:, : base.problem.n_states]
+        return problem, problem.inside(problem.pack(theta, states))
+
+    def fit(
+        self,
+        hypothesis: Hypothesis,
+        base: FittedModel,
+        starts: Sequence[Start],
+        *,
+        shared: bool = False,
+        noise: Noise | None = None,
+        evaluations: int = 8,
+    ) -> Trial | None:
+        """Fit a hypothesis from the best of some starts; None where it runs away from all of them.
+
+        Parameters
+        ----------
+        hypothesis : Hypothesis
+            Effects and nuisances.
+        base : FittedModel
+            The model with these nuisances.
+        starts : sequence of Start
+            Where to begin.
+        shared : bool
+            Whether the sizes of a start are tried at shares, too.
+        noise : Noise, optional
+            Under which the fit begins: that of the trial that it starts from.
+        evaluations : int
+            Of each descent.
+        """
+        effects = hypothesis.effects
+        absent = Start([], *base.problem.unpack(base.point))
+        tried, problem = list[tuple[float, Array]](), base.problem
+        gain = _gain(base, base.problem, hypothesis.ratio)
+        for start in starts:
+            for share in _SHARES if shared else (1.0,):
+                problem, point = self.placed(effects, base, start.shared(effects, absent, share))
+                gain = _gain(base, problem, hypothesis.ratio)
+                tried.append((plain_cost(problem, point, gain), point))
+                if tried[-1][0] < 0.3 * self.cost:
+                    break
+        if not tried:
+            return None
+        cost, nearest = min(tried, key=lambda one: one[0])
+        if not np.isfinite(cost):
+            return None
+        if noise is not None:
+            run = _descended(problem, nearest, noise, gain, evaluations)
+        else:
+            run = descend(problem, nearest, gain=gain, evaluations=evaluations)
+        if not np.isfinite(run.cost):
+            return None
+        return self._under_own_noise(Trial(hypothesis, base, problem, run), gain, evaluations)
+
+    def single(self, task: tuple[Effect, Sequence[Start]]) -> Trial | None:
+        """One effect in the model as it is, from starts."""
+        return self.fit(Hypothesis((task[0],)), self.fitted, task[1], shared=True)
+
+    def together(self, task: tuple[Hypothesis, FittedModel, Start]) -> Trial | None:
+        """A set of effects at a base: a short fit."""
+        return self.fit(task[0], task[1], [task[2]], shared=True, evaluations=5)
+
+    def sought(self, effect: Effect) -> Trial | None:
+        """Fit one effect in the model as it is from where the search of `refine` finds its valley.
+
+        A strong effect moves the resonances, and what the fit without it has bent holds every effect in its
+        valley: observers that follow the record, and short free runs that grow, lead out of it.
+        """
+        problem, _ = self.fitted.extended([effect], self.motion)
+
+        def build(records: Sequence[Measurement], steps: int, unknown_start: bool = False) -> Problem:
+            return problem.like(records=records, substeps=steps)
+
+        try:
+            point, steps = search(build, problem.structure, problem.records, self.motion, problem.substeps)
+        except (np.linalg.LinAlgError, ValueError):  # no observer of it exists
+            return None
+        problem = problem.like(substeps=max(steps, problem.substeps))
+        gain = _gain(self.fitted, problem, 0.0)
+        run = descend(problem, point, gain=gain, evaluations=8)
+        if not np.isfinite(run.cost):
+            return None
+        return self._under_own_noise(Trial(Hypothesis((effect,)), self.fitted, problem, run), gain, 8)
+
+    def _under_own_noise(self, trial: Trial, gain: Array | None, evaluations: int) -> Trial:
+        """The fit under its own noise, which changes with it: as long as the evidence rises."""
+        best = self.scored(trial)
+        for _ in range(_NOISE_ROUNDS if best.problem.size else 0):
+            run = _descended(best.problem, best.point, best.noise, gain, evaluations)
+            if not np.isfinite(run.cost):
+                break
+            again = self.scored(replace(best, run=run))
+            gained = again.total - best.total
+            best = again if gained > 0 else best
+            if gained < 1.0 or not best.noise.uneven:
+                break
+        return best
+
+    def in_free_run(self, trial: Trial) -> Trial:
+        """The trial at the minimum of its plain error."""
+        gain = _gain(trial.base, trial.problem, trial.hypothesis.ratio)
+        run = descend(trial.problem, trial.point, gain=gain, evaluations=20, tolerance=1e-6)
+        return self.scored(replace(trial, run=run)) if np.isfinite(run.cost) else trial
+
+    def polished(self, trial: Trial) -> Trial:
+        """The trial at its minimum, with the substeps and the widths that the records ask for."""
+        base, ratio = trial.base, trial.hypothesis.ratio
+        problem, gain = trial.problem, _gain(base, trial.problem, ratio)
+        if problem.in_time and not problem.structure.is_linear and problem.substeps < self.substeps:
+            problem = problem.like(substeps=self.substeps)
+            run = _descended(problem, trial.point, trial.noise, gain, 8)
+            if np.isfinite(run.cost):
+                trial = self.scored(replace(trial, problem=problem, run=run))
+        # weights take errors of a fit that is far from its minimum for outliers: once without them
+        plain = descend(problem, trial.point, gain=gain, evaluations=20, tolerance=1e-6)
+        if np.isfinite(plain.cost):
+            again = self._under_own_noise(replace(trial, run=plain), gain, 8)
+            trial = again if again.total > trial.total else trial
+        noise = trial.noise
+        run = _descended(problem, trial.point, noise, gain, 8, 1e-7)
+        if not problem.structure.is_linear and problem.in_time:
+            for _ in range(_FINER):
+                finer = problem.like(substeps=2 * problem.substeps)
+                if step_matters(problem, finer, run.point) < _STEP:
+                    break
+                problem, self.substeps = finer, max(self.substeps, finer.substeps)
+                run = _descended(problem, run.point, noise, gain, 6, 1e-7)
+        if not np.isfinite(run.cost):
+            return trial
+        return self._widths(self.scored(replace(trial, problem=problem, run=run)), gain)
+
+    def _widths(self, trial: Trial, gain: Array | None) -> Trial:
+        """The trial with the widths over which its effects turn over, where the records tell them."""
+        structure = trial.problem.structure
+        for k in range(len(structure.effects) - len(trial.effects), len(structure.effects)):
+            effect, price = structure.effects[k], 0.5 * float(np.log(trial.problem.n_points))
+            if not effect.spec.jumps or "width" in effect.fixed:
+                continue
+            for factor in _WIDTHS:
+                for _ in range(_WIDER):
+                    widths = trial.problem.structure.constants
+                    widths = {**widths, k: factor * widths[k]}
+                    other = trial.problem.like(
+                        Structure(structure.model, structure.effects, constants=widths)
+                    )
+                    run = _descended(other, trial.point, trial.noise, gain, 5, 1e-7)
+                    again = (
+                        self.scored(replace(trial, problem=other, run=run))
+                        if np.isfinite(run.cost)
+                        else trial
+                    )
+                    if not again.total > trial.total + price:
+                        break
+                    trial, price = again, 1.0
+        return trial
+
+
+def plain_cost(problem: Problem, point: Array, gain: Array | None = None) -> float:
+    """Half the sum of squares at a point, without derivatives; infinite where the model runs away."""
+    theta, starts = problem.unpack(problem.inside(point))
+    total = 0.0
+    for engine, start in zip(problem.engines, starts, strict=True):
+        run = engine.run(theta, start, sensitivity=False, gain=gain, check=False)
+        error = problem.weights[:, None] * (run.outputs - engine.data.outputs)
+        if run.blew_up >= 0 or not np.isfinite(error).all():
+            return np.inf
+        total += 0.5 * float(np.sum(error**2))
+    return total
+
+
+def _gain(base: FittedModel, problem: Problem, ratio: float) -> Array | None:
+    """Gain of the predictor at a base for a problem with more states, None for the free run."""
+    gain = base.gain(ratio)
+    return None if gain is None else np.pad(gain, ((0, problem.n_states - gain.shape[0]), (0, 0)))
+
+
+def _descended(
+    problem: Problem, point: Array, noise: Noise, gain: Array | None, most: int, tolerance: float = 1e-6
+) -> Descent:
+    """Descend in the metric of a noise; the evaluation is that of plain weights."""
+    given: dict[str, Any] = {"gain": gain, "whitener": noise.whitener, "tolerance": tolerance}
+    if not noise.uneven:
+        return descend(problem, point, evaluations=most, **given)
+    run = descend(weighted(problem, noise), point, evaluations=most, **given)
+    return descend(problem, run.point, gain=gain, evaluations=1) if np.isfinite(run.cost) else run

@@ -1,0 +1,371 @@
+"""Sets of effects to first order: one Gram matrix of residual, parameters and columns of all candidates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ..effects.effect import Effect
+from ..inference.basis import Basis, project
+from ..inference.fitted import FittedModel
+from ..inference.sensitivities import Candidate, _shapes, parameter_columns
+from ..inference.starts import Motion
+from ..inference.whitening import Whitener
+from ..systems.linear import Array
+from .hypothesis import Start
+
+__all__ = ["Group", "Metric", "Screen", "compatible"]
+
+_FLAT = 1e-4  # share of a column that is no parameter, offset or initial state
+_MOST_RECORDS = 8  # whose initial states are solved for together
+
+
+@dataclass(eq=False)
+class Group:
+    """Columns of one shape of an effect.
+
+    Attributes
+    ----------
+    effect : Effect
+        Effect.
+    values : dict
+        Coefficients that are known, those that shape it.
+    names : list of str
+        Coefficient of each column.
+    at : slice
+        Columns.
+    """
+
+    effect: Effect
+    values: dict[str, float]
+    names: list[str]
+    at: slice
+
+
+class Metric(NamedTuple):
+    """How residuals are weighed.
+
+    Attributes
+    ----------
+    whitener : Whitener
+        Filters.
+    weights : list of ndarray, shape (n_y, N), or None
+        One over the relative standard deviation of each sample.
+    ratio : float
+        Of the observer that leads the columns, 0 for the free run.
+    """
+
+    whitener: Whitener
+    weights: list[Array] | None = None
+    ratio: float = 0.0
+
+
+class Numbers(NamedTuple):
+    """Parameters of the model, and the standard deviation under which they are open."""
+
+    effects: list[Effect]
+    sd: Array
+
+
+class Screen:
+    """First-order comparison of sets at a fitted model.
+
+    What has a flat prior (offsets, initial states) is projected out: that is what "without their tangent"
+    means where the parameters of a model can imitate a law.
+
+    Parameters
+    ----------
+    fitted : FittedModel
+        Where it is linearized.
+    candidates : sequence of Candidate
+        With their columns.
+    numbers : Numbers
+        Parameters that may be open.
+    metric : Metric
+        How residuals are weighed.
+    motion : Motion
+        Estimated motion.
+    """
+
+    def __init__(
+        self,
+        fitted: FittedModel,
+        candidates: Sequence[Candidate],
+        numbers: Numbers,
+        metric: Metric,
+        motion: Motion,
+    ) -> None:
+        self.fitted, self.metric, self.number_sd = fitted, metric, numbers.sd
+        blocks, problem = fitted.blocks(metric.ratio), fitted.problem
+        p, sd = problem.n_theta, problem.prior_sd
+        self._judged = problem.judged(fitted.theta)
+        jacobian = [self._white([j], [w]) for w, (_, j) in zip(self._weights(), blocks, strict=True)]
+        self.flat = ~np.isfinite(sd)
+        self.jacobian, held = jacobian, ~self.flat
+        self.basis = Basis.of([j[:, :p][:, self.flat] for j in jacobian], [j[:, p:] for j in jacobian])
+        self.held_sd = sd[held]
+        r = self._white([b for b, _ in blocks], self._weights())
+        columns = np.concatenate([j[:, :p][:, held] for j in jacobian]) * self.held_sd
+        at_prior = (fitted.theta[held] - problem.prior_mean[held]) / self.held_sd
+        parts = [(r - columns @ at_prior)[:, None], columns]
+        self.n_held, self.n_numbers = columns.shape[1], len(numbers.effects)
+        if numbers.effects:
+            found = parameter_columns(fitted, numbers.effects, motion, metric.ratio)
+            parts.append(self.white(found) * self.number_sd)
+        self.n_parameters = self.n_held + self.n_numbers
+        self.groups: list[Group] = []
+        at = 1 + self.n_parameters
+        for candidate in candidates:
+            for group, blocks_of in _groups_of(candidate, metric.ratio):
+                w = self.white(blocks_of)
+                size = np.linalg.norm(w, axis=0)
+                if not (np.isfinite(size).all() and (size > 0).all()):
+                    continue
+                if np.linalg.norm(project(w / size, self.basis), axis=0).max() < _FLAT:
+                    continue
+                group.at = slice(at, at + w.shape[1])
+                self.groups.append(group)
+                parts.append(w)
+                at += w.shape[1]
+        self.raw = np.hstack(parts)
+        self.scale = np.linalg.norm(self.raw, axis=0)
+        self.scale[self.scale == 0] = 1.0
+        self.scale[: 1 + self.n_parameters] = 1.0
+        self.X = project(self.raw / self.scale, self.basis)
+        self.G = self.X.T @ self.X
+        self.n = max(len(r) - self.basis.rank, 10)
+
+    def _weights(self) -> list[Array]:
+        """Weights of the samples by their noise."""
+        return self.metric.weights or [np.ones_like(j) for j in self._judged]
+
+    def _white(self, blocks: Sequence[Array], weights: Sequence[Array]) -> Array:
+        weighed = [(w[:, :, None] if b.ndim == 3 else w) * b for w, b in zip(weights, blocks, strict=True)]
+        return self.metric.whitener.apply(weighed)
+
+    def white(self, blocks: Sequence[Array]) -> Array:
+        """Columns (n_y, N, k) per record, whitened; nothing where samples are not judged."""
+        both = [w * j for w, j in zip(self._weights(), self._judged, strict=True)]
+        return self._white(blocks, both)
+
+    def _columns(self, groups: Sequence[Group], open_: bool) -> tuple[int, list[int]]:
+        """Number of open parameters, and columns of these and of a set."""
+        m = self.n_parameters if open_ else self.n_held
+        return m, [*range(1, 1 + m), *(i for g in groups for i in range(g.at.start, g.at.stop))]
+
+    def solve(self, groups: Sequence[Group], open_: bool) -> tuple[float, Array]:
+        """Log evidence of a set, the noise profiled, and its coefficients in units of its columns."""
+        m, columns = self._columns(groups, open_)
+        rr = float(self.G[0, 0])
+        if not columns:
+            return -0.5 * self.n * float(np.log(rr / self.n)), np.zeros(0)
+        G, b = self.G[np.ix_(columns, columns)], self.G[columns, 0]
+        precision = np.r_[np.ones(m), np.full(len(columns) - m, 1.0 / max(rr, 1e-300))]
+        variance, u = rr / self.n, np.zeros(0)
+        for _ in range(3):
+            u = np.linalg.solve(G / variance + np.diag(precision), -b / variance)
+            rest = max(rr + 2 * float(b @ u) + float(u @ G @ u), 1e-12 * rr)
+            variance = rest / self.n
+        A = G / variance + np.diag(precision)
+        occam = float(np.linalg.slogdet(A)[1]) - float(np.sum(np.log(precision)))
+        value = -0.5 * (self.n * float(np.log(variance)) + float(u @ (precision * u)) + occam)
+        return value, u
+
+    def next_scores(self, chosen: Sequence[Group], open_: bool) -> Array:
+        """Gain of adding each group to a set, for the order only."""
+        m, columns = self._columns(chosen, open_)
+        rr = float(self.G[0, 0])
+        value = self.solve(chosen, open_)[0]
+        variance = max(float(np.exp(-2.0 * value / self.n)), 1e-12 * rr / self.n)
+        S = self.G / variance
+        if columns:
+            precision = np.r_[np.ones(m), np.full(len(columns) - m, 1.0 / rr)]
+            A = self.G[np.ix_(columns, columns)] / variance + np.diag(precision)
+            B = self.G[columns, :] / variance
+            S = S - B.T @ np.linalg.solve(A, B)
+        total = max(float(S[0, 0]), 1e-300)
+        scores = np.full(len(self.groups), -np.inf)
+        for i, g in enumerate(self.groups):
+            block = S[g.at, g.at]
+            eye = np.eye(len(block))
+            gain = float(S[g.at, 0] @ np.linalg.solve(block + (1e-9 / variance + 1.0 / rr) * eye, S[g.at, 0]))
+            price = float(np.linalg.slogdet(eye + block * rr)[1])
+            scores[i] = -0.5 * self.n * np.log(max(total - gain, 1e-9 * total) / total) - 0.5 * price
+        return scores
+
+    def beam(
+        self,
+        most: int,
+        open_: bool,
+        price: float,
+        *,
+        width: int = 6,
+        usable: Callable[[Group], bool] = lambda _: True,
+    ) -> list[tuple[float, list[Group]]]:
+        """Return sets of at most so many groups by first-order evidence, the best first.
+
+        Parameters
+        ----------
+        most : int
+            Groups at most.
+        open_ : bool
+            Whether the parameters are open.
+        price : float
+            Log evidence that each effect costs.
+        width : int
+            Sets that go on in each round.
+        usable : callable
+            Whether a group may be in a set.
+        """
+        start = self.solve([], open_)[0]
+        found: dict[tuple[int, ...], tuple[float, list[Group]]] = {(): (start, [])}
+        beam: list[tuple[float, list[Group]]] = [(start, [])]
+        for _ in range(most):
+            fresh: dict[tuple[int, ...], tuple[float, list[Group]]] = {}
+            for _, chosen in beam:
+                for group in self._likely(chosen, open_, 2 * width, usable):
+                    more = [*chosen, group]
+                    key = tuple(sorted(id(x) for x in more))
+                    if key not in found and key not in fresh:
+                        fresh[key] = (self.solve(more, open_)[0] - price * len(more), more)
+            if not fresh:
+                break
+            ranked = sorted(fresh.items(), key=lambda item: -item[1][0])
+            beam = [one for _, one in ranked[:width]]
+            found |= dict(ranked[: 3 * width])
+        return sorted(found.values(), key=lambda one: -one[0])
+
+    def _likely(
+        self, chosen: Sequence[Group], open_: bool, most: int, usable: Callable[[Group], bool]
+    ) -> list[Group]:
+        """The likeliest shape of each of the effects that add most to a set."""
+        scores, found = self.next_scores(chosen, open_), dict[Effect, Group]()
+        for i in np.argsort(scores)[::-1]:
+            group = self.groups[i]
+            if not np.isfinite(scores[i]) or len(found) >= most:
+                break
+            fits = compatible([g.effect for g in chosen], group.effect)
+            if group.effect not in found and usable(group) and fits:
+                found[group.effect] = group
+        return list(found.values())
+
+    def left(self, groups: Sequence[Group], open_: bool) -> Array:
+        """White residual of the linear solution of a set."""
+        u, columns = self.solve(groups, open_)[1], self._columns(groups, open_)[1]
+        return np.asarray(self.X[:, 0] + self.X[:, columns] @ u)
+
+    def start(self, groups: Sequence[Group], open_: bool, target: FittedModel) -> Start:
+        """The linear solution of a set as a start at a base: this one, or that with its parameters open."""
+        u, (m, columns) = self.solve(groups, open_)[1], self._columns(groups, open_)
+        values, at = [], m
+        for g in groups:
+            k = g.at.stop - g.at.start
+            own = u[at : at + k] / self.scale[g.at]
+            at += k
+            values.append({**g.values, **{n: float(v) for n, v in zip(g.names, own, strict=False)}})
+        problem, mine = target.problem, self.fitted.theta
+        theta, finite = problem.prior_mean.copy(), np.isfinite(problem.prior_sd)
+        theta[: len(mine)] = mine
+        if target is self.fitted and m:
+            theta[finite] = problem.prior_mean[finite] + u[:m] * problem.prior_sd[finite]
+        elif target is not self.fitted and open_ and finite.sum() == m:
+            sd = np.concatenate([self.held_sd, self.number_sd])
+            theta[finite] = problem.prior_mean[finite] + u[:m] * sd
+        states = self.fitted.problem.unpack(self.fitted.point)[1].copy()
+        rest = self.raw[:, 0] + (self.raw[:, columns] / self.scale[columns]) @ u
+        if len(self.jacobian) <= _MOST_RECORDS and self.fitted.problem.free_start:
+            self._settle(rest, theta, states)
+        return Start(values, theta, states)
+
+    def _settle(self, rest: Array, theta: Array, states: Array) -> None:
+        """Offsets and initial states by least squares of what a set leaves."""
+        p, width, n = self.fitted.problem.n_theta, int(self.flat.sum()), states.shape[1]
+        J = np.zeros((len(rest), width + n * len(self.jacobian)))
+        first = 0
+        for k, j in enumerate(self.jacobian):
+            rows = slice(first, first + len(j))
+            J[rows, :width] = j[:, :p][:, self.flat]
+            J[rows, width + k * n : width + (k + 1) * n] = j[:, p:]
+            first += len(j)
+        size = np.linalg.norm(J, axis=0)
+        size[size == 0] = 1.0
+        step = -np.linalg.lstsq(J / size, rest, rcond=1e-8)[0] / size
+        theta[np.flatnonzero(self.flat)] += step[:width]
+        states += step[width:].reshape(states.shape)
+
+
+def _groups_of(candidate: Candidate, ratio: float) -> list[tuple[Group, list[Array]]]:
+    """Columns of a candidate by shape, with their blocks (n_y, N, k) per record."""
+    if ratio not in candidate.columns:
+        return []
+    effect, blocks, none = candidate.effect, candidate.columns[ratio], slice(0, 0)
+    law, k = effect.spec, candidate.columns[ratio][0].shape[2]
+    p = candidate.fitted.problem.n_theta
+    own = [q.name for q in candidate.problem.structure.parameters[p:]]
+    starts = [dict(zip(own, map(float, start[p : p + len(own)]), strict=True)) for start in candidate.starts]
+    if law.secant:
+        each = min(k, len(starts))
+        return [
+            (Group(effect, starts[i], [], none), [b[:, :, i : i + 1] for b in blocks]) for i in range(each)
+        ]
+    linear = [i for i, n in enumerate(own) if n not in law.shaping]
+    names, found = [own[i] for i in linear], []
+    whole = law.at_channel or not law.shaping or len(own) == len(names)
+    if k == len(own) * len(starts) and whole:  # a column for each coefficient at each start
+        kept = linear or list(range(len(own)))
+        for i, start in enumerate(starts):
+            shape = {n: v for n, v in start.items() if n in law.shaping} if linear else {}
+            pick = [i * len(own) + j for j in kept]
+            found.append(
+                (Group(effect, shape, [own[j] for j in kept], none), [b[:, :, pick] for b in blocks])
+            )
+        return found
+    shapes = _shapes(candidate)
+    each = max(k // max(len(shapes), 1), 1)
+    names = names if len(names) == each else []
+    for i in range(min(len(shapes), k // each)):
+        pick = list(range(i * each, (i + 1) * each))
+        found.append((Group(effect, shapes[i], names, none), [b[:, :, pick] for b in blocks]))
+    return found
+
+
+def _argument(effect: Effect) -> str:
+    """What a law is a static curve of: laws of one argument at one place are together one curve."""
+    law = effect.spec
+    if law.at_channel:
+        return "signal" if not (law.delays or law.linear) else ""
+    if law.inner_states or not law.needs:
+        return ""
+    if law.needs == {"velocity"}:
+        return "jump" if law.jumps else "velocity"
+    return "position" if law.needs == {"position"} else ""
+
+
+def compatible(chosen: Sequence[Effect], more: Effect) -> bool:
+    """Return whether an effect may stand beside others: one curve of an argument at a place, one delay.
+
+    Parameters
+    ----------
+    chosen : sequence of Effect
+        Effects of a set.
+    more : Effect
+        Effect that may be added.
+    """
+
+    def late(effect: Effect) -> bool:
+        law = effect.spec
+        return bool(law.delays or (law.at_channel and any(c.unit_rule == "s" for c in law.coefficients)))
+
+    for other in chosen:
+        if other.place == more.place:
+            contained = other.kind in more.spec.contains or more.kind in other.spec.contains
+            if other.kind == more.kind or contained:
+                return False
+            if _argument(more) and _argument(more) == _argument(other):
+                return False
+        if late(more) and late(other):
+            return False
+    return True

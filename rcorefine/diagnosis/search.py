@@ -1,0 +1,628 @@
+"""The table of hypotheses about one model: screen to first order, refit the likely ones, criticize."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..data.measurement import HOLDS
+from ..effects.along_motion import unit_forces
+from ..effects.effect import Effect
+from ..engine.point import resting
+from ..engine.structure import Structure
+from ..exceptions import DivergenceError, ModelError
+from ..inference.f_tests import FTest
+from ..inference.fitted import FittedModel
+from ..inference.sensitivities import candidate_columns
+from ..inference.starts import estimated_motion, shape_starts
+from ..inference.whitening import Whitener
+from .beside import Beside
+from .case import Case, not_held
+from .free_stiffness import FreeStiffness
+from .hypothesis import Hypothesis, Start, Trial
+from .nuisances import Hold, NoisyInputs, Nuisance, Parameters, UnmeasuredForce, between_steps, parameters_of
+from .places import in_race
+from .refits import Fitter
+from .residual_tests import TestedResidual, passed_without_library, run_tests
+from .screening import Metric, Numbers, Screen, compatible
+from .unmeasured_force import likely_forces
+
+__all__ = ["Criticism", "Search", "is_gain", "is_number"]
+
+FITTED_SPREAD = 0.2  # relative standard deviation of the parameters under which they are fitted
+_SOUGHT = 4  # effects of each order that are sought in another valley
+_STRONG = 75.0  # fit in percent below which columns along the record's own motion are asked as well
+_SINGLES, _SETS, MOST = 6, 4, 4  # refits of each screen: single effects, sets; effects that a screen proposes
+_PAIRS, _ALONE = 2, 3  # of effects that are added to a winner
+_ROUNDS = 2  # linearizations about the winner
+_NEAR = 60.0  # log evidence behind the best within which a trial is polished
+_POLISHED = 4
+_RIVALS = 10.0  # log evidence behind the best within which a force is tried, too
+_FORCE = 3.0  # log-likelihood that an unmeasured force must earn to be tried
+_IMITATED, _IMITATIONS = 0.6, 3  # share of a force that an imitation may leave; laws that are tried
+
+
+class Criticism(NamedTuple):
+    """What the residual tests say of a trial.
+
+    Attributes
+    ----------
+    passed : bool
+        Whether what is left is noise, and no free force is likelier than the laws.
+    tests : list of FTest
+        Tests, none where a first one failed by far.
+    odds : float
+        Log of the odds of a free force at the place of an effect over that effect.
+    """
+
+    passed: bool
+    tests: list[FTest]
+    odds: float
+
+
+class Search:
+    """Hypotheses about what a fitted model lacks.
+
+    Parameters
+    ----------
+    case : Case
+        Model, records, library.
+    most : int
+        Effects at most.
+    colored : bool
+        Whether noise may be other than white and normal, and other holds and unmeasured forces are open, too.
+    alone : bool
+        Whether each parameter of the model may be the only one that is off.
+
+    Attributes
+    ----------
+    trials : list of Trial
+        Hypotheses that were fitted.
+    """
+
+    def __init__(self, case: Case, most: int = MOST + 1, *, colored: bool = True, alone: bool = True) -> None:
+        self.case, self.most, self.colored = case, most, colored
+        self.fitted, self.motion = case.fitted, case.motions[0]
+        self.trials: list[Trial] = []
+        # a parameter that is no candidate may be the only one that is off all the same
+        more = not_held([e for e, _ in parameters_of(case)], case.library) if alone else []
+        self.library = [*case.library, *more]
+        self.price = float(np.log(max(len(self.library), 2)))
+        self.parameters = Parameters(FITTED_SPREAD)
+        self._bases: dict[frozenset[Nuisance], FittedModel] = {frozenset(): self.fitted}
+        self._criticism: dict[Trial, Criticism] = {}
+        self._done: set[Any] = set()
+
+    @cached_property
+    def fitter(self) -> Fitter:
+        """What fits hypotheses."""
+        return Fitter(self.fitted, self.motion, self.colored)
+
+    @cached_property
+    def numbers(self) -> list[tuple[Effect, float]]:
+        """Parameters of the model with their nominal sizes."""
+        return parameters_of(self.case)
+
+    @property
+    def opened(self) -> frozenset[Nuisance]:
+        """Parameters open, where there are any."""
+        return frozenset([self.parameters] if self.numbers else [])
+
+    def base(self, nuisances: frozenset[Nuisance]) -> FittedModel:
+        """The model with these nuisances."""
+        if nuisances not in self._bases:
+            fitted = self.fitted
+            for kind in (Hold, NoisyInputs, Parameters, UnmeasuredForce):
+                for one in (n for n in nuisances if isinstance(n, kind)):
+                    fitted = one.base(self.case, fitted)
+            self._bases[nuisances] = fitted
+        return self._bases[nuisances]
+
+    # ------------------------------------------------------------------ the table
+    def posterior(self, trial: Trial) -> float:
+        """Log evidence and log prior."""
+        return trial.total + trial.hypothesis.log_prior(len(self.library))
+
+    def ranked(self, trials: Iterable[Trial] | None = None) -> list[Trial]:
+        """The most probable first."""
+        return sorted(self.trials if trials is None else trials, key=self.posterior)[::-1]
+
+    def determined(self, trial: Trial) -> bool:
+        """Whether every effect of a trial is known well enough, and possible."""
+        return trial.determined(self.case.levels.moved)
+
+    @property
+    def best(self) -> Trial:
+        """The most probable of those whose every effect is determined."""
+        return self.ranked(x for x in self.trials if self.determined(x))[0]
+
+    def add(self, trial: Trial | None, *, instead: bool = False) -> Trial | None:
+        """Enter a trial into the table: of each hypothesis the best fit stays, and is returned.
+
+        One that was polished stands `instead` of what it was, though a coarser step may have looked better.
+        """
+        if trial is None or not np.isfinite(trial.total):
+            return None
+        for i, other in enumerate(self.trials):
+            if other.hypothesis.key == trial.hypothesis.key:
+                if trial.total > other.total or (instead and trial.problem.substeps > other.problem.substeps):
+                    self.trials[i] = trial
+                return self.trials[i]
+        self.trials.append(trial)
+        return trial
+
+    def try_(
+        self,
+        effects: Sequence[Effect],
+        nuisances: frozenset[Nuisance],
+        starts: Sequence[Start],
+        **options: Any,
+    ) -> Trial | None:
+        """Fit a hypothesis and enter it."""
+        base = self.base(nuisances)
+        return self.add(self.fitter.fit(Hypothesis(tuple(effects), nuisances), base, starts, **options))
+
+    def empty(self, nuisances: frozenset[Nuisance]) -> Trial | None:
+        """Enter the model with these nuisances and no effect; None where it cannot be fitted."""
+        try:
+            return self.add(self.fitter.empty(Hypothesis((), nuisances), self.base(nuisances)))
+        except DivergenceError:
+            return None
+
+    def is_open(self, effect: Effect) -> bool:
+        """Whether a candidate is more than a parameter that is open already."""
+        held = {(e.kind, e.place) for e, _ in self.numbers}
+        return not is_number(effect) or (is_gain(effect) and (effect.kind, effect.place) not in held)
+
+    def first_time(self, *key: Any) -> bool:
+        """Whether something is done for the first time."""
+        new = key not in self._done
+        self._done.add(key)
+        return new
+
+    # ------------------------------------------------------------------ the search
+    def run(self) -> Search:
+        """Fill the table."""
+        step = self.case.progress.step
+        with step("the model and its parameters"):
+            nothing = self.empty(frozenset())
+            if self.opened:
+                self.empty(self.opened)
+        assert nothing is not None
+        in_time = self.case.in_time
+        strong = bool(in_time and nothing.model.refinement.fit.min() < _STRONG)
+        with step("first look at every effect"):
+            near = in_race(self.fitted, self.library, (0.0, 1.0) if strong else (0.0,))
+            screens = self._screens(self.fitted, near, strong)
+        self._singles(screens, strong or not in_time)
+        with step("effects beside the parameters"):
+            alone = [x for x in self.ranked() if len(x.effects) == 1]
+            for trial in [x for x in alone if self.is_open(x.effects[0])][:3]:
+                self._beside_parameters(trial)
+        self.polish()
+        if not self.passed(self.best) or self.best.hypothesis.floated:
+            self._holds()
+        if not self.passed(self.best):
+            if self.most > 1:
+                self._sets([*screens, *self._screens_beside(near)])
+            self._cores(self.ranked()[:4])
+            self.polish()
+        for _ in range(_ROUNDS):
+            before = self.best
+            if self.passed(before) or len(before.effects) >= self.most:
+                break
+            with step("effects beside the best ones"):
+                self.relinearized(before)
+            self._cores(self.ranked()[:4])
+            self.polish()
+            if self.best is before:
+                break
+        if self.colored and self.case.in_time and (self.best.effects or not self.passed(self.best)):
+            with step("noise of the inputs, unmeasured forces"):
+                self._noisy_inputs()
+                self._forces()
+            self.polish()
+        with step("other names"):
+            self._prune()
+            self._names()
+        self.polish()
+        return self
+
+    def _screens(self, fitted: FittedModel, effects: Sequence[Effect], strong: bool) -> list[Screen]:
+        """Screens at a model: in plain metric, under its own noise, under that of the best set, led."""
+        scored = candidate_columns(fitted, effects, self.motion, (0.0, 1.0) if strong else (0.0,))
+        residual, noise = fitted.residuals(), self.fitter.recorded.noise
+        entries = self.numbers if fitted is self.fitted else []  # else they are open in it
+        sd = FITTED_SPREAD * np.array([size for _, size in entries])
+        numbers = Numbers([e for e, _ in entries], sd)
+
+        def made(metric: Metric) -> Screen:
+            return Screen(fitted, scored, numbers, metric, self.motion)
+
+        plain, own = made(Metric(Whitener.fit(residual, order=0))), noise(residual)
+        found = [plain]
+        if any(own.whitener.orders) or own.uneven:
+            found.append(made(Metric(own.whitener, own.weights)))
+        best = plain.beam(MOST, True, self.price, usable=lambda g: self.is_open(g.effect))[0]
+        parts = np.split(plain.left(best[1], True), np.cumsum([r.size for r in residual])[:-1])
+        other = noise([part.reshape(r.shape) for part, r in zip(parts, residual, strict=True)])
+        if any(other.whitener.orders) and other.whitener.orders != own.whitener.orders:
+            found.append(made(Metric(other.whitener)))
+        if strong:
+            found.append(made(Metric(Whitener.fit(fitted.residuals(1.0)), None, 1.0)))
+        return found
+
+    def _screens_beside(self, near: Sequence[Effect]) -> list[Screen]:
+        """Screens where the parameters are open, if that is another place: there the columns are others."""
+        empty = {x.hypothesis: x for x in self.trials if not x.effects}
+        nothing, opened = (empty.get(Hypothesis((), n)) for n in (frozenset[Nuisance](), self.opened))
+        if not self.opened or nothing is None or opened is None or opened.total < nothing.total + _NEAR:
+            return []
+        strong = self.case.in_time and opened.model.refinement.fit.min() < _STRONG
+        with self.case.progress.step("first look beside the parameters"):
+            return self._screens(opened.base, [e for e in near if self.is_open(e)], bool(strong))
+
+    def _singles(self, screens: Sequence[Screen], far: bool) -> None:
+        """The likeliest single effects, and their relatives at the place of the best one."""
+        likely = [screen.beam(1, False, self.price)[: _SINGLES + 1] for screen in screens]
+        effects = [groups[0].effect for ranked in likely for _, groups in ranked if groups]
+        self._each(effects, screens)
+        places = {e.place for e in self.best.effects}
+        self._each(self._relatives(screens[0], places), screens)
+        if far:  # what the fit without the effect has bent holds it in its valley
+            nearest = [x.effects[0] for x in self.ranked() if len(x.effects) == 1][:_SOUGHT]
+            nearest += [groups[0].effect for _, groups in likely[-1] if groups][:_SOUGHT]
+            for trial in self.case.progress.map(
+                self.fitter.sought, list(dict.fromkeys(nearest)), "from another valley"
+            ):
+                self.add(trial)
+
+    def _relatives(self, screen: Screen, places: set[str]) -> list[Effect]:
+        """Effects at the places of the best ones; what is linear acts alike at either end of a path."""
+        channel = any(e.spec.at_channel and e.spec.linear for e in self.best.effects)
+        effects = [g.effect for g in screen.groups]
+        return [e for e in effects if e.place in places or (channel and e.spec.at_channel and e.spec.linear)]
+
+    def _each(self, effects: Sequence[Effect], screens: Sequence[Screen]) -> None:
+        """Single effects in the model as it is."""
+        tasks = []
+        for effect in dict.fromkeys(effects):
+            if not self.first_time("single", effect):
+                continue
+            starts = []
+            for screen in screens[::-1]:
+                own = [g for g in screen.groups if g.effect == effect]
+                own.sort(key=lambda g: -screen.solve([g], False)[0])
+                starts += [screen.start([g], False, self.fitted) for g in own[:2]]
+            if is_gain(effect):  # initial states that a wrong unit has bent lead into another valley
+                gains = [1.0 + sum(start.values[0].values()) for start in starts]
+                starts += [
+                    Start(start.values, start.theta, start.states / gain)
+                    for start, gain in zip(starts, gains, strict=True)
+                    if gain
+                ]
+            tasks.append((effect, starts))
+        for trial in self.case.progress.map(self.fitter.single, tasks, "one effect at a time"):
+            self.add(trial)
+
+    def _sets(self, screens: Sequence[Screen]) -> None:
+        """Sets of effects beside the parameters: a short fit of each, and the best to the end."""
+        base, begun, tasks = self.base(self.opened), list[Trial](), []
+        for screen in screens:
+            usable = screen.beam(
+                min(MOST, self.most), True, self.price, usable=lambda g: self.is_open(g.effect)
+            )
+            for _, groups in [one for one in usable if one[1]][:_SETS]:
+                effects = tuple(g.effect for g in groups)
+                if self.first_time("set", frozenset(effects)):
+                    start = screen.start(groups, bool(self.opened), base)
+                    tasks.append((Hypothesis(effects, self.opened), base, start))
+        begun = [
+            x for x in self.case.progress.map(self.fitter.together, tasks, "sets of effects") if x is not None
+        ]
+        for trial in begun:
+            self.add(trial)
+        for trial in self.ranked(begun)[:4]:
+            self.try_(trial.effects, trial.hypothesis.nuisances, [trial.start])
+
+    def _beside_parameters(self, trial: Trial) -> None:
+        """A trial of the model as it is, with its parameters open."""
+        if not self.opened or not self.first_time("set", frozenset(trial.effects)):
+            return
+        here, base, n = trial.start, self.base(self.opened), self.fitted.problem.n_theta
+        thetas = (np.concatenate([here.theta[:n], base.problem.prior_mean[n:]]), base.theta)
+        self.try_(trial.effects, self.opened, [Start(here.values, theta, here.states) for theta in thetas])
+
+    def relinearized(self, trial: Trial) -> list[Trial]:
+        """More effects about a trial, with the parameters open; the sets that were fitted."""
+        known = len(self.trials)
+        if any(not self.is_open(effect) for effect in trial.effects):  # it is open with all the others
+            return []
+        fitted, open_ = trial.model, trial.hypothesis.floated
+        rest = not_held(self.case.library, fitted.structure.effects)
+        scored = candidate_columns(fitted, [e for e in rest if self.is_open(e)], self.motion, (0.0,))
+        entries = [] if open_ else self.numbers
+        numbers = Numbers([e for e, _ in entries], FITTED_SPREAD * np.array([size for _, size in entries]))
+        here, nuisances = trial.start, trial.hypothesis.nuisances | self.opened
+        if len(here.theta) < self.base(nuisances).problem.n_theta:
+            mean = self.base(nuisances).problem.prior_mean[len(here.theta) :]
+            here = Start(here.values, np.concatenate([here.theta, mean]), here.states)
+        residual = fitted.residuals()
+        own = self.fitter.recorded.noise(residual)
+        for metric in (Metric(Whitener.fit(residual, order=0)), Metric(own.whitener, own.weights)):
+            screen = Screen(fitted, scored, numbers, metric, self.motion)
+            alone, pairs = (
+                [groups for _, groups in screen.beam(2, True, self.price) if len(groups) == n] for n in (1, 2)
+            )
+            for groups in [*pairs[:_PAIRS], *alone[:_ALONE]]:
+                effects = (*trial.effects, *(g.effect for g in groups))
+                fine = len(effects) <= self.most and all(compatible(trial.effects, g.effect) for g in groups)
+                if fine and self.first_time("set", frozenset(effects)):
+                    values = screen.start(groups, False, fitted).values
+                    weaker = [{n: 0.3 * v for n, v in own.items()} for own in values]
+                    starts = [
+                        Start([*here.values, *more], here.theta, here.states) for more in (values, weaker)
+                    ]
+                    self.try_(effects, nuisances, starts, noise=trial.noise)
+        return self.trials[known:]
+
+    def climbed(self, trial: Trial) -> list[Trial]:
+        """More effects about a trial, with what of them the records determine."""
+        known = len(self.trials)
+        self._cores(self.relinearized(trial))
+        return self.trials[known:]
+
+    def _other_holds(self) -> list[frozenset[Nuisance]]:
+        """Holds that are not declared, parameters held and open; none where records declare several."""
+        model, records = self.case.base.physical_model, self.case.records
+        declared = model.hold or records[0].hold
+        several = model.hold is None and any(record.hold != declared for record in records)
+        if not (self.colored and self.case.in_time) or several:
+            return []
+        opened = dict.fromkeys((frozenset[Nuisance](), self.opened))
+        return [frozenset([Hold(hold), *more]) for hold in HOLDS for more in opened if hold != declared]
+
+    def _holds(self) -> None:
+        """Nothing missing, and the leaders, under the other holds."""
+        bases = self._other_holds()
+        with self.case.progress.step("holds of the input"):
+            for nuisances in bases:
+                trial = self.empty(nuisances)
+                if trial is None or self.posterior(trial) < self.posterior(self.best) - _NEAR:
+                    continue
+                floated = trial.hypothesis.floated
+                leaders = [x for x in self.ranked() if x.effects and x.hypothesis.floated == floated]
+                for other in leaders[:2]:
+                    self.try_(other.effects, nuisances, [other.start], noise=other.noise)
+
+    def _leaders(self) -> list[Trial]:
+        """The best set, the likeliest with fewer effects, and nothing."""
+        best = self.best
+        fewer = [x for x in self.trials if 0 < len(x.effects) < len(best.effects) and self.determined(x)]
+        nothing = [x for x in self.trials if not x.effects]
+        return list(dict.fromkeys([best, *self.ranked(fewer)[:2], *nothing]))
+
+    def _noisy_inputs(self) -> None:
+        """The leaders without the noise of the recorded inputs, where these move in steps."""
+        noisy = NoisyInputs()
+        if all(np.array_equal(between_steps(r.inputs), r.inputs) for r in self.fitted.problem.records):
+            return
+        for trial in self._leaders():
+            nuisances = trial.hypothesis.nuisances | {noisy}
+            if trial.effects:
+                self.try_(trial.effects, nuisances, [trial.start], noise=trial.noise)
+            else:
+                self.empty(nuisances)
+
+    def _forces(self) -> None:
+        """An unmeasured force beside nothing, and beside the leaders and their rivals."""
+        near = [x for x in self.ranked() if self.posterior(x) > self.posterior(self.best) - _RIVALS]
+        for trial in dict.fromkeys([*self._leaders(), *near[:4]]):
+            if trial.hypothesis.ratio:
+                continue
+            likely = likely_forces(trial.model, TestedResidual(trial.model), _FORCE, self.case.levels)
+            for one in likely[:1]:
+                force = UnmeasuredForce(one.fitted.force_at, one.ratio)
+                nuisances = trial.hypothesis.nuisances | {force}
+                if not trial.effects:
+                    self.empty(nuisances)
+                    continue
+                led = self.try_(trial.effects, nuisances, [trial.start], noise=trial.noise)
+                if led is not None and led is self.best:  # it may have led out of another valley
+                    self.try_(trial.effects, trial.hypothesis.nuisances, [led.start], noise=led.noise)
+
+    def _without(self, trial: Trial, kept: Iterable[int]) -> None:
+        """A trial with some of its effects, from where it stands."""
+        kept = list(kept)
+        effects = tuple(trial.effects[k] for k in kept)
+        if not effects or not self.first_time("without", frozenset(effects), trial):
+            return
+        start, nuisances = trial.start, trial.hypothesis.nuisances
+        start = Start([start.values[k] for k in kept], start.theta, start.states)
+        again = self.fitter.fit(
+            Hypothesis(effects, nuisances), trial.base, [start], noise=trial.noise, evaluations=10
+        )
+        self.add(again)
+
+    def _cores(self, trials: Iterable[Trial]) -> None:
+        """Of sets with undetermined members: those that are determined, and all but one."""
+        for trial in trials:
+            if len(trial.effects) < 2 or self.determined(trial):
+                continue
+            sure = np.array(trial.surest) >= self.case.levels.moved
+            self._without(trial, np.flatnonzero(sure))
+            for i in np.flatnonzero(~sure):
+                self._without(trial, np.delete(np.arange(len(sure)), i))
+
+    def _prune(self) -> None:
+        """The winner without each of its weaker effects."""
+        for _ in range(MOST):
+            best = self.best
+            if len(best.effects) < 2:
+                return
+            for i in np.argsort(best.surest)[:2]:
+                self._without(best, [k for k in range(len(best.effects)) if k != i])
+            if self.best is best:
+                return
+
+    def _names(self) -> None:
+        """The winner with each force replaced by other laws at its place that imitate it."""
+        for _ in range(2):
+            best = self.best
+            here = best.start
+            places: dict[str, list[int]] = {}
+            for i, effect in enumerate(best.effects):
+                places.setdefault(effect.place, []).append(i)
+            alone = [[i] for i in range(len(best.effects))]
+            for gone in [*alone, *(members for members in places.values() if len(members) > 1)]:
+                for other, values in self._imitations(best, gone):
+                    kept = [i for i in range(len(best.effects)) if i not in gone]
+                    effects = (*(best.effects[i] for i in kept), other)
+                    own = [*(here.values[i] for i in kept), values]
+                    starts = [Start(own, here.theta, here.states)]
+                    if is_gain(other):  # of an output in place of an input, and the other way round
+                        gain = 1.0 + sum(values.values())
+                        starts += [Start(own, here.theta, here.states * q) for q in (gain, 1.0 / gain)]
+                    self.try_(effects, best.hypothesis.nuisances, starts, noise=best.noise, evaluations=10)
+            if self.best is best:
+                return
+
+    def _at_other_ends(self, trial: Trial, i: int) -> list[tuple[Effect, dict[str, float]]]:
+        """What is linear in a signal path, at the other ends of such paths, where it acts alike."""
+        first = trial.effects[i]
+        linear = [e for e in self.case.library if e.spec.at_channel and e.spec.linear]
+        return [
+            (other, trial.start.values[i])
+            for other in linear
+            if first in linear and other.place != first.place and other.coefficients == first.coefficients
+            if self.first_time("name", frozenset(trial.effects), i, other)
+        ]
+
+    def _imitations(self, trial: Trial, which: Sequence[int]) -> list[tuple[Effect, dict[str, float]]]:
+        """Laws at the place of some effects that come nearest to their force, with their coefficients."""
+        if trial.force(which[0]) is None:
+            return self._at_other_ends(trial, which[0])
+        along = [one for one in map(trial.force, which) if one is not None]
+        if len(along) < len(which):
+            return []
+        d, v, w, force = along[0]
+        force = force + sum(one[-1] for one in along[1:])
+        structure, place = trial.problem.structure, trial.effects[which[0]].place
+        held, options = [e.kind for e in trial.effects if e.place == place], []
+        for other in self.case.library:
+            if other.place != place or other.kind in held or is_number(other):
+                continue
+            if not self.first_time("name", frozenset(trial.effects), tuple(which), other):
+                continue
+            one = Structure(structure.model, [other])
+            names = [q.name for q in one.parameters]
+            shapes = []
+            for start in shape_starts(one, one.start(), self.motion):
+                own = dict(zip(names, map(float, start), strict=True))
+                shapes.append({n: value for n, value in own.items() if n in other.spec.shaping})
+            for kind in {trial.effects[i].kind for i in which} & other.spec.contains.keys():
+                shapes += [{n: other.spec.contains[kind].get(n, v) for n, v in shapes[0].items()}]
+            for shape in shapes:
+                free = [n for n in other.free if n not in shape]
+                columns = unit_forces(other, d, v, [shape], w, resting(structure, place))
+                if columns and len(columns) == len(free):
+                    F = np.array(columns).T
+                    sizes = np.linalg.lstsq(F, force, rcond=1e-10)[0]
+                    left = float(np.sum((force - F @ sizes) ** 2) / np.sum(force**2))
+                    options.append(
+                        (left, other, {**shape, **dict(zip(free, map(float, sizes), strict=True))})
+                    )
+        best: dict[Effect, dict[str, float]] = {}
+        for left, other, values in sorted(options, key=lambda one: one[0]):
+            if left < _IMITATED and len(best) < _IMITATIONS:
+                best.setdefault(other, values)
+        return list(best.items())
+
+    def polish(self) -> None:
+        """Polish the leaders until the order among them holds."""
+        with self.case.progress.step("polishing"):
+            for _ in range(_POLISHED):
+                best = self.posterior(self.best)
+                todo = [x for x in self.trials if x.effects and not self._is_polished(x)]
+                todo = [x for x in todo if self.determined(x) and self.posterior(x) > best - _NEAR]
+                if not todo:
+                    return
+                trial = self.ranked(todo)[0]
+                better = self.fitter.polished(trial)
+                self._done |= {
+                    ("polished", trial, self.fitter.substeps),
+                    ("polished", better, self.fitter.substeps),
+                }
+                self.add(better, instead=True)
+
+    def _is_polished(self, trial: Trial) -> bool:
+        """Whether a trial was polished, at steps as fine as any effect here was found to ask for."""
+        linear = trial.problem.structure.is_linear
+        steps = {key[2] for key in self._done if key[:2] == ("polished", trial)}
+        return bool(steps) and (linear or max(steps) >= self.fitter.substeps)
+
+    # ------------------------------------------------------------------ criticism
+    def passed(self, trial: Trial) -> bool:
+        """Whether the residual of a trial is noise, and no free force is likelier than its laws."""
+        return self.criticized(trial).passed
+
+    def criticized(self, trial: Trial) -> Criticism:
+        """What the residual tests say of a trial."""
+        if trial not in self._criticism:
+            with self.case.progress.step("tests"):
+                try:
+                    self._criticism[trial] = self._criticize(trial)
+                except ModelError:  # it runs away within one sample, or no observer leads it
+                    self._criticism[trial] = Criticism(False, [], -np.inf)
+        return self._criticism[trial]
+
+    def _criticize(self, trial: Trial) -> Criticism:
+        case, fitted, ratio = self.case, trial.model, trial.hypothesis.ratio
+        motions = [estimated_motion(fitted.structure, fitted.theta, m.data) for m in case.motions]
+        battery = TestedResidual(fitted, ratio)
+        others = passed_without_library(battery, motions, case.significance)
+        if others is None and not case.passes([], fitted):  # a response may be solved to rounding
+            return Criticism(False, [], -np.inf)
+        tests = self.all_tests(trial, battery, others)
+        odds = -np.inf
+        for place in dict.fromkeys(e.place for e in trial.effects if case.passes(tests, fitted)):
+            more, against = self._beside(trial, battery, place)
+            tests += more
+            odds = float(np.logaddexp(odds, against))
+        excluded = 2 * odds > case.levels.rival
+        return Criticism(case.passes(tests, fitted) and not excluded, tests, odds)
+
+    def _beside(self, trial: Trial, battery: TestedResidual, place: str) -> tuple[list[FTest], float]:
+        """Tests of a free force or curve beside the effects at a place, and its odds over them."""
+        if not self.case.in_time:
+            free = FreeStiffness(battery, place)
+            return free.tests(), free.odds(trial.base)
+        beside = Beside(battery, place)
+        size = trial.size if beside.at_channel else trial.force_at(place)
+        return (beside.tests(), beside.odds(size)) if size > 0 else ([], -np.inf)
+
+    def all_tests(
+        self, trial: Trial, battery: TestedResidual, others: Sequence[FTest] | None = None
+    ) -> list[FTest]:
+        """Every residual test of a trial but those beside its effects."""
+        fitted, ratio = trial.model, trial.hypothesis.ratio
+        motions = [estimated_motion(fitted.structure, fitted.theta, m.data) for m in self.case.motions]
+        rest = not_held(self.case.library, fitted.structure.effects)
+        if fitted.problem.dwells:  # a balance of two nonlinear laws is slow
+            rest = [e for e in rest if e.spec.linear or e.spec.delays]
+        near = in_race(fitted, rest, (ratio,))
+        scored = candidate_columns(fitted, near, motions[0], (ratio,))
+        return run_tests(battery, scored, motions, len(rest) - len(near), others)
+
+
+def is_number(effect: Effect) -> bool:
+    """Return whether an effect is a change of a single parameter of a linear model."""
+    return effect.spec.is_parameter or effect.spec.relative
+
+
+def is_gain(effect: Effect) -> bool:
+    """Return whether an effect is the gain of a channel: a parameter of the record, beside the model's."""
+    return bool(effect.spec.relative and effect.spec.at_channel)

@@ -1,1 +1,0 @@
-"""Effects added and dropped one at a time, until nothing is missing."""
