@@ -74,7 +74,8 @@ def outcome(found, c, truth, p, model):
     """The verdict against the truth, in a word."""
     right = [is_truth(effect, c, truth, p, model) for effect in found.ambiguous]
     if found.verdict == "effect":
-        return "right" if is_truth(found.best.effect, c, truth, p, model) else "wrong"
+        named = [is_truth(effect, c, truth, p, model) for effect in found.effects]
+        return "right" if all(named) else "partly" if any(named) else "wrong"
     if found.verdict == "ambiguous":
         return "with truth" if any(right) else "without"
     if found.verdict == "unexplained":
@@ -97,7 +98,7 @@ def run(seed):
     row = {**c, "verdict": found.verdict, "seconds": round(time.process_time() - started, 1)}
     if found.verdict in ("effect", "ambiguous") and best is not None:
         row |= {
-            "named": best.effect.kind,
+            "named": "+".join(effect.kind for effect in best.effects),
             "place": best.effect.place,
             "none_of_these": round(found.none_of_these, 4),
         }

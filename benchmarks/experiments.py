@@ -25,10 +25,11 @@ import numpy as np
 from scipy.stats import beta
 
 import rcorefine as rco
-from rcorefine.diagnosis.candidate_fits import fit_candidates
 from rcorefine.diagnosis.confirm import confirm
 from rcorefine.diagnosis.experiment_design.result import ExperimentOption
 from rcorefine.diagnosis.experiment_design.sensors import sensor_rows, with_sensor
+from rcorefine.diagnosis.refits import Fitter
+from rcorefine.diagnosis.screening import Metric, Numbers, Screen
 from rcorefine.inference.fitted import fitted_from
 from rcorefine.inference.sensitivities import candidate_columns
 from rcorefine.inference.starts import Motion
@@ -81,8 +82,14 @@ def leads(model: object, records: list[rco.Measurement], effects: list[rco.Effec
     base = base_fit(model, records, free=(), tolerance=0.0, offset=True, noise=None)
     fitted = fitted_from(base, records, tolerance=0.0)
     motion = Motion(fitted.structure, fitted.theta, fitted.problem.records[0])
-    race = fit_candidates(fitted, candidate_columns(fitted, effects, motion, (0.0, 1.0, 0.1)))
-    values = {(r.effect.kind, r.effect.place): r.log_likelihood for r in race.rivals}
+    fitter, metric = Fitter(fitted, motion), Metric(fitted.problem.whitener(fitted.residuals()))
+    values = {}
+    for candidate in candidate_columns(fitted, effects, motion, (0.0,)):
+        screen = Screen(fitted, [candidate], Numbers([], np.zeros(0)), metric, motion)
+        starts = [screen.start([group], False, fitted) for group in screen.groups]
+        trial = fitter.single((candidate.effect, starts))
+        if trial is not None:
+            values[candidate.effect.kind, candidate.effect.place] = trial.total
     return np.array([2 * (values[truth] - value) for key, value in values.items() if key != truth])
 
 

@@ -1,28 +1,25 @@
 """Two or three effects at once, parameters 20 to 40 % off: the set that is found against the truth.
 
-python several.py FIRST COUNT OUT.csv
+python benchmarks/several.py --first 0 --seeds 30 --out rows.csv
 """
 
 from __future__ import annotations
 
+import argparse
+import csv
 import inspect
 import sys
 import time
-import traceback
 import warnings
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import control as ct
 import numpy as np
+from calibration import interval
 from calibration_plants import LAWS, PLANTS, excite, law
-from flow import append, case_of, words
 from scipy.signal import lfilter
-from search import Search
-from verdict import verdict
 
 import rcorefine as rco
-from rcorefine.arithmetic import own_arithmetic
 
 USED = ("loadcell", "thermal4", "pend", "maxwell", "groundcell", "rlc4", "shunt", "accel2", "tanks")
 AT_SITES = ("coulomb", "cubic", "quadratic", "clearance", "cubdamp", "quadspring", "smooth")
@@ -167,41 +164,51 @@ def is_one(effect, truth, plant, model):
 
 
 def one(seed):
-    """One record: what was said as a row, and the table printed."""
+    """One record: what was said, as a row."""
     name, truth, plant, model, data = made(seed)
     start = time.process_time()
-    with warnings.catch_warnings(), own_arithmetic():
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        search = Search(case_of(model, [data])).run()
-        word, named, probability, trial, _ = verdict(search)
-        p_value = search.tested(trial)[0]
+        found = rco.diagnose(model, data)
     cpu = time.process_time() - start
-
-    def hits(effects):
-        return sum(any(is_one(e, k, plant, model) for e in effects) for k in truth)
-
+    named = found.effects
+    hits = sum(any(is_one(e, k, plant, model) for e in named) for k in truth)
     false = [e.label for e in named if not any(is_one(e, k, plant, model) for k in truth)]
-    exact = hits(named) == len(truth) == len(named) and not false
-    row = {"seed": seed, "plant": name, "truth": truth, "verdict": word, "named": [e.label for e in named]}
-    row |= {"P": round(probability, 3), "p": float(f"{p_value:.3g}"), "exact": exact, "false": false}
-    row |= {"hits": hits(named), "cpu": round(cpu, 1), "fit": round(float(search.best.fit.min()), 1)}
-    print(*row.values(), {key: round(value, 1) for key, value in search.log.items()})
-    rows = search.table()
-    for value, trial in rows[:4]:
-        sure = [round(float(x), 1) for x in trial.surest()]
-        told = f"{value - rows[0][0]:10.1f} {words(search, trial)} fit {trial.fit.min():.1f}"
-        print(told, trial.noise.names, sure, f"hits {hits(trial.effects)} of {len(truth)}")
-    sys.stdout.flush()
-    return row
+    row = {"seed": seed, "plant": name, "truth": "+".join(f"{k}@{site}" for k, site in truth)}
+    row |= {"verdict": found.verdict, "named": "+".join(e.label for e in named)}
+    row |= {"P": round(float(found.best.probability), 3) if named else ""}
+    row |= {"exact": hits == len(truth) == len(named), "false": "+".join(false), "hits": hits}
+    return row | {"cpu": round(cpu, 1)}
+
+
+def append(name, row):
+    """A row at the end of a CSV file: a run can be stopped and continued."""
+    new = not Path(name).exists()
+    with open(name, "a", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, row.keys())
+        if new:
+            writer.writeheader()
+        writer.writerow(row)
+
+
+def main():
+    """Run the seeds."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--seeds", type=int, default=30)
+    parser.add_argument("--out", help="a CSV file with a line per record")
+    options = parser.parse_args()
+    exact = []
+    for seed in range(options.first, options.first + options.seeds):
+        row = one(seed)
+        exact.append(row["exact"])
+        sys.stdout.write(" ".join(map(str, row.values())) + "\n")
+        sys.stdout.flush()
+        if options.out:
+            append(options.out, row)
+    low, high = interval(sum(exact), len(exact))
+    sys.stdout.write(f"exact set {sum(exact)} of {len(exact)} ({low:.0f}-{high:.0f} %)\n")
 
 
 if __name__ == "__main__":
-    first, count = int(sys.argv[1]), int(sys.argv[2])
-    for number in range(first, first + count):
-        try:
-            found = one(number)
-        except Exception:  # the others go on
-            traceback.print_exc()
-            continue
-        if len(sys.argv) > 3:
-            append(sys.argv[3], found)
+    main()
