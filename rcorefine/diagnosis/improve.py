@@ -160,7 +160,7 @@ def improve(
         with bar.step("the model as it is"):
             start = base_fit(model, parts.fit, free=free, **settings)
             # parameters that are all free are open beside the effects: each with a prior, the widest 100 %
-            nominal = base_fit(model, parts.fit, free=(), **settings) if free == "linear" else start
+            nominal = base_fit(model, parts.fit, free=(), **settings) if isinstance(free, str) else start
         if in_time and (still := no_motion(parts.fit)):  # by now every channel is known to be there
             raise DataError(still)
         odd = looks(model, records, horizon) if in_time else ()

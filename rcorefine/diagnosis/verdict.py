@@ -146,10 +146,10 @@ def _named(
     if row.effects and all(is_number(effect) for effect in row.effects):  # one of the parameters of the model
         family += [r for r in rows if not r.effects and r.floated]
     simpler = [r for r in family if special(r.effects, row.effects) and r.value > row.value - levels.family]
-    simpler = [r for r in simpler if passed(r.trials[0])][:1]
-    if simpler:
-        family = [*(r for r in family if r is not simpler[0]), row]
-        row, trial = simpler[0], simpler[0].trials[0]
+    passing = [(r, t) for r in simpler[:1] for t in r.trials[:3] if passed(t)]
+    if passing:
+        family = [*(r for r in family if r is not passing[0][0]), row]
+        row, trial = passing[0]
     total = float(np.logaddexp.reduce([r.value for r in rows]))
     mass = float(np.logaddexp.reduce([r.value for r in [row, *family]]))
     none = 1.0 / (1.0 + float(np.exp(-search.criticized(trial).odds)))
