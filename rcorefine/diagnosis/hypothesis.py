@@ -83,15 +83,18 @@ class Start:
         Coefficients of the base.
     states : ndarray, shape (n_records, n)
         Initial states.
+    widths : dict
+        By place: the width over which laws that jump turn over there.
     """
 
     values: list[dict[str, float]]
     theta: Array
     states: Array
+    widths: dict[str, float] = field(default_factory=dict)
 
     def on(self, states: Array) -> Start:
         """The same on other records: with its initial states where there are as many, else with these."""
-        return self if states.shape[0] == self.states.shape[0] else Start(self.values, self.theta, states)
+        return self if states.shape[0] == self.states.shape[0] else replace(self, states=states)
 
     def shared(self, effects: Sequence[Effect], absent: Start, share: float) -> Start:
         """Sizes, and what the base moved for them, times a share."""
@@ -103,7 +106,8 @@ class Start:
         ]
         n = min(absent.states.shape[1], self.states.shape[1])
         states = absent.states[:, :n] + share * (self.states[:, :n] - absent.states[:, :n])
-        return Start(values, absent.theta + share * (self.theta - absent.theta), states)
+        theta = absent.theta + share * (self.theta - absent.theta)
+        return replace(self, values=values, theta=theta, states=states)
 
 
 class Recorded(NamedTuple):
@@ -240,7 +244,8 @@ class Trial:
         for k, q in enumerate(structure.parameters):
             if q.effect >= first:
                 values[q.effect - first][q.name] = float(theta[k])
-        return Start(values, theta[: self.base.problem.n_theta], states)
+        widths = {structure.effects[k].place: w for k, w in structure.constants.items() if k >= first}
+        return Start(values, theta[: self.base.problem.n_theta], states, widths)
 
     @cached_property
     def model(self) -> FittedModel:

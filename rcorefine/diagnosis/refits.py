@@ -73,6 +73,11 @@ class Fitter:
         structure, theta = problem.structure, problem.unpack(absent)[0].copy()
         theta[: len(start.theta)] = start.theta
         first = len(structure.effects) - len(effects)
+        widths = structure.constants.items()
+        known = {k: start.widths.get(structure.effects[k].place, w) if k >= first else w for k, w in widths}
+        if known != structure.constants:
+            problem = problem.like(Structure(structure.model, structure.effects, constants=known))
+            structure = problem.structure
         for i, own in enumerate(start.values):
             for name, value in own.items():
                 if (at := structure.position(first + i, name)) >= 0:

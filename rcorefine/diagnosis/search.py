@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -203,6 +204,12 @@ class Search:
             for trial in [x for x in alone if self.is_open(x.effects[0])][:3]:
                 self._beside_parameters(trial)
         self.polish()
+        if self.best.effects and self.best.hypothesis.floated:  # the same without what the parameters took up
+            here, n = self.best.start, self.fitted.problem.n_theta
+            self.try_(
+                self.best.effects, frozenset(), [replace(here, theta=here.theta[:n])], noise=self.best.noise
+            )
+            self.polish()
         if not self.passed(self.best) or self.best.hypothesis.floated:
             self._holds()
         if not self.passed(self.best):
@@ -300,7 +307,7 @@ class Search:
             if is_gain(effect):  # initial states that a wrong unit has bent lead into another valley
                 gains = [1.0 + sum(start.values[0].values()) for start in starts]
                 starts += [
-                    Start(start.values, start.theta, start.states / gain)
+                    replace(start, states=start.states / gain)
                     for start, gain in zip(starts, gains, strict=True)
                     if gain
                 ]
@@ -334,7 +341,7 @@ class Search:
             return
         here, base, n = trial.start, self.base(self.opened), self.fitted.problem.n_theta
         thetas = (np.concatenate([here.theta[:n], base.problem.prior_mean[n:]]), base.theta)
-        self.try_(trial.effects, self.opened, [Start(here.values, theta, here.states) for theta in thetas])
+        self.try_(trial.effects, self.opened, [replace(here, theta=theta) for theta in thetas])
 
     def relinearized(self, trial: Trial) -> list[Trial]:
         """More effects about a trial, with the parameters open; the sets that were fitted."""
@@ -349,7 +356,7 @@ class Search:
         here, nuisances = trial.start, trial.hypothesis.nuisances | self.opened
         if len(here.theta) < self.base(nuisances).problem.n_theta:
             mean = self.base(nuisances).problem.prior_mean[len(here.theta) :]
-            here = Start(here.values, np.concatenate([here.theta, mean]), here.states)
+            here = replace(here, theta=np.concatenate([here.theta, mean]))
         residual = fitted.residuals()
         own = self.fitter.recorded.noise(residual)
         for metric in (Metric(Whitener.fit(residual, order=0)), Metric(own.whitener, own.weights)):
@@ -363,9 +370,7 @@ class Search:
                 if fine and self.first_time("set", frozenset(effects)):
                     values = screen.start(groups, False, fitted).values
                     weaker = [{n: 0.3 * v for n, v in own.items()} for own in values]
-                    starts = [
-                        Start([*here.values, *more], here.theta, here.states) for more in (values, weaker)
-                    ]
+                    starts = [replace(here, values=[*here.values, *more]) for more in (values, weaker)]
                     self.try_(effects, nuisances, starts, noise=trial.noise)
         return self.trials[known:]
 
@@ -441,7 +446,7 @@ class Search:
         if not effects or not self.first_time("without", frozenset(effects), trial):
             return
         start, nuisances = trial.start, trial.hypothesis.nuisances
-        start = Start([start.values[k] for k in kept], start.theta, start.states)
+        start = replace(start, values=[start.values[k] for k in kept])
         again = self.fitter.fit(
             Hypothesis(effects, nuisances), trial.base, [start], noise=trial.noise, evaluations=10
         )
@@ -482,10 +487,12 @@ class Search:
                     kept = [i for i in range(len(best.effects)) if i not in gone]
                     effects = (*(best.effects[i] for i in kept), other)
                     own = [*(here.values[i] for i in kept), values]
-                    starts = [Start(own, here.theta, here.states)]
+                    starts = [replace(here, values=own)]
                     if is_gain(other):  # of an output in place of an input, and the other way round
                         gain = 1.0 + sum(values.values())
-                        starts += [Start(own, here.theta, here.states * q) for q in (gain, 1.0 / gain)]
+                        starts += [
+                            replace(here, values=own, states=here.states * q) for q in (gain, 1.0 / gain)
+                        ]
                     self.try_(effects, best.hypothesis.nuisances, starts, noise=best.noise, evaluations=10)
             if self.best is best:
                 return
