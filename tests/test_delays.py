@@ -119,11 +119,7 @@ def test_a_delay_gains_nothing_by_what_it_hides():
     np.testing.assert_allclose(costs, 200.0, rtol=1e-6)
 
 
-#: From far off the output's delay ends in another valley, and the input's stands alone.
-FAR = pytest.mark.xfail(reason="one of the two ends of the path is lost", strict=False)
-
-
-@pytest.mark.parametrize("late", [3, pytest.param(30, marks=FAR)])
+@pytest.mark.parametrize("late", [3, 30])
 def test_a_dead_time_of_one_path_is_found_and_its_end_left_open(rng, late):
     """Through one input and one output of a linear plant it acts alike at either end."""
     n, before, tau = 240, 200, 12.0

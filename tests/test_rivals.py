@@ -123,9 +123,6 @@ def test_a_sensor_in_other_units_is_named(seed):
         assert abs(row.coefficients["gain"] - 999) < 4 * row.std["gain"]
 
 
-@pytest.mark.xfail(
-    reason="the width ends short of the record's, and the residual fails its tests", strict=False
-)
 def test_the_width_of_friction_is_that_of_the_record():
     """A width far from the guess: laws with more coefficients must not win by imitating it."""
     model, data, force = friction_record(11, 0.03, samples=1000)

@@ -218,7 +218,10 @@ def ask(case: Case, validation: Measurement | None = None) -> Diagnosis:
             return False
         if not trial.effects:
             return not is_drowned(TestedResidual(trial.model, trial.hypothesis.ratio), case.levels)
-        if trial.hypothesis.floated and not parameters_off(trial, case.levels):
+        off = not trial.hypothesis.floated or parameters_off(trial, case.levels)
+        missed = [100.0 - np.mean(one.model.refinement.fit) for one in (trial, search.trials[0])]
+        farther = not trial.hypothesis.ratio and missed[0] > (1.0 + case.levels.spoiled) * missed[1]
+        if farther or not off:  # what explains a record does not move the free run away from it
             return False
         if len(case.records) > 1 and trial not in agreements:
             agreements[trial] = amplitude_test(trial.model, len(trial.effects), case.levels)

@@ -204,12 +204,7 @@ class Search:
             for trial in [x for x in alone if self.is_open(x.effects[0])][:3]:
                 self._beside_parameters(trial)
         self.polish()
-        if self.best.effects and self.best.hypothesis.floated:  # the same without what the parameters took up
-            here, n = self.best.start, self.fitted.problem.n_theta
-            self.try_(
-                self.best.effects, frozenset(), [replace(here, theta=here.theta[:n])], noise=self.best.noise
-            )
-            self.polish()
+        self._without_parameters()
         if not self.passed(self.best) or self.best.hypothesis.floated:
             self._holds()
         if not self.passed(self.best):
@@ -233,6 +228,7 @@ class Search:
                 self._forces()
             self.polish()
         with step("other names"):
+            self._without_parameters()
             self._prune()
             self._names()
         self.polish()
@@ -342,6 +338,14 @@ class Search:
         here, base, n = trial.start, self.base(self.opened), self.fitted.problem.n_theta
         thetas = (np.concatenate([here.theta[:n], base.problem.prior_mean[n:]]), base.theta)
         self.try_(trial.effects, self.opened, [replace(here, theta=theta) for theta in thetas])
+
+    def _without_parameters(self) -> None:
+        """The leader in the model as it is, from where it stands: its parameters may not be off."""
+        best, n = self.best, self.fitted.problem.n_theta
+        if best.effects and best.hypothesis.floated:
+            start = replace(best.start, theta=best.start.theta[:n])
+            self.try_(best.effects, best.hypothesis.nuisances - self.opened, [start], noise=best.noise)
+            self.polish()
 
     def relinearized(self, trial: Trial) -> list[Trial]:
         """More effects about a trial, with the parameters open; the sets that were fitted."""

@@ -83,7 +83,8 @@ class Levels:
         Log of the error on the choosing part, about 0 by chance, that each coefficient must
         save to be added by `improve`.
     spoiled : float
-        The same that a step for the sake of likelihood may cost there.
+        The same that a set chosen for its likelihood may cost there; and the share by which a set that is
+        named may raise the error of the free run.
     failure : float
         p-value of a row of the failure map among all that were tried, uniform by chance. Below it
         the model fails there.
