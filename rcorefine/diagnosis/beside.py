@@ -1,4 +1,4 @@
-"""A force of no law beside that of the winner: whether the record shows one, and whether it would have."""
+"""Tests and odds of a free force at the place of a fitted effect."""
 
 from __future__ import annotations
 
@@ -18,28 +18,29 @@ from .residual_tests import TestedResidual
 __all__ = ["Beside", "channel_curve", "curve_at", "motion_at", "nested", "stops"]
 
 _NESTED = (1, 2, 4, 8, 16)  # leading directions that are tested together
-_SEEN = 1e-10  # of the largest: what a direction must move the output to be one
-_RADII = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)  # of stops, over the rms of the motion
+_SEEN = 1e-10  # least eigenvalue of a direction that is kept, over the largest
+_RADII = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)  # radii of the stops over the standard deviation of the motion
 
 
 class Beside:
-    """Free forces at the place of a law, or free curves of the channel where it sits, beside it.
+    """Free forces, or free curves of a channel, at the place of an effect.
 
     Parameters
     ----------
     battery : TestedResidual
-        Residual of the model with the law.
+        Residual of the model with the effect.
     place : str
-        Where the law sits: a port, an input or an output.
+        Place of the effect: a port, an input or an output.
 
     Notes
     -----
-    All knots at once would have little power against a law that is nearly right. The directions
-    in which a smooth curve would move the output most, those of the fitted coefficients taken
-    out, are tested first: the smooth test of Neyman (Skandinavisk Aktuarietidskrift 20 (1937)
-    149) in an order that follows from the motion alone. No curve in displacement and velocity
-    shows a law that remembers otherwise than the fitted one; stops of several widths do, of which
-    every hysteresis of Prandtl and Ishlinskii is made.
+    A joint test of all knots has little power against a force law that is nearly right. The test
+    therefore takes nested sets of directions, first those in which a smooth curve changes the output most.
+    The fitted coefficients are projected out before. This is the smooth test of Neyman (Skandinavisk
+    Aktuarietidskrift 20 (1937) 149); the motion alone determines the order of the directions.
+
+    A curve in displacement and velocity cannot represent hysteresis. The test "memory" covers that case with
+    stops of several radii, the elements of the Prandtl-Ishlinskii model.
     """
 
     def __init__(self, battery: TestedResidual, place: str) -> None:
@@ -47,7 +48,10 @@ class Beside:
 
     @cached_property
     def _forces(self) -> dict[str, list[Array]]:
-        """Free forces (N, k) per record, together of rms 1; none where nothing moves."""
+        """Free forces (N, k) per record by test name, jointly of rms 1.
+
+        Empty if the place is not a port, or if nothing moves there.
+        """
         fitted, ratio = self._battery.fitted, self._battery.ratio
         curve = curve_at(fitted, self.place, ratio)
         if curve is None:
@@ -65,7 +69,11 @@ class Beside:
 
     @cached_property
     def _columns(self) -> dict[str, Array]:
-        """What they would do to the whitened residual, what was fitted already taken out."""
+        """Whitened responses to the free forces or curves, by test name.
+
+        The directions of the fitted coefficients are projected out. A free curve of a channel is included
+        only without process noise (ratio 0).
+        """
         fitted, battery = self._battery.fitted, self._battery
         gain, found = fitted.gain(battery.ratio), {}
         responses = {}
@@ -73,7 +81,7 @@ class Beside:
             forces = [[(self.place, column) for column in block.T] for block in blocks]
             responses[name] = [force_responses(fitted, i, f, gain) for i, f in enumerate(forces)]
         curve = channel_curve(fitted, self.place)
-        if not responses and curve is not None and not battery.ratio:  # an observer follows any sensor
+        if not responses and curve is not None and not battery.ratio:  # a predictor follows any sensor
             responses["free curve"] = curve
         for name, blocks in responses.items():
             columns = project(battery.whiten(blocks), battery.basis)
@@ -83,17 +91,17 @@ class Beside:
 
     @property
     def at_channel(self) -> bool:
-        """Whether the place is a channel, and no port."""
+        """Return whether the place has no free forces: a channel, or no motion."""
         return not self._forces
 
     def tests(self) -> list[FTest]:
-        """Whether a free curve, and whether memory, explains what the model leaves there.
+        """Test the residual for a free force, for memory, or for a free curve.
 
         Returns
         -------
         list of FTest
-            Each the smallest p-value of nested sets of directions, times their number; empty where
-            the place is no port or nothing moves.
+            At a port "free force" and "memory", at a channel "free curve". Each has the smallest p-value of
+            nested sets of directions, times the number of sets. Empty if no test applies.
         """
         return [
             nested(self._battery, f"{name} at {self.place}", columns)
@@ -101,19 +109,20 @@ class Beside:
         ]
 
     def odds(self, size: float) -> float:
-        """Log of the odds of a force that departs from the law, over the law.
+        """Return the log odds of a force that deviates from the force law.
 
         Parameters
         ----------
         size : float
-            Of the law: standard deviation of its force along the motion; at a channel, norm of what it does
-            to the whitened outputs.
+            Size of the effect. At a port: standard deviation of its force along the motion. At a channel:
+            norm of its contribution to the whitened outputs.
 
         Returns
         -------
         float
-            Departures up to the force of the law itself are as likely as each other: what the record
-            would not have shown counts as much as what it shows. -inf where there is no free force.
+            Log odds against the fitted force law, averaged over the tests of `tests`. The size of the
+            deviation has a uniform prior between zero and `size`. A record that cannot show such deviations
+            gives log odds near 0. -inf if there is no free force.
         """
         if not self._columns:
             return -np.inf
@@ -125,7 +134,10 @@ class Beside:
 
 
 def nested(battery: TestedResidual, name: str, columns: Array) -> FTest:
-    """Smallest p-value of nested sets of directions of white columns, times the number of sets."""
+    """Return the best F-test of nested sets of directions of white columns.
+
+    Its p-value is the smallest one times the number of sets (Bonferroni).
+    """
     columns = columns / np.linalg.norm(columns)
     values, vectors = np.linalg.eigh(columns.T @ columns)
     kept = values > _SEEN * values[-1]
@@ -138,7 +150,7 @@ def nested(battery: TestedResidual, name: str, columns: Array) -> FTest:
 
 
 def curve_at(fitted: FittedModel, place: str, ratio: float) -> Curve | None:
-    """Knots of a free curve at a port, None where the place is none or nothing moves."""
+    """Return the knots of a free curve at a port, None without motion there."""
     if place not in [port.name for port in fitted.structure.model.ports]:
         return None
     d, v = motion_at(fitted, place, ratio)
@@ -146,7 +158,10 @@ def curve_at(fitted: FittedModel, place: str, ratio: float) -> Curve | None:
 
 
 def channel_curve(fitted: FittedModel, label: str) -> list[Array] | None:
-    """Responses (n_y, N, k) per record to a free curve of an input or an output; None where there is none."""
+    """Return the responses to a free curve of an input or an output.
+
+    Each record has an array (n_y, N, k). None if the label is no channel, or if its signal is constant.
+    """
     model, records = fitted.structure.linear_model, fitted.problem.records
     weights, held = fitted.problem.weights, fitted.blocks()
     if label in model.input_labels:
@@ -172,13 +187,16 @@ def channel_curve(fitted: FittedModel, label: str) -> list[Array] | None:
 
 
 def motion_at(fitted: FittedModel, place: str, ratio: float) -> tuple[Array, Array]:
-    """Displacement and velocity at a port over all records."""
+    """Return displacement and velocity at a port, all records joined."""
     motions = [fitted.port(place, ratio, i) for i in range(len(fitted.problem.records))]
     return np.concatenate([d for d, _ in motions]), np.concatenate([v for _, v in motions])
 
 
 def stops(x: Array, scale: float, radii: Sequence[float] = _RADII) -> Array:
-    """Stops (N, k) of several radii, in units of `scale`: springs that slip, but for their mean."""
+    """Return the forces (N, k) of stops (springs that slip) along a motion.
+
+    The radii are in units of `scale`. Each force has mean 0 and standard deviation 1, or is 0 everywhere.
+    """
     found = np.empty((x.size, len(radii)))
     for column, radius in zip(found.T, radii, strict=True):
         z, reach = 0.0, radius * scale

@@ -1,4 +1,4 @@
-"""Which physical effect is missing, with a verdict that can be trusted."""
+"""Diagnosis of the physical effects that a model lacks."""
 
 from __future__ import annotations
 
@@ -65,42 +65,42 @@ def diagnose(
 ) -> Diagnosis:
     """Find the physical effect that a model lacks.
 
-    Every hypothesis (nothing is missing, the parameters are off, an effect or a set of effects acts, each
-    beside what is not known of the record) is fitted and gets one score: the log of its marginal likelihood
-    plus that of its prior probability. The verdict is read off the table of these scores, and what it names
-    must leave a residual that passes a battery of tests.
+    The function compares hypotheses: nothing is missing, the parameters are wrong, or one or several effects
+    are missing. It fits each of the likely hypotheses together with nuisance parameters of the record. The
+    score of a hypothesis is its log evidence plus its log prior probability. The verdict follows from the
+    table of scores. An effect is named only if the residual passes every residual test.
 
     Parameters
     ----------
     model : StateSpace, PhysicalModel or Refinement
         Initial model, continuous time.
     data : Measurement or list of Measurement
-        Record, or several of the same system. Or a `FrequencyResponse`, or a list of them at several
-        amplitudes: one shows linear effects, delays, gains and hidden modes, nonlinear ones need the
-        amplitudes.
+        Record, or several records of the same system. Or a `FrequencyResponse`, or a list of them. A
+        frequency response shows linear effects, delays, gains and hidden modes. Nonlinear effects need
+        responses of known amplitude, best at several amplitudes.
     candidates : sequence of Effect, optional
-        What could be missing, default `effect_library(model)`.
+        Candidate effects, default `effect_library(model)` and the faults of a whole record.
     validation : Measurement or FrequencyResponse, optional
-        Record on which `fit_before` and `fit_after` are judged.
+        Validation data for `fit_before` and `fit_after` of the ranking.
     free, tolerance, offset, noise, horizon
-        As in `refine`: what of the linear model floats, the declared sensor noise, and the
-        length of the free runs. Numbers that are a few percent off need no tolerance, for the
-        verdict "parameters" is for them. Numbers that float from the start take up part of a weak
-        law: of cubic springs that cost 1 % of the output at 3 % noise, 5 of 5 were named or
-        tied with others at 0, and 3 of 5 at 0.05.
+        As in `refine`: free parameters of the linear model, declared sensor noise, and length of the
+        simulations (free runs). Parameters that are a few percent wrong need no tolerance: the verdict
+        "parameters" covers them. Parameters that are free from the start make weak effects harder to find.
+        Example: cubic springs that cost 1 % of the output, at 3 % noise. With tolerance 0, 5 of 5 were named
+        or tied; with tolerance 0.05, 3 of 5.
     significance : float
-        Level of the gate: the rate of false alarms where nothing is missing.
+        Significance level of all residual tests together: the false-alarm rate if nothing is missing.
     controller : StateSpace or TransferFunction, optional
-        As in `refine`: the controller under which the record was taken.
+        As in `refine`: the controller that was active during the measurement.
     executor : concurrent.futures.Executor or dask.distributed.Client, optional
-        Refits candidates in parallel.
+        Executor that refits candidates in parallel.
     progress : bool
         Whether to show steps and remaining time on standard error.
 
     Returns
     -------
     Diagnosis
-        Verdict, ranking, what cannot be told apart, every test.
+        Verdict, ranking, effects that the data cannot distinguish, and all residual tests.
 
     Raises
     ------
@@ -111,15 +111,21 @@ def diagnose(
 
     Notes
     -----
-    The marginal likelihood is Laplace's, under the likeliest noise of each hypothesis: autoregressive,
-    heavy-tailed, in proportion to the signal, or rounded. Parameters have a prior of 5, 20 or 100 % of their
-    value (probability .6, .3, .1), each coefficient of an effect one as wide as the effect as a whole is
-    large. Candidates are compared to first order, in sets of up to four; the best are refitted. "Nothing"
-    is kept where its residual passes the tests, unless a set is ``1 / significance`` times as likely. A set
-    is named from probability .95 on, and of a law and one that contains it the simpler one within 10:1.
+    Evidence: Laplace's method approximates the marginal likelihood. Each hypothesis has its likeliest
+    noise: autoregressive, heavy-tailed, proportional to the signal, or rounding.
 
-    An output of several that shows nothing in any record (constant, stopped, or noise alone) is left out with
-    all that belongs to it; the notes say which and why, and `Diagnosis.records` holds what was kept.
+    Priors: the relative standard deviation of the parameters is 5, 20 or 100 %, with probability 0.6, 0.3
+    and 0.1. Each coefficient of an effect may change the output as much as the effect as a whole.
+
+    Search: candidate effects are compared to first order, in sets of up to four. The best sets are refitted.
+
+    Decision: "adequate" needs a residual that passes the tests, and no set that is ``1 / significance`` times
+    as probable. The verdict "effect" needs a probability of at least 0.95, or of 0.5 if no other set is
+    within odds of 100:1. If one force law contains another, the simpler one is named within odds of 10:1.
+
+    With several outputs, an output without information in any record is left out, with everything that
+    depends on it. Such an output is constant, stops, or shows noise only. The notes name it and give the
+    reason; `Diagnosis.records` holds the remaining channels.
 
     Examples
     --------
@@ -161,7 +167,7 @@ def diagnose(
         asked = options | {"candidates": None if candidates is None else tuple(candidates)}
         found = ask(Case.prepare(base, records, candidates, asked, significance, steps), validation)
         more = with_offsets(base, records, options) if found.verdict == "unexplained" else base
-        if more is not base:  # laws know where zero is, a linear model and its constant offset do not
+        if more is not base:  # nonlinear effects depend on the zero of a signal, linear models do not
             again = ask(Case.prepare(more, records, candidates, asked, significance, steps), validation)
             found = found if again.verdict == "unexplained" else again
         said = about_noise(base.physical_model, records, live)
@@ -169,14 +175,16 @@ def diagnose(
 
 
 _LISTED = 20  # rows of a ranking
-_MATTERS = 0.2  # of what parameters are off by: those that move less take up what a law lacks in form
+_MATTERS = 0.2  # share of `Levels.off`: a smaller change may only compensate a wrong force law
 
 
 def with_offsets(base: Refinement, records: Sequence[Measurement], options: dict[str, Any]) -> Refinement:
-    """The model with a constant offset at every input and output: laws know where zero is.
+    """Return the model refitted with an offset at every input and output.
 
-    Behind a linear model an offset of a sensor is one of an input, or an initial state; a law that acts about
-    the wrong zero is not recognized.
+    A linear model cannot distinguish an offset of a sensor from an offset of an input or an initial state. A
+    nonlinear effect depends on the zero of its signal and is not recognized at a wrong zero. The model is
+    returned unchanged if it has no offset, if it integrates, or if the means of the outputs are small. The
+    same holds for frequency responses.
     """
     if "offset" not in base.roles:
         return base
@@ -185,21 +193,21 @@ def with_offsets(base: Refinement, records: Sequence[Measurement], options: dict
         return base
     y = np.concatenate([record.outputs for record in ordered], axis=1)
     if not np.any(np.abs(y.mean(axis=1)) > levels().zero * y.std(axis=1)):
-        return base  # a zero that is off by as little is not what laws fail by
+        return base  # so small an offset does not hide an effect
     everywhere = offsets_everywhere(base.physical_model, ordered)
     given = {name: options[name] for name in ("tolerance", "offset", "noise", "horizon")}
     return refit(base, records, offsets=everywhere, elsewhere=False, **given)
 
 
 def ask(case: Case, validation: Measurement | None = None) -> Diagnosis:
-    """What a case lacks.
+    """Diagnose a case.
 
     Parameters
     ----------
     case : Case
-        A model that was fitted to the records, and the candidates.
+        Fitted model, records and candidate effects.
     validation : Measurement or None
-        Record on which the rows of the ranking are judged.
+        Validation data for the fits of the ranking.
 
     Returns
     -------
@@ -213,7 +221,12 @@ def ask(case: Case, validation: Measurement | None = None) -> Diagnosis:
     agreements: dict[Trial, tuple[float, str]] = {}
 
     def passed(trial: Trial) -> bool:
-        """Whether the tests pass, and records of different amplitudes agree on the effects."""
+        """Return whether a trial may be named.
+
+        The residual must pass its tests. Without effects, colored noise must not explain most of the record.
+        With effects, the free run must not become worse, re-estimated parameters must differ from nominal,
+        and records of different amplitude must agree on the coefficients.
+        """
         if not search.passed(trial):
             return False
         if not trial.effects:
@@ -221,7 +234,7 @@ def ask(case: Case, validation: Measurement | None = None) -> Diagnosis:
         off = not trial.hypothesis.floated or parameters_off(trial, case.levels)
         missed = [100.0 - np.mean(one.model.refinement.fit) for one in (trial, search.trials[0])]
         farther = not trial.hypothesis.ratio and missed[0] > (1.0 + case.levels.spoiled) * missed[1]
-        if farther or not off:  # what explains a record does not move the free run away from it
+        if farther or not off:  # a missing effect does not increase the error of the free run
             return False
         if len(case.records) > 1 and trial not in agreements:
             agreements[trial] = amplitude_test(trial.model, len(trial.effects), case.levels)
@@ -234,10 +247,11 @@ def ask(case: Case, validation: Measurement | None = None) -> Diagnosis:
 
 
 def parameters_off(trial: Trial, levels: Levels) -> bool:
-    """Whether parameters that are open are off, for certain and by what matters.
+    """Return whether a re-estimated parameter differs clearly from nominal.
 
-    Those that hardly move take up what a law of almost the right form lacks, as a cubic spring in place of a
-    sine: that law is not named.
+    The change must be significant and larger than 1 % of the initial value (default levels). The gain of a
+    channel among the effects also counts. Smaller changes may only compensate a wrong force law, for example
+    a cubic spring in place of a sine; that effect is not named.
     """
     rows, least = determined(trial.model.refinement), _MATTERS * levels.off
     moved = (abs(r.coefficient) > max(levels.moved * r.std, least * abs(r.initial)) for r in rows)
@@ -247,7 +261,7 @@ def parameters_off(trial: Trial, levels: Levels) -> bool:
 def _told(
     search: Search, rows: Sequence[TableRow], found: Answer, said: list[str], validation: Measurement | None
 ) -> Diagnosis:
-    """The answer as a diagnosis."""
+    """Return the answer as a diagnosis."""
     case, trial, word = search.case, found.trial, found.verdict
     nothing = search.trials[0]
     battery, own = TestedResidual(nothing.model), TestedResidual(trial.model, trial.hypothesis.ratio)
@@ -308,7 +322,7 @@ def _told(
 
 
 def about_hold(trial: Trial, search: Search) -> list[str]:
-    """What is said where another hold suits the inputs better than the declared one."""
+    """Return notes on another hold that fits better than the declared one."""
     model, records = search.case.base.physical_model, search.case.records
     said = "the record declares" if model.hold is None else "the model was fitted with"
     return [
@@ -320,7 +334,7 @@ def about_hold(trial: Trial, search: Search) -> list[str]:
 
 
 def _beside_parameters(trial: Trial, word: str) -> str:
-    """What is said where effects are sought while the parameters are open."""
+    """Return the note on parameters re-estimated together with the effects."""
     base = trial.base.refinement
     before, after = (percent(fit) for fit in (base.initial_fit, base.fit))
     said = "No effect alone explains the record, nor do the parameters of the model: these are open, too."
@@ -330,7 +344,7 @@ def _beside_parameters(trial: Trial, word: str) -> str:
 
 
 def _denied(search: Search, trial: Trial) -> list[str]:
-    """Why a set that explains clearly more than the answer is not named."""
+    """Return the reason why a more probable set is not named, or no note."""
     first = search.ranked()[0]
     if search.determined(first) or search.posterior(first) < search.posterior(trial) + search.price:
         return []
@@ -343,7 +357,10 @@ def _denied(search: Search, trial: Trial) -> list[str]:
 
 
 def _against(rows: Sequence[TableRow], found: Answer) -> list[str]:
-    """What is said where effects are nearly as likely as parameters that are off."""
+    """Return the note on the best set of effects for the verdict "parameters".
+
+    Empty if the verdict has at least the probability `Levels.named`.
+    """
     if found.probability >= levels().named:
         return []
     first = next(row for row in rows if row.effects)
@@ -353,10 +370,11 @@ def _against(rows: Sequence[TableRow], found: Answer) -> list[str]:
 
 
 def _listed(search: Search, rows: Sequence[TableRow], found: Answer, base: Refinement) -> list[Trial]:
-    """The trials that the ranking shows: the answer, the table, single effects that are not determined.
+    """Return the trials of the ranking, at most `_LISTED`.
 
-    Where nothing passes, those at the base, by the error of the free run: a filter that is fitted to errors
-    makes these cheap.
+    The order is: the answer, the rows of the table, and then single effects that are not determined. For the
+    verdict "unexplained" only trials of the base are listed, by their fit in free run. The evidence would not
+    do there: a noise filter fitted to model errors makes them cheap.
     """
     trials = [row.trials[0] for row in rows if row.effects]
     if found.trial.effects:
@@ -375,7 +393,10 @@ def _listed(search: Search, rows: Sequence[TableRow], found: Answer, base: Refin
 def _shares(
     rows: Sequence[TableRow], found: Answer, listed: Sequence[Trial], known: dict[Trial, TableRow]
 ) -> list[float]:
-    """Probability of each set that is listed; special cases of the answer count for it."""
+    """Return the probability of each listed set.
+
+    The answer includes its special cases. All are NaN for the verdict "unexplained".
+    """
     if found.verdict == "unexplained":
         return [np.nan] * len(listed)
     total = float(np.logaddexp.reduce([row.value for row in rows]))
@@ -389,9 +410,10 @@ def _shares(
 
 
 def open_force(search: Search) -> tuple[FreeForces | None, FittedModel]:
-    """Free forces where no set passes, and the model to which they are added.
+    """Return free forces for an unexplained record, and their base model.
 
-    That is the model as it was given, unless its parameters take more from the error than a free force does.
+    The base is the model as given, unless its re-estimated parameters alone fit better than any free force or
+    single effect. The forces are None if no single candidate effect was fitted at the chosen base.
     """
     empty = {trial.hypothesis.key: trial for trial in search.trials if not trial.effects}
     for nuisances in dict.fromkeys((frozenset[Nuisance](), search.opened)):
@@ -414,13 +436,16 @@ def open_force(search: Search) -> tuple[FreeForces | None, FittedModel]:
 
 
 def _places(rows: Sequence[TableRow], found: Answer, free: Any, in_time: bool) -> dict[str, float]:
-    """Probability of each place, the most probable first."""
-    if found.verdict == "unexplained" and not in_time:  # laws that fail do not tell where
+    """Return the probability of each place, the most probable first.
+
+    Empty for an unexplained frequency response. The rest of the probability belongs to unknown places.
+    """
+    if found.verdict == "unexplained" and not in_time:  # effects that fail do not locate the force
         return {}
     logs: list[tuple[str, float]] = []
     if free is not None:
         logs = list(free.log_likelihoods.items())
-        left = np.clip(free.left, 1e-12, 1.0 - 1e-12)  # what nothing explains is at no known place
+        left = np.clip(free.left, 1e-12, 1.0 - 1e-12)  # the unexplained share is at an unknown place
         known = np.logaddexp.reduce([value for _, value in logs])
         logs.append(("", float(known + np.log(left) - np.log1p(-left))))
     else:

@@ -1,4 +1,4 @@
-"""A hypothesis, and its one score: log marginal likelihood of the records (Laplace) and log prior."""
+"""Hypotheses, their fits (trials), and their evidence by Laplace's method."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ from .nuisances import Nuisance, Parameters, UnmeasuredForce
 
 __all__ = ["SPREADS", "Hypothesis", "Recorded", "Start", "Trial", "evidence", "unphysical", "weighted"]
 
-#: Relative spread of the parameters of a model: prior probability that it is this large.
+#: Prior probability of each relative standard deviation (spread) of the parameters.
 SPREADS = {0.05: 0.6, 0.2: 0.3, 1.0: 0.1}
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """What acts, and what is open beside it.
+    """A set of missing effects with its nuisances.
 
     Attributes
     ----------
     effects : tuple of Effect
-        What is missing; empty for nothing.
+        Missing effects; empty if nothing is missing.
     nuisances : frozenset of Nuisance
-        What is open. The noise is chosen by the evidence.
+        Nuisances, estimated together with the effects. The noise is chosen by likelihood instead.
     """
 
     effects: tuple[Effect, ...] = ()
@@ -47,33 +47,36 @@ class Hypothesis:
 
     @property
     def key(self) -> tuple[frozenset[Effect], frozenset[Nuisance]]:
-        """What makes it another one: the order of the effects does not."""
+        """Return effects and nuisances as sets, without the order of effects."""
         return frozenset(self.effects), self.nuisances
 
     @property
     def floated(self) -> bool:
-        """Whether the parameters of the model are open."""
+        """Return whether the parameters of the model are re-estimated."""
         return self.spread > 0
 
     @property
     def spread(self) -> float:
-        """Spread under which the parameters are fitted, 0 where they are held."""
+        """Return the prior spread of the parameters in the fit, 0 if held."""
         return max((one.spread for one in self.nuisances if isinstance(one, Parameters)), default=0.0)
 
     @property
     def ratio(self) -> float:
-        """Size of an unmeasured force over the measured one, 0 for none."""
+        """Return the ratio of unmeasured to measured force, 0 without one."""
         return max((one.ratio for one in self.nuisances if isinstance(one, UnmeasuredForce)), default=0.0)
 
     def log_prior(self, library: int) -> float:
-        """Log prior probability: each effect is one of so many."""
+        """Return the log prior probability.
+
+        Each effect is one of `library` equally probable candidates.
+        """
         each = float(np.log(max(library, 2)))
         return sum(one.log_prior for one in self.nuisances) - each * len(self.effects)
 
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Where a fit begins.
+    """Starting values of a fit.
 
     Attributes
     ----------
@@ -84,7 +87,7 @@ class Start:
     states : ndarray, shape (n_records, n)
         Initial states.
     widths : dict
-        By place: the width over which laws that jump turn over there.
+        By place: the width over which the jump of a force law is smoothed there.
     """
 
     values: list[dict[str, float]]
@@ -93,11 +96,18 @@ class Start:
     widths: dict[str, float] = field(default_factory=dict)
 
     def on(self, states: Array) -> Start:
-        """The same on other records: with its initial states where there are as many, else with these."""
+        """Return the start for other records.
+
+        It keeps its initial states if the number of records agrees; otherwise it takes the given ones.
+        """
         return self if states.shape[0] == self.states.shape[0] else replace(self, states=states)
 
     def shared(self, effects: Sequence[Effect], absent: Start, share: float) -> Start:
-        """Sizes, and what the base moved for them, times a share."""
+        """Return the start with reduced effects.
+
+        The sizes of the effects are multiplied by the share. So are the differences of `theta` and of the
+        initial states from those of `absent`. Shaping coefficients and secant effects keep their values.
+        """
         if share == 1.0:
             return self
         values = [
@@ -111,12 +121,12 @@ class Start:
 
 
 class Recorded(NamedTuple):
-    """What was measured, in units of the weights.
+    """Measured outputs in units of the weights.
 
     Attributes
     ----------
     outputs : list of ndarray, shape (n_y, N)
-        Of each record.
+        Outputs of each record.
     steps : list of float
         Rounding step of each output, 0 for none.
     colored : bool
@@ -129,7 +139,7 @@ class Recorded(NamedTuple):
 
     @classmethod
     def of(cls, problem: Problem, colored: bool = True) -> Recorded:
-        """Outputs of the records of a problem."""
+        """Return the measured outputs of an estimation problem."""
         outputs, colored = (
             [problem.weights[:, None] * r.outputs for r in problem.records],
             colored and problem.in_time,
@@ -138,32 +148,32 @@ class Recorded(NamedTuple):
         return cls(outputs, [rounding_step(row) if colored else 0.0 for row in rows], colored)
 
     def noise(self, residuals: Sequence[Array]) -> Noise:
-        """Likeliest noise of residuals."""
+        """Return the likeliest noise of residuals."""
         return noise_of(residuals, self.outputs, self.steps, self.colored)
 
 
 @dataclass(eq=False)
 class Trial:
-    """A hypothesis that was fitted.
+    """A fitted hypothesis.
 
     Attributes
     ----------
     hypothesis : Hypothesis
-        What acts and what is open.
+        Effects and nuisances.
     base : FittedModel
         The model with its nuisances, without the effects.
     problem, point
-        Estimation problem, and where the fit stands.
+        Estimation problem, and the point of the fit.
     run : Descent
-        How it came there; its evaluation is that of plain weights.
+        Descent that ended at this point; its evaluation has plain weights.
     noise : Noise
-        Likeliest noise of what is left.
+        Likeliest noise of the residual.
     log_evidence : dict
-        By spread of the parameters; one entry where they are held.
+        Log evidence by spread of the parameters; one entry if they are held.
     sd : ndarray, shape (p,)
         Standard deviations of the coefficients.
     size : float
-        Norm of what the effects take from the whitened residual.
+        Norm of the reduction of the whitened residual by the effects.
     """
 
     hypothesis: Hypothesis
@@ -177,29 +187,35 @@ class Trial:
 
     @property
     def effects(self) -> tuple[Effect, ...]:
-        """Effects beyond those of the base."""
+        """Return the effects beyond those of the base."""
         return self.hypothesis.effects
 
     @property
     def point(self) -> Array:
-        """Where the fit stands."""
+        """Return the point of the fit."""
         return self.run.point
 
     @cached_property
     def blocks(self) -> list[tuple[Array, Array]]:
-        """Residual and Jacobian of each record in units of the weights, led where a force is allowed for."""
+        """Return residual and Jacobian of each record in units of the weights.
+
+        With an unmeasured force they are those of the Kalman predictor.
+        """
         return self.run.blocks(self.problem)
 
     @property
     def total(self) -> float:
-        """Log evidence over all spreads of the parameters."""
+        """Return the log evidence, averaged over the spreads of the parameters."""
         if len(self.log_evidence) == 1:
             return next(iter(self.log_evidence.values()))
         return float(np.logaddexp.reduce([v + np.log(SPREADS[s]) for s, v in self.log_evidence.items()]))
 
     @cached_property
     def surest(self) -> list[float]:
-        """Size of the surest coefficient of each effect, in its standard deviations."""
+        """Return the significance of each effect, in standard deviations.
+
+        It is that of its most significant coefficient; shaping coefficients count only if there is no other.
+        """
         structure, found = self.problem.structure, []
         first = len(structure.effects) - len(self.effects)
         theta = self.problem.unpack(self.point)[0]
@@ -211,10 +227,11 @@ class Trial:
         return found
 
     def determined(self, least: float) -> bool:
-        """Whether every effect is known and possible.
+        """Return whether the data determine every effect, with possible signs.
 
-        Its surest size, and every shape that is positive or essential, is so many standard deviations from
-        zero; no coefficient has a sign that physics rules out.
+        Each effect needs a size more than `least` standard deviations from zero. The same holds for each
+        essential coefficient and for each shaping coefficient with a finite lower bound. No effect of
+        friction or of a loss may have a sign that physics excludes.
         """
         structure, theta = self.problem.structure, self.problem.unpack(self.point)[0]
         first = len(structure.effects) - len(self.effects)
@@ -230,13 +247,13 @@ class Trial:
 
     @cached_property
     def possible(self) -> bool:
-        """Whether no coefficient has a sign that physics rules out."""
+        """Return whether no effect has a sign that physics excludes."""
         own = zip(self.effects, self.start.values, strict=True)
         return not any(unphysical(effect, values, self.problem.structure.model) for effect, values in own)
 
     @cached_property
     def start(self) -> Start:
-        """Where the trial stands, as a start."""
+        """Return the point of the trial as a start."""
         theta, states = self.problem.unpack(self.point)
         structure = self.problem.structure
         first = len(structure.effects) - len(self.effects)
@@ -249,7 +266,7 @@ class Trial:
 
     @cached_property
     def model(self) -> FittedModel:
-        """The trial as a fitted model that can be tested, added to, and reported."""
+        """Return the trial as a fitted model, with parameters and covariance."""
         old, problem, noise, ratio = self.base.refinement, self.problem, self.noise, self.hypothesis.ratio
         blocks, judged = self.blocks, problem
         if noise.uneven:
@@ -286,9 +303,10 @@ class Trial:
         return found
 
     def force(self, i: int) -> tuple[Array, Array, Array, Array] | None:
-        """Return the motion at the place of an effect, the inputs, and its force, records joined.
+        """Return the motion at the place of an effect, the inputs, and its force.
 
-        None where it is no force.
+        All records are joined. None if the effect is no force at a port, or if the force is zero or not
+        finite. The tangent of a force law at rest is subtracted.
         """
         problem, structure = self.problem, self.problem.structure
         k = len(structure.effects) - len(self.effects) + i
@@ -317,23 +335,24 @@ class Trial:
         return (d, v, w, force) if np.isfinite([d, v, force]).all() and force.any() else None
 
     def force_at(self, place: str) -> float:
-        """Standard deviation of the force of the effects at a port."""
+        """Return the standard deviation of the force of the effects at a port."""
         forces = [self.force(i) for i, effect in enumerate(self.effects) if effect.place == place]
         known = [one[-1] for one in forces if one is not None]
         return float(np.std(sum(known[1:], start=known[0]))) if known else 0.0
 
 
 def unphysical(effect: Effect, values: Mapping[str, float], model: PhysicalModel) -> bool:
-    """Return whether coefficients of friction or of a loss have a sign that drives the motion.
+    """Return whether friction or a loss has a sign that drives the motion.
 
     Parameters
     ----------
     effect : Effect
         Effect.
     values : mapping
-        Its coefficients by name. Of two sizes the sum counts: the rest is a constant force.
+        Its coefficients by name. If there are two sizes, their sum counts: the rest is a constant force.
     model : PhysicalModel
-        Model, for the port. What one store loses by the level of another may have either sign.
+        Model, for the port. A flow out of one store that depends on the level of another may have either
+        sign.
     """
     law = effect.spec
     size = sum(value for name, value in values.items() if name not in law.shaping)
@@ -344,7 +363,7 @@ def unphysical(effect: Effect, values: Mapping[str, float], model: PhysicalModel
 
 
 def weighted(problem: Problem, noise: Noise) -> Problem:
-    """Return the problem with its samples weighted by their noise."""
+    """Return the problem with samples weighted by their noise."""
     found, plain = problem.like(), problem.judged
 
     def judged(theta: Array) -> list[Array]:
@@ -355,24 +374,25 @@ def weighted(problem: Problem, noise: Noise) -> Problem:
 
 
 def evidence(trial: Trial, before: Sequence[Array], record: Recorded, held: int) -> Trial:
-    """Give a trial its noise, its log evidence, and its standard deviations.
+    """Set noise, log evidence and standard deviations of a trial.
 
     Parameters
     ----------
     trial : Trial
-        Is changed, and returned.
+        Changed in place, and returned.
     before : sequence of ndarray, shape (n_y, N)
-        Residual without the effects: an effect may change the output as much as that.
+        Residual without the effects. The effects reduce it; the size of this reduction scales their priors.
     record : Recorded
-        What was measured.
+        Measured outputs.
     held : int
-        Coefficients of the model as it was given; those of the base beyond are its parameters.
+        Number of coefficients of the model as given; further ones of the base are its parameters.
 
     Notes
     -----
-    Log of the marginal likelihood by Laplace's method at the fit (MacKay, Neural Computation 4 (1992) 415).
-    Offsets and initial states have flat priors. A coefficient may change the output as much as the effect as
-    a whole, so a law is not preferred for its freedom. Shapes of a law have no prior of their own.
+    Laplace's method at the fit gives the log of the marginal likelihood (MacKay, Neural Computation 4 (1992)
+    415). Offsets and initial states of the base have flat priors. Each coefficient of an effect may change
+    the output as much as the effect as a whole. A force law therefore gains nothing from more coefficients
+    alone. The values of shaping coefficients are not penalized.
     """
     problem, point, blocks = trial.problem, trial.point, trial.blocks
     theta, _ = problem.unpack(point)
@@ -383,7 +403,7 @@ def evidence(trial: Trial, before: Sequence[Array], record: Recorded, held: int)
     apply = noise.whitener.apply
     left = apply([w * r for w, (r, _) in zip(weights, blocks, strict=True)])
     base = apply([w * r for w, r in zip(weights, before, strict=True)])
-    scale = np.sqrt(float(left @ left) / len(left)) or 1.0  # rounding has another size
+    scale = np.sqrt(float(left @ left) / len(left)) or 1.0  # rounding noise has another scale
     left, base = left / scale, base / scale
     white = [apply([w[:, :, None] * j]) / scale for w, (_, j) in zip(weights, blocks, strict=True)]
     size = trial.size = float(np.sqrt(max(float(base @ base) - float(left @ left), float((p - p0) or 1))))
@@ -401,7 +421,7 @@ def evidence(trial: Trial, before: Sequence[Array], record: Recorded, held: int)
     counted = ~np.array(shaping, bool)[informed]
 
     def value(sd: Array) -> tuple[float, float]:
-        """Log evidence at the point, and what the minimum under this prior would gain to first order."""
+        """Return the log evidence at the point, and the gain of one linear step."""
         X = np.hstack([C[:, informed] * sd[informed], E])
         u = (theta - mean)[informed] / sd[informed]
         A = X.T @ X + np.eye(X.shape[1])
@@ -421,19 +441,20 @@ def evidence(trial: Trial, before: Sequence[Array], record: Recorded, held: int)
             sd = prior_sd.copy()
             sd[numbers] *= spread / fitted_under
             here, gain = value(sd)
-            trial.log_evidence[spread] = here + gain - lack  # what the fit lacks itself is no gain
+            trial.log_evidence[spread] = here + gain - lack  # the fit itself may be short of its minimum
     precision = np.zeros(p)
     precision[numbers] = prior_sd[numbers] ** -2.0
     H = np.hstack([C, E]).T @ np.hstack([C, E])
-    H[:p, :p] += np.diag(precision + flat)  # what is flat was projected out
+    H[:p, :p] += np.diag(precision + flat)  # flat directions were projected out
     trial.sd = standard_deviations(covariance(H))[:p]
     return trial
 
 
 def _prior_sds(problem: Problem, theta: Array, columns: Array, size: float, first: int) -> Array:
-    """Prior standard deviation of each coefficient; from the first on they belong to the effects.
+    """Return the prior standard deviation of each coefficient.
 
-    Such a one may change the whitened output as much as the effects did to first order, or as it did.
+    Coefficients from `first` on belong to the effects. Each may change the whitened output by `size` to first
+    order. The prior is widened to the fitted value if that is larger.
     """
     found, norms = problem.prior_sd.copy(), np.linalg.norm(columns, axis=0)
     for i in range(first, found.size):
@@ -444,7 +465,7 @@ def _prior_sds(problem: Problem, theta: Array, columns: Array, size: float, firs
 
 
 def _states_of_effects(white: Sequence[Array], first: int, size: float) -> Array:
-    """Columns (N, k) of the initial states of effects, each as large as an effect may be."""
+    """Return the columns (N, k) of initial states of effects, of norm `size`."""
     lengths = [len(j) for j in white]
     columns, start = [], 0
     for j, n in zip(white, lengths, strict=True):

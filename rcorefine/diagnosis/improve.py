@@ -1,4 +1,4 @@
-"""Find the set of effects that a model lacks, and watch the error fall."""
+"""Stepwise improvement of a model by the effects that it lacks."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ from .verdict import table
 
 __all__ = ["improve"]
 
-_JUDGED, _SETTLED = 30, 10  # sets that the second part may choose from; of them, those that are fitted again
+_JUDGED, _SETTLED = 30, 10  # sets compared by the error on the second part; most sets refitted of them
 
 
 def improve(
@@ -70,61 +70,71 @@ def improve(
     executor: Any = None,
     progress: bool = False,
 ) -> Improvement:
-    """Find the set of effects that a model lacks, and watch the error fall.
+    """Find the set of effects that a model lacks, step by step.
 
-    The record is split in three: sets of effects are compared on the first part (three fifths of the
-    samples, and at least 200) as in `diagnose`, chosen on the second, and the error that is reported comes
-    from the third, which took part in nothing.
+    The record is split into three parts in time. The first part has three fifths of the samples, and at least
+    200; sets of effects are compared on it as in `diagnose`. The error on the second part, the next fifth,
+    decides which set is chosen. The third part is held-out data: the reported validation error comes from it.
 
     Parameters
     ----------
     model : StateSpace, PhysicalModel or Refinement
         Initial model, continuous time.
     data : Measurement or list of Measurement
-        Record, or several of the same system. Or a `FrequencyResponse`, or a list of them: of five
-        frequencies in turn three are fitted, one chooses, one judges, and errors are over the noise.
+        Record, or several records of the same system. Or a `FrequencyResponse`, or a list of them. Of each
+        five successive frequencies, three belong to the first part, one to the second and one to the third.
+        Errors of frequency responses are relative to their noise.
     validation : Measurement or FrequencyResponse, optional
-        Record that judges; by default the last fifth of `data`.
+        Validation data; by default the last fifth of `data`. With it, `data` is split into two parts only.
     max_effects : int
-        Effects at most.
+        Maximum number of effects.
     candidates : sequence of Effect, optional
-        What could be missing, default `effect_library(model)`.
+        Candidate effects, default `effect_library(model)` and the faults of a whole record.
     free, tolerance, offset, noise, horizon
         As in `refine`.
     significance : float
-        Level of the gate of `diagnose`.
+        Significance level of the residual tests, as in `diagnose`.
     controller : StateSpace or TransferFunction, optional
-        As in `refine`: the controller under which the record was taken.
+        As in `refine`: the controller that was active during the measurement.
     executor : concurrent.futures.Executor or dask.distributed.Client, optional
-        Refits candidates in parallel.
+        Executor that refits candidates in parallel.
     progress : bool
         Whether to show steps and remaining time on standard error.
 
     Returns
     -------
     Improvement
-        The steps, the last model, the picture.
+        Steps, improved model, and pictures.
 
     Raises
     ------
     DataError
-        If the record is too short to split.
+        If the record is too short to split, or if it shows no motion.
 
     Notes
     -----
-    The table of hypotheses is that of `diagnose`, with sets of up to `max_effects`. The most probable set
-    that passes every test is taken, unless the error of its free run on the second part is 2 % above that
-    without it; where none passes, that which lowers the error on both parts most (mean of the logarithms), by
-    at least 5 % for each coefficient. No effect stays that the record does not determine: its size, and each
-    coefficient that shapes it, must be more than 3 standard deviations from zero (``rcorefine.moved``), and
-    friction and losses must be positive. Where parameters of the model are off, they are estimated beside the
-    effects.
-    The steps tell what each effect takes from the error, that first without which the others are worst off.
-    Steps after which the third part is worse off than at the start are taken back. Where no set passes,
-    the last step is the force that is left, as a table (`Diagnosis.law`), if that lowers the error on the
-    second part.
+    Choice: sets of up to `max_effects` effects are compared as in `diagnose`. No effect is added if the model
+    passes the residual tests and no set is ``1 / significance`` times as probable. Otherwise the function
+    chooses the most probable set that passes, within odds of 100:1 of the best. A set is excluded if it
+    increases the free-run error on the second part by 2 % or more. If the residual of the choice is noise,
+    the likely sets are compared again on the first two parts together.
 
-    Where the model integrates, one horizon holds for all parts: that of `compare` on the whole record.
+    If no set passes, the set with the least error on the first two parts is chosen (mean of the logarithms).
+    It must decrease this error by more than 5 % per coefficient.
+
+    Significance: the data must determine every effect. Its size must be more than 3 standard deviations
+    (``rcorefine.moved``) from zero. The same holds for essential coefficients, and for shaping coefficients
+    with a finite lower bound. Friction and losses must be positive. If parameters of the model are wrong,
+    they are re-estimated together with the effects.
+
+    Steps: each step shows how much its effect decreases the error. The first step is the effect without which
+    the other effects give the largest error. The last steps are removed while the error on the third part
+    exceeds that of the start. They are also removed while the data do not determine an effect. If no set
+    passes, the last step is the unknown force at a place, tabulated (`Diagnosis.law`). This step needs a 5 %
+    smaller error on the second part.
+
+    For a model that integrates, the free runs of all parts have one length, that of `compare` on the whole
+    record.
 
     Examples
     --------
@@ -159,9 +169,9 @@ def improve(
     with own_arithmetic(), unheard(IdentifiabilityWarning), Progress(progress, executor) as bar:
         with bar.step("the model as it is"):
             start = base_fit(model, parts.fit, free=free, **settings)
-            # parameters that are all free are open beside the effects: each with a prior, the widest 100 %
+            # if all parameters are free, they get priors in the search; the widest is 100 %
             nominal = base_fit(model, parts.fit, free=(), **settings) if isinstance(free, str) else start
-        if in_time and (still := no_motion(parts.fit)):  # by now every channel is known to be there
+        if in_time and (still := no_motion(parts.fit)):  # the fits above have checked the channels
             raise DataError(still)
         odd = looks(model, records, horizon) if in_time else ()
         ladder = _Ladder((start, nominal), parts, settings, library, significance, bar)
@@ -174,22 +184,22 @@ def improve(
 
 
 class _Ladder:
-    """From the initial model to the one with the chosen set, step by step.
+    """Stepwise improvement from the initial model to the chosen set.
 
     Parameters
     ----------
     starts : tuple of Refinement
-        The initial model, fitted to the first part as far as it is free, and that which is to be mended.
+        Initial model, fitted to the first part with its free parameters, and the model to be improved.
     parts : Parts
-        Records.
+        Three parts of the records.
     settings : dict
         tolerance, offset, noise and horizon as in `refine`.
     library : list of Effect
-        Candidates.
+        Candidate effects.
     significance : float
-        Level of the tests.
+        Significance level of the residual tests.
     progress : Progress
-        What does the steps and counts them.
+        Progress display, which also runs the tasks.
     """
 
     def __init__(
@@ -207,7 +217,7 @@ class _Ladder:
         self.steps: list[Step] = []
 
     def climb(self, most: int) -> tuple[str, str, list[str]]:
-        """Choose a set and tell its steps; the verdict, why it ends there, and notes."""
+        """Choose a set and record its steps; return verdict, message and notes."""
         if not most or not self.library:
             self._tell([(None, "start", self._settled(self.start))], "")
             why = "Stopped at max_effects = 0" if not most else "No candidate is left"
@@ -230,7 +240,10 @@ class _Ladder:
         return verdict, self._ending(verdict, back, len(chosen.effects) >= most, law), notes
 
     def _with_table(self, search: Search, back: list[str], most: int) -> tuple[Any, list[str]]:
-        """The force that is left as one more step, where it stays; and what was taken back."""
+        """Add the remaining force, tabulated, as a last step if it is kept.
+
+        Returns the step, or None, and the names of all removed steps.
+        """
         room = search.case.in_time and sum(step.effect is not None for step in self.steps) < most
         law = self._tabulated(search, self.steps[-1].refinement) if room else None
         if law is None:
@@ -240,14 +253,18 @@ class _Ladder:
         return (None, [*back, *gone]) if gone else (law, back)
 
     def _case(self, start: Refinement, records: Sequence[Measurement]) -> Case:
-        """What is asked of some of the records."""
+        """Return the case of some of the records, with offsets at all channels."""
         given = {**self.settings, "free": ()}
         base = with_offsets(start, records, given)
         return Case.prepare(base, records, self.library, given, self.significance, self.progress)
 
     # ------------------------------------------------------------------ choosing
     def _pooled(self, search: Search, chosen: Trial) -> tuple[Search, Trial]:
-        """The likely sets on all that does not judge: where noise alone is left, no second part is needed."""
+        """Choose among the likely sets again, on the first two parts together.
+
+        This is possible if the residual is noise: then no separate second part is needed. The old choice
+        stays if none of the three most probable sets passes.
+        """
         learn, excluded = self.parts.learn, 0.5 * search.case.levels.rival
         more = Search(
             self._case(refit(self.nominal, learn, elsewhere=False, **self.settings), learn),
@@ -272,14 +289,20 @@ class _Ladder:
 
     @staticmethod
     def _doubtful(search: Search, chosen: Trial) -> bool:
-        """Whether a set fails its tests, or passes only because a filter makes noise of much of the error."""
+        """Return whether a set fails its tests, or passes them doubtfully.
+
+        Doubtful means that colored noise accounts for much of the error.
+        """
         if not search.passed(chosen):
             return True
         battery = TestedResidual(chosen.model, chosen.hypothesis.ratio)
         return left_to_noise(battery, search.case.levels) != ""
 
     def _by_error(self, search: Search, most: int) -> tuple[Search, Trial]:
-        """The set of least error where none passes: sought once more under white noise, effect by effect."""
+        """Search for the set of least error under white noise, effect by effect.
+
+        This is the choice if no set passes its tests.
+        """
         plain = Search(search.case, most, colored=False, alone=False).run()
         for trial in search.trials:
             if not trial.hypothesis.ratio:
@@ -292,7 +315,7 @@ class _Ladder:
         return plain, self._chosen(plain)
 
     def _chosen(self, search: Search) -> Trial:
-        """The most probable set that passes; where none does, that of least error on the second part."""
+        """Return the most probable set that passes, else that of least error."""
         levels, nothing = search.case.levels, search.trials[0]
         keeps = -float(np.log(self.significance))
         if search.posterior(search.best) - search.posterior(nothing) < keeps and search.passed(nothing):
@@ -309,7 +332,10 @@ class _Ladder:
     def _of_least_error(
         self, tried: Sequence[Trial], errors: dict[Trial, float], without: float
     ) -> Trial | None:
-        """The set of least error whose effects all data determine; None where none earns its coefficients."""
+        """Return the set of least error with effects that the data determine.
+
+        None if no set decreases the error enough for its coefficients.
+        """
         cost = {trial: self._cost(trial, errors[trial]) for trial in tried}
         least = 0.5 * (float(np.mean(np.log(self.start.rmse + 1e-300))) + without)
         for trial in sorted(tried, key=cost.__getitem__)[:_SETTLED]:
@@ -321,12 +347,15 @@ class _Ladder:
 
     @staticmethod
     def _cost(trial: Trial, error: float) -> float:
-        """Log of the error on both parts, and what each coefficient has to save of it."""
+        """Return the log error on both parts plus the penalty per coefficient."""
         fitted = float(np.mean(np.log(trial.model.refinement.rmse + 1e-300)))
         return 0.5 * (fitted + error) + levels().earned * sum(len(effect.free) for effect in trial.effects)
 
     def _plainer(self, trial: Trial, search: Search, keeps: float) -> Trial:
-        """The same effects in the model as it is, where that is hardly less likely, or errs no more."""
+        """Return the trial of the same effects without nuisances if it suffices.
+
+        Its effects must be determined. It must be almost as probable and pass, or have almost the same error.
+        """
         for other in search.trials:
             if set(other.effects) != set(trial.effects) or other.hypothesis.nuisances:
                 continue
@@ -337,11 +366,14 @@ class _Ladder:
         return trial
 
     def _log_error(self, refinement: Refinement) -> float:
-        """Mean over the outputs of the log error of the free run on the second part."""
+        """Return the log free-run error on the second part, mean over outputs."""
         return float(np.mean(np.log(self._errors(refinement, self.parts.choose) + 1e-300)))
 
     def _errors(self, refinement: Refinement, records: Sequence[Any]) -> Array:
-        """Root mean square of the free run's residual, (n_y,), in the windows that `compare` chooses."""
+        """Return the root mean square error (n_y,) of the free run.
+
+        The windows are those of `compare`. Infinite if the model diverges.
+        """
         found = []
         for record in records:
             try:
@@ -352,7 +384,7 @@ class _Ladder:
 
     # ------------------------------------------------------------------ telling
     def _rungs(self, chosen: Trial, search: Search) -> list[tuple[Effect | None, str, Refinement]]:
-        """The models on the way to the chosen one: the start, its parameters, then effect by effect."""
+        """Return the models of the steps: start, parameters, then each effect."""
         rungs: list[tuple[Effect | None, str, Refinement]] = [(None, "start", self._settled(self.start))]
         held = chosen.hypothesis.nuisances
         if held and self.start is self.nominal:
@@ -364,7 +396,7 @@ class _Ladder:
             return rungs
         whole = self._settled(last)
         order = list(chosen.effects)
-        if len(order) > 1:  # that first without which the others are worst off
+        if len(order) > 1:  # first the effect without which the error is largest
             lost = {e: float(np.mean(np.log(self._without(whole, [e]).rmse + 1e-300))) for e in order}
             order.sort(key=lambda e: -lost[e])
         for k in range(1, len(order)):
@@ -372,19 +404,23 @@ class _Ladder:
         return [*rungs, (order[-1], "add", whole)]
 
     def _settled(self, refinement: Refinement) -> Refinement:
-        """A model fitted on all that does not judge, if it runs there."""
+        """Refit a model on the first two parts; keep it as it is if that diverges."""
         with self.progress.step("last fits"):
             learned = refit(refinement, self.parts.learn, elsewhere=False, **self.settings)
         return learned if np.isfinite(self._log_error(learned)) else refinement
 
     def _without(self, model: Refinement, effects: Iterable[Effect]) -> Refinement:
-        """A model without some of its effects, fitted again."""
+        """Return a model without some of its effects, refitted."""
         for effect in effects:
             model = refit(model, self.parts.learn, without=effect, elsewhere=False, **self.settings)
         return model
 
     def _tabulated(self, search: Search, last: Refinement) -> tuple[Effect | None, str, Refinement] | None:
-        """The force that no set of effects explains, as a table, where it earns its place."""
+        """Return the step of the unknown force, tabulated, or None.
+
+        None if there is no such force, if an effect already acts at its place, or if the table cannot be
+        fitted. None also if it decreases the error on the second part by less than 5 % (`Levels.earned`).
+        """
         with self.progress.step("free forces"):
             free, _ = open_force(search)
         law = None if free is None else free.law
@@ -400,7 +436,7 @@ class _Ladder:
         return (law.effect, "add", with_table) if saved >= search.case.levels.earned else None
 
     def _tell(self, rungs: Iterable[tuple[Effect | None, str, Refinement]], verdict: str) -> None:
-        """Steps with their figures."""
+        """Append steps with their errors and coefficients."""
         for effect, action, model in rungs:
             rows = {} if effect is None else estimates(model, effect)
             train = model.rmse.copy() if not model.of_responses else self._errors(model, self.parts.fit)
@@ -420,7 +456,7 @@ class _Ladder:
             )
 
     def _cut(self) -> None:
-        """Leave out the last steps where the part that chooses is no better off with them."""
+        """Remove last steps that decrease the second-part error too little."""
         costs = [
             float(np.mean(np.log(step.choice_rmse + 1e-300)))
             + levels().earned * sum(len(s.coefficients) for s in self.steps[: k + 1])
@@ -429,7 +465,10 @@ class _Ladder:
         self.steps = self.steps[: int(np.argmin(costs)) + 1]
 
     def _tie(self, chosen: Trial, search: Search) -> list[str]:
-        """Give each step the effects that the records do not tell from its own; what is said of them."""
+        """Set the effects that the data cannot distinguish from that of each step.
+
+        Returns notes on the effects that equal another one together with a constant offset.
+        """
         said = []
         near = search.posterior(chosen) - 0.5 * search.case.levels.rival
         ties: dict[Effect, list[Effect]] = {e: [] for e in chosen.effects}
@@ -451,7 +490,11 @@ class _Ladder:
         return said
 
     def _back(self) -> list[str]:
-        """Names of the steps taken back: they are not determined, or the part that judges is worse off."""
+        """Remove last steps that fail on the held-out data; return their names.
+
+        A step is removed if the third part has a larger error than at the start, or if the data do not
+        determine an effect.
+        """
         back: list[str] = []
         while len(self.steps) > 1:
             first, last = (float(np.mean(np.log(s.validation_rmse))) for s in (self.steps[0], self.steps[-1]))
@@ -462,7 +505,7 @@ class _Ladder:
         return back
 
     def _ending(self, verdict: str, back: list[str], full: bool, law: Any) -> str:
-        """Why it ends where it ends."""
+        """Return the reason why the improvement ended."""
         said = "" if law is None or back else f" The law at {law[0].place} is open: its force is a table."
         if back and verdict == "adequate":
             names = ", ".join(back)
@@ -480,12 +523,15 @@ class _Ladder:
 
 
 def _loose(model: Refinement, effects: Sequence[Effect]) -> bool:
-    """Whether the records leave an effect of a model undetermined."""
+    """Return whether the data leave an effect of a model undetermined."""
     return any(undetermined(model, effect, levels()) for effect in effects)
 
 
 def _left(refinement: Refinement, record: Any, horizon: float | None) -> Array:
-    """Residual (n_y, N) of a model on a record; of a frequency response at its points, over their noise."""
+    """Return the residual (n_y, N) of a model on a record.
+
+    That of a frequency response is taken at its points, in units of their noise.
+    """
     if in_frequency([record]):
         structure, theta, _ = refinement.simulation_structure()
         ordered = ordered_record(refinement.physical_model, record)
@@ -494,12 +540,12 @@ def _left(refinement: Refinement, record: Any, horizon: float | None) -> Array:
             raise DivergenceError("the model runs away")
         return np.asarray(ordered.outputs - run.outputs)
     ordered = record_for(record, match_channels(refinement.physical_model.linear, record))
-    with unheard(ExcitationWarning):  # parts are cut here: what they lack is nothing a user chose
+    with unheard(ExcitationWarning):  # the user did not choose the excitation of a part
         return np.atleast_2d(compare(refinement, ordered, horizon=horizon).residual)
 
 
 def _with_spread(chosen: Trial) -> Refinement:
-    """The model of a trial, its parameters under the prior that is most probable."""
+    """Return the model of a trial with the most probable parameter priors."""
     model = chosen.model.refinement
     spread = max(chosen.log_evidence, key=lambda s: chosen.log_evidence[s])
     if not chosen.hypothesis.floated or not spread:
@@ -513,7 +559,10 @@ def _with_spread(chosen: Trial) -> Refinement:
 
 
 def _other_name(step: Step) -> list[Effect]:
-    """The law that this one is by another name, where a constant offset acts at the same place."""
+    """Return the effect that a step equals together with a constant offset.
+
+    The list is empty if there is none, or if no offset acts at the same place.
+    """
     effect, held = step.effect, step.refinement
     if effect is None or not effect.spec.with_offset:
         return []

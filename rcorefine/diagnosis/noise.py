@@ -1,4 +1,4 @@
-"""What a residual is as noise: colored, heavy-tailed, in proportion to the signal, or rounded."""
+"""Noise models: autoregressive, heavy-tailed, proportional, or rounded."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from ..systems.linear import Array
 
 __all__ = ["Noise", "NoiseModel", "noise_of", "rounding_step"]
 
-_MEDIAN = 0.45  # of the square of a normal variable
-_DISTINCT, _ON_STEP = 0.6, 0.9  # share of values that differ at most, and that are whole steps at least
-_SPREADS = np.logspace(-1.5, 1.5, 25)  # of noise before rounding, in steps
+_MEDIAN = 0.45  # median of the square of a standard normal variable
+_DISTINCT, _ON_STEP = 0.6, 0.9  # rounded: most distinct values, least values on a whole step (shares)
+_SPREADS = np.logspace(-1.5, 1.5, 25)  # standard deviations of the noise before rounding, in steps
 
 
 class Noise(NamedTuple):
-    """The likeliest noise of all outputs.
+    """Likeliest noise of all outputs.
 
     Attributes
     ----------
     whitener : Whitener
         Filter of each output.
     weights : list of ndarray, shape (n_y, N)
-        Of each record: one over the relative standard deviation of each sample.
+        Weights of each record: one over the relative standard deviation of each sample.
     log_likelihood : float
-        Less half the log of the number of samples for each of its parameters.
+        Log-likelihood minus the penalty for the parameters of the noise (Schwarz's criterion).
     names : tuple of str
-        Model of each output.
+        Name of the noise model of each output.
     """
 
     whitener: Whitener
@@ -43,12 +43,12 @@ class Noise(NamedTuple):
 
     @property
     def uneven(self) -> bool:
-        """Whether the samples differ in their noise."""
+        """Return whether the noise level differs between samples."""
         return any(np.ptp(w) > 0 for w in self.weights)
 
 
 class Fit(NamedTuple):
-    """A noise model fitted to the residual of one output; `NoiseModel.fit` makes it."""
+    """Noise model fitted to the residual of one output (`NoiseModel.fit`)."""
 
     log_likelihood: float
     filter: Array
@@ -59,18 +59,18 @@ class Fit(NamedTuple):
 
 @dataclass(eq=False)
 class Residual:
-    """Residual of one output with what a noise model may want to know of it.
+    """Residual of one output, with the data that noise models need.
 
     Attributes
     ----------
     left : ndarray, shape (N,)
         Residual.
     measured : ndarray, shape (N,)
-        Output, in the same unit.
+        Measured output, in the same unit.
     step : float
         Rounding step of the output, 0 for none.
     in_time : bool
-        Whether it is a signal in time: the points of a frequency response have no memory.
+        Whether it is a signal in time. The points of a frequency response have no color.
     """
 
     left: Array
@@ -80,16 +80,19 @@ class Residual:
 
     @cached_property
     def price(self) -> float:
-        """Half the log of the number of samples: what a parameter costs."""
+        """Return the penalty per parameter: half the log of the number of samples."""
         return 0.5 * float(np.log(self.left.size))
 
     @cached_property
     def colored(self) -> tuple[float, Array, float]:
-        """Log-likelihood, filter and variance of the autoregressive model by Schwarz's criterion."""
+        """Return log-likelihood, filter and variance of the autoregressive model."""
         return self.autoregressive(self.left)
 
     def autoregressive(self, row: Array) -> tuple[float, Array, float]:
-        """The same of another signal of this length."""
+        """Fit an autoregressive model of the order by Schwarz's criterion.
+
+        Returns log-likelihood (minus the penalty), filter and variance.
+        """
         n = row.size
         a, variance = autoregression(row, order=None if self.in_time else 0, price=2.0 * self.price)
         a, variance = autoregression(row, order=a.size - 1)  # on all samples
@@ -99,15 +102,18 @@ class Residual:
 
 
 class NoiseModel(Protocol):
-    """A sort of noise: one class with this method."""
+    """Protocol of a noise model."""
 
     def fit(self, residual: Residual) -> Fit | None:
-        """Fit it to a residual; None where it does not apply."""
+        """Fit the model to a residual; None if it does not apply."""
 
 
 @dataclass(frozen=True)
 class Autoregressive:
-    """Normal innovations behind a filter (Schwarz, Annals of Statistics 6 (1978) 461)."""
+    """Autoregressive noise with normal innovations.
+
+    Schwarz's criterion determines the order (Annals of Statistics 6 (1978) 461).
+    """
 
     def fit(self, residual: Residual) -> Fit:
         """Fit the filter and the variance."""
@@ -117,12 +123,15 @@ class Autoregressive:
 
 @dataclass(frozen=True)
 class HeavyTailed:
-    """Innovations of Student's distribution, behind the filter of the normal ones."""
+    """Autoregressive noise with innovations of Student's t distribution.
+
+    The filter is that of the normal model.
+    """
 
     dof: float
 
     def fit(self, residual: Residual) -> Fit | None:
-        """Fit the scale by expectation and maximization; its weights are those of the samples."""
+        """Fit the scale by expectation-maximization, with weights of the samples."""
         if not residual.in_time:
             return None
         _, a, _ = residual.colored
@@ -144,12 +153,12 @@ class HeavyTailed:
 
 @dataclass(frozen=True)
 class Proportional:
-    """A share of the noise grows with what the model says."""
+    """Noise with a part proportional to the output of the model."""
 
     share: float
 
     def fit(self, residual: Residual) -> Fit | None:
-        """Weight the samples and fit the filter of what is left."""
+        """Fit an autoregressive model to the weighted residual."""
         if not residual.in_time:
             return None
         level = np.abs(residual.measured + residual.left)
@@ -162,7 +171,10 @@ class Proportional:
 
 @dataclass(frozen=True)
 class Rounded:
-    """Values rounded to whole steps, normal noise before that (Sheppard's interval likelihood)."""
+    """White normal noise, then rounding to whole steps.
+
+    The likelihood is that of the rounding intervals (Sheppard).
+    """
 
     def fit(self, residual: Residual) -> Fit | None:
         """Fit the standard deviation before rounding."""
@@ -188,12 +200,12 @@ MODELS: tuple[NoiseModel, ...] = (
 def noise_of(
     residuals: Sequence[Array], outputs: Sequence[Array], steps: Sequence[float], in_time: bool = True
 ) -> Noise:
-    """Return the likeliest noise of residuals.
+    """Return the likeliest noise of residuals, output by output.
 
     Parameters
     ----------
     residuals, outputs : sequence of ndarray, shape (n_y, N)
-        Of each record, in the same units.
+        Residuals and measured outputs of each record, in the same units.
     steps : sequence of float
         Rounding step of each output, 0 for none.
     in_time : bool
@@ -219,7 +231,7 @@ def noise_of(
 
 
 def rounding_step(values: Array) -> float:
-    """Return the step of rounded values (N,), 0 where they are not rounded."""
+    """Return the step of rounded values (N,), 0 if they are not rounded."""
     distinct, times = np.unique(values, return_counts=True)
     if distinct.size < 3 or distinct.size > _DISTINCT * values.size:
         return 0.0

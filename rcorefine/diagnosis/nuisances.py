@@ -1,4 +1,4 @@
-"""What may be open beside the effects: each nuisance makes another base for them, one class each."""
+"""Nuisances of a hypothesis; each gives another base for the effects."""
 
 from __future__ import annotations
 
@@ -34,43 +34,43 @@ __all__ = [
     "with_fitting_priors",
 ]
 
-_FORCES = 14  # sizes and places of an unmeasured force, all as likely
-_STRONG = 75.0  # fit in percent below which parameters are sought from afar
-_SEEN = 0.5  # share of its prior variance that the data take from a combination which they determine
-_SAME = 0.1  # relative change of a prior that is none
-_LEFT = 2.0  # standard deviations of a prior beyond which a parameter has left it
+_FORCES = 14  # sizes and places of an unmeasured force, equally probable
+_STRONG = 75.0  # fit in percent below which the parameters are searched for in a wide range
+_SEEN = 0.5  # least relative reduction of the prior variance of a determined combination
+_SAME = 0.1  # relative change of the priors at which the iteration ends
+_LEFT = 2.0  # prior standard deviations beyond which a parameter gets a prior of its own
 _ROUNDS = 3
-_STEP, _STEPS, _EXACT = 6.0, 0.35, 1e-6  # a step in standard deviations, share of steps, noise that is none
-_WHITE, _APART = 0.3, 3.0  # autocorrelation of noise; standard deviations between two levels
-_LASTS = 3  # samples of a level
+_STEP, _STEPS, _EXACT = 6.0, 0.35, 1e-6  # least step in standard deviations, most steps (share), least noise
+_WHITE, _APART = 0.3, 3.0  # most autocorrelation of noise; least distance of two levels (std)
+_LASTS = 3  # least samples of a level
 
 
 class Nuisance(Protocol):
-    """A nuisance: a prior probability, and the base that has it open."""
+    """Protocol of a nuisance: a prior probability and a fitted base."""
 
     @property
     def log_prior(self) -> float:
-        """Log of its prior probability over that of its absence."""
+        """Return the log of its prior odds over its absence."""
 
     def base(self, case: Case, fitted: FittedModel) -> FittedModel:
-        """Fit a base with it open."""
+        """Fit the base with this nuisance."""
 
 
 @dataclass(frozen=True)
 class Parameters:
-    """All parameters of the model are open, each with a prior.
+    """Re-estimated parameters of the model, each with a prior.
 
     Attributes
     ----------
     spread : float
-        Relative standard deviation under which they are fitted.
+        Prior standard deviation of each parameter, relative to its nominal size.
     """
 
     spread: float
     log_prior: float = 0.0
 
     def base(self, case: Case, fitted: FittedModel) -> FittedModel:
-        """Fit the model with its parameters; as it is where it has none."""
+        """Fit the model with its parameters; return it unchanged if it has none."""
         numbers = parameters_of(case)
         if not numbers:
             return fitted
@@ -82,27 +82,27 @@ class Parameters:
 
 @dataclass(frozen=True)
 class Hold:
-    """The inputs run otherwise between the samples than declared."""
+    """Another hold: inputs between the samples differ from the declared ones."""
 
     hold: str
     log_prior: float = -float(np.log(len(HOLDS)))
 
     def base(self, case: Case, fitted: FittedModel) -> FittedModel:
-        """Fit the model under that hold."""
+        """Fit the model with this hold."""
         old = fitted.refinement.with_hold(self.hold)
         return _on_records(case, fitted, base_fit(old, case.records, free=(), **case.options))
 
 
 @dataclass(frozen=True)
 class UnmeasuredForce:
-    """A force that nobody measured acts all the time.
+    """A persistent unmeasured force (process noise).
 
     Attributes
     ----------
     at : str
         "everywhere" or "inputs".
     ratio : float
-        Its size over that of the measured force.
+        Ratio of its size to that of the measured force.
     """
 
     at: str
@@ -110,26 +110,30 @@ class UnmeasuredForce:
     log_prior: float = -float(np.log(_FORCES))
 
     def base(self, case: Case, fitted: FittedModel) -> FittedModel:
-        """The same model; its predictor allows for the force."""
+        """Return the model with a Kalman predictor that allows for the force."""
         base = fitted.forced(self.at)
         return replace(base) if base is fitted else base
 
 
 @dataclass(frozen=True)
 class NoisyInputs:
-    """The inputs move in steps, and what was recorded of them has noise that the plant never felt."""
+    """Noise in the record of stepwise inputs; it did not act on the plant."""
 
     log_prior: float = -float(np.log(2.0))
 
     def base(self, case: Case, fitted: FittedModel) -> FittedModel:
-        """The model on records whose inputs are constant between their steps."""
+        """Return the model on records with inputs constant between steps."""
         records = [replace(r, inputs=between_steps(r.inputs)) for r in fitted.problem.records]
         problem = fitted.problem.like(records=records)
         return replace(fitted, problem=problem, _blocks={}, _gains={}, _states={})
 
 
 def between_steps(inputs: Array) -> Array:
-    """Return inputs (n_w, N) with their means between steps, those that are no noisy steps as they are."""
+    """Return inputs (n_w, N) replaced by their means between steps.
+
+    Inputs that are not steps with white noise stay unchanged. Means that do not differ significantly are
+    pooled to one level.
+    """
     found = inputs.copy()
     for row in found:
         jumps = np.diff(row)
@@ -143,7 +147,7 @@ def between_steps(inputs: Array) -> Array:
         order = long[np.argsort(means[long])]
         apart = noise / np.sqrt(2) * np.sqrt(1 / sizes[order][1:] + 1 / sizes[order][:-1])
         groups = np.split(order, np.flatnonzero(np.diff(means[order]) > _APART * apart) + 1)
-        for group in groups:  # the same level again
+        for group in groups:  # means of one level
             means[group] = np.average(means[group], weights=sizes[group])
         level = np.repeat(means, sizes)
         left = row - level
@@ -153,17 +157,18 @@ def between_steps(inputs: Array) -> Array:
 
 
 def _on_records(case: Case, fitted: FittedModel, refined: Any) -> FittedModel:
-    """A refinement on the records of another fit, in the units of its noise."""
+    """Return a refinement on the records, and in the units, of another fit."""
     problem, tolerance = fitted.problem, case.options["tolerance"]
     return fitted_from(refined, problem.records, tolerance=tolerance, noise=1.0 / problem.weights)
 
 
 def with_fitting_priors(case: Case, trial: Trial) -> Refinement:
-    """The parameters of a trial, estimated under priors as wide as they turn out to be off.
+    """Return the parameters of a trial, estimated with adapted prior widths.
 
-    Where the combinations that the data determine are further off than the prior says, those that they do
-    not determine may be as far off: all priors grow by one factor, so that the mean square of the former
-    is as expected, and that of a parameter which is further off still grows to what it is off by.
+    The data determine some combinations of the parameters. If these differ from nominal by more than the
+    prior expects, the undetermined ones may differ as much. All priors are then widened by one factor, which
+    makes the mean square of the determined combinations as expected. A parameter more than two prior standard
+    deviations from nominal gets a prior as wide as its change.
     """
     numbers, near, by = parameters_of(case), case.levels.off, cast(Any, base_fit)
     sizes = near * np.array([size for _, size in numbers])
@@ -171,14 +176,14 @@ def with_fitting_priors(case: Case, trial: Trial) -> Refinement:
     for hold in (one.hold for one in trial.hypothesis.nuisances if isinstance(one, Hold)):
         base = base.with_hold(hold)
     gains = [effect.replace() for effect in trial.effects]
-    if float(np.min(trial.model.refinement.fit)) < _STRONG:  # resonances moved: another valley
+    if float(np.min(trial.model.refinement.fit)) < _STRONG:  # resonances moved: another minimum
         wide, by = sizes / near, refine
 
     def fit(wide: Array) -> Refinement:
         loose = [
             e.replace(prior={e.coefficients[0]: float(sd)}) for (e, _), sd in zip(numbers, wide, strict=True)
         ]
-        with case.progress.step("parameters"), unheard(IdentifiabilityWarning):  # `determined` says it
+        with case.progress.step("parameters"), unheard(IdentifiabilityWarning):  # `determined` reports it
             refined: Refinement = by(base, case.records, free=[*loose, *gains], **case.options)
         return refined
 
@@ -188,7 +193,7 @@ def with_fitting_priors(case: Case, trial: Trial) -> Refinement:
         at = [rows.index((e.kind, e.place)) for e, _ in numbers]
         moved = refined.theta[at]
         C = np.nan_to_num(refined.covariance[np.ix_(at, at)] / np.outer(wide, wide), posinf=1.0)
-        told, turn = np.linalg.eigh(np.eye(len(at)) - C)  # share of the prior variance that data took away
+        told, turn = np.linalg.eigh(np.eye(len(at)) - C)  # relative reduction of the prior variance
         seen = told > _SEEN
         off = (turn.T @ (moved / wide))[seen] ** 2 / told[seen]
         wider = np.maximum(sizes, wide * np.sqrt(np.mean(off) if off.size else 0.0))
@@ -201,7 +206,10 @@ def with_fitting_priors(case: Case, trial: Trial) -> Refinement:
 
 
 def parameters_of(case: Case) -> list[tuple[Effect, float]]:
-    """Return every parameter that may be off, with its nominal size: declared ones and masses."""
+    """Return the parameters that may be wrong, each with its nominal size.
+
+    These are the declared parameters and the masses that the model does not hold as effects.
+    """
     physical, structure = case.base.physical_model, case.fitted.structure
     declared = [Effect(q.kind, q.place) for q in physical.parameters]
     masses = [e for e in effect_library(physical) if e.kind == Mass.name]

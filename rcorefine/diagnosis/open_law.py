@@ -1,4 +1,4 @@
-"""None of these: a force without a law against every winner, and what is known where it wins."""
+"""Free forces, tabulated, for records that no candidate effect explains."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ from .residual_tests import TestedResidual
 __all__ = ["FreeForces", "OpenLaw", "Rivals", "open_law"]
 
 _NAME = "law open, tabulated"
-_PLACES = 3  # at which a curve is fitted
-_FIRST = 2  # descents at each of them; the best one goes on
+_PLACES = 3  # places at which a curve is fitted
+_FIRST = 2  # first descents at each place; only the best one is continued
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenLaw:
-    """A force at a place that no candidate explains, as a table.
+    """Unknown force at a place, tabulated.
 
     Attributes
     ----------
     effect : Effect
         The table at its place.
     fit_after : float
-        Fit in percent of the model with it, the mean over the outputs.
+        Fit in percent of the model with the table, mean over the outputs.
     nearest : tuple of (Effect, float)
-        Laws at the place, and how much of the tabulated force each explains, in percent of its
-        mean square.
+        Candidate effects at the place, the best one first. The number is the share of the tabulated force
+        that each explains, in percent of its mean square.
     rmse : ndarray, shape (n_y,)
-        What is left of each output.
+        Root mean square error of each output with the table.
     """
 
     effect: Effect
@@ -52,7 +52,7 @@ class OpenLaw:
 
 @dataclass(eq=False)
 class Rivals:
-    """Single effects at one base, none of which passes.
+    """Fits of single effects at one base, none of which passes the tests.
 
     Attributes
     ----------
@@ -61,9 +61,9 @@ class Rivals:
     trials : list of Trial
         The effects, the best one first.
     whitener : Whitener
-        Metric in which they are compared with free forces: that of what the best one leaves.
+        Metric of the comparison with free forces: the noise filter of the best effect's residual.
     ratio : float
-        Unmeasured force that is allowed for.
+        Ratio of the unmeasured to the measured force, 0 for the free run.
     """
 
     fitted: FittedModel
@@ -72,7 +72,10 @@ class Rivals:
     ratio: float
 
     def log_likelihood(self, i: int) -> float:
-        """Of one of them, in the metric of all; a coefficient beyond the first has its price."""
+        """Return the log-likelihood of an effect, in the common metric.
+
+        The priors count. Each coefficient beyond the first costs half the log of the number of samples.
+        """
         trial, problem = self.trials[i], self.trials[i].problem
         white = self.whitener.apply([r for r, _ in trial.blocks])
         theta, held = problem.unpack(trial.point)[0], np.isfinite(problem.prior_sd)
@@ -83,17 +86,19 @@ class Rivals:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FreeForces:
-    """Free forces at the likeliest places, and curves at the inputs and outputs.
+    """Free forces at the likeliest places, and free curves of channels.
 
     Attributes
     ----------
     log_likelihoods : dict
-        By place, the freedom paid, in the metric of the candidates.
+        Log-likelihood by place, penalized for the free coefficients, in the metric of the candidates.
     law : OpenLaw or None
-        At the likeliest place; None where that is no port, or where the free run is worse with it.
+        Tabulated force at the likeliest place. None if that is no port, or if the table does not improve the
+        fit in free run.
     left : float
-        Share of the error beyond noise that is left at the likeliest place, 0 where it is explained: by the
-        free force there, by the best candidate where that is no port, else by the static curve.
+        Share of the error beyond noise that remains at the likeliest place; 0 if nothing remains. At a port
+        the free force counts. Elsewhere the best candidate at the place counts, or without one the static
+        curve.
     """
 
     log_likelihoods: dict[str, float]
@@ -107,7 +112,7 @@ def open_law(race: Rivals) -> FreeForces:
     Parameters
     ----------
     race : Rivals
-        Effects, none of which passes.
+        Effects, none of which passes the tests.
 
     Returns
     -------
@@ -124,7 +129,7 @@ def open_law(race: Rivals) -> FreeForces:
         found[best] = fit_free_form(race.fitted, first.curve, first.whitener, race.ratio, start=first)
         free[best] = found[best].log_likelihood(race.whitener, race.ratio)
         after = found[best].fitted.residuals(race.ratio)
-    elif best in places:  # fitted, where the curve is a linear step
+    elif best in places:  # the candidate was fitted; the curve is a linear step only
         after = [r for r, _ in race.trials[places.index(best)].blocks]
     else:
         after = static[best][1]
@@ -134,13 +139,16 @@ def open_law(race: Rivals) -> FreeForces:
 
 
 def _forms(race: Rivals, places: Sequence[str]) -> dict[str, FreeForm]:
-    """Curves at the ports of the effects, else at those where a force explains most."""
+    """Fit curves at the ports of the effects, at most `_PLACES`.
+
+    If no effect is at a port, the ports are those at which a free force explains most.
+    """
     ports = {port.name for port in race.fitted.structure.model.ports}
     likely = [place for place in places if place in ports]
     likely = likely or likely_places(TestedResidual(race.fitted, race.ratio or 1.0), ports)
     found = {}
     for place in list(dict.fromkeys(likely))[:_PLACES]:
-        # an observer of high gain follows the motion of the record
+        # a predictor of high gain follows the motion of the record
         curve = curve_at(race.fitted, place, race.ratio or 1.0)
         if curve is not None:
             found[place] = fit_free_form(race.fitted, curve, race.whitener, race.ratio, rounds=_FIRST)
@@ -148,9 +156,12 @@ def _forms(race: Rivals, places: Sequence[str]) -> dict[str, FreeForm]:
 
 
 def _static(race: Rivals) -> dict[str, tuple[float, list[Array]]]:
-    """Log-likelihood of a curve at each input and output, and the residual that its least squares leave."""
+    """Return log-likelihood and residual of a curve at each input and output.
+
+    Channels that are ports are left out. Empty with process noise.
+    """
     fitted, found = race.fitted, dict[str, tuple[float, list[Array]]]()
-    if race.ratio:  # the observer follows what a sensor says, whatever curve it has
+    if race.ratio:  # the predictor follows any sensor
         return found
     battery, model = TestedResidual(fitted, 0.0, race.whitener), fitted.structure.linear_model
     held, p = fitted.blocks(), fitted.problem.n_theta
@@ -170,16 +181,19 @@ def _static(race: Rivals) -> dict[str, tuple[float, list[Array]]]:
 
 
 def _beyond(residuals: Sequence[Array], scales: Array) -> float:
-    """Power of residuals beyond their innovations, over that of these, summed over outputs."""
+    """Return the excess power of residuals over their innovations.
+
+    It is relative to the power of the innovations, and summed over the outputs.
+    """
     left = np.hstack(residuals) / scales[:, None]
     return float(np.sum(np.maximum(np.mean(left**2, axis=1) - 1.0, 0.0)))
 
 
 def _tabulated(race: Rivals, form: FreeForm) -> OpenLaw | None:
-    """The curve as a law; none if the free run is worse with it."""
+    """Return the curve as a table, None if it does not improve the fit."""
     fitted, place = form.fitted, form.curve.place
     table = form.table
-    if "offset" in race.fitted.refinement.roles:  # which holds any constant: the force is 0 at rest
+    if "offset" in race.fitted.refinement.roles:  # the offset covers any constant: the force is 0 at rest
         rest = [np.clip(0.0, min(x, default=0.0), max(x, default=0.0)) for x in (table.d, table.v)]
         table = Table(table.d, table.v, np.array(table.force) - table(*rest))
     effect = Effect(Tabulated.name, place, law=table, name=f"{_NAME} at {place}")
@@ -194,7 +208,10 @@ def _tabulated(race: Rivals, form: FreeForm) -> OpenLaw | None:
 
 
 def _nearest(race: Rivals, form: FreeForm) -> tuple[tuple[Effect, float], ...]:
-    """How much of the tabulated force each law at the place explains along the motion, in percent."""
+    """Return the share of the tabulated force that each effect explains [%].
+
+    Only effects at the place of the table count; the motion is that of the fit.
+    """
     d, v = motion_at(form.fitted, form.curve.place, race.ratio)
     force = form.table(d, v)
     force = force - force.mean()

@@ -1,4 +1,4 @@
-"""Which places stay in the race: at each, one test of a force of any form."""
+"""Choice of places by one test of a free force at each."""
 
 from __future__ import annotations
 
@@ -12,28 +12,29 @@ from .residual_tests import TestedResidual
 
 __all__ = ["in_race", "likely_places"]
 
-_MOST = 8  # places up to which none is left out: their laws cost less than a choice that errs
-_BEST = 3  # that each residual keeps; twice as many for what has a motion of its own
+_MOST = 8  # up to so many places all are kept: fits cost less than a wrong choice
+_BEST = 3  # places kept for each residual; twice as many for effects with a motion of their own
 
 
 def in_race(fitted: FittedModel, library: Sequence[Effect], ratios: Sequence[float]) -> list[Effect]:
-    """The candidates at the places where a force of any form explains most.
+    """Return the candidates at the places where a free force explains most.
 
     Parameters
     ----------
     fitted : FittedModel
         Model at its minimum.
     library : sequence of Effect
-        Candidates.
+        Candidate effects.
     ratios : sequence of float
-        Observer ratios whose residuals are asked, 0 for the free run: the motion without the effect
-        is right for weak ones, the estimated motion for strong ones.
+        Observer ratios of the tested residuals, 0 for the free run. The free run suits weak effects, the
+        estimated motion strong ones.
 
     Returns
     -------
     list of Effect
-        In the order of the library. Effects at inputs, outputs and entries of A are all kept, and what
-        has a motion of its own, which a force along the motion only resembles, at more places.
+        Candidates in the order of the library; all of them for few places or for frequency responses.
+        Effects at inputs, outputs and entries of A are always kept. Effects with a motion of their own are
+        kept at more places, since a force along the motion only approximates them.
     """
     ports = {port.name for port in fitted.structure.model.ports}
     places = {effect.place for effect in library if effect.place in ports}
@@ -49,7 +50,7 @@ def in_race(fitted: FittedModel, library: Sequence[Effect], ratios: Sequence[flo
 
 
 def likely_places(battery: TestedResidual, places: set[str]) -> list[str]:
-    """Return places, that first where a force of any form explains most."""
+    """Return places, first the one where a free force explains most."""
     names, blocks = battery.generic
     tests = []
     for place in dict.fromkeys(names):

@@ -1,4 +1,4 @@
-"""The figures of a diagnosis: a row for each candidate, and what an adequate model would have shown."""
+"""Rows of the ranking, and smallest detectable coefficients."""
 
 from __future__ import annotations
 
@@ -31,24 +31,28 @@ def ranking(
     case: Case,
     validation: Measurement | None,
 ) -> tuple[RankedEffect, ...]:
-    """A row for each trial, in their order.
+    """Return a row of the ranking for each trial, in the given order.
 
     Parameters
     ----------
     trials : sequence of Trial
         One for each set of effects.
     probabilities : sequence of float
-        Of the sets.
+        Probability of each set.
     alike : sequence of bool
-        Whether the records do not tell them from the first.
+        Whether the data cannot distinguish the set from the best one.
     scores : dict
-        p-value of the score of each effect.
+        p-value of the score test of each effect.
     nothing : float
         Log evidence without any effect.
     case : Case
-        What is asked.
+        Fitted model, records and settings.
     validation : Measurement or None
-        Record on which the fits are judged.
+        Validation data for the fits; used for the first eight rows only.
+
+    Returns
+    -------
+    tuple of RankedEffect
     """
     horizon, rows = case.settings["horizon"], []
     before = _validated(case.base, validation, horizon)
@@ -76,30 +80,34 @@ def ranking(
 
 
 def estimates(refinement: Refinement, effect: Effect) -> dict[str, EstimatedParameter]:
-    """Rows of the free coefficients of an effect, by their names; none where the model does not hold it."""
+    """Return the estimates of the free coefficients of an effect, by name.
+
+    Empty if the model does not hold the effect.
+    """
     name = (effect.kind, effect.place, "effect")
     rows = [row for row in refinement.parameters if (row.kind, row.place, row.role) == name]
     return dict(zip(effect.free, rows, strict=True)) if rows else {}
 
 
 def undetermined(refinement: Refinement, effect: Effect, levels: Levels) -> list[EstimatedParameter]:
-    """Return the estimates because of which an effect is neither named nor kept.
+    """Return the estimates that keep an effect from being named or kept.
 
     Parameters
     ----------
     refinement : Refinement
         Model with the effect.
     effect : Effect
-        Effect; what its `fixed` holds is not asked for.
+        Effect. Coefficients held by its `fixed` are not tested.
     levels : Levels
-        Of the standard deviations.
+        Levels; `moved` is the least number of standard deviations.
 
     Returns
     -------
     list of EstimatedParameter
-        Its sizes, where none is more than `Levels.moved` standard deviations from zero, or their sign
-        contradicts physics; else those of its essential coefficients, and of its shapes that are positive,
-        which are not, and whatever has no standard deviation. Empty where the records determine the effect.
+        All sizes of the effect, if none is more than `Levels.moved` standard deviations from zero or if their
+        sign contradicts physics. Otherwise the insignificant ones among the essential coefficients and the
+        shaping coefficients with a finite lower bound. Insignificant coefficients without a finite standard
+        deviation are included, too. Empty if the data determine the effect.
     """
     rows, law = estimates(refinement, effect), effect.spec
     values = {name: row.coefficient for name, row in rows.items()}
@@ -112,7 +120,7 @@ def undetermined(refinement: Refinement, effect: Effect, levels: Levels) -> list
 
 
 def _validated(refinement: Refinement, validation: Measurement | None, horizon: float | None) -> float:
-    """Mean fit on the validation record, or on the fitted one where there is none."""
+    """Return the mean fit on validation data, or else on the fitted record."""
     if validation is None:
         return float(np.mean(refinement.fit))
     return float(np.mean(compare(refinement, validation, horizon=horizon).fit))
@@ -121,7 +129,11 @@ def _validated(refinement: Refinement, validation: Measurement | None, horizon: 
 def detectable(
     battery: TestedResidual, scored: Sequence[Candidate], tests: int, significance: float, levels: Levels
 ) -> tuple[Detectable, ...]:
-    """Smallest coefficient of each one-coefficient candidate that one of so many tests would have shown."""
+    """Return the smallest detectable coefficient of each simple candidate.
+
+    Candidates with several coefficients or starts are left out. The power is 95 % by default
+    (`Levels.power`), at the level `significance` shared by all tests and candidates.
+    """
     level = stats.norm.isf(significance / (2 * tests * max(len(scored), 1))) + levels.power
     found = []
     for candidate in scored:
@@ -133,7 +145,7 @@ def detectable(
         if size > 1e-9 * max(float(np.linalg.norm(white[:, :1])), 1e-300):
             parameter = candidate.problem.structure.parameters[-1]
             unit = candidate.problem.structure.unit(parameter)
-            # more where the column is large on samples that are noisier than the rest
+            # larger if the column is large on samples that are noisier than the rest
             spread = max(1.0, float(np.linalg.norm(column * battery.left)) / size)
             found.append(Detectable(candidate.effect, parameter.name, level * spread / size, unit))
     return tuple(found)

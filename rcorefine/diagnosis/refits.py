@@ -1,4 +1,4 @@
-"""Fits of sets of effects from starts, under their own noise, to the end."""
+"""Fits of sets of effects, each with its own noise model."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from .noise import Noise
 
 __all__ = ["Fitter"]
 
-_SHARES = (1.0, 0.4, 0.1)  # of the sizes of a start: a linear solution may run away
+_SHARES = (1.0, 0.4, 0.1)  # shares of the starting sizes: the linear solution may diverge
 _STEP = 0.25  # standard deviations that halving the substep may shift a coefficient
-_WIDTHS = (0.5, 2.0, 1 / 1.4, 1.4)  # factors on the width over which a law turns over
+_WIDTHS = (0.5, 2.0, 1 / 1.4, 1.4)  # factors on the width over which a jump is smoothed
 _NOISE_ROUNDS, _FINER, _WIDER = 3, 3, 4
 
 
 class Fitter:
-    """Fits hypotheses about one model and its records.
+    """Fitter of hypotheses about one model and its records.
 
     Parameters
     ----------
@@ -38,13 +38,13 @@ class Fitter:
     motion : Motion
         Estimated motion.
     colored : bool
-        Whether noise may have a memory, heavy tails and so on. Where nothing explains the records, a filter
-        makes noise of any error; white noise then counts the error of the free run itself.
+        Whether noise may be other than white and normal. A noise filter can whiten model errors, too; with
+        white noise, the error of the free run itself counts.
 
     Attributes
     ----------
     substeps : int
-        Substeps that effects of this record were found to ask for.
+        Most substeps per sample that an effect needed so far.
     """
 
     def __init__(self, fitted: FittedModel, motion: Motion, colored: bool = True) -> None:
@@ -54,19 +54,19 @@ class Fitter:
         self.recorded = Recorded.of(fitted.problem, colored)
 
     def scored(self, trial: Trial) -> Trial:
-        """A trial with its noise and its evidence."""
+        """Return a trial with its noise and evidence."""
         ratio = trial.hypothesis.ratio
         before = trial.base.residuals(ratio) if ratio else self.before
         return evidence(trial, before, self.recorded, self.fitted.problem.n_theta)
 
     def empty(self, hypothesis: Hypothesis, base: FittedModel) -> Trial:
-        """A base without effects, under its own noise."""
+        """Return the trial of a base without effects, with its own noise."""
         gain = _gain(base, base.problem, hypothesis.ratio)
         run = descend(base.problem, base.point, gain=gain, evaluations=1)
         return self._under_own_noise(Trial(hypothesis, base, base.problem, run), gain, 8)
 
     def placed(self, effects: Sequence[Effect], base: FittedModel, start: Start) -> tuple[Problem, Array]:
-        """The problem of effects at a base, and the point of a start."""
+        """Return the estimation problem of effects at a base, and its start."""
         problem, absent = base.extended(list(effects), self.motion)
         if self.substeps > problem.substeps and not problem.structure.is_linear:
             problem = problem.like(substeps=self.substeps)
@@ -96,7 +96,7 @@ class Fitter:
         noise: Noise | None = None,
         evaluations: int = 8,
     ) -> Trial | None:
-        """Fit a hypothesis from the best of some starts; None where it runs away from all of them.
+        """Fit a hypothesis from the best of several starts.
 
         Parameters
         ----------
@@ -105,13 +105,18 @@ class Fitter:
         base : FittedModel
             The model with these nuisances.
         starts : sequence of Start
-            Where to begin.
+            Starting values.
         shared : bool
-            Whether the sizes of a start are tried at shares, too.
+            Whether starts with reduced sizes of the effects are tried, too.
         noise : Noise, optional
-            Under which the fit begins: that of the trial that it starts from.
+            Noise of the first descent, usually that of the trial that gave the start; default plain weights.
         evaluations : int
-            Of each descent.
+            Evaluations of each descent at most.
+
+        Returns
+        -------
+        Trial or None
+            None if the model diverges from every start.
         """
         effects = hypothesis.effects
         absent = Start([], *base.problem.unpack(base.point))
@@ -138,18 +143,19 @@ class Fitter:
         return self._under_own_noise(Trial(hypothesis, base, problem, run), gain, evaluations)
 
     def single(self, task: tuple[Effect, Sequence[Start]]) -> Trial | None:
-        """One effect in the model as it is, from starts."""
+        """Fit one effect in the model as it is, from several starts."""
         return self.fit(Hypothesis((task[0],)), self.fitted, task[1], shared=True)
 
     def together(self, task: tuple[Hypothesis, FittedModel, Start]) -> Trial | None:
-        """A set of effects at a base: a short fit."""
+        """Fit a set of effects at a base, with few evaluations."""
         return self.fit(task[0], task[1], [task[2]], shared=True, evaluations=5)
 
     def sought(self, effect: Effect) -> Trial | None:
-        """Fit one effect in the model as it is from where the search of `refine` finds its valley.
+        """Fit one effect in the model as it is, from the search of `refine`.
 
-        A strong effect moves the resonances, and what the fit without it has bent holds every effect in its
-        valley: observers that follow the record, and short free runs that grow, lead out of it.
+        A strong effect moves the resonances. The fit without it is then in another local minimum, which holds
+        every start nearby. The search leaves it by observers that follow the record, and by free runs of
+        growing length.
         """
         problem, _ = self.fitted.extended([effect], self.motion)
 
@@ -158,7 +164,7 @@ class Fitter:
 
         try:
             point, steps = search(build, problem.structure, problem.records, self.motion, problem.substeps)
-        except (np.linalg.LinAlgError, ValueError):  # no observer of it exists
+        except (np.linalg.LinAlgError, ValueError):  # no observer exists for this model
             return None
         problem = problem.like(substeps=max(steps, problem.substeps))
         gain = _gain(self.fitted, problem, 0.0)
@@ -168,7 +174,10 @@ class Fitter:
         return self._under_own_noise(Trial(Hypothesis((effect,)), self.fitted, problem, run), gain, 8)
 
     def _under_own_noise(self, trial: Trial, gain: Array | None, evaluations: int) -> Trial:
-        """The fit under its own noise, which changes with it: as long as the evidence rises."""
+        """Refit a trial under its own noise while the evidence rises.
+
+        There are at most three rounds, and one if all samples are equally noisy.
+        """
         best = self.scored(trial)
         for _ in range(_NOISE_ROUNDS if best.problem.size else 0):
             run = _descended(best.problem, best.point, best.noise, gain, evaluations)
@@ -182,13 +191,13 @@ class Fitter:
         return best
 
     def in_free_run(self, trial: Trial) -> Trial:
-        """The trial at the minimum of its plain error."""
+        """Return the trial at the minimum of its error, with plain weights."""
         gain = _gain(trial.base, trial.problem, trial.hypothesis.ratio)
         run = descend(trial.problem, trial.point, gain=gain, evaluations=20, tolerance=1e-6)
         return self.scored(replace(trial, run=run)) if np.isfinite(run.cost) else trial
 
     def polished(self, trial: Trial) -> Trial:
-        """The trial at its minimum, with the substeps and the widths that the records ask for."""
+        """Return the trial at its minimum, with refined substeps and widths."""
         base, ratio = trial.base, trial.hypothesis.ratio
         problem, gain = trial.problem, _gain(base, trial.problem, ratio)
         if problem.in_time and not problem.structure.is_linear and problem.substeps < self.substeps:
@@ -196,7 +205,7 @@ class Fitter:
             run = _descended(problem, trial.point, trial.noise, gain, 8)
             if np.isfinite(run.cost):
                 trial = self.scored(replace(trial, problem=problem, run=run))
-        # weights take errors of a fit that is far from its minimum for outliers: once without them
+        # far from the minimum the weights treat model errors as outliers: one descent without weights
         plain = descend(problem, trial.point, gain=gain, evaluations=20, tolerance=1e-6)
         if np.isfinite(plain.cost):
             again = self._under_own_noise(replace(trial, run=plain), gain, 8)
@@ -215,7 +224,7 @@ class Fitter:
         return self._widths(self.scored(replace(trial, problem=problem, run=run)), gain)
 
     def _widths(self, trial: Trial, gain: Array | None) -> Trial:
-        """The trial with the widths over which its effects turn over, where the records tell them."""
+        """Return the trial with the widths of jumps that the evidence prefers."""
         structure = trial.problem.structure
         for k in range(len(structure.effects) - len(trial.effects), len(structure.effects)):
             effect, price = structure.effects[k], 0.5 * float(np.log(trial.problem.n_points))
@@ -241,7 +250,7 @@ class Fitter:
 
 
 def plain_cost(problem: Problem, point: Array, gain: Array | None = None) -> float:
-    """Half the sum of squares at a point, without derivatives; infinite where the model runs away."""
+    """Return half the sum of squares at a point, infinite after divergence."""
     theta, starts = problem.unpack(problem.inside(point))
     total = 0.0
     for engine, start in zip(problem.engines, starts, strict=True):
@@ -254,7 +263,10 @@ def plain_cost(problem: Problem, point: Array, gain: Array | None = None) -> flo
 
 
 def _gain(base: FittedModel, problem: Problem, ratio: float) -> Array | None:
-    """Gain of the predictor at a base for a problem with more states, None for the free run."""
+    """Return the predictor gain at a base, padded for the states of a problem.
+
+    None for the free run of a stable model.
+    """
     gain = base.gain(ratio)
     return None if gain is None else np.pad(gain, ((0, problem.n_states - gain.shape[0]), (0, 0)))
 
@@ -262,7 +274,7 @@ def _gain(base: FittedModel, problem: Problem, ratio: float) -> Array | None:
 def _descended(
     problem: Problem, point: Array, noise: Noise, gain: Array | None, most: int, tolerance: float = 1e-6
 ) -> Descent:
-    """Descend in the metric of a noise; the evaluation is that of plain weights."""
+    """Descend in the metric of a noise; the evaluation has plain weights."""
     given: dict[str, Any] = {"gain": gain, "whitener": noise.whitener, "tolerance": tolerance}
     if not noise.uneven:
         return descend(problem, point, evaluations=most, **given)

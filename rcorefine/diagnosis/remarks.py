@@ -1,4 +1,4 @@
-"""What else a diagnosis noticed: amplitudes that disagree, motion without reversal, bounds."""
+"""Remarks of a diagnosis: amplitudes, motion without reversal, bounds."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ _OTHER_AMPLITUDE = 1.3  # rms of the inputs over that of another record
 
 
 def amplitude_test(fitted: FittedModel, added: int, levels: Levels) -> tuple[float, str]:
-    """Whether records of different amplitude agree on the coefficients of the effects that were added.
+    """Test whether records of different amplitude have the same coefficients.
 
-    A law that only mimics the true one needs other coefficients at another amplitude.
+    An effect that only approximates the true one has other coefficients at another amplitude.
 
     Parameters
     ----------
     fitted : FittedModel
-        Model with them, on several records.
+        Model with the effects, on several records.
     added : int
-        Number of its last effects that are asked about.
+        Number of tested effects, the last ones of the model.
     levels : Levels
-        Of the agreement.
+        Levels of the decision.
 
     Returns
     -------
     p_value : float
-        Of the Wald test; 1 where there are no two amplitudes.
+        p-value of the Wald test; 1 if all amplitudes are similar.
     sentence : str
-        What was compared, empty where nothing was.
+        Result of the comparison in words; empty without one.
     """
     structure = fitted.structure
     sizes = [float(np.sqrt(np.mean(r.inputs**2))) for r in fitted.problem.records]
@@ -60,7 +60,7 @@ def amplitude_test(fitted: FittedModel, added: int, levels: Levels) -> tuple[flo
 
 
 def _alone(fitted: FittedModel, record: int) -> tuple[Array, Array]:
-    """Coefficients and covariance from one record only."""
+    """Return coefficients and covariance, estimated from one record alone."""
     whole = fitted.problem
     theta, starts = whole.unpack(fitted.point)
     problem = whole.like(records=[whole.records[record]])
@@ -77,7 +77,10 @@ def _alone(fitted: FittedModel, record: int) -> tuple[Array, Array]:
 
 
 def remarks(fitted: FittedModel, effects: Sequence[Effect]) -> list[str]:
-    """Sentences on what should make the reader careful."""
+    """Return warnings about a fit with effects.
+
+    They name friction without reversal of the motion, and coefficients at a bound.
+    """
     ports, said = {port.name for port in fitted.structure.model.ports}, []
     for effect in effects:
         if not (effect.spec.turns and effect.place in ports and fitted.problem.in_time):

@@ -1,4 +1,4 @@
-"""Sets of effects to first order: one Gram matrix of residual, parameters and columns of all candidates."""
+"""First-order comparison of sets of effects by one Gram matrix."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from .hypothesis import Start
 
 __all__ = ["Group", "Metric", "Screen", "compatible"]
 
-_FLAT = 1e-4  # share of a column that is no parameter, offset or initial state
-_MOST_RECORDS = 8  # whose initial states are solved for together
+_FLAT = 1e-4  # least share of a column outside the span of parameters, offsets and initial states
+_MOST_RECORDS = 8  # most records whose initial states are solved for together
 
 
 @dataclass(eq=False)
 class Group:
-    """Columns of one shape of an effect.
+    """Columns of an effect with given shaping coefficients.
 
     Attributes
     ----------
     effect : Effect
         Effect.
     values : dict
-        Coefficients that are known, those that shape it.
+        Known coefficients, those that shape the effect.
     names : list of str
         Coefficient of each column.
     at : slice
-        Columns.
+        Positions of the columns.
     """
 
     effect: Effect
@@ -46,16 +46,16 @@ class Group:
 
 
 class Metric(NamedTuple):
-    """How residuals are weighed.
+    """Metric of residuals: filters, weights and observer ratio.
 
     Attributes
     ----------
     whitener : Whitener
-        Filters.
+        Whitening filter of each output.
     weights : list of ndarray, shape (n_y, N), or None
         One over the relative standard deviation of each sample.
     ratio : float
-        Of the observer that leads the columns, 0 for the free run.
+        Observer ratio (process noise) of the columns, 0 for the free run.
     """
 
     whitener: Whitener
@@ -64,28 +64,27 @@ class Metric(NamedTuple):
 
 
 class Numbers(NamedTuple):
-    """Parameters of the model, and the standard deviation under which they are open."""
+    """Parameters of the model with their prior standard deviations."""
 
     effects: list[Effect]
     sd: Array
 
 
 class Screen:
-    """First-order comparison of sets at a fitted model.
+    """First-order comparison of sets of effects at a fitted model.
 
-    What has a flat prior (offsets, initial states) is projected out: that is what "without their tangent"
-    means where the parameters of a model can imitate a law.
+    Coefficients with a flat prior (offsets, initial states) are projected out of all columns.
 
     Parameters
     ----------
     fitted : FittedModel
-        Where it is linearized.
+        Point of the linearization.
     candidates : sequence of Candidate
-        With their columns.
+        Candidate effects with their columns.
     numbers : Numbers
-        Parameters that may be open.
+        Parameters that may be re-estimated together with the effects.
     metric : Metric
-        How residuals are weighed.
+        Metric of residuals.
     motion : Motion
         Estimated motion.
     """
@@ -139,7 +138,7 @@ class Screen:
         self.n = max(len(r) - self.basis.rank, 10)
 
     def _weights(self) -> list[Array]:
-        """Weights of the samples by their noise."""
+        """Return the weights of the samples by their noise."""
         return self.metric.weights or [np.ones_like(j) for j in self._judged]
 
     def _white(self, blocks: Sequence[Array], weights: Sequence[Array]) -> Array:
@@ -147,17 +146,21 @@ class Screen:
         return self.metric.whitener.apply(weighed)
 
     def white(self, blocks: Sequence[Array]) -> Array:
-        """Columns (n_y, N, k) per record, whitened; nothing where samples are not judged."""
+        """Return whitened columns of arrays (n_y, N, k); 0 for unjudged samples."""
         both = [w * j for w, j in zip(self._weights(), self._judged, strict=True)]
         return self._white(blocks, both)
 
     def _columns(self, groups: Sequence[Group], open_: bool) -> tuple[int, list[int]]:
-        """Number of open parameters, and columns of these and of a set."""
+        """Return the number of parameters, and the columns of these and of a set."""
         m = self.n_parameters if open_ else self.n_held
         return m, [*range(1, 1 + m), *(i for g in groups for i in range(g.at.start, g.at.stop))]
 
     def solve(self, groups: Sequence[Group], open_: bool) -> tuple[float, Array]:
-        """Log evidence of a set, the noise profiled, and its coefficients in units of its columns."""
+        """Return the log evidence of a set, and its coefficients.
+
+        The variance of the noise is estimated. The coefficients are in units of the scaled columns, those of
+        the parameters first. With `open_` the parameters of the model are re-estimated, too.
+        """
         m, columns = self._columns(groups, open_)
         rr = float(self.G[0, 0])
         if not columns:
@@ -175,7 +178,7 @@ class Screen:
         return value, u
 
     def next_scores(self, chosen: Sequence[Group], open_: bool) -> Array:
-        """Gain of adding each group to a set, for the order only."""
+        """Return approximate gains in log evidence by each further group."""
         m, columns = self._columns(chosen, open_)
         rr = float(self.G[0, 0])
         value = self.solve(chosen, open_)[0]
@@ -205,20 +208,25 @@ class Screen:
         width: int = 6,
         usable: Callable[[Group], bool] = lambda _: True,
     ) -> list[tuple[float, list[Group]]]:
-        """Return sets of at most so many groups by first-order evidence, the best first.
+        """Return sets of groups by first-order evidence, the best first.
 
         Parameters
         ----------
         most : int
-            Groups at most.
+            Maximum number of groups in a set.
         open_ : bool
-            Whether the parameters are open.
+            Whether the parameters are re-estimated together with the effects.
         price : float
-            Log evidence that each effect costs.
+            Penalty per effect in log evidence.
         width : int
-            Sets that go on in each round.
+            Number of sets that each round extends.
         usable : callable
-            Whether a group may be in a set.
+            Function that tells whether a group may be in a set.
+
+        Returns
+        -------
+        list of (float, list of Group)
+            Penalized log evidence and groups of each set; the empty set is included.
         """
         start = self.solve([], open_)[0]
         found: dict[tuple[int, ...], tuple[float, list[Group]]] = {(): (start, [])}
@@ -241,7 +249,7 @@ class Screen:
     def _likely(
         self, chosen: Sequence[Group], open_: bool, most: int, usable: Callable[[Group], bool]
     ) -> list[Group]:
-        """The likeliest shape of each of the effects that add most to a set."""
+        """Return the best group of each effect that adds most to a set."""
         scores, found = self.next_scores(chosen, open_), dict[Effect, Group]()
         for i in np.argsort(scores)[::-1]:
             group = self.groups[i]
@@ -253,12 +261,15 @@ class Screen:
         return list(found.values())
 
     def left(self, groups: Sequence[Group], open_: bool) -> Array:
-        """White residual of the linear solution of a set."""
+        """Return the white residual of the linear solution of a set."""
         u, columns = self.solve(groups, open_)[1], self._columns(groups, open_)[1]
         return np.asarray(self.X[:, 0] + self.X[:, columns] @ u)
 
     def start(self, groups: Sequence[Group], open_: bool, target: FittedModel) -> Start:
-        """The linear solution of a set as a start at a base: this one, or that with its parameters open."""
+        """Return the linear solution of a set as a start at a base.
+
+        The target is the model of the screen, or the base with its re-estimated parameters.
+        """
         u, (m, columns) = self.solve(groups, open_)[1], self._columns(groups, open_)
         values, at = [], m
         for g in groups:
@@ -281,7 +292,7 @@ class Screen:
         return Start(values, theta, states)
 
     def _settle(self, rest: Array, theta: Array, states: Array) -> None:
-        """Offsets and initial states by least squares of what a set leaves."""
+        """Correct offsets and initial states in place by least squares of `rest`."""
         p, width, n = self.fitted.problem.n_theta, int(self.flat.sum()), states.shape[1]
         J = np.zeros((len(rest), width + n * len(self.jacobian)))
         first = 0
@@ -298,7 +309,7 @@ class Screen:
 
 
 def _groups_of(candidate: Candidate, ratio: float) -> list[tuple[Group, list[Array]]]:
-    """Columns of a candidate by shape, with their blocks (n_y, N, k) per record."""
+    """Return the groups of a candidate with their blocks (n_y, N, k)."""
     if ratio not in candidate.columns:
         return []
     effect, blocks, none = candidate.effect, candidate.columns[ratio], slice(0, 0)
@@ -314,7 +325,7 @@ def _groups_of(candidate: Candidate, ratio: float) -> list[tuple[Group, list[Arr
     linear = [i for i, n in enumerate(own) if n not in law.shaping]
     names, found = [own[i] for i in linear], []
     whole = law.at_channel or not law.shaping or len(own) == len(names)
-    if k == len(own) * len(starts) and whole:  # a column for each coefficient at each start
+    if k == len(own) * len(starts) and whole:  # one column for each coefficient at each start
         kept = linear or list(range(len(own)))
         for i, start in enumerate(starts):
             shape = {n: v for n, v in start.items() if n in law.shaping} if linear else {}
@@ -333,7 +344,10 @@ def _groups_of(candidate: Candidate, ratio: float) -> list[tuple[Group, list[Arr
 
 
 def _argument(effect: Effect) -> str:
-    """What a law is a static curve of: laws of one argument at one place are together one curve."""
+    """Return the argument of a static force law, or an empty string.
+
+    Several force laws of one argument at one place add up to one curve.
+    """
     law = effect.spec
     if law.at_channel:
         return "signal" if not (law.delays or law.linear) else ""
@@ -345,14 +359,17 @@ def _argument(effect: Effect) -> str:
 
 
 def compatible(chosen: Sequence[Effect], more: Effect) -> bool:
-    """Return whether an effect may stand beside others: one curve of an argument at a place, one delay.
+    """Return whether an effect may be added to a set.
+
+    A set holds one curve per argument and place, and one delay. It holds no effect together with a special
+    case of it.
 
     Parameters
     ----------
     chosen : sequence of Effect
         Effects of a set.
     more : Effect
-        Effect that may be added.
+        Further effect.
     """
 
     def late(effect: Effect) -> bool:

@@ -1,4 +1,4 @@
-"""The table of hypotheses about one model: screen to first order, refit the likely ones, criticize."""
+"""Search of hypotheses: first-order screening, refits, and residual tests."""
 
 from __future__ import annotations
 
@@ -33,30 +33,30 @@ from .unmeasured_force import likely_forces
 
 __all__ = ["Criticism", "Search", "is_gain", "is_number"]
 
-FITTED_SPREAD = 0.2  # relative standard deviation of the parameters under which they are fitted
-_SOUGHT = 4  # effects of each order that are sought in another valley
-_STRONG = 75.0  # fit in percent below which columns along the record's own motion are asked as well
-_SINGLES, _SETS, MOST = 6, 4, 4  # refits of each screen: single effects, sets; effects that a screen proposes
-_PAIRS, _ALONE = 2, 3  # of effects that are added to a winner
-_ROUNDS = 2  # linearizations about the winner
-_NEAR = 60.0  # log evidence behind the best within which a trial is polished
+FITTED_SPREAD = 0.2  # prior standard deviation of re-estimated parameters, relative to their size
+_SOUGHT = 4  # effects of each ranking that are searched for in another local minimum
+_STRONG = 75.0  # fit in percent below which columns along the estimated motion are used, too
+_SINGLES, _SETS, MOST = 6, 4, 4  # refits per screen: single effects, sets; most effects of a screened set
+_PAIRS, _ALONE = 2, 3  # pairs and single effects that are added to the best set
+_ROUNDS = 2  # linearizations at the best set
+_NEAR = 60.0  # log evidence below the best within which a trial is polished
 _POLISHED = 4
-_RIVALS = 10.0  # log evidence behind the best within which a force is tried, too
-_FORCE = 3.0  # log-likelihood that an unmeasured force must earn to be tried
-_IMITATED, _IMITATIONS = 0.6, 3  # share of a force that an imitation may leave; laws that are tried
+_RIVALS = 10.0  # log evidence below the best within which an unmeasured force is tried
+_FORCE = 3.0  # least gain in log-likelihood for an unmeasured force to be tried
+_IMITATED, _IMITATIONS = 0.6, 3  # most share of a force that an imitation leaves; imitations tried
 
 
 class Criticism(NamedTuple):
-    """What the residual tests say of a trial.
+    """Results of the residual tests of a trial.
 
     Attributes
     ----------
     passed : bool
-        Whether what is left is noise, and no free force is likelier than the laws.
+        Whether the residual is noise, and no free force is clearly more probable than the effects.
     tests : list of FTest
-        Tests, none where a first one failed by far.
+        Residual tests; empty if a test without the candidates failed.
     odds : float
-        Log of the odds of a free force at the place of an effect over that effect.
+        Log odds of a free force at the places of the effects against these effects.
     """
 
     passed: bool
@@ -65,30 +65,31 @@ class Criticism(NamedTuple):
 
 
 class Search:
-    """Hypotheses about what a fitted model lacks.
+    """Search for the effects that a fitted model lacks.
 
     Parameters
     ----------
     case : Case
-        Model, records, library.
+        Fitted model, records and candidate effects.
     most : int
-        Effects at most.
+        Maximum number of effects of a set.
     colored : bool
-        Whether noise may be other than white and normal, and other holds and unmeasured forces are open, too.
+        Whether noise may be other than white and normal. If so, other holds, noise of the inputs and
+        unmeasured forces are tried, too.
     alone : bool
-        Whether each parameter of the model may be the only one that is off.
+        Whether each parameter of the model is a candidate on its own.
 
     Attributes
     ----------
     trials : list of Trial
-        Hypotheses that were fitted.
+        Fitted hypotheses, one fit each.
     """
 
     def __init__(self, case: Case, most: int = MOST + 1, *, colored: bool = True, alone: bool = True) -> None:
         self.case, self.most, self.colored = case, most, colored
         self.fitted, self.motion = case.fitted, case.motions[0]
         self.trials: list[Trial] = []
-        # a parameter that is no candidate may be the only one that is off all the same
+        # a parameter that is no candidate may still be the only wrong one
         more = not_held([e for e, _ in parameters_of(case)], case.library) if alone else []
         self.library = [*case.library, *more]
         self.price = float(np.log(max(len(self.library), 2)))
@@ -99,21 +100,21 @@ class Search:
 
     @cached_property
     def fitter(self) -> Fitter:
-        """What fits hypotheses."""
+        """Return the fitter of hypotheses."""
         return Fitter(self.fitted, self.motion, self.colored)
 
     @cached_property
     def numbers(self) -> list[tuple[Effect, float]]:
-        """Parameters of the model with their nominal sizes."""
+        """Return the parameters of the model with their nominal sizes."""
         return parameters_of(self.case)
 
     @property
     def opened(self) -> frozenset[Nuisance]:
-        """Parameters open, where there are any."""
+        """Return the nuisance of re-estimated parameters, if there are any."""
         return frozenset([self.parameters] if self.numbers else [])
 
     def base(self, nuisances: frozenset[Nuisance]) -> FittedModel:
-        """The model with these nuisances."""
+        """Return the model fitted with these nuisances."""
         if nuisances not in self._bases:
             fitted = self.fitted
             for kind in (Hold, NoisyInputs, Parameters, UnmeasuredForce):
@@ -124,26 +125,27 @@ class Search:
 
     # ------------------------------------------------------------------ the table
     def posterior(self, trial: Trial) -> float:
-        """Log evidence and log prior."""
+        """Return the log evidence plus the log prior of a trial."""
         return trial.total + trial.hypothesis.log_prior(len(self.library))
 
     def ranked(self, trials: Iterable[Trial] | None = None) -> list[Trial]:
-        """The most probable first."""
+        """Return trials (default all), the most probable first."""
         return sorted(self.trials if trials is None else trials, key=self.posterior)[::-1]
 
     def determined(self, trial: Trial) -> bool:
-        """Whether every effect of a trial is known well enough, and possible."""
+        """Return whether the data determine every effect of a trial."""
         return trial.determined(self.case.levels.moved)
 
     @property
     def best(self) -> Trial:
-        """The most probable of those whose every effect is determined."""
+        """Return the most probable trial whose effects are all determined."""
         return self.ranked(x for x in self.trials if self.determined(x))[0]
 
     def add(self, trial: Trial | None, *, instead: bool = False) -> Trial | None:
-        """Enter a trial into the table: of each hypothesis the best fit stays, and is returned.
+        """Add a trial to the table, and return the kept fit of its hypothesis.
 
-        One that was polished stands `instead` of what it was, though a coarser step may have looked better.
+        The fit of higher evidence is kept. With `instead`, a fit with finer substeps replaces the old one in
+        any case: coarser steps may have a spuriously high evidence. None if the trial failed.
         """
         if trial is None or not np.isfinite(trial.total):
             return None
@@ -162,31 +164,34 @@ class Search:
         starts: Sequence[Start],
         **options: Any,
     ) -> Trial | None:
-        """Fit a hypothesis and enter it."""
+        """Fit a hypothesis and add it to the table."""
         base = self.base(nuisances)
         return self.add(self.fitter.fit(Hypothesis(tuple(effects), nuisances), base, starts, **options))
 
     def empty(self, nuisances: frozenset[Nuisance]) -> Trial | None:
-        """Enter the model with these nuisances and no effect; None where it cannot be fitted."""
+        """Add the model with these nuisances and no effect; None if it diverges."""
         try:
             return self.add(self.fitter.empty(Hypothesis((), nuisances), self.base(nuisances)))
         except DivergenceError:
             return None
 
     def is_open(self, effect: Effect) -> bool:
-        """Whether a candidate is more than a parameter that is open already."""
+        """Return whether a candidate can be added to re-estimated parameters.
+
+        A parameter of the model cannot: it is re-estimated already.
+        """
         held = {(e.kind, e.place) for e, _ in self.numbers}
         return not is_number(effect) or (is_gain(effect) and (effect.kind, effect.place) not in held)
 
     def first_time(self, *key: Any) -> bool:
-        """Whether something is done for the first time."""
+        """Return whether a key is new, and remember it."""
         new = key not in self._done
         self._done.add(key)
         return new
 
     # ------------------------------------------------------------------ the search
     def run(self) -> Search:
-        """Fill the table."""
+        """Run the search, fill the table, and return the search."""
         step = self.case.progress.step
         with step("the model and its parameters"):
             nothing = self.empty(frozenset())
@@ -235,10 +240,14 @@ class Search:
         return self
 
     def _screens(self, fitted: FittedModel, effects: Sequence[Effect], strong: bool) -> list[Screen]:
-        """Screens at a model: in plain metric, under its own noise, under that of the best set, led."""
+        """Return screens at a model in up to four metrics.
+
+        These are white noise, the noise of its residual, and the noise that the best set leaves. With
+        `strong`, a screen along the estimated motion is added (observer ratio 1).
+        """
         scored = candidate_columns(fitted, effects, self.motion, (0.0, 1.0) if strong else (0.0,))
         residual, noise = fitted.residuals(), self.fitter.recorded.noise
-        entries = self.numbers if fitted is self.fitted else []  # else they are open in it
+        entries = self.numbers if fitted is self.fitted else []  # else the model has them already
         sd = FITTED_SPREAD * np.array([size for _, size in entries])
         numbers = Numbers([e for e, _ in entries], sd)
 
@@ -259,7 +268,10 @@ class Search:
         return found
 
     def _screens_beside(self, near: Sequence[Effect]) -> list[Screen]:
-        """Screens where the parameters are open, if that is another place: there the columns are others."""
+        """Return screens at the model with re-estimated parameters.
+
+        Empty unless the parameters raise the log evidence by at least `_NEAR`: only then the columns differ.
+        """
         empty = {x.hypothesis: x for x in self.trials if not x.effects}
         nothing, opened = (empty.get(Hypothesis((), n)) for n in (frozenset[Nuisance](), self.opened))
         if not self.opened or nothing is None or opened is None or opened.total < nothing.total + _NEAR:
@@ -269,13 +281,16 @@ class Search:
             return self._screens(opened.base, [e for e in near if self.is_open(e)], bool(strong))
 
     def _singles(self, screens: Sequence[Screen], far: bool) -> None:
-        """The likeliest single effects, and their relatives at the place of the best one."""
+        """Fit the likeliest single effects, and others at the best place.
+
+        With `far`, the best ones are also searched for in another local minimum.
+        """
         likely = [screen.beam(1, False, self.price)[: _SINGLES + 1] for screen in screens]
         effects = [groups[0].effect for ranked in likely for _, groups in ranked if groups]
         self._each(effects, screens)
         places = {e.place for e in self.best.effects}
         self._each(self._relatives(screens[0], places), screens)
-        if far:  # what the fit without the effect has bent holds it in its valley
+        if far:  # the fit without the effect may hold it in another local minimum
             nearest = [x.effects[0] for x in self.ranked() if len(x.effects) == 1][:_SOUGHT]
             nearest += [groups[0].effect for _, groups in likely[-1] if groups][:_SOUGHT]
             for trial in self.case.progress.map(
@@ -284,13 +299,17 @@ class Search:
                 self.add(trial)
 
     def _relatives(self, screen: Screen, places: set[str]) -> list[Effect]:
-        """Effects at the places of the best ones; what is linear acts alike at either end of a path."""
+        """Return the effects at given places.
+
+        If the best set has a linear effect at a channel, the linear effects of all channels are included. At
+        either end of a signal path they act in the same way.
+        """
         channel = any(e.spec.at_channel and e.spec.linear for e in self.best.effects)
         effects = [g.effect for g in screen.groups]
         return [e for e in effects if e.place in places or (channel and e.spec.at_channel and e.spec.linear)]
 
     def _each(self, effects: Sequence[Effect], screens: Sequence[Screen]) -> None:
-        """Single effects in the model as it is."""
+        """Fit single effects in the model as it is, each only once."""
         tasks = []
         for effect in dict.fromkeys(effects):
             if not self.first_time("single", effect):
@@ -300,7 +319,7 @@ class Search:
                 own = [g for g in screen.groups if g.effect == effect]
                 own.sort(key=lambda g: -screen.solve([g], False)[0])
                 starts += [screen.start([g], False, self.fitted) for g in own[:2]]
-            if is_gain(effect):  # initial states that a wrong unit has bent lead into another valley
+            if is_gain(effect):  # initial states distorted by a wrong unit lead into another minimum
                 gains = [1.0 + sum(start.values[0].values()) for start in starts]
                 starts += [
                     replace(start, states=start.states / gain)
@@ -312,7 +331,7 @@ class Search:
             self.add(trial)
 
     def _sets(self, screens: Sequence[Screen]) -> None:
-        """Sets of effects beside the parameters: a short fit of each, and the best to the end."""
+        """Fit sets of effects with the parameters; refit the best four longer."""
         base, begun, tasks = self.base(self.opened), list[Trial](), []
         for screen in screens:
             usable = screen.beam(
@@ -332,7 +351,7 @@ class Search:
             self.try_(trial.effects, trial.hypothesis.nuisances, [trial.start])
 
     def _beside_parameters(self, trial: Trial) -> None:
-        """A trial of the model as it is, with its parameters open."""
+        """Refit a trial of the model as it is with re-estimated parameters."""
         if not self.opened or not self.first_time("set", frozenset(trial.effects)):
             return
         here, base, n = trial.start, self.base(self.opened), self.fitted.problem.n_theta
@@ -340,7 +359,7 @@ class Search:
         self.try_(trial.effects, self.opened, [replace(here, theta=theta) for theta in thetas])
 
     def _without_parameters(self) -> None:
-        """The leader in the model as it is, from where it stands: its parameters may not be off."""
+        """Refit the best trial with the parameters held, from its point."""
         best, n = self.best, self.fitted.problem.n_theta
         if best.effects and best.hypothesis.floated:
             start = replace(best.start, theta=best.start.theta[:n])
@@ -348,9 +367,12 @@ class Search:
             self.polish()
 
     def relinearized(self, trial: Trial) -> list[Trial]:
-        """More effects about a trial, with the parameters open; the sets that were fitted."""
+        """Fit further effects by linearizing at a trial; return the new trials.
+
+        The parameters are re-estimated, too. There are none if an effect of the trial is such a parameter.
+        """
         known = len(self.trials)
-        if any(not self.is_open(effect) for effect in trial.effects):  # it is open with all the others
+        if any(not self.is_open(effect) for effect in trial.effects):  # it is re-estimated with all others
             return []
         fitted, open_ = trial.model, trial.hypothesis.floated
         rest = not_held(self.case.library, fitted.structure.effects)
@@ -379,13 +401,16 @@ class Search:
         return self.trials[known:]
 
     def climbed(self, trial: Trial) -> list[Trial]:
-        """More effects about a trial, with what of them the records determine."""
+        """Fit further effects at a trial and their determined subsets; return all."""
         known = len(self.trials)
         self._cores(self.relinearized(trial))
         return self.trials[known:]
 
     def _other_holds(self) -> list[frozenset[Nuisance]]:
-        """Holds that are not declared, parameters held and open; none where records declare several."""
+        """Return the nuisances of the holds that are not declared.
+
+        Each has the parameters held and re-estimated. Empty if the records declare several holds.
+        """
         model, records = self.case.base.physical_model, self.case.records
         declared = model.hold or records[0].hold
         several = model.hold is None and any(record.hold != declared for record in records)
@@ -395,7 +420,7 @@ class Search:
         return [frozenset([Hold(hold), *more]) for hold in HOLDS for more in opened if hold != declared]
 
     def _holds(self) -> None:
-        """Nothing missing, and the leaders, under the other holds."""
+        """Fit the model and the best two sets with the other holds."""
         bases = self._other_holds()
         with self.case.progress.step("holds of the input"):
             for nuisances in bases:
@@ -408,14 +433,14 @@ class Search:
                     self.try_(other.effects, nuisances, [other.start], noise=other.noise)
 
     def _leaders(self) -> list[Trial]:
-        """The best set, the likeliest with fewer effects, and nothing."""
+        """Return the best trial, two with fewer effects, and those with none."""
         best = self.best
         fewer = [x for x in self.trials if 0 < len(x.effects) < len(best.effects) and self.determined(x)]
         nothing = [x for x in self.trials if not x.effects]
         return list(dict.fromkeys([best, *self.ranked(fewer)[:2], *nothing]))
 
     def _noisy_inputs(self) -> None:
-        """The leaders without the noise of the recorded inputs, where these move in steps."""
+        """Refit the best trials without the noise of stepwise inputs."""
         noisy = NoisyInputs()
         if all(np.array_equal(between_steps(r.inputs), r.inputs) for r in self.fitted.problem.records):
             return
@@ -427,7 +452,7 @@ class Search:
                 self.empty(nuisances)
 
     def _forces(self) -> None:
-        """An unmeasured force beside nothing, and beside the leaders and their rivals."""
+        """Refit the most probable trials with an unmeasured force."""
         near = [x for x in self.ranked() if self.posterior(x) > self.posterior(self.best) - _RIVALS]
         for trial in dict.fromkeys([*self._leaders(), *near[:4]]):
             if trial.hypothesis.ratio:
@@ -440,11 +465,11 @@ class Search:
                     self.empty(nuisances)
                     continue
                 led = self.try_(trial.effects, nuisances, [trial.start], noise=trial.noise)
-                if led is not None and led is self.best:  # it may have led out of another valley
+                if led is not None and led is self.best:  # it may have found a better minimum
                     self.try_(trial.effects, trial.hypothesis.nuisances, [led.start], noise=led.noise)
 
     def _without(self, trial: Trial, kept: Iterable[int]) -> None:
-        """A trial with some of its effects, from where it stands."""
+        """Fit a subset of the effects of a trial, from its point."""
         kept = list(kept)
         effects = tuple(trial.effects[k] for k in kept)
         if not effects or not self.first_time("without", frozenset(effects), trial):
@@ -457,7 +482,10 @@ class Search:
         self.add(again)
 
     def _cores(self, trials: Iterable[Trial]) -> None:
-        """Of sets with undetermined members: those that are determined, and all but one."""
+        """Fit subsets of trials with undetermined effects.
+
+        These are the determined effects, and all effects but one of the undetermined ones.
+        """
         for trial in trials:
             if len(trial.effects) < 2 or self.determined(trial):
                 continue
@@ -467,7 +495,7 @@ class Search:
                 self._without(trial, np.delete(np.arange(len(sure)), i))
 
     def _prune(self) -> None:
-        """The winner without each of its weaker effects."""
+        """Refit the best set without each of its two weakest effects."""
         for _ in range(MOST):
             best = self.best
             if len(best.effects) < 2:
@@ -478,7 +506,7 @@ class Search:
                 return
 
     def _names(self) -> None:
-        """The winner with each force replaced by other laws at its place that imitate it."""
+        """Refit the best set with each force replaced by effects that imitate it."""
         for _ in range(2):
             best = self.best
             here = best.start
@@ -492,7 +520,7 @@ class Search:
                     effects = (*(best.effects[i] for i in kept), other)
                     own = [*(here.values[i] for i in kept), values]
                     starts = [replace(here, values=own)]
-                    if is_gain(other):  # of an output in place of an input, and the other way round
+                    if is_gain(other):  # gain of an output in place of an input, or vice versa
                         gain = 1.0 + sum(values.values())
                         starts += [
                             replace(here, values=own, states=here.states * q) for q in (gain, 1.0 / gain)
@@ -502,7 +530,7 @@ class Search:
                 return
 
     def _at_other_ends(self, trial: Trial, i: int) -> list[tuple[Effect, dict[str, float]]]:
-        """What is linear in a signal path, at the other ends of such paths, where it acts alike."""
+        """Return the same linear channel effect at the other channels."""
         first = trial.effects[i]
         linear = [e for e in self.case.library if e.spec.at_channel and e.spec.linear]
         return [
@@ -513,7 +541,10 @@ class Search:
         ]
 
     def _imitations(self, trial: Trial, which: Sequence[int]) -> list[tuple[Effect, dict[str, float]]]:
-        """Laws at the place of some effects that come nearest to their force, with their coefficients."""
+        """Return the effects that imitate the force of some effects best.
+
+        Each comes with its coefficients. An effect that is no force is moved to the other channels instead.
+        """
         if trial.force(which[0]) is None:
             return self._at_other_ends(trial, which[0])
         along = [one for one in map(trial.force, which) if one is not None]
@@ -553,7 +584,7 @@ class Search:
         return list(best.items())
 
     def polish(self) -> None:
-        """Polish the leaders until the order among them holds."""
+        """Polish the fits close to the best one, at most `_POLISHED` of them."""
         with self.case.progress.step("polishing"):
             for _ in range(_POLISHED):
                 best = self.posterior(self.best)
@@ -570,23 +601,23 @@ class Search:
                 self.add(better, instead=True)
 
     def _is_polished(self, trial: Trial) -> bool:
-        """Whether a trial was polished, at steps as fine as any effect here was found to ask for."""
+        """Return whether a trial was polished with sufficiently fine substeps."""
         linear = trial.problem.structure.is_linear
         steps = {key[2] for key in self._done if key[:2] == ("polished", trial)}
         return bool(steps) and (linear or max(steps) >= self.fitter.substeps)
 
     # ------------------------------------------------------------------ criticism
     def passed(self, trial: Trial) -> bool:
-        """Whether the residual of a trial is noise, and no free force is likelier than its laws."""
+        """Return whether a trial passes the residual tests (see `Criticism`)."""
         return self.criticized(trial).passed
 
     def criticized(self, trial: Trial) -> Criticism:
-        """What the residual tests say of a trial."""
+        """Return the results of the residual tests of a trial, computed once."""
         if trial not in self._criticism:
             with self.case.progress.step("tests"):
                 try:
                     self._criticism[trial] = self._criticize(trial)
-                except ModelError:  # it runs away within one sample, or no observer leads it
+                except ModelError:  # the model diverges within one sample, or no observer exists
                     self._criticism[trial] = Criticism(False, [], -np.inf)
         return self._criticism[trial]
 
@@ -595,7 +626,7 @@ class Search:
         motions = [estimated_motion(fitted.structure, fitted.theta, m.data) for m in case.motions]
         battery = TestedResidual(fitted, ratio)
         others = passed_without_library(battery, motions, case.significance)
-        if others is None and not case.passes([], fitted):  # a response may be solved to rounding
+        if others is None and not case.passes([], fitted):  # a response may be solved up to rounding
             return Criticism(False, [], -np.inf)
         tests = self.all_tests(trial, battery, others)
         odds = -np.inf
@@ -607,7 +638,7 @@ class Search:
         return Criticism(case.passes(tests, fitted) and not excluded, tests, odds)
 
     def _beside(self, trial: Trial, battery: TestedResidual, place: str) -> tuple[list[FTest], float]:
-        """Tests of a free force or curve beside the effects at a place, and its odds over them."""
+        """Return tests and log odds of a free force or curve at a place."""
         if not self.case.in_time:
             free = FreeStiffness(battery, place)
             return free.tests(), free.odds(trial.base)
@@ -618,11 +649,11 @@ class Search:
     def all_tests(
         self, trial: Trial, battery: TestedResidual, others: Sequence[FTest] | None = None
     ) -> list[FTest]:
-        """Every residual test of a trial but those beside its effects."""
+        """Return all residual tests of a trial except those of free forces."""
         fitted, ratio = trial.model, trial.hypothesis.ratio
         motions = [estimated_motion(fitted.structure, fitted.theta, m.data) for m in self.case.motions]
         rest = not_held(self.case.library, fitted.structure.effects)
-        if fitted.problem.dwells:  # a balance of two nonlinear laws is slow
+        if fitted.problem.dwells:  # a harmonic balance of two nonlinear effects is slow
             rest = [e for e in rest if e.spec.linear or e.spec.delays]
         near = in_race(fitted, rest, (ratio,))
         scored = candidate_columns(fitted, near, motions[0], (ratio,))
@@ -630,10 +661,10 @@ class Search:
 
 
 def is_number(effect: Effect) -> bool:
-    """Return whether an effect is a change of a single parameter of a linear model."""
+    """Return whether an effect changes a single parameter of a linear model."""
     return effect.spec.is_parameter or effect.spec.relative
 
 
 def is_gain(effect: Effect) -> bool:
-    """Return whether an effect is the gain of a channel: a parameter of the record, beside the model's."""
+    """Return whether an effect is the relative gain of a channel."""
     return bool(effect.spec.relative and effect.spec.at_channel)

@@ -1,4 +1,4 @@
-"""A force that nobody measured, of unknown size, at the inputs or everywhere, as the cause of a residual."""
+"""Unmeasured force (process noise) as the cause of a residual."""
 
 from __future__ import annotations
 
@@ -10,30 +10,32 @@ from .residual_tests import TestedResidual
 
 __all__ = ["likely_forces"]
 
-_SIZES = (0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.128)  # over the measured force
+_SIZES = (0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.128)  # ratios of the unmeasured to the measured force
 _AT = ("everywhere", "inputs")
 
 
 def likely_forces(
     fitted: FittedModel, free_run: TestedResidual, least: float, levels: Levels
 ) -> list[TestedResidual]:
-    """The residual led by each unmeasured force that it may speak of, the likeliest first.
+    """Return the residuals with likely unmeasured forces, the best first.
+
+    The force acts at the inputs or everywhere, with one of several sizes.
 
     Parameters
     ----------
     fitted : FittedModel
         Model at its minimum.
     free_run : TestedResidual
-        Its residual without such a force.
+        Residual of its free run, without such a force.
     least : float
-        Log-likelihood that the force must earn.
+        Least gain in log-likelihood.
     levels : Levels
-        Of the size.
+        Levels; within `force_size` of the best log-likelihood, a size is likely.
 
     Returns
     -------
     list of TestedResidual
-        Empty where none earns as much.
+        Residuals of the Kalman predictor; empty if no force gains more than `least`.
     """
     found: list[TestedResidual] = []
     for at in _AT:
@@ -47,7 +49,7 @@ def likely_forces(
                 found.append(led)
                 top = max(top, led.log_likelihood)
             if not led.log_likelihood >= top - 3 * levels.force_size:
-                break  # it only falls from here
+                break  # larger forces are still less likely
     best = max((led.log_likelihood for led in found), default=-np.inf)
     if best <= free_run.log_likelihood + least:
         return []

@@ -1,4 +1,4 @@
-"""From the table of hypotheses to a verdict: pure functions."""
+"""Verdict of a diagnosis from the table of hypotheses."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ __all__ = ["Answer", "TableRow", "answer", "special", "table"]
 
 
 class TableRow(NamedTuple):
-    """A set of effects, its nuisances averaged.
+    """A set of effects with its probability over all nuisances.
 
     Attributes
     ----------
     effects : tuple of Effect
-        The set; empty where nothing is missing.
+        The set; empty if nothing is missing.
     floated : bool
-        Of the empty set: whether the parameters of the model are open.
+        For the empty set: whether the parameters of the model are re-estimated. False for other sets.
     value : float
-        Log posterior probability, up to a constant.
+        Log posterior probability, summed over the nuisances, up to a constant.
     trials : list of Trial
-        The most probable first.
+        Fits that the data do not exclude, the most probable first.
     """
 
     effects: tuple[Effect, ...]
@@ -37,26 +37,27 @@ class TableRow(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """A verdict and what it rests on.
+    """A verdict with the row and the fit that support it.
 
     Attributes
     ----------
     verdict : str
         As `Diagnosis.verdict`.
     row : TableRow
-        What is said to be missing, or the likeliest where nothing passes.
+        Row of the answer, or the most probable row if the verdict is "unexplained".
     trial : Trial
-        Its fit that passes.
+        Fit of this row that passes the tests, or its most probable fit if the verdict is "unexplained".
     effects : tuple of Effect
-        What is named.
+        Named effects; those of the most probable row if the verdict is "unexplained".
     ties : tuple of TableRow
-        Rows that the records do not exclude beside it.
+        Other rows that the data cannot distinguish from it.
     inside : tuple of TableRow
-        Rows that contain it, or are contained in it, and count for it.
-    shares : dict
-        Probability of each row by its number in the table, given that one is right.
+        Rows that contain it or are special cases of it; their probability counts for it.
+    probability : float
+        Probability of the answer; NaN if the verdict is "unexplained".
     none : float
-        Probability of a force that follows none of the laws.
+        Probability that no candidate effect is right: a free force explains the record instead. NaN if the
+        verdict is "adequate" because of the row without effects.
     """
 
     verdict: str
@@ -70,7 +71,11 @@ class Answer(NamedTuple):
 
 
 def table(search: Search) -> list[TableRow]:
-    """Return the table by sets of effects, the most probable first."""
+    """Return the table of sets of effects, the most probable first.
+
+    Trials with an effect that the data do not determine are left out. The empty set has two rows: with the
+    parameters held, and with them re-estimated.
+    """
     by_set: dict[Any, list[Trial]] = {}
     for trial in search.ranked():
         if search.determined(trial):
@@ -85,7 +90,11 @@ def table(search: Search) -> list[TableRow]:
 
 
 def special(one: Sequence[Effect], other: Sequence[Effect]) -> bool:
-    """Return whether a set of effects is a special case of another: each a member, or contained in one."""
+    """Return whether a set of effects is a special case of another.
+
+    Both have the same number of effects. Each effect of the first is in the second, or is contained in an
+    effect of the second at the same place.
+    """
     if len(one) != len(other) or set(one) == set(other):
         return False
     return all(any(e == o or (o.place == e.place and e.kind in o.spec.contains) for o in other) for e in one)
@@ -97,11 +106,15 @@ def answer(search: Search, rows: Sequence[TableRow], passed: Callable[[Trial], b
     Parameters
     ----------
     search : Search
-        What was fitted.
+        Search with its fitted trials.
     rows : sequence of TableRow
-        Its table.
+        Table of the search.
     passed : callable
-        Whether a trial passes its tests.
+        Function that tells whether a trial passes its tests.
+
+    Returns
+    -------
+    Answer
     """
     levels = search.case.levels
     keeps, excluded = -float(np.log(search.case.significance)), -0.5 * levels.rival
@@ -126,24 +139,27 @@ def answer(search: Search, rows: Sequence[TableRow], passed: Callable[[Trial], b
 
 
 def _likely(rows: Sequence[TableRow], row: TableRow, total: float) -> bool:
-    """Whether the sets before a row, which failed, are less likely than all the others together."""
+    """Return whether failed rows have less than half the probability.
+
+    Rows before the given one failed. Its special cases, and rows that contain it, do not count.
+    """
     before = rows[: next(i for i, one in enumerate(rows) if one is row)]
     failed = [one.value for one in before if not _related(one, row)]
     return bool(np.logaddexp.reduce(failed or [-np.inf]) < total + np.log(0.5))
 
 
 def _related(one: TableRow, other: TableRow) -> bool:
-    """Whether one set is a special case of the other."""
+    """Return whether one set of effects is a special case of the other."""
     return special(one.effects, other.effects) or special(other.effects, one.effects)
 
 
 def _named(
     search: Search, rows: Sequence[TableRow], row: TableRow, trial: Trial, passed: Callable[[Trial], bool]
 ) -> Answer:
-    """The answer where a set of effects passes its tests."""
+    """Return the answer for a row with a trial that passes its tests."""
     levels = search.case.levels
     family = [r for r in rows if _related(r, row)]
-    if row.effects and all(is_number(effect) for effect in row.effects):  # one of the parameters of the model
+    if row.effects and all(is_number(effect) for effect in row.effects):  # parameters of the model only
         family += [r for r in rows if not r.effects and r.floated]
     simpler = [r for r in family if special(r.effects, row.effects) and r.value > row.value - levels.family]
     passing = [(r, t) for r in simpler[:1] for t in r.trials[:3] if passed(t)]
