@@ -42,18 +42,18 @@ def ranking_bars(ax: Any, found: Diagnosis) -> list[Any]:
             va="center",
             fontsize=8,
         )
-    ax.set_yticks(where, [_wrapped(row.label) for row in rows], fontsize=8)
+    ax.set_yticks(where, [_wrapped(row.label) for row in rows], fontsize=7)
     ax.set_xlim(0, 1.25 * max(before, *loss))
     ax.set_xlabel("what the refitted model misses: 100 - fit [%]")
-    ax.set_title("Rivals, refitted")
+    ax.set_title("Candidate effects, refitted")
     return [*bars, line]
 
 
 def _wrapped(label: str) -> str:
-    parts = [one.partition(" at ") for one in label.split(" + ")]  # a place stays as its owner wrote it
-    return plain(
-        "\n+ ".join(f"{a.replace('_', ' ')}{at.replace(' at', chr(10) + 'at')}{b}" for a, at, b in parts)
-    )
+    one, *more = label.split(" + ")  # each effect of a set has a line, a single one has two
+    lines = [one, *more] if more else one.replace(" at ", "\nat ", 1).split("\n")
+    words = [a.replace("_", " ") + at + b for a, at, b in (line.partition("at ") for line in lines)]
+    return plain(("\n+ " if more else "\n").join(words))
 
 
 def test_bars(ax: Any, found: Diagnosis) -> list[Any]:
