@@ -101,10 +101,15 @@ class ResponseEngine:
         Returns
         -------
         Trajectory
-            `blew_up` is 0 where a pole lies on a frequency, else -1.
+            `blew_up` is 0 where a pole lies on a frequency, or the matrices are no numbers; else -1.
         """
-        response, slopes = self.response(theta, derivatives=sensitivity)
         noise = self.data.noise
+        try:
+            response, slopes = self.response(theta, derivatives=sensitivity)
+        except DivergenceError:
+            lost = np.full(self.data.outputs.shape, np.inf)
+            free = self.structure.n_parameters if sensitivity else 0
+            return Trajectory(lost, np.zeros((*lost.shape, free)), lost[:0], lost[:0], 0)
         rows = coded(response) / noise
         columns = np.empty((*rows.shape, len(slopes)))
         for k, slope in enumerate(slopes):

@@ -65,7 +65,8 @@ def discretized(structure: Structure, theta: Array, step: float, *, derivatives:
         [Phi, first[:, :, :nw], second[:, :, :nw], first[:, :, nw:], second[:, :, nw:]], axis=2
     )
     O = np.concatenate([at.C, at.D, at.G], axis=2)
-    dM, dO, dP = (part[: len(linear)].imag / TINY_STEP for part in (M, O, at.P))
+    with np.errstate(over="ignore"):
+        dM, dO, dP = (part[: len(linear)].imag / TINY_STEP for part in (M, O, at.P))
     if not dP.any():
         dP = np.zeros((0, *at.P.shape[1:]))
     M0, dM, O, dO, P, dP = (
