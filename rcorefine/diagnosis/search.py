@@ -236,6 +236,7 @@ class Search:
             self._without_parameters()
             self._prune()
             self._names()
+            self._without_parameters()
         self.polish()
         return self
 
@@ -283,14 +284,16 @@ class Search:
     def _singles(self, screens: Sequence[Screen], far: bool) -> None:
         """Fit the likeliest single effects, and others at the best place.
 
-        With `far`, the best ones are also searched for in another local minimum.
+        With `far`, the best ones are also searched for in another local minimum if none passes its tests.
         """
         likely = [screen.beam(1, False, self.price)[: _SINGLES + 1] for screen in screens]
         effects = [groups[0].effect for ranked in likely for _, groups in ranked if groups]
         self._each(effects, screens)
         places = {e.place for e in self.best.effects}
         self._each(self._relatives(screens[0], places), screens)
-        if far:  # the fit without the effect may hold it in another local minimum
+        if far and not self.passed(
+            self.best
+        ):  # the fit without the effect may hold it in another local minimum
             nearest = [x.effects[0] for x in self.ranked() if len(x.effects) == 1][:_SOUGHT]
             nearest += [groups[0].effect for _, groups in likely[-1] if groups][:_SOUGHT]
             for trial in self.case.progress.map(
@@ -361,9 +364,10 @@ class Search:
     def _without_parameters(self) -> None:
         """Refit the best trial with the parameters held, from its point."""
         best, n = self.best, self.fitted.problem.n_theta
-        if best.effects and best.hypothesis.floated:
+        held = best.hypothesis.nuisances - self.opened
+        if best.hypothesis.floated and self.first_time("held", frozenset(best.effects), held):
             start = replace(best.start, theta=best.start.theta[:n])
-            self.try_(best.effects, best.hypothesis.nuisances - self.opened, [start], noise=best.noise)
+            self.try_(best.effects, held, [start], noise=best.noise)
             self.polish()
 
     def relinearized(self, trial: Trial) -> list[Trial]:
