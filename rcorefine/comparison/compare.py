@@ -9,7 +9,7 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_state
-from ..data.channels import Channels, aligned, match_channels, record_for, with_outputs
+from ..data.channels import Channels, aligned, match_channels, record_for, resting_inputs, with_outputs
 from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement
 from ..data.records import as_record
@@ -152,6 +152,8 @@ def _on_record(
     several: bool,
 ) -> Comparison:
     """The models run freely on one record."""
+    data.check_excitation("compare")
+    data = resting_inputs(data, list(dict.fromkeys(label for each in linear for label in each.input_labels)))
     channels = [match_channels(each, data) for each in linear]
     holds = [_hold(each) or data.hold for each in models]
     outputs = [i for i in range(data.n_outputs) if all(i in each.outputs for each in channels)]
@@ -165,7 +167,6 @@ def _on_record(
         for name, hold in zip(names, holds, strict=True)
         if hold != data.hold
     ]
-    data.check_excitation("compare")
     hidden = _hidden(models, channels, data, x0, windows[0].stop)
     made = []
     for each, flat, places, name in zip(models, linear, channels, names, strict=True):

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["KINDS", "Comparison"]
 
-KINDS = ("time", "bode", "residual", "horizon", "map")
+KINDS = ("time", "bode", "residual", "horizon", "map", "decay")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -222,7 +222,7 @@ class Comparison(Reported):
 
         Parameters
         ----------
-        kind : {"time", "bode", "residual", "horizon", "map"}
+        kind : {"time", "bode", "residual", "horizon", "map", "decay"}
             "time": measured and simulated outputs, fit % in the legend, and a
             row of residuals; of a record too long to be read, where models
             and record differ most (``set_xlim`` of the axes shows the rest).
@@ -233,6 +233,8 @@ class Comparison(Reported):
             themselves and with each input, negative lags included.
             "horizon": error against how far ahead is predicted, from one
             step to the free run. "map": `failures` as a picture.
+            "decay": of a free decay, amplitude and period against time, damping
+            ratio and frequency against amplitude.
         measured : FrequencyResponse, optional
             For "bode": measured response in place of
             ``data.frequency_response()``, e.g. with another segment length.
@@ -241,7 +243,7 @@ class Comparison(Reported):
         ax : array of Axes, optional
             Axes to draw in, shape (2 n_y, 1) for "time", (3 n_y, n_w) for
             "bode", (n_y, 1 + n_w) for "residual", (n_y, 1) for "horizon",
-            (4, n_models) for "map".
+            (4, n_models) for "map", (2 n_y, 2) for "decay".
         label : str or sequence of str, optional
             Labels of the models in place of their names.
 

@@ -13,7 +13,7 @@ from ..systems.linear import LinearModel
 from .frequency_response import FrequencyResponse
 from .measurement import Measurement
 
-__all__ = ["Channels", "aligned", "match_channels", "record_for", "with_outputs"]
+__all__ = ["Channels", "aligned", "match_channels", "record_for", "resting_inputs", "with_outputs"]
 
 _DEFAULT = re.compile(r"[uyx]\[\d+\]")
 
@@ -31,11 +31,14 @@ class Channels:
         not measured.
     notes : tuple of str
         What a user should know: reordered, or left out.
+    at_rest : tuple of str
+        Labels of the model's inputs if the record has none (a free decay): they are zero there.
     """
 
     inputs: tuple[int, ...]
     outputs: tuple[int, ...]
     notes: tuple[str, ...]
+    at_rest: tuple[str, ...] = ()
 
 
 def match_channels(model: LinearModel, data: Measurement | FrequencyResponse) -> Channels:
@@ -60,13 +63,18 @@ def match_channels(model: LinearModel, data: Measurement | FrequencyResponse) ->
         If a name is missing in the record, or the numbers of channels differ.
     """
     notes: list[str] = []
-    inputs = _places(
-        "input", model.input_labels, data.input_labels, model.name, data.name, notes, partly=False
+    driven = not isinstance(data, Measurement) or data.n_inputs > 0
+    inputs = (
+        tuple(range(model.n_inputs))
+        if not driven
+        else _places(
+            "input", model.input_labels, data.input_labels, model.name, data.name, notes, partly=False
+        )
     )
     outputs = _places(
         "output", model.output_labels, data.output_labels, model.name, data.name, notes, partly=True
     )
-    return Channels(inputs, outputs, tuple(notes))
+    return Channels(inputs, outputs, tuple(notes), () if driven else tuple(model.input_labels))
 
 
 def _places(
@@ -109,9 +117,21 @@ def _places(
 
 def record_for(data: Measurement, channels: Channels) -> Measurement:
     """The record in the order of the model's channels (its unmeasured outputs left out)."""
-    rows = list(channels.inputs)
+    data, rows = resting_inputs(data, channels.at_rest), list(channels.inputs)
     columns = [place for place in channels.outputs if place >= 0]
     return _selected(data, rows, columns)
+
+
+def resting_inputs(data: Measurement, labels: Sequence[str]) -> Measurement:
+    """Return the record of a free decay with inputs of these names, which are zero."""
+    if data.n_inputs or not labels:
+        return data
+    return data._changed(
+        inputs=np.zeros((len(labels), data.n_samples)),
+        input_labels=list(labels),
+        input_units=[""] * len(labels),
+        origin=np.concatenate([np.zeros(len(labels)), data.origin]),
+    )
 
 
 def aligned(model: LinearModel, channels: Channels, data: Measurement, outputs: Sequence[int]) -> LinearModel:

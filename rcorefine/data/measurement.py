@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, Self, Unpack
 
 import control as ct
 import numpy as np
 
 from ..arguments import as_choice, as_labels, as_number, as_text, as_texts, as_vector
-from ..exceptions import ExcitationWarning, warn
+from ..exceptions import DataError, ExcitationWarning, warn
 from ..results import Options, Result, picture, show
 from ..systems.linear import Array
+from ..words import counted
 from .parts import FIELDS, RecordParts
 from .reading import RecordReaders
 from .signals import HOLDS, as_signals, as_time_grid, check_finite, check_sizes, default_labels
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["HOLDS", "Measurement"]
 
+_HELD, _TOP = 0.95, 0.998  # shares of the largest excursion: above them a system may still be held
 _ARRAYS = ("inputs", "outputs", "timepts", "origin")
 
 
@@ -34,8 +36,8 @@ class Measurement(Result, RecordReaders, RecordParts):
 
     Parameters
     ----------
-    inputs : array_like of shape (N,) or (n_w, N)
-        What drove the system; one row per signal, time last.
+    inputs : array_like of shape (N,) or (n_w, N), or None
+        What drove the system; one row per signal, time last. None if nothing drove it (`free_decay`).
     outputs : array_like of shape (N,) or (n_y, N)
         What was measured.
     dt : float, optional
@@ -130,9 +132,10 @@ class Measurement(Result, RecordReaders, RecordParts):
         origin: Any = None,
         elapsed: float = 0.0,
     ) -> None:
-        w = as_signals(inputs, "inputs")
         y = as_signals(outputs, "outputs")
         n_samples = y.shape[1]
+        undriven = inputs is None or (isinstance(inputs, np.ndarray) and inputs.shape == (0, n_samples))
+        w = np.zeros((0, n_samples)) if undriven else as_signals(inputs, "inputs")
         if w.shape[1] != n_samples:
             raise ct.ControlDimension(
                 f"inputs have {w.shape[1]} samples and outputs {n_samples}; give both over the same time "
@@ -162,6 +165,74 @@ class Measurement(Result, RecordReaders, RecordParts):
         )  # fmt: skip
         for field, value in zip(FIELDS, values, strict=True):
             object.__setattr__(self, field, value)
+
+    @classmethod
+    def free_decay(
+        cls,
+        outputs: Any,
+        *,
+        dt: float | None = None,
+        timepts: Any = None,
+        output_labels: str | Sequence[str] | None = None,
+        output_units: str | Sequence[str] | None = None,
+        name: str | None = None,
+        release: float | None = None,
+    ) -> Self:
+        """Make a record of a free decay: the system was released, and nothing drove it.
+
+        All inputs of a model are zero there. Several releases are several records, each with an initial
+        state of its own.
+
+        Parameters
+        ----------
+        outputs : array_like of shape (N,) or (n_y, N)
+            Measured outputs from the release on.
+        dt : float, optional
+            Sampling time in s. Either `dt` or `timepts` must be given.
+        timepts : array_like of shape (N,), optional
+            Times in s, or dates.
+        output_labels, output_units : str or sequence of str, optional
+            Names and units of the signals.
+        name : str, optional
+            Name of the record, default "measured".
+        release : float, optional
+            Time of the release in s. What is before it is left out, and `notes` says so. By default it is
+            found: the end of the first excursion that comes within 5 % of the largest.
+
+        Returns
+        -------
+        Measurement
+            A record without inputs, from the release on.
+
+        Raises
+        ------
+        DataError, control.ControlDimension, control.ControlArgument
+            As the class raises them.
+
+        Examples
+        --------
+        >>> t = np.arange(500) * 0.02
+        >>> swing = Measurement.free_decay(np.exp(-0.1 * t) * np.cos(5 * t), dt=0.02, output_units="rad")
+        >>> swing.n_inputs
+        0
+        """
+        whole = cls(
+            None, outputs, dt=dt, timepts=timepts, output_labels=output_labels, output_units=output_units,
+            name=name,
+        )  # fmt: skip
+        if release is None:
+            first = released(whole.outputs)
+        else:
+            release = as_number(release, "release", what="a time in seconds")
+            first = int(np.searchsorted(whole.timepts, release - 1e-6 * whole.dt))
+        if not 0 <= first < whole.n_samples:
+            raise DataError(
+                f"release = {release} s is not in the record; it runs from {whole.timepts[0]:g} to "
+                f"{whole.timepts[-1]:g} s"
+            )
+        at, before = whole.timepts[first], counted(first, "sample")
+        said = f"from the release at {at:.6g} s on; {before} before it left out"
+        return whole._part(slice(first, None))._changed(notes=(said,)) if first else whole
 
     def _restore(self, state: dict[str, Any]) -> None:
         for field in FIELDS:  # neither pickle nor deepcopy keeps the read-only flag of an array
@@ -315,6 +386,25 @@ class Measurement(Result, RecordReaders, RecordParts):
             f"<Measurement {self.name!r}: {self.n_inputs} input(s), {self.n_outputs} output(s), "
             f"{self.n_samples} samples, dt={self.dt:g}, hold={self.hold!r}>"
         )
+
+
+def released(outputs: Array) -> int:
+    """Return the sample at which a free decay begins: the end of the first large excursion of any output.
+
+    Excursions are from the median of the last fifth, in units of the largest of that output.
+    """
+    rest = np.median(outputs[:, -max(outputs.shape[1] // 5, 1) :], axis=1, keepdims=True)
+    away = np.abs(outputs - rest)
+    largest = away.max(axis=1)
+    if not largest.any():
+        return 0
+    firsts = []
+    for row, top in zip(away[largest > 0], largest[largest > 0], strict=True):
+        peak = int(np.argmax(row >= _HELD * top))
+        below = np.flatnonzero(row[peak:] < _HELD * top)
+        swing = row[peak : peak + int(below[0])] if below.size else row[peak:]
+        firsts.append(peak + int(np.flatnonzero(swing >= _TOP * swing.max())[-1]))
+    return min(firsts)
 
 
 def _units(values: Any, what: str, count: int) -> tuple[str, ...]:

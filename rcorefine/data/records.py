@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import control as ct
+import numpy as np
 
 from ..arguments import as_list, shown
 from ..exceptions import DataError
 from .measurement import Measurement
 
-__all__ = ["as_record", "as_records"]
+__all__ = ["amplitude", "as_record", "as_records", "at_rest"]
 
 
 def as_record(data: Any) -> Measurement:
@@ -54,3 +56,14 @@ def as_records(data: Any, name: str = "data") -> list[Measurement]:
     if not records:
         raise DataError(f"{name} is an empty list; give at least one Measurement")
     return records
+
+
+def at_rest(records: Sequence[Measurement]) -> bool:
+    """Return whether no input changes in any record (free decays)."""
+    return not any(np.ptp(record.inputs, axis=1).any() for record in records)
+
+
+def amplitude(record: Measurement) -> float:
+    """Return the root mean square of the inputs, or that of the outputs if no input changes."""
+    signals = record.outputs if at_rest([record]) else record.inputs
+    return float(np.sqrt(np.mean(signals**2)))

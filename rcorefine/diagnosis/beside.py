@@ -173,6 +173,8 @@ def channel_curve(fitted: FittedModel, label: str) -> list[Array] | None:
     else:
         return None
     joined = np.concatenate(parts)
+    if not np.ptp(joined):
+        return None
     curve = Curve.along(label, joined, np.zeros(joined.size))
     if not curve.d.size:
         return None

@@ -10,6 +10,7 @@ import control as ct
 import numpy as np
 
 from ..data.measurement import Measurement
+from ..data.records import at_rest
 from ..data.response_record import ResponseRecord, in_frequency, noise_is_known
 from ..effects.effect import Effect
 from ..effects.law import KINDS
@@ -30,7 +31,7 @@ from ..models.physical_model import PhysicalModel
 from ..progress import Progress
 from .residual_tests import passes
 
-__all__ = ["SHORTEST", "Case", "candidates_of", "no_motion", "not_excited", "not_held", "seen_in_responses"]
+__all__ = ["SHORTEST", "Case", "candidates_of", "no_motion", "not_excited", "not_held", "seen_in"]
 
 _FEW_LEVELS = 3  # distinct values of an output that does not move but for its last digit
 _SOLVED = 1e-7  # of a response: its balance of harmonics is solved to 1e-8, which grows near a resonance
@@ -108,8 +109,7 @@ class Case:
         if len(records) > 1:
             motions[0].companions = motions[1:]
         library = candidates_of(physical) if asked is None else asked
-        if in_frequency(ordered):
-            library = seen_in_responses(physical, library, ordered, asked is not None)
+        library = seen_in(physical, library, ordered, asked is not None)
         library = not_held(library, base.effects)
         if not library:
             raise ct.ControlArgument("no candidate is left that the model does not hold already; give others")
@@ -165,7 +165,22 @@ def not_held(candidates: Sequence[Effect], held: Sequence[Effect]) -> list[Effec
     return [effect for effect in candidates if (effect.kind, effect.place) not in names]
 
 
-def seen_in_responses(
+def seen_in(
+    physical: PhysicalModel, candidates: Sequence[Effect], records: Sequence[Any], asked: bool
+) -> list[Effect]:
+    """Return the candidates that records of this kind show.
+
+    Raises
+    ------
+    ModelError
+        If one was asked for that they cannot show.
+    """
+    if in_frequency(records):
+        return _seen_in_responses(physical, candidates, records, asked)
+    return _seen_at_rest(physical, candidates, asked) if at_rest(records) else list(candidates)
+
+
+def _seen_in_responses(
     physical: PhysicalModel, candidates: Sequence[Effect], records: Sequence[ResponseRecord], asked: bool
 ) -> list[Effect]:
     """Candidates that a frequency response shows: no constants, nonlinear ones only at a known amplitude.
@@ -190,6 +205,31 @@ def seen_in_responses(
                 why = "is not seen in a response" if fits else "has memory, and takes records in time"
             raise ModelError(f"{effect.label} {why}; leave it out of candidates")
     return seen
+
+
+def _seen_at_rest(physical: PhysicalModel, candidates: Sequence[Effect], asked: bool) -> list[Effect]:
+    """Return the candidates that a free decay shows.
+
+    Effects of an input need an input that moves. A gain, a lag or a delay of an output cannot be told from
+    another initial state.
+
+    Raises
+    ------
+    ModelError
+        If one was asked for that it cannot show.
+    """
+    inputs = set(physical.linear.input_labels)
+    hidden = [
+        e
+        for e in candidates
+        if e.place in inputs or (e.spec.at_channel and (e.spec.linear or e.spec.inner_states))
+    ]
+    if asked and hidden:
+        raise ModelError(
+            f"{hidden[0].label} cannot be seen while no input moves; leave it out of candidates, or give a "
+            "record in which the inputs move"
+        )
+    return not_held(candidates, hidden)
 
 
 def no_motion(records: Sequence[Measurement]) -> str:
@@ -234,7 +274,7 @@ def not_excited(base: Refinement, records: Sequence[Measurement]) -> str:
     -------
     str
     """
-    if any(np.ptp(record.inputs, axis=1).any() for record in records):
+    if not at_rest(records):
         return ""
     samples = sum(record.n_samples for record in records)
     if not explains_nothing(base.fit, samples, base.theta.size + base.initial_states.size):

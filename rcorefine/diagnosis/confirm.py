@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import control as ct
 import numpy as np
 
-from ..arguments import as_number, as_share
+from ..arguments import as_mapping, as_number, as_share, as_vector
 from ..data.measurement import Measurement
-from ..data.records import as_records
+from ..data.records import amplitude, as_records
 from ..effects.effect import Effect
 from ..effects.several import as_effects
 from ..engine.observer import observer_gain
 from ..engine.simulation import check_channels
+from ..exceptions import DataError
 from ..inference.assembly import check_settings, priors
 from ..inference.covariance import standard_deviations, wald
 from ..inference.descent import descend
@@ -27,7 +28,6 @@ from ..inference.refinement import Refinement
 from ..inference.search import starting_states, sufficient_steps
 from ..inference.sensitivities import candidate_columns
 from ..inference.starts import Motion
-from ..inference.whitening import Whitener
 from ..inference.windows import windows
 from ..models.library import effect_library
 from ..models.operating_point import ordered_record
@@ -52,6 +52,7 @@ def confirm(
     noise: float | Sequence[float] | None = None,
     force_ratio: float = 0.0,
     significance: float = 0.005,
+    scales_with: Mapping[str, str | Sequence[float]] | None = None,
 ) -> Confirmation:
     """Test a refined model on further records, best taken at another amplitude.
 
@@ -75,6 +76,10 @@ def confirm(
         `Diagnosis.force_ratio` says it; taken to be as large in the other records.
     significance : float
         Level below which the effects are refuted.
+    scales_with : mapping, optional
+        Effects whose size changes in proportion to a condition, by ``"kind@place"``: a number per record, or
+        the name of a signal of the records (its mean counts). For example
+        ``{"coulomb_friction@shaft": "load"}``. All other coefficients must keep their values.
 
     Returns
     -------
@@ -84,13 +89,17 @@ def confirm(
     Raises
     ------
     control.ControlArgument
-        If the model has no effect that was asked for, or there is only one record.
+        If the model has no effect that was asked for, there is only one record, or `scales_with` names an
+        effect or a signal that does not exist.
+    DataError
+        If a condition is zero or changes its sign between records.
 
     Notes
     -----
     Wald test ``(t1 - t2)' (C1 + C2)^-1 (t1 - t2)`` of the effects' coefficients with the
     covariances of generalized least squares, and the battery of `diagnose` on each
-    further residual. Offsets and linear parameters that float may differ between records.
+    further residual. Offsets and linear parameters that float may differ between records. With
+    `scales_with`, t1 is multiplied by the ratio of the conditions, and C1 by its square.
 
     Examples
     --------
@@ -122,8 +131,10 @@ def confirm(
     own = [i for i, row in enumerate(model.parameters) if row.role == "effect"]
     if not own:
         raise ct.ControlArgument("the model holds no effect that was asked for, so nothing can be confirmed")
+    conditions = _conditions(model, records, scales_with or {})
+    factors = _factors(model, own, conditions, len(records))
     estimates = _estimates(
-        model, records, ordered, own, _others(model, candidates), tolerance, noise, force_ratio
+        model, records, ordered, own, _others(model, candidates), tolerance, noise, force_ratio, factors
     )
     further = estimates[1:]
     p_value = min(1.0, len(further) * min(min(e.agreement, e.residual) for e in further))
@@ -131,8 +142,8 @@ def confirm(
     labels = [f"{row.kind} at {row.place}" for row in (model.parameters[i] for i in own)]
     verdict = "confirmed" if p_value >= significance else "refuted"
     units = tuple(model.parameters[i].unit for i in own)
-    message = _message(verdict, list(dict.fromkeys(labels)), estimates, p_value, significance)
-    return Confirmation(verdict, p_value, names, units, tuple(estimates), significance, message)
+    message = _message(verdict, list(dict.fromkeys(labels)), estimates, p_value, significance, scales_with)
+    return Confirmation(verdict, p_value, names, units, tuple(estimates), significance, message, conditions)
 
 
 def _others(model: Refinement, candidates: Sequence[Effect] | None) -> list[Effect]:
@@ -145,6 +156,57 @@ def _others(model: Refinement, candidates: Sequence[Effect] | None) -> list[Effe
     return [effect for effect in library if (effect.kind, effect.place) not in held]
 
 
+def _conditions(
+    model: Refinement, records: Sequence[Measurement], asked: Mapping[str, Any]
+) -> dict[str, tuple[float, ...]]:
+    """Return the condition of each effect that changes with one, record by record."""
+    held = {
+        f"{e.kind}@{e.place}" for e, role in zip(model.effects, model.roles, strict=True) if role == "effect"
+    }
+    found = {}
+    for key, given in as_mapping(asked, "scales_with", "conditions").items():
+        if key not in held:
+            raise ct.ControlArgument(
+                f"scales_with names {key!r}; the effects of the model are {', '.join(sorted(held))}"
+            )
+        if isinstance(given, str):
+            values = np.array([_mean_of(record, given) for record in records])
+        else:
+            values = as_vector(given, f"scales_with[{key!r}]", len(records))
+        if not (np.all(values > 0) or np.all(values < 0)):
+            raise DataError(
+                f"scales_with[{key!r}] is {', '.join(f'{v:.4g}' for v in values)}: a condition must be "
+                "nonzero and of one sign in all records"
+            )
+        found[key] = tuple(map(float, values))
+    return found
+
+
+def _mean_of(record: Measurement, label: str) -> float:
+    """Return the mean of a signal of a record, by its name."""
+    labels = [*record.input_labels, *record.output_labels]
+    if label not in labels:
+        raise ct.ControlArgument(
+            f"scales_with names the signal {label!r}; record {record.name!r} has {', '.join(labels)}"
+        )
+    return float(np.concatenate([record.inputs, record.outputs])[labels.index(label)].mean())
+
+
+def _factors(
+    model: Refinement, own: Sequence[int], conditions: Mapping[str, Sequence[float]], count: int
+) -> Array:
+    """Return how much each coefficient (columns) changes from the first record to each (rows)."""
+    factors = np.ones((count, len(own)))
+    structure = model.simulation_structure()[0]
+    for k, i in enumerate(own):
+        parameter = structure.parameters[i]
+        effect = structure.effects[parameter.effect]
+        values = conditions.get(f"{effect.kind}@{effect.place}")
+        if values is not None and parameter.name not in effect.spec.shaping:
+            factors[:, k] = np.array(values) / values[0]
+    return factors
+
+
 def _estimates(
     model: Refinement,
     records: Sequence[Measurement],
@@ -154,9 +216,10 @@ def _estimates(
     tolerance: float,
     noise: Any,
     force_ratio: float,
+    factors: Array,
 ) -> list[RecordEstimate]:
     """The model on each record alone, against the first one."""
-    levels = [float(np.sqrt(np.mean(record.inputs**2))) or 1.0 for record in ordered]
+    levels = [amplitude(record) or 1.0 for record in ordered]
     ratios = [force_ratio * levels[0] / level for level in levels]
     alone = [
         _alone(model, record, tolerance, noise, ratio) for record, ratio in zip(ordered, ratios, strict=True)
@@ -168,24 +231,35 @@ def _estimates(
         valid = [t.p_value for t in tests if t.dof]
         agreement = 1.0
         if i:
-            difference = fitted.theta[own] - alone[0][0].theta[own]
-            agreement = wald(difference, alone[0][1][block] + C[block])
+            f = factors[i]
+            difference = fitted.theta[own] - f * alone[0][0].theta[own]
+            agreement = wald(difference, f[:, None] * alone[0][1][block] * f + C[block])
         name = records[i].name if len({r.name for r in records}) > 1 else f"record {i + 1}"
         residual = min(1.0, min(valid, default=1.0) * len(valid))
         estimates.append(
             RecordEstimate(
                 name, levels[i] / levels[0], fitted.theta[own], standard_deviations(C)[own], agreement,
-                tuple(tests), residual,
+                tuple(tests), residual, factors[i],
             )
         )  # fmt: skip
     return estimates
 
 
 def _message(
-    verdict: str, labels: list[str], estimates: Sequence[RecordEstimate], p_value: float, level: float
+    verdict: str,
+    labels: list[str],
+    estimates: Sequence[RecordEstimate],
+    p_value: float,
+    level: float,
+    scaled: Mapping[str, Any] | None = None,
 ) -> str:
     first, *further = estimates
-    what = " with ".join(labels)
+    scaled = {
+        key: value if isinstance(value, str) else "the condition" for key, value in (scaled or {}).items()
+    }
+    keys = [label.replace(" at ", "@", 1) for label in labels]
+    ways = [f" in proportion to {scaled[key]}" if key in scaled else "" for key in keys]
+    what = " with ".join(label + way for label, way in zip(labels, ways, strict=True))
     if verdict == "confirmed":
         other = any(abs(np.log(e.level)) > 0.25 for e in further)
         caution = "" if other else " The amplitudes are alike, though, so a law that mimics it could pass."
@@ -225,10 +299,10 @@ def _alone(
         point = descend(made, point, evaluations=15, tolerance=1e-6).point
     gain = observer_gain(structure, theta, segments[0], ratio) if ratio > 0 else None
     for _ in range(_ROUNDS):
-        whitener = Whitener.fit([r for r, _ in evaluated(made, point, gain)])
+        whitener = made.whitener([r for r, _ in evaluated(made, point, gain)])
         point = descend(made, point, gain=gain, whitener=whitener, evaluations=10, tolerance=1e-8).point
     blocks = evaluated(made, point, gain)
-    whitener = Whitener.fit([r for r, _ in blocks])
+    whitener = made.whitener([r for r, _ in blocks])
     C = coefficient_covariance(made, blocks, whitener)
     fitted = FittedModel(replace(model, substeps=made.substeps), made, point, tolerance)
     if gain is not None:

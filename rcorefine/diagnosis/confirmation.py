@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Unpack
 
 import control as ct
@@ -23,7 +23,7 @@ class RecordEstimate(Row):
     name : str
         Name of the record.
     level : float
-        Rms of its inputs over that of the first record.
+        Its amplitude over that of the first record: rms of the inputs, in free decays of the outputs.
     coefficients, std : ndarray, shape (p,)
         Of the effects.
     agreement : float
@@ -32,6 +32,8 @@ class RecordEstimate(Row):
         Tests of the residual.
     residual : float
         p-value of all of them together.
+    factors : ndarray, shape (p,)
+        Ratio of each coefficient to that of the first record if the law is the same; 1 without a condition.
     """
 
     name: str
@@ -41,6 +43,7 @@ class RecordEstimate(Row):
     agreement: float
     tests: tuple[FTest, ...]
     residual: float
+    factors: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +67,9 @@ class Confirmation(Result):
         Level.
     message : str
         The outcome in a sentence.
+    conditions : dict
+        For each effect that changes in proportion to a condition (``"kind@place"``) the condition in each
+        record.
     """
 
     verdict: str
@@ -73,6 +79,7 @@ class Confirmation(Result):
     estimates: tuple[RecordEstimate, ...]
     significance: float
     message: str
+    conditions: dict[str, tuple[float, ...]] = field(default_factory=dict)
 
     def sentences(self) -> list[str]:
         """What was found, one sentence each.
@@ -84,7 +91,8 @@ class Confirmation(Result):
         return [
             self.message,
             "agreement: chance of such a difference from the first record if the law is the same; residual: "
-            "p-value of the tests on what the refitted model leaves; input: rms over that of the first.",
+            "p-value of the tests on what the refitted model leaves; level: amplitude over that of "
+            "the first.",
         ]
 
     @picture

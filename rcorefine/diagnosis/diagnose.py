@@ -412,11 +412,13 @@ def _shares(
 def open_force(search: Search) -> tuple[FreeForces | None, FittedModel]:
     """Return free forces for an unexplained record, and their base model.
 
-    The base is the model as given, unless its re-estimated parameters alone fit better than any free force or
-    single effect. The forces are None if no single candidate effect was fitted at the chosen base.
+    The base is that of the most probable trial, or the model as given if its parameters are held there. It
+    has re-estimated parameters also if these alone fit better than any free force or single effect. The
+    forces are None if no single candidate effect was fitted at the chosen base.
     """
     empty = {trial.hypothesis.key: trial for trial in search.trials if not trial.effects}
-    for nuisances in dict.fromkeys((frozenset[Nuisance](), search.opened)):
+    held = () if search.best.hypothesis.floated else (frozenset[Nuisance](),)
+    for nuisances in dict.fromkeys((*held, search.opened)):
         base = search.base(nuisances)
         offered = [
             x for x in search.ranked() if x.base is base and set(x.effects) <= set(search.case.library)

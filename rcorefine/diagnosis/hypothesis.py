@@ -129,13 +129,13 @@ class Recorded(NamedTuple):
         Outputs of each record.
     steps : list of float
         Rounding step of each output, 0 for none.
-    colored : bool
-        Whether noise may be other than white and normal.
+    most : int or None
+        Highest order of the noise filters, None for any. It is 0 if noise is white and normal.
     """
 
     outputs: list[Array]
     steps: list[float]
-    colored: bool
+    most: int | None
 
     @classmethod
     def of(cls, problem: Problem, colored: bool = True) -> Recorded:
@@ -145,11 +145,12 @@ class Recorded(NamedTuple):
             colored and problem.in_time,
         )
         rows = np.concatenate(outputs, axis=1)
-        return cls(outputs, [rounding_step(row) if colored else 0.0 for row in rows], colored)
+        steps = [rounding_step(row) if colored else 0.0 for row in rows]
+        return cls(outputs, steps, problem.color if colored else 0)
 
     def noise(self, residuals: Sequence[Array]) -> Noise:
         """Return the likeliest noise of residuals."""
-        return noise_of(residuals, self.outputs, self.steps, self.colored)
+        return noise_of(residuals, self.outputs, self.steps, self.most)
 
 
 @dataclass(eq=False)

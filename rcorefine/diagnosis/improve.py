@@ -36,7 +36,7 @@ from ..progress import Progress
 from ..refinement.base_fit import base_fit
 from ..refinement.refine import refine, refit
 from ..systems.linear import Array
-from .case import Case, candidates_of, no_motion, not_held, seen_in_responses
+from .case import Case, candidates_of, no_motion, not_held, seen_in
 from .checks.check import looks
 from .colored_noise import left_to_noise
 from .diagnose import about_hold, open_force, with_offsets
@@ -164,8 +164,7 @@ def improve(
     horizon, cut = common_horizon(physical, ordered, horizon)
     settings: dict[str, Any] = {"tolerance": tolerance, "offset": offset, "noise": noise, "horizon": horizon}
     in_time = not in_frequency(parts.fit)
-    if not in_time:
-        library = seen_in_responses(physical, library, ordered, candidates is not None)
+    library = seen_in(physical, library, ordered, candidates is not None)
     with own_arithmetic(), unheard(IdentifiabilityWarning), Progress(progress, executor) as bar:
         with bar.step("the model as it is"):
             start = base_fit(model, parts.fit, free=free, **settings)

@@ -69,14 +69,14 @@ class Residual:
         Measured output, in the same unit.
     step : float
         Rounding step of the output, 0 for none.
-    in_time : bool
-        Whether it is a signal in time. The points of a frequency response have no color.
+    most : int or None
+        Highest order of its filter, None for any. The points of a frequency response have no color: 0.
     """
 
     left: Array
     measured: Array
     step: float
-    in_time: bool
+    most: int | None
 
     @cached_property
     def price(self) -> float:
@@ -94,7 +94,7 @@ class Residual:
         Returns log-likelihood (minus the penalty), filter and variance.
         """
         n = row.size
-        a, variance = autoregression(row, order=None if self.in_time else 0, price=2.0 * self.price)
+        a, variance = autoregression(row, most=self.most, price=2.0 * self.price)
         a, variance = autoregression(row, order=a.size - 1)  # on all samples
         variance = max(variance, 1e-300)
         value = -0.5 * n * (float(np.log(2 * np.pi * variance)) + 1.0) - (a.size - 1) * self.price
@@ -132,7 +132,7 @@ class HeavyTailed:
 
     def fit(self, residual: Residual) -> Fit | None:
         """Fit the scale by expectation-maximization, with weights of the samples."""
-        if not residual.in_time:
+        if residual.most == 0:
             return None
         _, a, _ = residual.colored
         row, dof = residual.left, self.dof
@@ -159,7 +159,7 @@ class Proportional:
 
     def fit(self, residual: Residual) -> Fit | None:
         """Fit an autoregressive model to the weighted residual."""
-        if not residual.in_time:
+        if residual.most == 0:
             return None
         level = np.abs(residual.measured + residual.left)
         level = level / (float(np.sqrt(np.mean(level**2))) or 1.0)
@@ -198,7 +198,7 @@ MODELS: tuple[NoiseModel, ...] = (
 
 
 def noise_of(
-    residuals: Sequence[Array], outputs: Sequence[Array], steps: Sequence[float], in_time: bool = True
+    residuals: Sequence[Array], outputs: Sequence[Array], steps: Sequence[float], most: int | None = None
 ) -> Noise:
     """Return the likeliest noise of residuals, output by output.
 
@@ -208,8 +208,8 @@ def noise_of(
         Residuals and measured outputs of each record, in the same units.
     steps : sequence of float
         Rounding step of each output, 0 for none.
-    in_time : bool
-        Whether they are signals in time.
+    most : int or None
+        Highest order of the filters, None for any; 0 for frequency responses.
 
     Returns
     -------
@@ -218,7 +218,7 @@ def noise_of(
     rows = zip(np.concatenate(residuals, axis=1), np.concatenate(outputs, axis=1), steps, strict=True)
     best = []
     for left, measured, step in rows:
-        residual = Residual(left, measured, step, in_time)
+        residual = Residual(left, measured, step, most)
         fits = [fit for model in MODELS if (fit := model.fit(residual)) is not None]
         best.append(max(fits, key=lambda fit: fit.log_likelihood))
     ends = np.cumsum([r.shape[1] for r in residuals])[:-1]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..data.measurement import Measurement
+from ..data.records import at_rest
 from ..data.response_record import in_frequency, some_lines
 from ..exceptions import DataError
 from ..inference.windows import spread_lines, windows
@@ -19,6 +20,7 @@ __all__ = ["Parts", "common_horizon", "split_in_parts"]
 
 _FIT, _CHOOSE = 0.6, 0.2  # shares of the record; the rest judges
 _LEAST, _FEWEST = 30, 50  # samples of a part that chooses or judges, points of a response that can be split
+_DEAD = 8.0  # standard deviations of the noise below which nothing moves
 _EXCERPT, _PIECES = 8000, 4  # samples of a long record on which the ladder climbs
 _SHORTEST, _MOST_RECORDS = 1000, 16  # samples of such a piece, records that it is made of
 
@@ -39,6 +41,8 @@ class Parts:
         All that does not judge.
     remarks : tuple of str
         What was left out, and why.
+    whole : bool
+        Whether the first part is all of it, and no excerpt.
     """
 
     fit: list[Measurement]
@@ -46,11 +50,7 @@ class Parts:
     judge: list[Measurement]
     learn: list[Measurement]
     remarks: tuple[str, ...] = ()
-
-    @property
-    def whole(self) -> bool:
-        """Whether the first part is all of it, and no excerpt."""
-        return not self.remarks
+    whole: bool = True
 
     def pooled(self) -> Parts:
         """Fit on all that does not judge."""
@@ -105,7 +105,14 @@ def split_in_parts(records: Sequence[Measurement], validation: Measurement | Non
     if in_frequency(records):
         return _lines_in_parts(records, validation)
     fit, choose, judge, learn = [], [], [], []
-    for record in records:
+    remarks: tuple[str, ...] = ()
+    for given in records:
+        record = moving(given)
+        if record is not given:
+            remarks += (
+                f"The motion of record {given.name!r} has died at {record.timepts[-1]:.4g} s: the rest of it "
+                "is left out.",
+            )
         least = SHORTEST + _LEAST + (_LEAST if validation is None else 0)
         if record.n_samples < least:
             another = ", or another record as validation=" if validation is None else ""
@@ -122,14 +129,31 @@ def split_in_parts(records: Sequence[Measurement], validation: Measurement | Non
         choose.append(second)
         learn.append(both)
     climbed, whole = excerpt(fit), sum(record.n_samples for record in fit)
-    remarks: tuple[str, ...] = ()
     if climbed is not fit:
-        remarks = (
+        remarks += (
             f"The record is long: effects were sought on {len(climbed)} pieces spread over it "
             f"({sum(record.n_samples for record in climbed)} of {whole} samples); the last model was fitted "
             "once more on all that does not judge.",
         )
-    return Parts(climbed, choose, [validation] if validation is not None else judge, learn, remarks)
+    return Parts(
+        climbed, choose, [validation] if validation is not None else judge, learn, remarks, climbed is fit
+    )
+
+
+def moving(record: Measurement) -> Measurement:
+    """Return a free decay up to where its motion has died; any other record as it is.
+
+    A part without motion decides nothing. Motion counts as long as an output still moves by `_DEAD` standard
+    deviations of its noise (of second differences) within a fiftieth of the record.
+    """
+    if not at_rest([record]) or record.n_samples < SHORTEST:
+        return record
+    y, length = record.outputs, max(record.n_samples // 50, 4)
+    noise = np.median(np.abs(np.diff(y, 2, axis=1)), axis=1) / (0.6745 * np.sqrt(6.0))
+    pieces = np.array_split(np.arange(record.n_samples), record.n_samples // length)
+    alive = [bool((np.ptp(y[:, piece], axis=1) > _DEAD * noise).any()) for piece in pieces]
+    last = int(pieces[max(np.flatnonzero(alive), default=-1)][-1]) + 1
+    return record if last == record.n_samples else record._part(slice(0, last))
 
 
 def _lines_in_parts(responses: Sequence[Any], validation: Any) -> Parts:
@@ -149,7 +173,14 @@ def _lines_in_parts(responses: Sequence[Any], validation: Any) -> Parts:
     judge = parts["judge"] if validation is None else [validation]
     fit = spread_lines(parts["fit"])
     spread = ("Effects were sought on some of the frequencies, spread evenly.",)
-    return Parts(fit, parts["choose"], judge, parts["learn"], () if fit is parts["fit"] else spread)
+    return Parts(
+        fit,
+        parts["choose"],
+        judge,
+        parts["learn"],
+        () if fit is parts["fit"] else spread,
+        fit is parts["fit"],
+    )
 
 
 def excerpt(records: list[Measurement]) -> list[Measurement]:

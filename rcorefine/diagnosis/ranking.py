@@ -137,7 +137,7 @@ def detectable(
     level = stats.norm.isf(significance / (2 * tests * max(len(scored), 1))) + levels.power
     found = []
     for candidate in scored:
-        if len(candidate.effect.coefficients) != 1 or len(candidate.starts) != 1:
+        if len(candidate.effect.free) != 1 or len(candidate.starts) != 1:
             continue
         white = battery.whiten(candidate.columns[battery.ratio])
         column = project(white[:, 0], battery.basis)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..data.records import amplitude
 from ..effects.effect import Effect
 from ..inference.covariance import wald
 from ..inference.descent import descend
@@ -16,7 +17,7 @@ from ..words import chance, with_error
 
 __all__ = ["amplitude_test", "remarks"]
 
-_OTHER_AMPLITUDE = 1.3  # rms of the inputs over that of another record
+_OTHER_AMPLITUDE = 1.3  # amplitude over that of another record
 
 
 def amplitude_test(fitted: FittedModel, added: int, levels: Levels) -> tuple[float, str]:
@@ -41,7 +42,7 @@ def amplitude_test(fitted: FittedModel, added: int, levels: Levels) -> tuple[flo
         Result of the comparison in words; empty without one.
     """
     structure = fitted.structure
-    sizes = [float(np.sqrt(np.mean(r.inputs**2))) for r in fitted.problem.records]
+    sizes = [amplitude(record) for record in fitted.problem.records]
     low, high = int(np.argmin(sizes)), int(np.argmax(sizes))
     if sizes[high] <= _OTHER_AMPLITUDE * max(sizes[low], 1e-300):
         return 1.0, ""

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..data.measurement import HOLDS
+from ..data.records import at_rest
 from ..effects.along_motion import unit_forces
 from ..effects.effect import Effect
 from ..engine.point import resting
@@ -94,6 +95,9 @@ class Search:
         self.library = [*case.library, *more]
         self.price = float(np.log(max(len(self.library), 2)))
         self.parameters = Parameters(FITTED_SPREAD)
+        # a free decay has no input that could be held or noisy, and no force by its definition: the
+        # predictor of an unmeasured force takes the error of any model there for that force
+        self.driven = case.in_time and not at_rest(case.ordered)
         self._bases: dict[frozenset[Nuisance], FittedModel] = {frozenset(): self.fitted}
         self._criticism: dict[Trial, Criticism] = {}
         self._done: set[Any] = set()
@@ -227,16 +231,19 @@ class Search:
             self.polish()
             if self.best is before:
                 break
-        if self.colored and self.case.in_time and (self.best.effects or not self.passed(self.best)):
+        if self.colored and self.driven and (self.best.effects or not self.passed(self.best)):
             with step("noise of the inputs, unmeasured forces"):
                 self._noisy_inputs()
                 self._forces()
             self.polish()
         with step("other names"):
-            self._without_parameters()
-            self._prune()
-            self._names()
-            self._without_parameters()
+            for _ in range(_ROUNDS):
+                before = self.best
+                self._without_parameters()
+                self._prune()
+                self._names()
+                if self.best is before:
+                    break
         self.polish()
         return self
 
@@ -291,9 +298,8 @@ class Search:
         self._each(effects, screens)
         places = {e.place for e in self.best.effects}
         self._each(self._relatives(screens[0], places), screens)
-        if far and not self.passed(
-            self.best
-        ):  # the fit without the effect may hold it in another local minimum
+        # the fit without the effect may be in another local minimum
+        if far and not self.passed(self.best):
             nearest = [x.effects[0] for x in self.ranked() if len(x.effects) == 1][:_SOUGHT]
             nearest += [groups[0].effect for _, groups in likely[-1] if groups][:_SOUGHT]
             for trial in self.case.progress.map(
@@ -413,12 +419,13 @@ class Search:
     def _other_holds(self) -> list[frozenset[Nuisance]]:
         """Return the nuisances of the holds that are not declared.
 
-        Each has the parameters held and re-estimated. Empty if the records declare several holds.
+        Each has the parameters held and re-estimated. Empty if the records declare several holds, or if no
+        input changes.
         """
         model, records = self.case.base.physical_model, self.case.records
         declared = model.hold or records[0].hold
         several = model.hold is None and any(record.hold != declared for record in records)
-        if not (self.colored and self.case.in_time) or several:
+        if not (self.colored and self.driven) or several:
             return []
         opened = dict.fromkeys((frozenset[Nuisance](), self.opened))
         return [frozenset([Hold(hold), *more]) for hold in HOLDS for more in opened if hold != declared]
@@ -541,7 +548,7 @@ class Search:
             (other, trial.start.values[i])
             for other in linear
             if first in linear and other.place != first.place and other.coefficients == first.coefficients
-            if self.first_time("name", frozenset(trial.effects), i, other)
+            if self.first_time("name", trial.hypothesis.key, i, other)
         ]
 
     def _imitations(self, trial: Trial, which: Sequence[int]) -> list[tuple[Effect, dict[str, float]]]:
@@ -561,7 +568,7 @@ class Search:
         for other in self.case.library:
             if other.place != place or other.kind in held or is_number(other):
                 continue
-            if not self.first_time("name", frozenset(trial.effects), tuple(which), other):
+            if not self.first_time("name", trial.hypothesis.key, tuple(which), other):
                 continue
             one = Structure(structure.model, [other])
             names = [q.name for q in one.parameters]

@@ -19,20 +19,23 @@ class Gravity(PortLaw):
 
     where = frozenset(["mechanical"])
     coefficients = (Coefficient("torque", "force", explanation="m g l: torque of the weight, held level"),)
-    formula = "f = t sin(d), d the angle from where it hangs in rad"
+    constants = MappingProxyType({"tangent": 1.0})
+    from_zero = frozenset(["tangent"])  # a model that is linear about the lowest point has the slope already
+    formula = "f = t (sin(d) - (1 - tangent) d), d the angle from where it hangs in rad"
     explanation = "The weight at {place} pulls back by the sine of the angle, as at a pendulum (m g l sin)."
     belongs_to = "stiffness"
-    on_request = True  # only who knows that d is an angle from the vertical can say so
+    domains = frozenset(["rotational"])
 
     @staticmethod
-    def law(d, torque):  # type: ignore[no-untyped-def]
+    def law(d, torque, tangent):  # type: ignore[no-untyped-def]
         """Formula."""
-        return torque * math.sin(d)
+        return torque * (math.sin(d) - (1.0 - tangent) * d)
 
     @staticmethod
-    def slopes(d, torque):  # type: ignore[no-untyped-def]
+    def slopes(d, torque, tangent):  # type: ignore[no-untyped-def]
         """With its derivatives."""
-        return torque * math.sin(d), torque * math.cos(d), math.sin(d)
+        bent = math.sin(d) - (1.0 - tangent) * d
+        return torque * bent, torque * (math.cos(d) - 1.0 + tangent), bent, torque * d
 
 
 @register

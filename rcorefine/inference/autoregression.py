@@ -21,7 +21,12 @@ def highest_order(n_samples: int) -> int:
 
 
 def autoregression(
-    signal: Array, *, order: int | None = None, known: NDArray[np.bool_] | None = None, price: float = 2.0
+    signal: Array,
+    *,
+    order: int | None = None,
+    known: NDArray[np.bool_] | None = None,
+    price: float = 2.0,
+    most: int | None = None,
 ) -> tuple[Array, float]:
     """Autoregressive model of a signal, order by Akaike's criterion or another one.
 
@@ -35,6 +40,9 @@ def autoregression(
         Samples that count; by default all.
     price : float, optional
         Of a coefficient in twice the log-likelihood: 2 for Akaike, the log of the samples for Schwarz.
+
+    most : int, optional
+        Highest order to choose from, where the length of the signal allows more.
 
     Returns
     -------
@@ -59,7 +67,8 @@ def autoregression(
     """
     whole = np.ones(signal.size, dtype=bool) if known is None else known
     r = signal - (signal[whole].mean() if whole.any() else 0.0)
-    most = highest_order(int(whole.sum())) if order is None else order
+    longest = highest_order(int(whole.sum()))
+    most = order if order is not None else longest if most is None else min(most, longest)
     n = r.size - most
     if whole.all():
         products = _products(r, most)

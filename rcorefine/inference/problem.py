@@ -12,6 +12,7 @@ from scipy.linalg import block_diag
 from scipy.optimize import OptimizeResult, least_squares
 
 from ..data.measurement import Measurement
+from ..data.records import at_rest
 from ..data.response_record import ResponseRecord, in_frequency
 from ..engine.initial_state import brief_modes
 from ..engine.response_engine import engine_on, is_linear
@@ -106,8 +107,19 @@ class Problem:
         return Problem(structure, records or self.records, **{**given, **changes})
 
     def whitener(self, residuals: Sequence[Array]) -> Whitener:
-        """Filter of residuals: in time noise may have a memory, from frequency to frequency it has none."""
-        return Whitener.fit(residuals, order=None if self.in_time else 0)
+        """Filter of residuals, of at most the order `color`."""
+        return Whitener.fit(residuals, most=self.color)
+
+    @property
+    def color(self) -> int | None:
+        """Highest order of the noise filter, None for any.
+
+        0 for responses: noise has no memory from frequency to frequency. 1 for free decays: with two
+        coefficients a filter takes any oscillation, and with it the error of any model, for noise.
+        """
+        if not self.in_time:
+            return 0
+        return 1 if at_rest(self.records) else None
 
     @property
     def dwells(self) -> bool:

@@ -58,19 +58,26 @@ class Whitener:
     scales: Array
 
     @classmethod
-    def fit(cls, residuals: Sequence[Array], *, order: int | None = None, floor: float = 0.0) -> Whitener:
+    def fit(
+        cls,
+        residuals: Sequence[Array],
+        *,
+        order: int | None = None,
+        most: int | None = None,
+        floor: float = 0.0,
+    ) -> Whitener:
         """Filters from residuals, each of shape (n_y, N).
 
         Parameters
         ----------
         residuals : sequence of ndarray
             One for each record.
-        order : int, optional
+        order, most : int, optional
             As of `autoregression`.
         floor : float
             Standard deviation below which an innovation is rounding.
         """
-        models = [autoregression(row, order=order) for row in np.concatenate(residuals, axis=1)]
+        models = [autoregression(row, order=order, most=most) for row in np.concatenate(residuals, axis=1)]
         scales = np.sqrt([variance + floor**2 for _, variance in models])
         return cls(tuple(a for a, _ in models), np.where(scales > 0, scales, 1.0))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,6 +14,7 @@ from ..effects.bodies import Mass
 from ..effects.dampers import Damping
 from ..effects.effect import Effect
 from ..effects.entries import Entry
+from ..effects.fields import Gravity
 from ..effects.kinds import check_kind
 from ..effects.law import KINDS, Law
 from ..effects.right_hand_side import ModelParameter
@@ -27,6 +29,7 @@ from .ports import Port
 __all__ = ["describe_effects", "effect_library"]
 
 _MOST_ENTRIES = 20
+_ANGLE = re.compile(r"angle|theta|phi|psi|roll|pitch|yaw|swing", re.IGNORECASE)
 
 
 def effect_library(
@@ -67,9 +70,10 @@ def effect_library(
     -----
     Left out unless asked for by `kinds`: springs between a mass and the ground where the model
     has neither spring nor another link at that mass; masses, hidden modes and constant
-    forces between two masses; laws that need to know more than a model says (`gravity`,
-    `cogging`, `magnetic_force`, `radiation`, `load_friction`, `play`, `input_play`, `input_rate_limit`,
-    `input_power`); `custom` laws (which need a law); entries of A that a port explains.
+    forces between two masses; gravity where the displacement is no angle in rad by its unit or its name;
+    laws that need to know more than a model says (`cogging`, `magnetic_force`, `radiation`,
+    `load_friction`, `play`, `input_play`, `input_rate_limit`, `input_power`); `custom` laws (which need a
+    law); entries of A that a port explains.
     Effects that act exactly alike are listed once, at the place whose parameter they change
     (in a series circuit, resistance at the resistor).
 
@@ -175,8 +179,9 @@ def _at_ports(physical: PhysicalModel, asked: tuple[str, ...] | None) -> list[Ef
         if key not in best or rank > best[key][0]:
             best[key] = (rank, port, name)
     chosen = {(port.name, name) for _, port, name in best.values()}
+    held = {"tangent": 0.0} if asked is None else {}  # the model holds the slope at rest
     return [
-        Effect(name, port.name).at_port(port.domain)
+        Effect(name, port.name, fixed=held if name == Gravity.name else {}).at_port(port.domain)
         for port, name in candidates
         if (port.name, name) in chosen
     ]
@@ -184,7 +189,9 @@ def _at_ports(physical: PhysicalModel, asked: tuple[str, ...] | None) -> list[Ef
 
 def _plausible(physical: PhysicalModel, port: Port, law: Law) -> bool:
     """Whether people would look for this law at this port first."""
-    if law.on_request or (law.domains and port.domain not in law.domains):
+    if law.name == Gravity.name and (_joins(port) or not _is_angle(physical, port)):
+        return False
+    if law.on_request or (law.domains and port.domain not in law.domains and law.name != Gravity.name):
         return False
     if port.modal:  # a change of its frequency or of its damping; other laws act at places
         return law.name in (Stiffness.name, Damping.name)
@@ -207,6 +214,14 @@ def _plausible(physical: PhysicalModel, port: Port, law: Law) -> bool:
         )
         return alone or _has_parameter(physical, port, Stiffness.name)
     return True
+
+
+def _is_angle(physical: PhysicalModel, port: Port) -> bool:
+    """Return whether the displacement of a port is an angle in rad, by its unit or by its name."""
+    if port.position_unit:
+        return port.position_unit == "rad"
+    labels = [physical.linear.state_labels[i] for i in np.flatnonzero(port.position)]
+    return len(labels) == 1 and bool(_ANGLE.search(labels[0]))
 
 
 def _joins(port: Port) -> bool:

@@ -46,9 +46,10 @@ def base_fit(
     physical, kept = unfold(model)
     ordered = [ordered_record(physical, r) for r in records]
     if not in_frequency(ordered):
-        for record in ordered:
+        for measured, record in zip(records, ordered, strict=True):
             check_channels(physical.linear, record)
-            record.check_excitation("diagnose")
+            if measured.n_inputs:
+                record.check_excitation("diagnose")
     segments, note = windows(physical, ordered, horizon)
     chosen = assemble(physical, kept, (), free, tolerance, offset_variants(physical, ordered[0], offset)[0])
     constants = dict(getattr(model, "constants", {}))

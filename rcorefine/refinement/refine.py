@@ -138,12 +138,14 @@ def refine(
     """
     records = as_data(data, x0=x0, horizon=horizon, noise=noise, controller=controller)
     physical, kept = unfold(under_control(model, controller, data))
-    records = [ordered_record(physical, record) for record in records]
+    given = records
+    records = [ordered_record(physical, record) for record in given]
     in_time = not in_frequency(records)
     if in_time:
-        for record in records:
+        for measured, record in zip(given, records, strict=True):
             check_channels(physical.linear, record)
-            record.check_excitation("refine")
+            if measured.n_inputs:
+                record.check_excitation("refine")
     initial = start_above(physical, x0)
     if substeps is not None:
         substeps = as_whole(substeps, "substeps", least=1, most=MOST_SUBSTEPS)

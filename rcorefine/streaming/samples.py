@@ -64,6 +64,11 @@ def checked_record(setup: Sampled, data: Any, hold: str) -> tuple[Array, Array]:
             f"record {data.name!r} has hold={data.hold!r}, but the refiner takes hold={hold!r}; pass "
             f"RCORefiner(..., hold=...) or Measurement(..., hold={hold!r})"
         )
+    if not data.n_inputs:
+        raise DataError(
+            f"record {data.name!r} has no input: retrospective cost optimization learns from what an input "
+            "drives; use refine or improve for a free decay"
+        )
     channels = match_channels(model, data)
     if -1 in channels.outputs:
         missing = model.output_labels[channels.outputs.index(-1)]

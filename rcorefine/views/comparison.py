@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from ..arguments import as_choice
 from ..comparison.result import KINDS, Comparison
 from .bode import bode
+from .decay import plot_decay
 from .failure_map import plot_map
 from .figures import MEASURED, Frame, draws, style, unit_text
 from .residuals import plot_horizon, plot_residual
@@ -106,7 +107,13 @@ def plot_comparison(
     for keyword, value in (("measured", measured), ("omega", omega)):
         if value is not None:
             raise ct.ControlArgument(f"{keyword} belongs to kind='bode', not to kind={kind!r}")
-    draw = {"time": plot_time, "residual": plot_residual, "horizon": plot_horizon, "map": plot_map}[kind]
+    draw = {
+        "time": plot_time,
+        "residual": plot_residual,
+        "horizon": plot_horizon,
+        "map": plot_map,
+        "decay": plot_decay,
+    }[kind]
     return draw(result, frame)
 
 

@@ -90,7 +90,7 @@ def plot_advice(advice: ExperimentAdvice, frame: Frame) -> ct.ControlPlot:
 @tells(Confirmation)
 def confirmation_told(found: Confirmation) -> Told:
     """The verdict, the records, and what the columns are."""
-    headers = ["record", "coefficient", "alone", "std", "input", "agreement", "residual"]
+    headers = ["record", "coefficient", "alone", "std", "level", "agreement", "residual"]
     rows = []
     for estimate in found.estimates:
         for i, name in enumerate(found.names):
@@ -123,7 +123,7 @@ def plot_confirmation(confirmation: Confirmation, frame: Frame) -> ct.ControlPlo
         raise ct.ControlDimension(f"ax holds {given} axes; there are {count} coefficients")
     with frame.axes([1.0], count, figsize=(2.2 + 2.8 * count, 3.2)) as (axes, lines):
         names = [
-            f"{e.name}, {e.level:.2g} x input\nresidual p = {e.residual:.2g}" for e in confirmation.estimates
+            f"{e.name}, level {e.level:.2g}\nresidual p = {e.residual:.2g}" for e in confirmation.estimates
         ]
         places = np.arange(len(names))
         for i, axis in enumerate(axes[0]):
@@ -131,6 +131,10 @@ def plot_confirmation(confirmation: Confirmation, frame: Frame) -> ct.ControlPlo
             spread = 1.96 * np.array([e.std[i] for e in confirmation.estimates])
             bars = axis.errorbar(places, values, spread, fmt="o", capsize=4, label=name)
             lines[0, i] = [bars.lines[0]]
+            factors = np.array([e.factors[i] for e in confirmation.estimates])
+            if np.ptp(factors):
+                axis.plot(places, values[0] * factors, "_", color="tab:red", ms=24, label="in proportion")
+                axis.legend(framealpha=0.9)
             axis.set_xticks(places, names)
             axis.set_xlim(-0.5, len(names) - 0.5)
             axis.set_ylabel(unit_text(confirmation.names[i], confirmation.units[i]))

@@ -16,6 +16,8 @@ from ...comparison.result import Comparison
 from ...data.channels import match_channels
 from ...data.measurement import Measurement
 from ...data.records import as_record
+from ...effects.effect import Effect
+from ...effects.several import as_effects
 from ...exceptions import DataError, DivergenceError, unheard
 from ...inference.levels import levels
 from ...inference.sensitivities import candidate_columns
@@ -45,7 +47,12 @@ _SETTINGS = {"free": (), "tolerance": 0.0, "offset": True, "noise": None, "horiz
 
 
 def check(
-    model: Any, data: Measurement, *, information: bool = True, controller: ct.StateSpace | None = None
+    model: Any,
+    data: Measurement,
+    *,
+    information: bool = True,
+    controller: ct.StateSpace | None = None,
+    effects: Sequence[Effect] | None = None,
 ) -> Check:
     """Look over a record, and a model beside it, before anything is concluded from them.
 
@@ -59,6 +66,9 @@ def check(
         Whether to work out the smallest effects that the record could show.
     controller : StateSpace or TransferFunction, optional
         As in `refine`: the controller under which the record was taken.
+    effects : sequence of Effect, optional
+        Effects of your own model. A row for each compares its size, given by ``start`` or ``fixed``, with the
+        smallest that this record would show. All other coefficients must be fixed.
 
     Returns
     -------
@@ -68,7 +78,7 @@ def check(
     Raises
     ------
     control.ControlArgument
-        If model or data are something else.
+        If model or data are something else, or an effect has more than one coefficient that is not fixed.
     control.ControlDimension
         If channels do not fit.
     DataError
@@ -99,7 +109,9 @@ def check(
         record, rows = _looked_over(model, data, None)
         stopped = any(row.status == STOP for row in rows)
         shown = _shown(model, record) if information and not stopped else ()
+        own = () if effects is None or stopped else _own(model, record, as_effects(effects, "effects"))
     rows += _information_rows(shown, as_physical(model) if shown else None)
+    rows += [_against(effect, found) for effect, found in own]
     return Check(tuple(rows), shown)
 
 
@@ -144,7 +156,7 @@ def _looked_over(model: Any, data: Measurement, horizon: float | None) -> tuple[
     else:
         compared = _compared(model, data, horizon)
     record = data if compared is None or about else compared.data
-    rows = list(signal_rows(record))
+    rows = list(signal_rows(record if data.n_inputs else data))
     levels = list(level_rows(data, point, compared)) if straight else []
     linear = LinearModel.from_statespace(getattr(model, "system", model))
     sampling = list(sampling_rows(linear, record, controller is not None))
@@ -184,11 +196,48 @@ def _compared(model: Any, data: Measurement, horizon: float | None) -> Compariso
     return compared if np.isfinite(compared.runs).all() else None
 
 
-def _shown(model: Any, data: Measurement) -> tuple[Detectable, ...]:
+def _own(model: Any, data: Measurement, effects: Sequence[Effect]) -> list[tuple[Effect, Detectable | None]]:
+    """Return effects, each with its smallest size that the record would show; None if it shows none."""
+    bare = []
+    for effect in effects:
+        sizes = [name for name in effect.coefficients if name not in effect.spec.shaping]
+        if len(sizes) != 1 or set(effect.free) - set(sizes):
+            others = ", ".join(name for name in effect.free if name not in sizes[:1])
+            raise ct.ControlArgument(
+                f"{effect.label} has more coefficients than its size: fix the others ({others}) by "
+                "fixed={...}"
+            )
+        fixed = {name: value for name, value in effect.fixed.items() if name not in sizes}
+        bare.append(effect.replace(start={}, prior={}, fixed=fixed))
+    shown = {found.effect: found for found in _shown(model, data, bare)}
+    return [(effect, shown.get(one)) for effect, one in zip(effects, bare, strict=True)]
+
+
+def _against(effect: Effect, found: Detectable | None) -> CheckRow:
+    """Return the row of an effect of the user's own model."""
+    if found is None:
+        return CheckRow(
+            LOOK,
+            "information",
+            effect.place,
+            f"{effect.kind}: not seen",
+            f"This record shows nothing of {effect.label}.",
+        )
+    value = {**effect.start, **effect.fixed}.get(found.coefficient)
+    least = f"{found.smallest:.3g} {found.unit}".strip()
+    sentence = f"{effect.label}: this record shows nothing below {least} (with 95 % probability)."
+    if value is None:
+        return CheckRow(OK, "information", effect.place, f"{effect.kind}: from {least}", sentence)
+    said = f"{sentence} Your model has {value:.3g} {found.unit}".strip() + "."
+    status, word = (OK, "shows") if abs(value) >= found.smallest else (LOOK, "too small to show")
+    return CheckRow(status, "information", effect.place, f"{effect.kind}: {word}", said)
+
+
+def _shown(model: Any, data: Measurement, effects: Sequence[Effect] | None = None) -> tuple[Detectable, ...]:
     """Smallest coefficients that one of the tests of `diagnose` would show."""
     try:
         base = base_fit(model, [data], free=(), tolerance=0.0, offset=True, noise=None)
-        case = Case.prepare(base, [data], None, dict(_SETTINGS), 0.01, Progress())
+        case = Case.prepare(base, [data], effects, dict(_SETTINGS), 0.01, Progress())
     except (DataError, ct.ControlArgument):
         return ()  # too short, or nothing that could be missing: there is no such row then
     scored = candidate_columns(case.fitted, case.library, case.motions[0], (0.0,))
