@@ -157,7 +157,10 @@ def _shape(value: Any) -> str:
     if isinstance(value, dict):
         return f"structure with fields {', '.join(value)}"
     if isinstance(value, Other):
-        return value.kind
+        tables = (
+            " (tables and timetables: read them with mat-io, then from_frame)" if "MCOS" in value.kind else ""
+        )
+        return value.kind + tables
     return " x ".join(map(str, value.shape)) + ("" if value.dtype.kind in "fiub" else f" {value.dtype}")
 
 

@@ -131,7 +131,8 @@ class RecordReaders(LabReaders):
         Returns
         -------
         Measurement
-            The index of the frame plays no part.
+            An index of durations or dates (a MATLAB timetable) gives the times, unless `time` or `dt` does.
+            Any other index plays no part.
 
         Raises
         ------
@@ -147,6 +148,10 @@ class RecordReaders(LabReaders):
         >>> rco.Measurement.from_frame(frame, "u", "y", time="t").dt
         0.1
         """
+        index = getattr(frame, "index", None)
+        if time is None and dt is None and getattr(getattr(index, "dtype", None), "kind", "") in "mM":
+            time = str(index.name or "time")
+            frame = frame.reset_index(names=time)
         columns = read_frame(frame, wanted_columns(inputs, outputs, time, dt, options))
         return cls._from_columns(columns, inputs, outputs, time, dt, options)
 

@@ -87,6 +87,26 @@ class ThresholdFlow(PortLaw):
 
 
 @register
+class CarriedFlow(PortLaw):
+    """Flow that an input carries away."""
+
+    where = frozenset(["first_order"])
+    coefficients = (
+        Coefficient("flow", "force/velocity/signal", explanation="flow per unit of state and input"),
+    )
+    constants = MappingProxyType({"input": 1.0})
+    formula = "f = t w v, w the input numbered `input` from 1"
+    explanation = "An input carries the content of {place} away: a flow times a temperature or a level."
+    belongs_to = "damping"
+    on_request = True  # which input carries it, nobody can guess
+
+    @staticmethod
+    def law(v, w, flow, input):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return flow * w[int(input) - 1] * v
+
+
+@register
 class Radiation(PortLaw):
     """Heat that is radiated."""
 

@@ -208,7 +208,6 @@ class InputPower(InputLaw):
     )
     formula = "w -> sgn(w) level |w/level|^p"
     explanation = "The input {place} acts by a power of its size: the thrust of a fan, the flow of a valve."
-    on_request = True  # about a large offset it is a gain
 
     @staticmethod
     def law(w, power, level):  # type: ignore[no-untyped-def]
@@ -226,6 +225,27 @@ class InputPower(InputLaw):
         """Squares and roots about the size of the command."""
         rms = float(np.sqrt(np.mean(seen.signal**2)))
         return [{"power": p, "level": rms} for p in (2.0, 0.6, 1.4)]
+
+
+@register
+class InputAsymmetry(InputLaw):
+    """Actuator whose gain depends on the direction."""
+
+    where = frozenset(["input"])
+    coefficients = (Coefficient("difference", "1", explanation="half the difference of the two gains"),)
+    formula = "w -> w + t |w|"
+    explanation = "The input {place} acts stronger in one direction than in the other."
+
+    @staticmethod
+    def law(w, difference):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return w + difference * abs(w)
+
+    @staticmethod
+    def slopes(w, difference):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        side = 1.0 if w > 0.0 else -1.0
+        return w + difference * abs(w), 1.0 + side * difference, abs(w)
 
 
 @register

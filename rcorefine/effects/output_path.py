@@ -188,6 +188,26 @@ class OutputSmoothing(OutputLaw):
 
 
 @register
+class OutputCurvature(OutputLaw):
+    """Sensor with a curved characteristic."""
+
+    where = frozenset(["output"])
+    coefficients = (Coefficient("curvature", "1/signal", explanation="added share per unit of the signal"),)
+    formula = "y -> y + t y^2"
+    explanation = "The sensor {place} is curved: it reads more on one side of zero and less on the other."
+
+    @staticmethod
+    def law(y, curvature):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return y + curvature * y * y
+
+    @staticmethod
+    def slopes(y, curvature):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        return y + curvature * y * y, 1.0 + 2.0 * curvature * y, y * y
+
+
+@register
 class OutputRectification(OutputLaw):
     """Sensor that loses the sign."""
 

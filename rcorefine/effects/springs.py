@@ -212,6 +212,52 @@ class EndStop(PortLaw):
 
 
 @register
+class Stops(PortLaw):
+    """Stops on both sides, each at a place of its own."""
+
+    where = frozenset(["mechanical"])
+    coefficients = (
+        Coefficient("stiffness", "force/position", explanation="stiffness of both contacts"),
+        Coefficient(
+            "lower", "position", default_start=None, explanation="where the lower one is met", shapes=True
+        ),
+        Coefficient(
+            "upper", "position", default_start=None, explanation="where the upper one is met", shapes=True
+        ),
+    )
+    order = (("upper", "lower"),)
+    formula = "f = t (d - upper) above upper, t (d - lower) below lower, else 0"
+    explanation = "There are stops on both sides of {place}, each hit once the displacement passes it."
+    words = (
+        "limits on both sides of the {moved}",
+        "Beyond either limit of the {moved} the {elastic} at {place} jumps up.",
+    )
+    needs = frozenset(["position"])
+    belongs_to = "stiffness"
+
+    @staticmethod
+    def law(d, stiffness, lower, upper):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return stiffness * (max(d - upper, 0.0) + min(d - lower, 0.0))
+
+    @staticmethod
+    def slopes(d, stiffness, lower, upper):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        beyond = max(d - upper, 0.0) + min(d - lower, 0.0)
+        above, below = 1.0 if d > upper else 0.0, 1.0 if d < lower else 0.0
+        return stiffness * beyond, stiffness * (above + below), beyond, -stiffness * below, -stiffness * above
+
+    def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
+        """Places that the motion passes now and then, and rarely."""
+        shares = (0.15, 0.05, 0.3)
+        return [
+            {"lower": float(low), "upper": float(high)}
+            for low, high in (np.quantile(seen.d, [q, 1.0 - q]) for q in shares)
+            if low < high
+        ]
+
+
+@register
 class SoftClearance(PortLaw):
     """Stop that is met gradually: a gap with rounded corners."""
 

@@ -10,7 +10,7 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_texts
-from ..effects.bodies import Mass
+from ..effects.bodies import ConstantForce, Mass
 from ..effects.dampers import Damping
 from ..effects.effect import Effect
 from ..effects.entries import Entry
@@ -71,9 +71,9 @@ def effect_library(
     Left out unless asked for by `kinds`: springs between a mass and the ground where the model
     has neither spring nor another link at that mass; masses, hidden modes and constant
     forces between two masses; gravity where the displacement is no angle in rad by its unit or its name;
-    laws that need to know more than a model says (`cogging`, `magnetic_force`, `radiation`,
-    `load_friction`, `play`, `input_play`, `input_rate_limit`, `input_power`); `custom` laws (which need a
-    law); entries of A that a port explains.
+    laws that need to know more than a model says (`cogging`, `magnetic_force`, `radiation`, `carried_flow`,
+    `load_friction`, `play`, `input_play`, `input_rate_limit`); `custom` laws (which need a law); entries of A
+    that a port explains.
     Effects that act exactly alike are listed once, at the place whose parameter they change
     (in a series circuit, resistance at the resistor).
 
@@ -197,7 +197,8 @@ def _plausible(physical: PhysicalModel, port: Port, law: Law) -> bool:
         return law.name in (Stiffness.name, Damping.name)
     joined = _joins(port)
     # a body is one mass or store rather than what joins two
-    if law.belongs_to == Mass.name and (joined or _body_elsewhere(physical, port)):
+    flow = law.name == ConstantForce.name and port.kind == "first_order"  # from one store to another
+    if law.belongs_to == Mass.name and not flow and (joined or _body_elsewhere(physical, port)):
         return False
     if port.kind == "first_order":
         return law.plausible_in_store(
