@@ -95,7 +95,7 @@ _MOVED = [
 _MOVED_OF_README = [
     (r"\]\(docs/", "]("),
     (r"\]\(CHANGELOG\.md", "](changelog.md"),
-    (r"\[CONTRIBUTING\.md\]\(CONTRIBUTING\.md\)", "`CONTRIBUTING.md`"),
+    (r"\[Contribute\]\(CONTRIBUTING\.md\)", "Contribute: `CONTRIBUTING.md`"),
     (r"\]\((notebooks/(?!\d\d_)|LICENSE)", r"](../\1"),
 ]
 

@@ -272,7 +272,9 @@ def test_readme_example_runs(tmp_path, monkeypatch, capsys):
     for block in blocks:
         exec(compile(block, "README.md", "exec"), names)
     before, after = names["result"].fit
-    assert before[0] < 0 < 95 < after[0]
+    assert before[0] < 50
+    assert after[0] > 97.5  # noise of 2 % leaves a fit of 98 %
+    assert [e.label for e in names["found"].effects] == ["cubic_stiffness at link1"]
     assert "fit" in capsys.readouterr().out
 
 
@@ -293,10 +295,9 @@ def test_readme_names_what_exists():
         assert (ROOT / target).exists(), f"README links to {target}, which does not exist"
     table = text.split("## What each piece does")[1].split("\n\n")[1]
     for row in table.splitlines()[2:]:
-        for name in re.findall(r"`([A-Za-z_][\w.]*)`", row.split("|")[1]):
+        for name in re.findall(r"`([A-Za-z_][\w.]*)`", row.split("|")[2]):
             obj: Any = rco
             for part in name.split("."):
                 assert hasattr(obj, part), f"README names {name}, which does not exist"
                 obj = getattr(obj, part)
-    listed = {Path(target).name for target in re.findall(r"\]\((notebooks/[^)]+\.ipynb)\)", text)}
-    assert listed == {path.name for path in (ROOT / "notebooks").glob("*.ipynb")}
+    assert len(text.split()) <= 900

@@ -148,8 +148,8 @@ class RecordReaders(LabReaders):
         >>> rco.Measurement.from_frame(frame, "u", "y", time="t").dt
         0.1
         """
-        index = getattr(frame, "index", None)
-        if time is None and dt is None and getattr(getattr(index, "dtype", None), "kind", "") in "mM":
+        index: Any = getattr(frame, "index", None)
+        if time is None and dt is None and getattr(getattr(index, "dtype", None), "kind", "") in ("m", "M"):
             time = str(index.name or "time")
             frame = frame.reset_index(names=time)
         columns = read_frame(frame, wanted_columns(inputs, outputs, time, dt, options))
