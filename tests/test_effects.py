@@ -37,7 +37,7 @@ TABLE = {
     "soft_clearance": ("mechanical", ("stiffness", "gap", "softness")),
     "load_friction": ("mechanical", ("load_friction",)),
     "play": ("mechanical", ("stiffness", "gap")),
-    "stops": ("mechanical", ("stiffness", "lower", "upper")),
+    "two_stops": ("mechanical", ("stiffness", "lower", "upper")),
     "lugre_friction": ("mechanical", ("force", "static_ratio", "velocity", "displacement")),
     "hysteresis": ("mechanical", ("force", "displacement")),
     "maxwell_element": ("mechanical", ("stiffness", "time_constant")),

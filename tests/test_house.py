@@ -35,9 +35,9 @@ ORDER = (
 #: Lines of code (no docstring, comment, blank) of each top-level folder, and of the files beside them.
 #: A commit may lower a figure; one that raises it says in its message what went out in exchange.
 BUDGET = {
-    ".": 854, "arguments": 306, "commands": 1313, "comparison": 2887, "data": 2890, "diagnosis": 5746,
+    ".": 854, "arguments": 306, "commands": 1313, "comparison": 2885, "data": 2890, "diagnosis": 5743,
     "effects": 3264, "engine": 3302, "examples": 263, "exercises": 565, "explorer": 1107, "export": 511,
-    "fleet": 1043, "inference": 2862, "localization": 1330, "models": 4155, "refinement": 196,
+    "fleet": 1043, "inference": 2862, "localization": 1330, "models": 4153, "refinement": 196,
     "streaming": 7514, "systems": 654, "views": 4338,
 }  # fmt: skip
 #: Functions of a radon complexity above 15, functions that take more than 8 parameters (private ones and

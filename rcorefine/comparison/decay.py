@@ -76,7 +76,10 @@ def decay_of(signal: Array, dt: float, start: float = 0.0) -> Decay:
     noise = float(np.median(np.abs(np.diff(signal, 2)))) / (0.6745 * np.sqrt(6.0))
     level = float(np.median(signal))
     for _ in range(3):  # the level is the middle of the extremes
-        halves = _half_cycles(signal - level, _NOISE * noise)
+        sign = np.sign(signal - level) * (np.abs(signal - level) > _NOISE * noise)
+        known = np.flatnonzero(sign)
+        turns = np.flatnonzero(np.diff(sign[known])) + 1
+        halves = [(int(part[0]), int(part[-1])) for part in np.split(known, turns) if part.size > 2]
         if len(halves) < 4:
             raise DataError(
                 f"the signal swings through {len(halves)} half cycle(s) above its noise; a decay needs at "
@@ -89,14 +92,6 @@ def decay_of(signal: Array, dt: float, start: float = 0.0) -> Decay:
     decrement = _slopes(-np.log(amplitude))
     ratio = decrement / np.sqrt(np.pi**2 + decrement**2)
     return Decay(start + dt * 0.5 * (at[1:] + at[:-1]), amplitude, period, ratio)
-
-
-def _half_cycles(signal: Array, least: float) -> list[tuple[int, int]]:
-    """Return first and last sample of each half cycle; it begins where the signal passes `least`."""
-    sign = np.where(signal > least, 1, np.where(signal < -least, -1, 0))
-    known = np.flatnonzero(sign)
-    turns = np.flatnonzero(np.diff(sign[known])) + 1
-    return [(int(part[0]), int(part[-1])) for part in np.split(known, turns) if part.size > 2]
 
 
 def _extreme(signal: Array, first: int, last: int) -> tuple[float, float] | None:

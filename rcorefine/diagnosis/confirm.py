@@ -134,7 +134,7 @@ def confirm(
     conditions = _conditions(model, records, scales_with or {})
     factors = _factors(model, own, conditions, len(records))
     estimates = _estimates(
-        model, records, ordered, own, _others(model, candidates), tolerance, noise, force_ratio, factors
+        model, records, ordered, own, _others(model, candidates), (tolerance, noise), force_ratio, factors
     )
     further = estimates[1:]
     p_value = min(1.0, len(further) * min(min(e.agreement, e.residual) for e in further))
@@ -213,17 +213,14 @@ def _estimates(
     ordered: Sequence[Measurement],
     own: Sequence[int],
     rest: Sequence[Effect],
-    tolerance: float,
-    noise: Any,
+    options: tuple[float, Any],
     force_ratio: float,
     factors: Array,
 ) -> list[RecordEstimate]:
     """The model on each record alone, against the first one."""
     levels = [amplitude(record) or 1.0 for record in ordered]
     ratios = [force_ratio * levels[0] / level for level in levels]
-    alone = [
-        _alone(model, record, tolerance, noise, ratio) for record, ratio in zip(ordered, ratios, strict=True)
-    ]
+    alone = [_alone(model, record, *options, ratio) for record, ratio in zip(ordered, ratios, strict=True)]
     block = np.ix_(own, own)
     estimates = []
     for i, (fitted, C) in enumerate(alone):

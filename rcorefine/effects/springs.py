@@ -212,7 +212,7 @@ class EndStop(PortLaw):
 
 
 @register
-class Stops(PortLaw):
+class TwoStops(PortLaw):
     """Stops on both sides, each at a place of its own."""
 
     where = frozenset(["mechanical"])

@@ -189,8 +189,11 @@ def _at_ports(physical: PhysicalModel, asked: tuple[str, ...] | None) -> list[Ef
 
 def _plausible(physical: PhysicalModel, port: Port, law: Law) -> bool:
     """Whether people would look for this law at this port first."""
-    if law.name == Gravity.name and (_joins(port) or not _is_angle(physical, port)):
-        return False
+    if law.name == Gravity.name:  # of an angle in rad, by its unit or by its name
+        labels = [physical.linear.state_labels[i] for i in np.flatnonzero(port.position)]
+        named = len(labels) == 1 and bool(_ANGLE.search(labels[0]))
+        if _joins(port) or not (port.position_unit == "rad" if port.position_unit else named):
+            return False
     if law.on_request or (law.domains and port.domain not in law.domains and law.name != Gravity.name):
         return False
     if port.modal:  # a change of its frequency or of its damping; other laws act at places
@@ -215,14 +218,6 @@ def _plausible(physical: PhysicalModel, port: Port, law: Law) -> bool:
         )
         return alone or _has_parameter(physical, port, Stiffness.name)
     return True
-
-
-def _is_angle(physical: PhysicalModel, port: Port) -> bool:
-    """Return whether the displacement of a port is an angle in rad, by its unit or by its name."""
-    if port.position_unit:
-        return port.position_unit == "rad"
-    labels = [physical.linear.state_labels[i] for i in np.flatnonzero(port.position)]
-    return len(labels) == 1 and bool(_ANGLE.search(labels[0]))
 
 
 def _joins(port: Port) -> bool:
