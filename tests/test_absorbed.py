@@ -52,4 +52,4 @@ def test_refitted_parameters_are_said():
 def test_nothing_is_said_where_nothing_was_absorbed():
     found, sentence = answer(record())
     assert found.verdict == "adequate"
-    assert sentence == "Nothing is missing that this record could show."
+    assert sentence == "This record shows no missing effect."

@@ -128,7 +128,7 @@ def test_demo_finds_the_friction(demo):
     done, _, _ = demo
     told = done.stdout.split("2. What is missing?")[1]
     assert "Diagnosis: EFFECT" in told
-    size = re.search(r"What is missing: coulomb_friction at link2 \(([\d.]+) \+/- ([\d.]+)\)", told)
+    size = re.search(r"One effect is missing: coulomb_friction at link2 \(([\d.]+) \+/- ([\d.]+)\)", told)
     value, std = (float(x) for x in size.groups())
     assert std < 0.02
     assert abs(value - 0.5) < 4 * std

@@ -202,7 +202,7 @@ def test_no_name_but_place_and_curve():
     assert found.none_of_these == 1.0
     assert np.isnan([row.probability for row in found.ranking]).all()
     law = found.law()
-    assert law.label == "law open, tabulated at link1"
+    assert law.label == "unknown force, tabulated at link1"
     d = np.linspace(-0.2, 0.2, 41)
     assert law.law(d, 0.0) == pytest.approx(4.0 * np.sin(d / 0.12), abs=0.5)
     better = rco.refine(model, records[0], [law])
@@ -227,7 +227,7 @@ def test_where_nothing_passes_the_smallest_error_stands_first():
 def test_what_lies_beyond_the_table_is_said():
     model, records, _, found = sine_spring()
     better = rco.refine(model, records[0], [found.law()])
-    beyond = "beyond the knots of law open, tabulated at link1"
+    beyond = "beyond the knots of unknown force, tabulated at link1"
     strong = rco.Measurement(3.0 * records[1].inputs, records[1].outputs, dt=0.02, hold="zoh")
     assert any(beyond in note for note in rco.compare(better, strong, x0="zero").notes)
     gentle = rco.Measurement(0.5 * records[1].inputs, records[1].outputs, dt=0.02, hold="zoh")
@@ -240,7 +240,7 @@ def test_words_and_pictures_give_no_probability_to_what_failed():
     *_, found = sine_spring()
     text = str(found)
     assert max(map(len, text.splitlines())) <= 80
-    assert "law open, tabulated at link1" in text
+    assert "unknown force, tabulated at link1" in text
     assert "at link1, with probability 1.00" in " ".join(text.split())
     assert "nan" not in text
     assert "nan" not in found._repr_html_()
@@ -250,7 +250,7 @@ def test_words_and_pictures_give_no_probability_to_what_failed():
 def test_report_shows_the_table_and_no_probability(tmp_path):
     *_, found = sine_spring()
     page = found.report(tmp_path / "open.html").read_text()
-    assert "law open, tabulated at link1" in page
+    assert "unknown force, tabulated at link1" in page
     assert ">nan<" not in page
     assert found.hidden_force.plot().axes.shape == (1, 3)
 
@@ -258,7 +258,7 @@ def test_report_shows_the_table_and_no_probability(tmp_path):
 def test_improve_ends_with_the_table_where_nothing_has_a_name():
     model, records, *_ = sine_spring()
     ladder = rco.improve(model, records[0], candidates=[rco.Effect("quadratic_damping", "link1")])
-    assert ladder.effects[-1].label == "law open, tabulated at link1"
+    assert ladder.effects[-1].label == "unknown force, tabulated at link1"
     assert ladder.steps[-1].validation_rmse[0] < 0.2 * ladder.steps[0].validation_rmse[0]
     assert "its force is a table" in ladder.message
 

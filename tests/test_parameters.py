@@ -73,7 +73,7 @@ def test_numbers_that_are_off_are_no_missing_law(model: object) -> None:
     assert row.std / row.initial < 0.02  # and not just the prior
     said = " ".join(str(found).split())
     assert "times nominal" in said
-    assert "no need for a law" in said
+    assert "No additional effect is needed" in said
     assert "would pass for them" in said
     better = found.refine()
     assert np.all(better.fit > found.base.fit)

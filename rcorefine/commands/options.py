@@ -107,7 +107,7 @@ def free_option(group: Any) -> None:
         "--free",
         action=Names,
         metavar="NAME",
-        help="numbers of the model that are estimated as well: linear for all of them, or their names",
+        help="parameters to estimate along: linear for all of them, or their names",
     )
 
 
@@ -118,7 +118,7 @@ def fit_options(group: Any) -> None:
         type=_not_negative,
         default=0.0,
         metavar="SHARE",
-        help="by how much the numbers of the model may be off, such as 0.02 (default: they are exact)",
+        help="relative uncertainty of the parameters, such as 0.02 (default: they are exact)",
     )
     group.add_argument(
         "--no-offset",

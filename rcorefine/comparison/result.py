@@ -135,6 +135,15 @@ class Comparison(Reported):
         return maps if self.several else maps[0]
 
     @property
+    def legend(self) -> str:
+        """Meaning of the columns of the table."""
+        return (
+            "fit = 100 (1 - |y - yh| / |y - mean(y)|): 100 % is perfect, 0 % is no better than the mean of the "
+            "output. RMSE: root mean square of the residual (measured minus simulated), in the unit of the "
+            "output; bias: its mean; largest: its largest value, and when."
+        )
+
+    @property
     def line_levels(self) -> LineLevels | None:
         """Noise, even and odd distortion of the record line by line; None where no input is periodic."""
         return line_levels(self.data)

@@ -38,10 +38,10 @@ def what_was_absorbed(base: Refinement) -> str:
     moved.sort(key=lambda row: -abs(row.value - row.initial) / max(row.std, 1e-300))
     said = [_one(row) for row in moved[:_MOST]]
     if len(moved) > _MOST:
-        said.append(f"{len(moved) - _MOST} numbers more")
+        said.append(f"{len(moved) - _MOST} more parameters")
     return (
-        f"To get there the fit absorbed {', '.join(said)}: the fit of the free run is "
-        f"{percent(base.initial_fit)} as the model was given, {percent(base.fit)} with that."
+        f"The fit includes {', '.join(said)}: that increases the fit of the simulation from "
+        f"{percent(base.initial_fit)} to {percent(base.fit)}."
     )
 
 
@@ -64,15 +64,15 @@ def numbers_that_moved(rows: Sequence[EstimatedParameter]) -> str:
         for row in sure[:_MOST]
     ]
     if not said:
-        return "No single number moved for certain; together they explain the residual."
+        return "No single parameter changed significantly; together they explain the residual."
     more = f" and {len(sure) - _MOST} more" if len(sure) > _MOST else ""
     far = far_numbers(sure)
     doubt = (
-        f" {', '.join(far[:_MOST])} moved so far that {'it' if len(far) == 1 else 'they'} may stand in for a "
-        "law at a place that the model does not show: declare its links with physical(...)."
+        f" The change of {', '.join(far[:_MOST])} is so large that an effect may be missing at a place that "
+        "the model does not show: declare its links with physical(...)."
     )
     return (
-        f"Moved by more than chance, if the sensors are as the model has them: {', '.join(said)}{more}."
+        f"Significant changes, if the sensors are right: {', '.join(said)}{more}."
         f"{doubt if far else ''}"
     )
 

@@ -38,8 +38,8 @@ def left_to_noise(battery: TestedResidual, levels: Levels) -> str:
     if line is not None:
         at, share = frequency_text(2 * np.pi * line[0]), line[1]
         pure = (
-            f" {100 * share:.0f} % of that rest is a line at {at}: an unmeasured force or a "
-            "disturbance of that frequency."
+            f" {100 * share:.0f} % of the residual is a line at {at}: an unmeasured force or a disturbance "
+            "of that frequency."
         )
     lasts = ""
     if problem.in_time:
@@ -48,11 +48,10 @@ def left_to_noise(battery: TestedResidual, levels: Levels) -> str:
         forgotten = -problem.records[0].dt / float(np.log(min(slowest, 1.0 - 1e-9)))
         lasts = f" of about {float(f'{forgotten:.2g}'):g} s"
     return (
-        f"{run} explains only {fit:.3g} % of the record. The rest passes for noise with a memory{lasts}, "
-        f"{memory:.2g} times as large as what is new in each sample: that is why no test fires.{pure} If "
-        "neither the sensor nor anything unmeasured (a draft, a load) wanders like that, the model is wrong "
-        "there: what comes again when the record is repeated is the model's, and one with steps up and down, "
-        "or a sweep, shows what it is."
+        f"{run} explains only {fit:.3g} % of the record. The residual cannot be distinguished from colored "
+        f"noise with a time constant{lasts}; it is {memory:.2g} times as large as its innovations.{pure} If "
+        "neither the sensor nor a disturbance drifts like that, the model is wrong. Repeat the record: an "
+        "error that returns is an error of the model. Steps up and down, or a sweep, show what it is."
     )
 
 

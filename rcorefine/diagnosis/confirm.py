@@ -259,7 +259,7 @@ def _message(
     what = " with ".join(label + way for label, way in zip(labels, ways, strict=True))
     if verdict == "confirmed":
         other = any(abs(np.log(e.level)) > 0.25 for e in further)
-        caution = "" if other else " The amplitudes are alike, though, so a law that mimics it could pass."
+        caution = "" if other else " The amplitudes are similar, so a similar effect could pass, too."
         return f"The same {what} explains every record ({chance(p_value, 'p')}).{caution}"
     worst = min(further, key=lambda e: min(e.agreement, e.residual))
     why = "other coefficients" if worst.agreement <= worst.residual else "something more"

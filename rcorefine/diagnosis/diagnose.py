@@ -337,9 +337,9 @@ def _beside_parameters(trial: Trial, word: str) -> str:
     """Return the note on parameters re-estimated together with the effects."""
     base = trial.base.refinement
     before, after = (percent(fit) for fit in (base.initial_fit, base.fit))
-    said = "No effect alone explains the record, nor do the parameters of the model: these are open, too."
+    said = "Neither effects alone nor parameters alone explain the record, so both are estimated."
     if word == "unexplained":
-        return f"{said} The parameters alone take the fit from {before} to {after}."
+        return f"{said} The parameters alone increase the fit from {before} to {after}."
     return f"{said} {numbers_that_moved(determined(trial.model.refinement))}"
 
 
@@ -352,8 +352,8 @@ def _denied(search: Search, trial: Trial) -> list[str]:
     for effect in first.effects:
         rows += undetermined(first.model.refinement, effect, search.case.levels)
     values = ", ".join(with_error(row.coefficient, row.std) for row in rows)
-    why = "the record does not determine it" if first.possible else "physics asks for a positive value"
-    return [f"{names} would explain more, but {why} ({values}): it is not named."]
+    why = "the data do not determine it" if first.possible else "its value must be positive"
+    return [f"{names} would fit better, but it is not named: {why} ({values})."]
 
 
 def _against(rows: Sequence[TableRow], found: Answer) -> list[str]:

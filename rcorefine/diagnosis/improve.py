@@ -220,7 +220,7 @@ class _Ladder:
         if not most or not self.library:
             self._tell([(None, "start", self._settled(self.start))], "")
             why = "Stopped at max_effects = 0" if not most else "No candidate is left"
-            return "unexplained", f"{why}; the residual still speaks.", []
+            return "unexplained", f"{why}; the residual is not noise.", []
         search = Search(self._case(self.nominal, self.parts.fit), most, alone=False).run()
         chosen = self._chosen(search)
         doubtful = self._doubtful(search, chosen)
@@ -483,7 +483,7 @@ class _Ladder:
                 self.steps[i] = replace(step, rivals=tuple(not_held(rivals, [step.effect])))
                 said += [
                     f"{step.effect.label} with the constant offset is {other.label} by another name: the "
-                    "record cannot tell them apart."
+                    "data cannot distinguish them."
                     for other in others
                 ]
         return said
@@ -505,20 +505,20 @@ class _Ladder:
 
     def _ending(self, verdict: str, back: list[str], full: bool, law: Any) -> str:
         """Return the reason why the improvement ended."""
-        said = "" if law is None or back else f" The law at {law[0].place} is open: its force is a table."
+        said = "" if law is None or back else f" The force at {law[0].place} is unknown: a table holds it."
         if back and verdict == "adequate":
             names = ", ".join(back)
-            return f"Every test passes. Taken back, since the part that judges was worse off: {names}."
+            return f"No residual test is significant. Removed, since the held-out error increased: {names}."
         if verdict == "adequate":
-            return "Every test passes: nothing is missing that this record could show."
+            return "No residual test is significant: this record shows no missing effect."
         if back:
             return (
-                f"Taken back: {', '.join(back)}. On the part that took part in nothing the model was worse "
-                "with that than at the start. The residual still speaks."
+                f"Removed: {', '.join(back)}. The held-out error was larger than at the start, or the data "
+                "do not determine them. The residual is not noise."
             )
         if full:
-            return f"Stopped at max_effects = {len(self.steps) - 1}; the residual still speaks.{said}"
-        return f"No other set of effects lowers the held-out error enough to earn a place.{said}"
+            return f"Stopped at max_effects = {len(self.steps) - 1}; the residual is not noise.{said}"
+        return f"No other set of effects reduces the held-out error enough.{said}"
 
 
 def _loose(model: Refinement, effects: Sequence[Effect]) -> bool:

@@ -114,11 +114,11 @@ class Improvement(ReportedModel):
             unit = f" {self.output_units[i]}" if self.output_units[i] else ""
             fell = f" -> {after:.4g}{unit} ({100 * (after / before - 1):+.0f} %)" if before > 0 else unit
             error = f"{before:.4g}{fell if len(self.steps) > 1 else unit}"
-            lines.append(f"Error of {label} on the part that took part in nothing: {error}.")
+            lines.append(f"Error of {label} on held-out data: {error}.")
         for i, step in enumerate(self.steps):
             if step.effect is not None and step.rivals and step.action != "drop":
                 others = ", ".join(effect.label for effect in step.rivals)
-                lines.append(f"Step {i}: the record cannot tell {step.effect.label} from {others}.")
+                lines.append(f"Step {i}: the data cannot distinguish {step.effect.label} from {others}.")
         lines.append(self.message)
         return [*lines, *self._estimates(), *self.notes]
 

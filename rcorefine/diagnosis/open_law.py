@@ -22,7 +22,7 @@ from .residual_tests import TestedResidual
 
 __all__ = ["FreeForces", "OpenLaw", "Rivals", "open_law"]
 
-_NAME = "law open, tabulated"
+_NAME = "unknown force, tabulated"
 _PLACES = 3  # places at which a curve is fitted
 _FIRST = 2  # first descents at each place; only the best one is continued
 

@@ -203,7 +203,7 @@ class Diagnosis(Reported):
         Returns
         -------
         Effect
-            Of kind ``"tabulated"``, named ``"law open, tabulated at PLACE"``; its scale is 1.
+            Of kind ``"tabulated"``, named ``"unknown force, tabulated at PLACE"``; its scale is 1.
 
         Raises
         ------
@@ -220,6 +220,15 @@ class Diagnosis(Reported):
                 "what is missing is no force at a port that a table over position and velocity could hold"
             )
         return self.open_law.effect
+
+    @property
+    def legend(self) -> str:
+        """Meaning of the columns of the table."""
+        return (
+            "value, std: coefficient and its standard deviation. fit: of the simulation, in percent. "
+            "p-value: probability of a score as high as that of this effect if nothing is missing. P: "
+            "probability of the row, compared with all other rows, with no effect and with changed parameters."
+        )
 
     @property
     def best(self) -> RankedEffect | None:

@@ -17,26 +17,26 @@ if TYPE_CHECKING:
 __all__ = ["failed_test", "next_step", "no_test_fires", "sentences"]
 
 _VERDICTS = {
-    "adequate": "Nothing is missing that this record could show.",
-    "parameters": "Moved numbers of the model explain the record: it shows no need for a law.",
+    "adequate": "This record shows no missing effect.",
+    "parameters": "Changed parameter values explain the data. No additional effect is needed.",
     "effect": "{missing}: {best}.",
-    "ambiguous": "This record cannot tell apart: {alike}. Most probable: {best}.",
-    "unexplained": "Something is missing that no candidate explains{where}. Closest: {best}.",
+    "ambiguous": "The data cannot distinguish {alike}. Most probable: {best}.",
+    "unexplained": "No candidate effect explains the data{where}. Closest: {best}.",
 }
-#: What each test finds in a residual that is no noise.
+#: Meaning of each residual test that is significant.
 _FAILED = {
-    "library": ", most of all for {most}",
-    "other laws": ": something in it follows the motion",
-    "changes with time": ": something in it changes with time",
-    "parameters": ": moved numbers would take up a part of it",
-    "input": ": something in it follows the input",
-    "powers of the input": ": something in it follows powers of the input",
-    "neighbors": ": points beside each other err alike",
+    "library": "{most} would reduce it",
+    "other laws": "it depends on the motion",
+    "changes with time": "it changes with time",
+    "parameters": "other parameter values would reduce it",
+    "input": "it depends on the input",
+    "powers of the input": "it depends on powers of the input",
+    "neighbors": "neighboring points have similar errors",
 }
 _NUMBERS = ("No", "One", "Two", "Three", "Four", "Five", "Six")
 _ALIKE = (
-    "A weak law that acts here as moved numbers do would pass for them: a record at another amplitude, or in "
-    "another band, tells."
+    "A weak effect that acts like changed parameter values would be missed. A record at another amplitude "
+    "or in another band would show it."
 )
 
 
@@ -55,25 +55,25 @@ def sentences(found: Diagnosis) -> list[str]:
     alike = ", ".join([row.label for row in found.ranking if row.alike] or [e.label for e in found.ambiguous])
     if len(found.ambiguous) == 1 and found.best is not None:
         force = found.none_of_these > levels().no_law
-        alike += f", {_force(found)} that follows none of the laws" if force else ", parameters that are off"
+        alike += f" and {_force(found)} of unknown form" if force else " and changed parameter values"
     n = len(found.effects)
-    missing = "What is missing" if n < 2 else f"{_NUMBERS[n]} effects are missing"
+    missing = "One effect is missing" if n < 2 else f"{_NUMBERS[n]} effects are missing"
     place = found.place
-    where = "" if place is None else f": at {place}, with probability {found.places[place]:.2f}"
+    where = "" if place is None else f"; one is missing at {place} (probability {found.places[place]:.2f})"
     lines = [_VERDICTS[found.verdict].format(best=_best(found), alike=alike, where=where, missing=missing)]
     if found.floated is not None and far_numbers(determined(found.floated)):
-        lines = ["The numbers of the model explain the record, moved so far that they may hide a law."]
+        lines = ["Parameter values explain the data, but such large changes may hide an effect."]
     if found.verdict == "parameters" and found.left_to_noise:
-        lines = ["Moved numbers of the model leave what no test tells from noise with a memory."]
+        lines = ["With re-estimated parameters, the residual cannot be distinguished from colored noise."]
     worst = min(found.tests, key=lambda t: t.p_value) if found.tests else None
     if found.verdict == "adequate":
         head = found.left_to_noise or lines[0]
         lines = [f"{head} {what_was_absorbed(found.base)}".rstrip(), no_test_fires(found)]
         shown = ", ".join(f"{d.effect.label} {d.smallest:.3g} {d.unit}".strip() for d in found.detectable[:4])
-        lines += [f"It would have shown, with 95 % probability: {shown}."] if shown else []
+        lines += [f"Smallest effects that it would show (95 % probability): {shown}."] if shown else []
     elif worst is not None:  # without motion nothing could be tested
         lines += _open_law(found)
-        fails = f"The residual of the model as it is fails {failed_test(worst)}."
+        fails = f"The residual of the model as given is not noise: {failed_test(worst)}."
         if overall(found.tests) < found.significance:
             lines.append(fails)
         elif found.verdict == "unexplained":
@@ -81,41 +81,39 @@ def sentences(found: Diagnosis) -> list[str]:
         else:
             odds = 1.0 / found.significance
             lines.append(
-                f"{no_test_fires(found)} But this is more than {odds:.3g} times as likely as nothing."
+                f"{no_test_fires(found)} But this is over {odds:.3g} times as probable as no missing effect."
             )
         failed = found.winner_tests and overall(found.winner_tests) < found.significance
         if found.verdict == "unexplained" and failed:
             left = min(found.winner_tests, key=lambda t: t.p_value)
-            lines.append(f"With the best candidate the residual still fails {failed_test(left)}.")
+            lines.append(f"With the best candidate it is not noise, either: {failed_test(left)}.")
         if found.floated is not None:
             lines += [found.left_to_noise, numbers_that_moved(determined(found.floated)), _ALIKE]
         lines += _meaning(found)
-        lines += _columns(found)
     is_law = found.best is not None and found.verdict != "unexplained"
     hidden = is_law and found.none_of_these > levels().no_law
     if hidden and not found.force_ratio:
         lines.append(
-            f"A{_force(found)[1:]} that follows none of the laws, though this record hardly "
-            f"shows how it departs, has probability {found.none_of_these:.2f}."
+            f"A{_force(found)[1:]} of another form has probability {found.none_of_these:.2f}; this record "
+            "hardly shows its form."
         )
     if found.force_ratio:
         lines.append(
-            f"The residual speaks of an unmeasured force of about {100 * found.force_ratio:.2g} % of the "
-            "measured one, which is allowed for."
+            f"The result allows for an unmeasured force of {100 * found.force_ratio:.2g} % of the input."
         )
     if hidden and found.force_ratio:
         lines.append(
-            f"If nobody shook the plant, that force is a law which is no candidate: probability "
-            f"{found.none_of_these:.2f}, from the share of the error that is left to it."
+            "If the plant was not disturbed, this force comes from an effect that is not in the library "
+            f"(probability {found.none_of_these:.2f})."
         )
     if found.verdict == "ambiguous" and len(found.ambiguous) > 1:
         lines.append(
-            "More outputs, a wider band or another amplitude would tell them apart."
+            "More outputs, a wider band or another amplitude would distinguish them."
             if found.base.of_responses
-            else "suggest_experiment() names the record that would tell them apart."
+            else "suggest_experiment() names a record that would distinguish them."
         )
     if found.base.physical_model.operating_point is not None and found.ranking:
-        lines.append("About the operating point laws enter without their tangent, which the model contains.")
+        lines.append("At the operating point, each force law is used without its tangent: the model has it.")
     return [*filter(None, lines), *found.notes]
 
 
@@ -161,18 +159,19 @@ def failed_test(test: FTest) -> str:
     """
     name, _, most = test.name.partition(" (most: ")
     meaning = _FAILED.get(name, "").format(most=most.rstrip(")"))
-    return f"the test {name!r}{meaning} ({chance(test.p_value, 'p')})"
+    said = f"the test {name!r} is significant ({chance(test.p_value, 'p')})"
+    return f"{said}, {meaning}" if meaning else said
 
 
 def no_test_fires(found: Diagnosis) -> str:
     """The level, and how near the tests came to it: all of them together, as it is meant."""
-    said = f"No test fires at the level {found.significance:g}"
+    said = f"No residual test is significant at the level {found.significance:g}"
     if not found.tests:
         return f"{said}."
     worst = min(found.tests, key=lambda t: t.p_value)
     return (
-        f"{said}: the smallest p-value is {chance(worst.p_value)}, of {worst.name!r}, "
-        f"and {chance(overall(found.tests))} with all tests counted."
+        f"{said}: the smallest p-value is {chance(worst.p_value)} ({worst.name!r}), or "
+        f"{chance(overall(found.tests))} corrected for the number of tests."
     )
 
 
@@ -186,9 +185,9 @@ def _open_law(found: Diagnosis) -> list[str]:
     table: Any = law.effect.law
     knots = zip(port.senses, (table.d, table.v), strict=True)
     shown = " and a ".join(f"{name} of {x[0]:.3g} to {x[-1]:.3g}" for name, x in knots if x)
-    lines = [f"law() tabulates the {port.acts_by} for a {shown}: {fits}."]
+    lines = [f"law() tabulates the unknown {port.acts_by} for a {shown}: {fits}."]
     near = ", ".join(f"{effect.label} {max(share, 0):.0f} %" for effect, share in law.nearest[:3])
-    return [*lines, f"Of that {port.acts_by} explain: {near}."] if near else lines
+    return [*lines, f"Effects that explain most of that {port.acts_by}: {near}."] if near else lines
 
 
 def _force(found: Diagnosis) -> str:
@@ -209,8 +208,8 @@ def _meaning(found: Diagnosis) -> list[str]:
         return [
             f"{said} Here it is {shares}: correct the record, not the model."
             if found.verdict == "effect"
-            else f"{said} Here it would be {shares}. A clock that is off and numbers that scale all "
-            "rates alike look the same to a record: time the clock itself before a number is changed."
+            else f"{said} Here it would be {shares}. A wrong clock and parameters that scale all rates "
+            "have the same effect on a record: time the clock itself before you change a parameter."
         ]
     if effect.spec.relative:
         (gain,) = values.values()
@@ -219,17 +218,7 @@ def _meaning(found: Diagnosis) -> list[str]:
     port = next((port for port in model.ports if port.name == effect.place), None)
     if port is None or port.force_unit or any(number.physical for number in model.parameters):
         return []
-    return [f"Scale of the numbers there: {port.description}. physical(..., parameters=...) declares it."]
-
-
-def _columns(found: Diagnosis) -> list[str]:
-    """What the columns of the ranking mean."""
-    if found.best is None:
-        return []
-    said = "p is the chance of such a score with nothing missing; "
-    if found.verdict != "unexplained":
-        said += "P, the probability, compares the candidates with each other and with none of them; "
-    return [said + "std is one standard deviation of the coefficient."]
+    return [f"Units of its coefficients: {port.description}. physical(..., parameters=...) declares others."]
 
 
 def _best(found: Diagnosis) -> str:

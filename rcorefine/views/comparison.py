@@ -59,10 +59,6 @@ def comparison_table(result: Comparison) -> Table:
     )
     notes = [
         _how(result),
-        "fit = 100 (1 - |y - yh| / |y - mean(y)|): 100 % is perfect, 0 % is no better than the mean of the "
-        "output, below 0 % is worse.",
-        "RMSE: typical size of the residual (measured minus simulated), in the output's unit; bias: its "
-        "mean; largest: its largest value and when.",
     ]
     if np.isnan(fit).any():
         notes.append(

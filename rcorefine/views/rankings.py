@@ -64,7 +64,7 @@ def test_bars(ax: Any, found: Diagnosis) -> list[Any]:
         where, [-np.log10(max(t.p_value, 1e-300)) for t in tests], color="0.75", edgecolor="0.3", height=0.65
     )
     level = -np.log10(found.significance / max(len(tests), 1))
-    line = ax.axvline(level, color=style(1).color, ls="--", lw=1.4, label="level at which a test fires")
+    line = ax.axvline(level, color=style(1).color, ls="--", lw=1.4, label="significance level")
     ax.set_yticks(where, [t.name.split(" (")[0] for t in tests], fontsize=8)
     ax.set_xlim(0, max(1.2 * level, ax.get_xlim()[1]))
     ax.set_xlabel("-log10 of the p-value")
