@@ -31,6 +31,7 @@ def is_current(script):
 
 def execute(notebook, folder, timeout):
     """Run all cells in a folder, pictures in the notebook; the seconds of each are kept in its metadata."""
+    os.environ["RCOREFINE_PROGRESS"] = "0"
     os.environ["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"
     notebook.metadata["kernelspec"] = KERNEL
     where = {"metadata": {"path": str(folder)}}

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from time import monotonic
 from types import TracebackType
 from typing import Any, TypeVar
 
@@ -13,6 +15,8 @@ from tqdm import tqdm
 from .arguments import as_flag, as_mapper
 
 __all__ = ["Progress"]
+
+_DELAY = 1.0  # s of work before a bar appears unasked
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -26,16 +30,27 @@ class Progress:
 
     Parameters
     ----------
-    show : bool
-        Whether to draw a bar on standard error.
+    show : bool or None
+        Whether to draw a bar on standard error. None: in a terminal or a notebook, after a second, unless the
+        environment variable RCOREFINE_PROGRESS is 0.
     executor : concurrent.futures.Executor or dask.distributed.Client, optional
         Where `map` runs; in this process by default.
     """
 
-    def __init__(self, show: bool = False, executor: Any = None) -> None:
+    def __init__(self, show: bool | None = False, executor: Any = None) -> None:
         self._map: Callable[..., Iterable[Any]] = as_mapper(executor)
-        self._bar = tqdm(total=0, unit="step", file=sys.stderr, disable=not as_flag(show, "progress"))
+        self._delay = _DELAY if show is None else 0.0
+        shown = _is_watched() if show is None else as_flag(show, "progress")
+        self._bar = tqdm(
+            total=0,
+            unit="step",
+            file=sys.stderr,
+            disable=not shown,
+            delay=self._delay,
+            leave=show is not None,
+        )
         self._announced = self._rounds = self._ahead = 0
+        self._begun = monotonic()
 
     def __enter__(self) -> Progress:
         return self
@@ -143,4 +158,14 @@ class Progress:
     def _refresh(self) -> None:
         expected = self._ahead * self._announced / max(self._rounds, 1)
         self._bar.total = self._announced + round(expected)
-        self._bar.refresh()
+        if not self._bar.disable and monotonic() - self._begun >= self._delay:
+            self._bar.refresh()
+
+
+def _is_watched() -> bool:
+    """Return whether somebody watches standard error: a terminal or a notebook."""
+    if os.environ.get("RCOREFINE_PROGRESS") == "0":
+        return False
+    stream = sys.stderr
+    in_notebook = "ipykernel" in sys.modules and type(stream).__module__.startswith("ipykernel")
+    return in_notebook or bool(stream is not None and stream.isatty())

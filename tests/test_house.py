@@ -35,10 +35,10 @@ ORDER = (
 #: Lines of code (no docstring, comment, blank) of each top-level folder, and of the files beside them.
 #: A commit may lower a figure; one that raises it says in its message what went out in exchange.
 BUDGET = {
-    ".": 854, "arguments": 306, "commands": 1313, "comparison": 2885, "data": 2890, "diagnosis": 5743,
+    ".": 874, "arguments": 306, "commands": 1313, "comparison": 2892, "data": 2890, "diagnosis": 5738,
     "effects": 3264, "engine": 3302, "examples": 263, "exercises": 565, "explorer": 1107, "export": 511,
     "fleet": 1043, "inference": 2862, "localization": 1330, "models": 4153, "refinement": 196,
-    "streaming": 7514, "systems": 654, "views": 4338,
+    "streaming": 7514, "systems": 654, "views": 4334,
 }  # fmt: skip
 #: Functions of a radon complexity above 15, functions that take more than 8 parameters (private ones and
 #: kernels), private functions of fewer than 6 lines of code that one place calls: not more than there are.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from concurrent.futures import ThreadPoolExecutor
 
@@ -79,3 +80,33 @@ def test_an_error_in_a_step_is_passed_on() -> None:
         raise ZeroDivisionError
     with pytest.raises(ValueError, match="no"), bar:
         bar.map(int, ["1", "no"], "parses")
+
+
+class Watched(io.StringIO):
+    """Standard error that somebody watches."""
+
+    def isatty(self):
+        return True
+
+
+@pytest.mark.parametrize(
+    ("stream", "setting", "shown"),
+    [(Watched(), "", True), (Watched(), "0", False), (io.StringIO(), "", False)],
+)
+def test_a_bar_appears_unasked_where_somebody_watches_and_waits(monkeypatch, stream, setting, shown):
+    monkeypatch.setattr("sys.stderr", stream)
+    monkeypatch.setenv("RCOREFINE_PROGRESS", setting)
+    monkeypatch.setattr("rcorefine.progress._DELAY", 0.0)
+    with Progress(None) as bar:
+        for _ in bar.over(range(3), "work"):
+            pass
+    assert ("work" in stream.getvalue()) == shown
+
+
+def test_a_short_call_draws_no_bar(monkeypatch):
+    stream = Watched()
+    monkeypatch.setattr("sys.stderr", stream)
+    with Progress(None) as bar:
+        for _ in bar.over(range(3), "work"):
+            pass
+    assert "work" not in stream.getvalue()

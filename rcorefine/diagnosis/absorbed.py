@@ -71,10 +71,7 @@ def numbers_that_moved(rows: Sequence[EstimatedParameter]) -> str:
         f" The change of {', '.join(far[:_MOST])} is so large that an effect may be missing at a place that "
         "the model does not show: declare its links with physical(...)."
     )
-    return (
-        f"Significant changes, if the sensors are right: {', '.join(said)}{more}."
-        f"{doubt if far else ''}"
-    )
+    return f"Significant changes, if the sensors are right: {', '.join(said)}{more}.{doubt if far else ''}"
 
 
 def determined(model: Refinement) -> list[EstimatedParameter]:

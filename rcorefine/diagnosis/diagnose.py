@@ -61,7 +61,7 @@ def diagnose(
     significance: float = 0.01,
     controller: ct.StateSpace | None = None,
     executor: Any = None,
-    progress: bool = False,
+    progress: bool | None = None,
 ) -> Diagnosis:
     """Find the physical effect that a model lacks.
 
@@ -94,8 +94,9 @@ def diagnose(
         As in `refine`: the controller that was active during the measurement.
     executor : concurrent.futures.Executor or dask.distributed.Client, optional
         Executor that refits candidates in parallel.
-    progress : bool
-        Whether to show steps and remaining time on standard error.
+    progress : bool, optional
+        Whether to show steps and remaining time on standard error. By default in a terminal and in a
+        notebook.
 
     Returns
     -------

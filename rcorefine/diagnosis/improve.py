@@ -68,7 +68,7 @@ def improve(
     significance: float = 0.01,
     controller: ct.StateSpace | None = None,
     executor: Any = None,
-    progress: bool = False,
+    progress: bool | None = None,
 ) -> Improvement:
     """Find the set of effects that a model lacks, step by step.
 
@@ -98,8 +98,9 @@ def improve(
         As in `refine`: the controller that was active during the measurement.
     executor : concurrent.futures.Executor or dask.distributed.Client, optional
         Executor that refits candidates in parallel.
-    progress : bool
-        Whether to show steps and remaining time on standard error.
+    progress : bool, optional
+        Whether to show steps and remaining time on standard error. By default in a terminal and in a
+        notebook.
 
     Returns
     -------

@@ -227,7 +227,7 @@ class Diagnosis(Reported):
         return (
             "value, std: coefficient and its standard deviation. fit: of the simulation, in percent. "
             "p-value: probability of a score as high as that of this effect if nothing is missing. P: "
-            "probability of the row, compared with all other rows, with no effect and with changed parameters."
+            "probability of the row, compared with all others, with no effect and with changed parameters."
         )
 
     @property

@@ -49,7 +49,7 @@ def survey(
     options: Mapping[str, Any] | None = None,
     reading: Mapping[str, Any] | None = None,
     significance: float = 0.01,
-    progress: bool = False,
+    progress: bool | None = None,
 ) -> Survey:
     """Examine many records of many machines, and compare the machines.
 
@@ -84,8 +84,8 @@ def survey(
     significance : float
         Rate of false claims of each sort about the fleet: a common effect, a machine that stands out,
         a change with time.
-    progress : bool
-        Whether to show a bar on standard error.
+    progress : bool, optional
+        Whether to show a bar on standard error. By default in a terminal and in a notebook.
 
     Returns
     -------

@@ -189,7 +189,7 @@ class RCORefiner(Learned):
         self._latest = block.inputs[-1].copy()
 
     @alone
-    def run(self, data: Measurement, progress: bool = False) -> RCORefiner:
+    def run(self, data: Measurement, progress: bool | None = None) -> RCORefiner:
         """Learn from a whole record.
 
         Parameters
@@ -198,7 +198,7 @@ class RCORefiner(Learned):
             Record with the model's dt; channels are matched by name, by
             position where names are python-control's own.
         progress : bool, optional
-            Show a progress bar.
+            Whether to show a progress bar on standard error. By default in a terminal and in a notebook.
 
         Returns
         -------
