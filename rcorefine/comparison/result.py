@@ -139,8 +139,8 @@ class Comparison(Reported):
         """Meaning of the columns of the table."""
         return (
             "fit = 100 (1 - |y - yh| / |y - mean(y)|): 100 % is perfect, 0 % is no better than the mean of "
-            "the output. RMSE: root mean square of the residual (measured minus simulated), in the unit of the "
-            "output; bias: its mean; largest: its largest value, and when."
+            "the output. RMSE: root mean square of the residual (measured minus simulated), in the unit of "
+            "the output; bias: its mean; largest: its largest value, and when."
         )
 
     @property
