@@ -1,6 +1,8 @@
-"""Find out why a linear model and a measured record disagree, and mend the model.
+"""Diagnosis and correction of linear models from measured data.
 
-The toolbox stands on python-control: `control.StateSpace` goes in and comes
+The package finds out why a linear model and a measured record disagree, and corrects the model.
+
+The toolbox builds on python-control: `control.StateSpace` goes in and comes
 out. The estimator is retrospective cost model refinement (D'Amato et al.).
 """
 

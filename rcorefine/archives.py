@@ -1,4 +1,7 @@
-"""Named arrays out of NumPy's archives, nothing taken on trust: sizes are counted before room is made."""
+"""Safe reading of named arrays from NumPy archives.
+
+The sizes of the arrays are checked before memory is allocated.
+"""
 
 from __future__ import annotations
 
@@ -69,7 +72,10 @@ def read_archive(path: str | PathLike[str]) -> dict[str, np.ndarray[Any, Any]]:
 
 
 def arrays_of(raw: bytes) -> dict[str, np.ndarray[Any, Any]]:
-    """Arrays of an archive that is in memory; whatever is wrong raises what zipfile and NumPy raise."""
+    """Return the arrays of an archive that is in memory.
+
+    The errors of zipfile and NumPy are passed on.
+    """
     found: dict[str, np.ndarray[Any, Any]] = {}
     with zipfile.ZipFile(io.BytesIO(raw)) as archive:
         members = [item for item in archive.infolist() if item.filename.endswith(".npy")]

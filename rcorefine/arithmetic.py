@@ -1,4 +1,7 @@
-"""NumPy's arithmetic as the package means it, whatever the user has set for his own."""
+"""NumPy error settings of the package.
+
+They apply whatever the user has set.
+"""
 
 from __future__ import annotations
 
@@ -8,5 +11,8 @@ __all__ = ["own_arithmetic"]
 
 
 def own_arithmetic() -> np.errstate:
-    """NumPy's defaults as a context or decorator: a weight that underflows is zero, and no error."""
+    """Return NumPy's default error settings as a context or decorator.
+
+    A weight that underflows is zero, and raises no error.
+    """
     return np.errstate(divide="warn", over="warn", invalid="warn", under="ignore")

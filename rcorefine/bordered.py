@@ -1,4 +1,7 @@
-"""Normal equations of records that share their first unknowns while each feels a few more of its own."""
+"""Normal equations of records with common and individual unknowns.
+
+The records share their first unknowns, and each has a few of its own.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,10 @@ class Bordered:
 
     @classmethod
     def of(cls, blocks: Sequence[Array], residuals: Sequence[Array], p: int) -> Bordered:
-        """From the derivatives (rows, p + n) and the residual (rows,) of each record."""
+        """Assemble the normal equations from all records.
+
+        `blocks` holds the derivatives (rows, p + n) of each record, `residuals` its residual (rows,).
+        """
         normal = np.array([block.T @ block for block in blocks])
         slope = np.array([block.T @ r for block, r in zip(blocks, residuals, strict=True)])
         gradient = np.concatenate([slope[:, :p].sum(axis=0), slope[:, p:].ravel()])
@@ -64,9 +70,11 @@ class Bordered:
         )
 
     def step(self, keep: NDArray[np.bool_], damping: float) -> Array:
-        """Step of least squares in some unknowns, damped relative to the square of each column.
+        """Return the damped least-squares step in some unknowns.
 
-        Directions that the rows do not see stay where they are.
+        The damping is relative to the square of each column.
+
+        Directions that the rows do not determine stay where they are.
         """
         norms = self.norms
         scale = np.where(keep, 1.0 / np.where(norms > 0, norms, 1.0), 0.0)
@@ -95,7 +103,10 @@ class Bordered:
         return np.concatenate([moved, follow.ravel()]) * scale
 
     def condensed(self) -> Array:
-        """Normal matrix (p, p) of the common unknowns while those of the records follow."""
+        """Return the normal matrix (p, p) of the common unknowns.
+
+        The unknowns of the single records are eliminated.
+        """
         norms = self.norms
         _, own = self._split(np.where(norms > 0, 1.0 / np.where(norms > 0, norms, 1.0), 0.0))
         values, vectors = np.linalg.eigh(self.own * own[:, :, None] * own[:, None, :])

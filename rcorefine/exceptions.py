@@ -80,10 +80,12 @@ _UNHEARD: ContextVar[tuple[type[RCOWarning], ...]] = ContextVar("unheard", defau
 
 @contextmanager
 def unheard(category: type[RCOWarning] = RCOWarning) -> Iterator[None]:
-    """Warnings of a category are not heard here: what they say stands in the result.
+    """Suppress warnings of a category in this thread.
 
-    They are in this thread alone; `warnings.catch_warnings` changes the filters of all threads, and leaves
-    them changed where two of them overlap.
+    The result contains what they say.
+
+    `warnings.catch_warnings` would change the filters of all threads, and leave them changed where two of
+    its contexts overlap.
     """
     before = _UNHEARD.set((*_UNHEARD.get(), category))
     try:
@@ -93,7 +95,10 @@ def unheard(category: type[RCOWarning] = RCOWarning) -> Iterator[None]:
 
 
 def warn(message: str, category: type[RCOWarning]) -> None:
-    """Warn as `warnings.warn` does, if that is to be heard, of the line that called the package."""
+    """Warn at the line that called the package.
+
+    It works as `warnings.warn`, unless `unheard` suppresses the category.
+    """
     if not issubclass(category, _UNHEARD.get()):
         level, frame = 1, sys._getframe()
         while frame.f_back is not None and frame.f_code.co_filename.startswith(_HERE):

@@ -1,4 +1,7 @@
-"""Optional dependencies: imported when they are first needed, and named where they are missing."""
+"""Optional dependencies, imported when they are first needed.
+
+An error names a dependency that is missing.
+"""
 
 from __future__ import annotations
 

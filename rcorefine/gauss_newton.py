@@ -1,4 +1,7 @@
-"""Damped Gauss-Newton steps inside bounds: the only descent of the package beside scipy's trust region."""
+"""Damped Gauss-Newton steps inside bounds.
+
+This is the only optimizer of the package besides scipy's trust region.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,10 @@ _NO_STEP = 1e-12  # size of a column, times that of its unknown and relative, be
 
 
 class Rows(NamedTuple):
-    """Residual at a point, its derivatives, and what else the caller wants back from there."""
+    """Residual at a point and its derivatives.
+
+    `more` holds what else the caller needs from that point.
+    """
 
     residual: Array  #: (N,); not finite where there is none
     jacobian: Any  #: (N, p), or their normal equations by records: `Bordered`
@@ -26,7 +32,7 @@ class Rows(NamedTuple):
 
 
 class Minimum(NamedTuple):
-    """Where a descent ended."""
+    """Result of a minimization."""
 
     point: Array
     cost: float  #: half the sum of squares; inf where there is no residual at the start
@@ -124,7 +130,10 @@ def own_sizes(reached: Array, jacobian: Array) -> Array:
 def promised(
     rows: Rows, point: Array, lower: Array | float, upper: Array | float, sizes: Array | float = 1.0
 ) -> float:
-    """How much the next full step would lower the cost (half g' H^-1 g): small only at a minimum."""
+    """Return the cost reduction that the next full step predicts.
+
+    It is half g' H^-1 g, and small only at a minimum.
+    """
     near, slope = 1e-12 * np.abs(point), _slope(rows)
     active = ~_pressed(point, lower + near, upper - near, slope)
     return float(-0.5 * slope @ _step(rows, 1e-9, active, sizes))

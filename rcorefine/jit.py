@@ -102,7 +102,7 @@ def compiled(function: _Function) -> _Function:
 
 
 def _dispatcher(function: Callable[..., Any], **more: bool) -> Any:
-    """What numba compiles when it is first called."""
+    """Return a function that numba compiles when it is first called."""
     options = {"fastmath": FASTMATH, "error_model": "numpy", "no_cfunc_wrapper": True, **more}
     found = _kept(_NUMBA.njit, function, **options)
     build = found.compile
@@ -122,7 +122,10 @@ def _dispatcher(function: Callable[..., Any], **more: bool) -> Any:
 
 
 def _kept(decorator: Callable[..., Any], function: Callable[..., Any], *given: Any, **options: Any) -> Any:
-    """Have numba keep what it compiles: beside the file, at home, or in a folder of its own."""
+    """Return a function whose compiled code numba caches.
+
+    The cache is beside the file, in the home folder, or in a folder of its own.
+    """
     before = _NUMBA.config.CACHE_DIR
     for find in (lambda: before, _own_folder):
         try:
@@ -137,7 +140,11 @@ def _kept(decorator: Callable[..., Any], function: Callable[..., Any], *given: A
 
 @cache
 def _own_folder() -> str:
-    """A temporary folder where nobody else can write, for what lies there is run; empty if there is none."""
+    """Return a private temporary folder, or an empty string.
+
+    Nobody else may write there, because its content is executed. The string is empty if there is no such
+    folder.
+    """
     if not hasattr(os, "getuid"):
         return ""
     try:
@@ -152,7 +159,10 @@ def _own_folder() -> str:
 
 
 def _renamed(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The same function under another name, for its file in numba's cache has the name only."""
+    """Return a copy of a function under another name.
+
+    The file in numba's cache is distinguished by the name only.
+    """
     found = FunctionType(
         function.__code__,
         function.__globals__,
@@ -194,7 +204,10 @@ else:
 
 
 def _call_at() -> Any:
-    """Intrinsic that calls a C function: ``(address, 4 floats, row, float, row, int, row)``."""
+    """Return an intrinsic that calls the C function at an address.
+
+    Its arguments are ``(address, 4 floats, row, float, row, int, row)``.
+    """
     from llvmlite import ir  # type: ignore[import-untyped, unused-ignore]
     from numba import types
     from numba.extending import intrinsic
@@ -246,7 +259,9 @@ number_at: Any = _plain_number_at if _NUMBA is None else _number_at()
 
 
 def by_address(kernel: Callable[..., int], signature: str) -> tuple[Callable[..., int], Callable[[], int]]:
-    """How kernels call a large one that is compiled once, and not into each of them again.
+    """Return the means to call a compiled kernel by its address.
+
+    A large kernel is then compiled once, and not again into each kernel that calls it.
 
     Parameters
     ----------
@@ -327,7 +342,9 @@ def compiled_law(function: _Function) -> _Function:
 
 
 def address_of(function: Callable[..., None], cache: bool) -> tuple[int, Any]:
-    """Address of a function as `call_at` takes it, compiled; and what keeps it alive.
+    """Compile a function and return its address for `call_at`.
+
+    The second value keeps the compiled function alive.
 
     Raises
     ------

@@ -1,4 +1,7 @@
-"""One bar for steps that become known on the way, and the map that does them."""
+"""Progress bar, and the map that runs the steps.
+
+The number of steps becomes known on the way.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,9 @@ Result = TypeVar("Result")
 
 
 class Progress:
-    """Does the steps of a computation, on an executor where one is given, and counts them.
+    """Runner and counter of the steps of a computation.
+
+    The steps run on an executor if one is given.
 
     The number of steps is not known when a computation begins: each part announces its own,
     and rounds that are still expected count as the mean of those that were done.

@@ -1,6 +1,8 @@
-"""Results show themselves: as text, HTML, pictures, reports. Who draws them is looked up, never imported.
+"""Base classes of results: text, HTML, pictures and reports.
 
-The views enter themselves into a register when they are loaded, which happens when first asked for.
+The function that shows a result is looked up, never imported.
+
+The views register themselves when they are loaded, which happens on first use.
 """
 
 from __future__ import annotations
@@ -38,7 +40,10 @@ _views: dict[tuple[type, str], Callable[..., Any]] = {}
 
 
 def shows(kind: type, what: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Enter a view: the function that shows results of this class as "text", "html", "plot", ..."""
+    """Register a function as a view of a class.
+
+    It shows results of this class as "text", "html", "plot", ...
+    """
 
     def enter(view: Callable[P, T]) -> Callable[P, T]:
         _views[kind, what] = view
@@ -72,7 +77,10 @@ def show(result: object, what: str, *args: Any, **options: Any) -> Any:
 
 
 def _view(kind: type, what: str) -> Callable[..., Any]:
-    """View of a class or of one that it extends; the views are loaded where there is none yet."""
+    """Return the view of a class or of one of its base classes.
+
+    The views are loaded if none is found.
+    """
     for loaded in (False, True):
         if loaded:
             import_module(f"{__package__}.views")
@@ -83,12 +91,12 @@ def _view(kind: type, what: str) -> Callable[..., Any]:
 
 
 class Data:
-    """What a computation found, as data."""
+    """Result of a computation, as data."""
 
     __slots__ = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """What was found as plain objects, for strict JSON.
+        """Return the result as plain objects for strict JSON.
 
         Returns
         -------
@@ -119,7 +127,7 @@ class Row(Data):
 
 
 class Result(Data):
-    """What a computation found; it shows itself as text and, in a notebook, as HTML."""
+    """Result that is shown as text or, in a notebook, as HTML."""
 
     __slots__ = ()
 
@@ -153,7 +161,9 @@ class Reported(Result):
         code: str | None = None,
         overwrite: bool = False,
     ) -> Path:
-        """Write what was found as one HTML file: answer, pictures, tables, code, versions.
+        """Write the result to one HTML file.
+
+        It contains the answer, pictures, tables, code and versions.
 
         Parameters
         ----------
@@ -182,7 +192,10 @@ class Reported(Result):
 
 
 class ReportedModel(Result):
-    """A refined model that writes a report, beside a record where one is given."""
+    """Refined model that writes a report.
+
+    The report compares it with a record if one is given.
+    """
 
     __slots__ = ()
 
@@ -195,7 +208,9 @@ class ReportedModel(Result):
         code: str | None = None,
         overwrite: bool = False,
     ) -> Path:
-        """Write what was found as one HTML file: answer, pictures, tables, code, versions.
+        """Write the result to one HTML file.
+
+        It contains the answer, pictures, tables, code and versions.
 
         Parameters
         ----------
@@ -226,7 +241,10 @@ class ReportedModel(Result):
 
 
 class Look(TypedDict, total=False):
-    """How a picture looks; every picture takes these, as python-control's do."""
+    """Options for the look of a picture.
+
+    Every picture takes these, as in python-control.
+    """
 
     title: str | None
     legend_loc: str | bool | None
@@ -252,7 +270,7 @@ _TEXTS = {
 
 
 def picture(draw: Callable[P, T]) -> Callable[P, T]:
-    """Spell out the options that all pictures share, in the signature and in the docstring.
+    """Add the common options to the signature and docstring of a picture.
 
     The function takes them as ``**options: Unpack[Options]`` (or `Look`), and documents `ax` and `label`.
     """

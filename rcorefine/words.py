@@ -111,7 +111,9 @@ def phase_text(angle: float) -> str:
 
 
 def estimate(value: float, std: float) -> tuple[str, str]:
-    """A value with the digits that its standard deviation leaves, and that with two.
+    """Return a value and its standard deviation as rounded text.
+
+    The standard deviation has two digits; the value is rounded to match it.
 
     Parameters
     ----------
@@ -160,7 +162,10 @@ def with_error(value: float, std: float, unit: str = "") -> str:
 
 
 def _to(value: float, last: int) -> str:
-    """Rounded to the power of ten `last`, without an exponent where people write none."""
+    """Return a value rounded to the power of ten `last`, as text.
+
+    Only very small and very large values have an exponent.
+    """
     rounded = float(f"{value:.{max(_place(value) - last, 0)}e}") if value and _place(value) >= last else 0.0
     if not rounded:
         return f"{0.0:.{min(max(-last, 0), _MOST)}f}"

@@ -1,4 +1,7 @@
-"""Files are written beside and put in place whole: a reader finds the old one or the new one."""
+"""Safe replacement of files.
+
+A file is written beside the old one and then takes its place: a reader finds either the old or the new one.
+"""
 
 from __future__ import annotations
 
@@ -115,7 +118,10 @@ def _draft(beside: Path) -> tuple[Path, BinaryIO]:
 
 
 def _sweep(beside: Path) -> None:
-    """Remove drafts of this file whose writer has died; those in the works are locked."""
+    """Remove drafts of a file whose writing process has died.
+
+    Drafts that are still being written are locked, and stay.
+    """
     pattern = re.compile(rf"{re.escape(beside.name)}[0-9a-f]{{8}}\.tmp")
     with contextlib.suppress(OSError):  # what cannot be removed is no hindrance to writing
         with os.scandir(beside.parent) as entries:
@@ -131,7 +137,10 @@ def _sweep(beside: Path) -> None:
 
 
 def _hand_on(old: os.stat_result, draft: Path) -> None:
-    """Group, owner and mode of the older file, in this order: a new owner clears bits of the mode."""
+    """Give a draft the group, owner and mode of the older file.
+
+    The order matters: a new owner clears bits of the mode.
+    """
     if hasattr(os, "chown"):
         for owner in ((-1, old.st_gid), (old.st_uid, -1)):
             with contextlib.suppress(PermissionError):  # only the administrator gives files away
@@ -140,7 +149,7 @@ def _hand_on(old: os.stat_result, draft: Path) -> None:
 
 
 def _keep_entry(folder: Path) -> None:
-    """Write the folder itself to the disk, so that the new name outlives a power cut."""
+    """Write the folder to disk so that the new name survives a power cut."""
     if os.name == "nt":  # folders cannot be opened there
         return
     with contextlib.suppress(OSError):  # some file systems cannot; the file itself is there

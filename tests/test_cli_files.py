@@ -17,7 +17,8 @@ import scipy.io
 import rcorefine as rco
 from rcorefine.commands.analysis import wanted_candidates
 from rcorefine.commands.cli import main
-from rcorefine.commands.example import NAMES, example_csv, example_toml
+from rcorefine.commands.example import example_csv, example_toml
+from rcorefine.commands.options import EXAMPLES as NAMES
 from rcorefine.data.files import read_record
 from rcorefine.models.reading import builder_names, read_model
 

@@ -1,4 +1,6 @@
-"""Checks of arguments: what was wrong, which argument, and what to give instead.
+"""Checks of arguments with precise error messages.
+
+A message tells what is wrong, in which argument, and what to give instead.
 
 All of them take the value and the name of the argument, and return the value in the form
 that the work needs. A wrong type raises `control.ControlArgument`, a wrong size

@@ -99,7 +99,9 @@ def as_vector(
 
 
 def as_state(value: Any, size: int | None = None) -> Array | None:
-    """How a free run starts: None for "estimate", zeros for "zero", or the state given.
+    """Return the initial state of a simulation.
+
+    It is None for "estimate", zeros for "zero", or the given state.
 
     Raises
     ------
@@ -121,7 +123,10 @@ def as_state(value: Any, size: int | None = None) -> Array | None:
 
 
 def as_noise(value: Any, n_outputs: int) -> Array | None:
-    """Standard deviations of the sensor noise, one per output; None where they are not known."""
+    """Return the standard deviations of the sensor noise, one per output.
+
+    The result is None where they are not known.
+    """
     if value is None:
         return None
     level = as_vector(value, "noise (standard deviations)", above=0.0, error=ct.ControlArgument)

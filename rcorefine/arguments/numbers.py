@@ -72,7 +72,10 @@ def as_number(
 
 
 def _real(value: Any) -> float | None:
-    """Float of a real number or an array of no dimension; None of anything else, flags included."""
+    """Return a real number as a float, or None for anything else.
+
+    An array without dimensions counts as a number, a flag does not.
+    """
     if isinstance(value, np.ndarray) and value.ndim == 0 and not np.ma.isMaskedArray(value):
         value = value[()]
     if isinstance(value, bool | np.bool_ | np.timedelta64) or not isinstance(value, numbers.Real):
@@ -84,7 +87,10 @@ def _real(value: Any) -> float | None:
 
 
 def as_share(value: Any, name: str, *, error: type[Exception] = ct.ControlArgument) -> float:
-    """Probability or share strictly between 0 and 1, not so small that its quantile is infinite."""
+    """Return a probability or share strictly between 0 and 1.
+
+    It must not be so small that its quantile is infinite.
+    """
     number = _real(value)
     if number is None or not 1 / _LARGEST <= number < 1.0:
         problem = ct.ControlArgument if number is None else error

@@ -1,4 +1,4 @@
-"""Objects: files, generators of random numbers, executors, those of one class."""
+"""Checks of objects: files, random generators, executors, classes."""
 
 from __future__ import annotations
 
@@ -65,7 +65,9 @@ def as_generator(value: Any) -> np.random.Generator:
 
 
 def as_mapper(executor: Any) -> Callable[..., Any]:
-    """`map` of an executor, of a dask client's executor, or the built-in one for None.
+    """Return the `map` of an executor, or the built-in one for None.
+
+    For a dask client, it is the `map` of its executor.
 
     Raises
     ------

@@ -1,4 +1,7 @@
-"""Text from elsewhere as it may be shown: a bad value in a message, a name that holds control characters."""
+"""Safe display of text from outside the package.
+
+Examples are a bad value in a message, and a name that holds control characters.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,9 @@ def shown(value: Any) -> str:
 
 
 def printable(text: str) -> str:
-    r"""Text whose control characters are spelled out, so that no name of a signal steers a terminal.
+    r"""Return text with its control characters spelled out.
+
+    The name of a signal can then not control a terminal.
 
     Examples
     --------

@@ -31,7 +31,10 @@ def as_choice(value: Any, name: str, choices: Iterable[str]) -> str:
 
 
 def as_list(values: Any, name: str, of: str) -> list[Any]:
-    """Entries in their order: of a list, a tuple, an array, an iterator; `of` says what they are."""
+    """Return the entries of a list in their order.
+
+    A tuple, an array or an iterator is accepted as well; `of` describes the entries in the error message.
+    """
     listed = isinstance(values, Iterable) and getattr(values, "ndim", 1) == 1
     if not listed or isinstance(values, str | bytes | bytearray | memoryview | Mapping | set | frozenset):
         raise ct.ControlArgument(f"{name} must be a list of {of}, not {shown(values)}")

@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from ..writing import replacing
+from .options import EXAMPLES
 
-__all__ = ["NAMES", "example_csv", "example_toml", "run_example"]
+__all__ = ["example_csv", "example_toml", "run_example"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +139,6 @@ sensors = ["body_acceleration", "suspension_deflection"]
     ),
 }  # fmt: skip
 
-NAMES = tuple(_EXAMPLES)
 _SAMPLES = 2500
 _NOISE = 0.02
 _SHOWN = 6
@@ -249,7 +249,7 @@ def run_example(arguments: Namespace) -> int:
         sys.stdout.write(f"{model}\n{record}\n\nTry:\n{commands}")
         return 0
     head = "".join(csv.splitlines(keepends=True)[:_SHOWN])
-    others = f"Other examples: {', '.join(other for other in NAMES if other != name)}."
+    others = f"Other examples: {', '.join(other for other in EXAMPLES if other != name)}."
     others = textwrap.fill(others, 80, initial_indent="# ", subsequent_indent="#   ")
     sys.stdout.write(
         f"# {model}\n{toml}\n# {record} (the first lines of {_SAMPLES + 1})\n{head}...\n\n"

@@ -8,9 +8,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from ..data.measurement import HOLDS
+from ..data import HOLDS
+
+#: Examples of `rcorefine example`, the default first.
+EXAMPLES = (
+    "mass_spring_damper", "state_space", "mechanical", "series_rlc", "dc_motor", "two_tanks",
+    "thermal_network", "quarter_car",
+)  # fmt: skip
 
 __all__ = [
+    "EXAMPLES",
     "Names",
     "columns_options",
     "count",

@@ -9,6 +9,7 @@ from typing import Any
 
 from ..version import __version__
 from .options import (
+    EXAMPLES,
     Names,
     columns_options,
     count,
@@ -64,6 +65,19 @@ _JSON = {
     "probability, seconds, error, estimates, sentences), effects (kind, place, name, unit, sort, "
     "n_machines, mean, std, spread, p_value, p_alike, machines), trends, breaches (condition, machine, "
     "sentence), report. With --conditions the exit code is 1 where one is not kept, and 0 otherwise.",
+}
+
+
+_FILES = "mass_spring_damper.toml mass_spring_damper.csv"
+_SHOWN = {
+    "check": _FILES,
+    "compare": f"{_FILES} --report report.html",
+    "diagnose": f"{_FILES} --picture found.png",
+    "improve": f"{_FILES} --report better.html",
+    "refine": f"{_FILES} --effects coulomb_friction@link2",
+    "localize": _FILES,
+    "bode": f"{_FILES} --picture bode.png --csv points.csv",
+    "survey": ". --model mass_spring_damper.toml",
 }
 
 
@@ -281,7 +295,8 @@ def _command(commands: Any, name: str, summary: str, description: str) -> argpar
         name,
         help=summary,
         description=textwrap.fill(description, 79),
-        epilog="\n\n".join(textwrap.fill(text, 79) for text in (_KEYS + _JSON[name], _EXIT_CODES)),
+        epilog="\n\n".join(textwrap.fill(text, 79) for text in (_KEYS + _JSON[name], _EXIT_CODES))
+        + f"\n\nexample, with the files of rcorefine example --write .:\n  rcorefine {name} {_SHOWN[name]}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.set_defaults(free=None, picture=None, csv=None, report=None)
@@ -325,8 +340,6 @@ def _reading(
 
 
 def _example(commands: Any) -> None:
-    from .example import NAMES
-
     parser = commands.add_parser(
         "example",
         help="examples of the two files that the other commands read",
@@ -337,8 +350,8 @@ def _example(commands: Any) -> None:
         epilog="exit codes: 0 printed or written; 2 wrong usage, or a file that cannot be written",
     )
     parser.add_argument(
-        "name", nargs="?", choices=NAMES, default=NAMES[0], metavar="NAME",
-        help=f"one of {', '.join(NAMES)} (default: %(default)s)",
+        "name", nargs="?", choices=EXAMPLES, default=EXAMPLES[0], metavar="NAME",
+        help=f"one of {', '.join(EXAMPLES)} (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument(
         "--write", type=Path, metavar="DIR", help="write NAME.toml and NAME.csv into this folder"

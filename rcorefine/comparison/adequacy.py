@@ -1,4 +1,7 @@
-"""Whether a comparison shows that something is missing: one rule for the report and the command line."""
+"""Decision whether a comparison shows that something is missing.
+
+The report and the command line use this one rule.
+"""
 
 from __future__ import annotations
 

@@ -209,7 +209,10 @@ def _on_record(
 def _windows(
     data: Measurement, horizon: float | None, x0: Any, models: Sequence[LinearModel], n_outputs: int
 ) -> tuple[list[slice], str]:
-    """Windows that cover the record, each long enough to estimate a state in, and why there are any."""
+    """Return windows that cover the record, and the reason for them.
+
+    Each window is long enough to estimate a state in it.
+    """
     estimated = _estimated(x0)
     (windows,), note = free_runs(models, [data], horizon, known_start=not estimated)
     n_states = max(each.n_states for each in models)
@@ -230,7 +233,10 @@ def _hold(model: Any) -> str | None:
 def _hidden(
     models: Sequence[Any], channels: Sequence[Channels], data: Measurement, x0: Any, first: int
 ) -> int:
-    """First samples that a delay hides from one of the models where its initial state is estimated."""
+    """Return the number of first samples that a delay hides.
+
+    They are hidden from one of the models, where its initial state is estimated.
+    """
     if not _estimated(x0):
         return 0
     lost = [unjudged_samples(m, record_for(data, places)) for m, places in zip(models, channels, strict=True)]
@@ -248,9 +254,10 @@ def _simulate(
     name: str,
     outputs: Sequence[int],
 ) -> tuple[Array, Array, Array]:
-    """Outputs (compared ones, in the record's order), the initial state of each window, and the states.
+    """Return simulated outputs, the initial state per window, and states.
 
-    Each window begins `hidden` samples early, and these are left out.
+    The outputs are the compared ones, in the record's order. Each window begins `hidden` samples early, and
+    these are left out.
     """
     record = record_for(data, channels)
     rows = [i for i, place in enumerate(channels.outputs) if place >= 0]

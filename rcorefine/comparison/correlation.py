@@ -1,4 +1,7 @@
-"""Correlation of measured signals: the arrays that the residual tests take, and their correlograms."""
+"""Correlation of measured signals, and correlograms.
+
+The module also checks the arrays that the residual tests take.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Amplitude, period and damping ratio of a free decay, half cycle by half cycle."""
+"""Amplitude, period and damping ratio of each half cycle of a decay."""
 
 from __future__ import annotations
 
@@ -40,7 +40,9 @@ class Decay(NamedTuple):
 
 
 def decay_of(signal: Array, dt: float, start: float = 0.0) -> Decay:
-    """Return amplitude, period and damping ratio of a signal that swings about a level.
+    """Return amplitude, period and damping ratio of an oscillation.
+
+    The signal oscillates about a level, which is estimated.
 
     Parameters
     ----------
@@ -95,7 +97,10 @@ def decay_of(signal: Array, dt: float, start: float = 0.0) -> Decay:
 
 
 def _extreme(signal: Array, first: int, last: int) -> tuple[float, float] | None:
-    """Return place (in samples) and value of the extreme of a half cycle; None if the record cuts it off."""
+    """Return position (in samples) and value of the extreme of a half cycle.
+
+    None if the record cuts the extreme off.
+    """
     part = signal[first : last + 1]
     peak = first + int(np.argmax(np.abs(part)))
     reach = max(2, int(_WITHIN * (last - first)))
@@ -108,7 +113,10 @@ def _extreme(signal: Array, first: int, last: int) -> tuple[float, float] | None
 
 
 def _slopes(values: Array) -> Array:
-    """Return the slope at each value, of a line through up to `_SMOOTHED` neighbors."""
+    """Return the slope at each value.
+
+    It is that of a line through up to `_SMOOTHED` neighbors.
+    """
     half, n = _SMOOTHED // 2, values.size
     found = np.empty(n)
     for k in range(n):

@@ -1,4 +1,7 @@
-"""Which of the compared models run freely, in a loop, or led by an observer."""
+"""Simulation mode of the compared models.
+
+A model runs freely, in a control loop, or with process noise (Kalman predictor).
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,10 @@ __all__ = ["controlled", "led", "runs_of"]
 
 
 def runs_of(models: Sequence[Any], linear: Sequence[LinearModel], data: Measurement) -> list[LinearModel]:
-    """What runs; of a refinement its initial model too, by which `refine` judged whether it integrates."""
+    """Return the linear models that are simulated.
+
+    For a refinement this includes its initial model, by which `refine` decided whether it integrates.
+    """
     known = [one for one in map(known_physical, models) if one is not None]
     if controlled(models):
         return [as_it_runs(one, data) for one in known]
@@ -26,7 +32,7 @@ def runs_of(models: Sequence[Any], linear: Sequence[LinearModel], data: Measurem
 
 
 def led(models: Sequence[Any], linear: Sequence[LinearModel], data: Measurement) -> bool:
-    """Whether one of them has no free run and follows the record instead."""
+    """Return whether a model has no free run and follows the record instead."""
     known = [one for one in map(known_physical, models) if one is not None]
     if controlled(models):
         return False

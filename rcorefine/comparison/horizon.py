@@ -1,4 +1,7 @@
-"""The error of a model against how far ahead it predicts, from one step to the free run."""
+"""Error of a model over its prediction horizon.
+
+The horizon ranges from one step ahead to the simulation from the initial state (free run).
+"""
 
 from __future__ import annotations
 
@@ -84,7 +87,10 @@ def horizon_error(comparison: Comparison, steps: Any = None) -> HorizonError:
 
 
 def _errors(comparison: Comparison, index: int, ahead: NDArray[np.int64]) -> Array:
-    """Errors (n_y, n_horizons) of one model; the linear part carries the correction."""
+    """Return the errors (n_y, n_horizons) of one model.
+
+    The linear part of the model carries the correction on.
+    """
     scene = ModelOnRecord(
         comparison.seen_by(index), comparison.models[index], comparison.runs[index], comparison.states[index],
         comparison.starts, estimated=False, places=None,
@@ -103,7 +109,10 @@ def _errors(comparison: Comparison, index: int, ahead: NDArray[np.int64]) -> Arr
 
 
 def _gain(Phi: Array, drive: Array, C: Array, residual: Array, scene: ModelOnRecord) -> Array:
-    """Kalman gain for an unknown input of the level that predicts the residual best."""
+    """Return the Kalman gain that predicts the residual best.
+
+    It assumes an unknown input, whose level is chosen.
+    """
     n, ny = Phi.shape[0], C.shape[0]
     if n == 0:
         return np.zeros((0, ny))

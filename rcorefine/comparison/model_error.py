@@ -59,7 +59,10 @@ class ModelError(Row):
 
     @property
     def differs(self) -> NDArray[np.bool_]:
-        """Where the error leaves the simultaneous band, shape (n_y, n_w, n_omega)."""
+        """Points at which the error leaves the simultaneous band.
+
+        Shape (n_y, n_w, n_omega).
+        """
         return np.asarray(np.abs(self.error) > self.simultaneous)
 
 

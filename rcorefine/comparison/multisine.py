@@ -1,4 +1,7 @@
-"""What a periodic input brings back, line by line: noise, and distortion at lines that were not sent."""
+"""Noise and nonlinear distortion under a periodic input, line by line.
+
+Distortion appears at lines that the input does not contain.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,9 @@ _REACH = 5  # times the highest line sent, up to which distortion is looked for
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LineLevels(Row):
-    """Lines of a record with a periodic input (Pintelon and Schoukens, System Identification, ch. 4).
+    """Spectral lines of a record with a periodic input.
+
+    The method is that of Pintelon and Schoukens, System Identification, ch. 4.
 
     Attributes
     ----------
@@ -44,9 +49,10 @@ class LineLevels(Row):
     n_periods: int
 
     def level(self, kind: str) -> float:
-        """Rms of these lines over that of the lines sent, in dB, over all outputs; noise as "noise".
+        """Return the RMS of some lines relative to that of the sent lines, in dB.
 
-        Each output counts by its own size. -inf where there is nothing.
+        It is taken over all outputs. The `kind` of the noise is "noise". Each output is scaled by its own
+        size. -inf if there are no such lines.
         """
         sent = np.sqrt(np.mean(self.amplitude[:, self.kind == "sent"] ** 2, axis=1))
         rows = self.noise if kind == "noise" else self.amplitude[:, self.kind == kind]
@@ -69,7 +75,9 @@ class LineLevels(Row):
 
 
 def line_levels(data: Measurement) -> LineLevels | None:
-    """Noise and distortion at each line of a record, None where its input is not periodic.
+    """Return noise and distortion at each line of a record.
+
+    None if no input is periodic.
 
     Examples
     --------

@@ -1,4 +1,7 @@
-"""Nonlinear dependence of a residual on the input and the past, by correlations of higher order."""
+"""Nonlinear dependence of a residual on the input and the past.
+
+It is tested by correlations of higher order.
+"""
 
 from __future__ import annotations
 

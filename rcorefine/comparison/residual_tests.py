@@ -1,4 +1,7 @@
-"""Tests of a residual: plain functions, arrays in, a table of statistics and p-values out."""
+"""Residual tests as plain functions on arrays.
+
+Each test returns a table of statistics and p-values.
+"""
 
 from __future__ import annotations
 
@@ -185,7 +188,7 @@ def input_correlation(
     labels: Sequence[str] | None = None,
     input_labels: Sequence[str] | None = None,
 ) -> TestTable:
-    """Test whether a residual still depends on the inputs, or the inputs on it.
+    """Test the residual for dependence on the inputs, and vice versa.
 
     Both signals are whitened first, each by its own autoregressive filter.
     That keeps cause and effect in order and makes the correlations
@@ -316,7 +319,10 @@ def _mean(name: str, e: Array) -> ResidualTest:
 
 
 def _steadiness(name: str, e: Array) -> ResidualTest:
-    """Levels of the innovations in equal blocks (Levene's test, about the median)."""
+    """Test whether the innovations have the same level in equal blocks.
+
+    The test is Levene's, about the median.
+    """
     blocks = 8
     parts = np.array_split(whitened(e), blocks)
     f, p = stats.levene(*parts, center="median")

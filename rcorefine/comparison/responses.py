@@ -70,9 +70,10 @@ class FrequencyComparison(Reported):
 
     @property
     def over_noise(self) -> Array:
-        """Rms of the residual's real and imaginary parts over their standard deviation, shape as `fit`.
+        """RMS of the residual relative to the standard deviation of the noise.
 
-        1 where noise is all that is left; NaN where `std` of the response is not known.
+        It is taken over real and imaginary parts, shape as `fit`. It is 1 where only noise is left, and NaN
+        where `std` of the response is not known.
         """
         std = self.measured.std
         error = np.abs(self.measured.response[None] - self.responses)
@@ -82,13 +83,19 @@ class FrequencyComparison(Reported):
 
     @property
     def relative_error(self) -> Array:
-        """Size of G/G_measured - 1 at each frequency, shape (n_y, n_w, n_omega) or (n_models, ...)."""
+        """Magnitude of G/G_measured - 1 at each frequency.
+
+        Shape (n_y, n_w, n_omega) or (n_models, ...).
+        """
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(self._shaped(np.abs(self.responses / self.measured.response[None] - 1.0)))
 
     @property
     def worst(self) -> Array:
-        """Frequency in rad/s of the largest error over the largest magnitude, shape as `fit`."""
+        """Frequency in rad/s of the largest error, shape as `fit`.
+
+        The error is taken relative to the largest magnitude.
+        """
         error = np.abs(self.measured.response[None] - self.responses)
         return np.asarray(self._shaped(self.measured.omega[np.argmax(error, axis=-1)]))
 
@@ -132,12 +139,15 @@ class LevelComparison(Result):
 
     @property
     def fit(self) -> Array:
-        """Fit of each response in percent, shape (n_levels, ...) and then as `FrequencyComparison.fit`."""
+        """Fit of each response in percent, for each amplitude.
+
+        Shape (n_levels, ...), and then as `FrequencyComparison.fit`.
+        """
         return np.array([level.fit for level in self.levels])
 
     @picture
     def plot(self, **options: Unpack[Options]) -> ct.ControlPlot:
-        """Bode plot of the measured points at each amplitude, and the models there.
+        """Draw the Bode plot of points and models at each amplitude.
 
         Parameters
         ----------
@@ -157,7 +167,9 @@ class LevelComparison(Result):
 def compare_responses(
     given: Sequence[Any], models: Sequence[LinearModel], data: Any, *, several: bool
 ) -> FrequencyComparison | LevelComparison:
-    """Compare models with a measured response; channels by name, else by position.
+    """Compare models with a measured frequency response.
+
+    Channels are matched by name, otherwise by position.
 
     Parameters
     ----------
@@ -205,7 +217,10 @@ def _compared(
 def _with_effects(
     given: Any, linear: LinearModel, measured: FrequencyResponse
 ) -> NDArray[np.complex128] | None:
-    """Response of a model with the effects that its linear part does not hold; None where there are none."""
+    """Return the frequency response of a model with its nonlinear effects.
+
+    None if the linear part of the model holds all effects.
+    """
     if getattr(given, "simulation_structure", None) is None:
         return None
     structure, theta, _ = structure_of(given)

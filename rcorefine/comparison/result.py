@@ -1,4 +1,4 @@
-"""What `compare` returns."""
+"""Results of a model comparison."""
 
 from __future__ import annotations
 
@@ -104,7 +104,10 @@ class Comparison(Reported):
 
     @property
     def rmse(self) -> Array:
-        """Root mean square of the residual in output units, shape (n_y,) or (n_models, n_y)."""
+        """Root mean square of the residual in output units.
+
+        Shape (n_y,) or (n_models, n_y).
+        """
         return self._shaped(root_mean_square(self.data.outputs[None] - self.runs))
 
     @property
@@ -119,7 +122,7 @@ class Comparison(Reported):
 
     @property
     def failures(self) -> Any:
-        """Where the model fails: a `FailureMap`, or a tuple of them, one per model.
+        """Failures of the model: a `FailureMap`, or a tuple with one per model.
 
         Rows of dimension, where, measure, statistic, p_value, share of the
         error and a sentence, the most telling first; empty where the record
@@ -145,7 +148,10 @@ class Comparison(Reported):
 
     @property
     def line_levels(self) -> LineLevels | None:
-        """Noise, even and odd distortion of the record line by line; None where no input is periodic."""
+        """Noise, even and odd distortion of the record, line by line.
+
+        None if no input is periodic.
+        """
         return line_levels(self.data)
 
     @property

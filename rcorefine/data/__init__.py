@@ -1,1 +1,7 @@
-"""The measured record: checked, read from files, matched with a model, as a frequency response."""
+"""Measured data: records and frequency responses.
+
+Records are checked, read from files, and matched with a model.
+"""
+
+#: Behavior of the inputs between the samples. It stands here for the terminal, which is to start at once.
+HOLDS = ("zoh", "foh", "bandlimited")

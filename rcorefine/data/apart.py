@@ -1,4 +1,7 @@
-"""Files that their libraries may crash on, read in a process of its own with limits of time and memory."""
+"""Reading of files in a separate process, with time and memory limits.
+
+The libraries that read these files may crash.
+"""
 
 from __future__ import annotations
 

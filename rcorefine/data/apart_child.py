@@ -1,7 +1,8 @@
-"""Reads one file in a process of its own: its library can crash on a damaged one, or fill memory.
+"""Script that reads one file in a process of its own.
 
-Run as a script by `rcorefine.data.apart`, without the package, so that it starts fast. What it finds goes to
-standard output as an archive of plain arrays; what they are called, and what is no array, is one of them.
+The library that reads the file can crash on a damaged file, or fill the memory. `rcorefine.data.apart` runs
+this script without the package, so that it starts fast. The script writes an archive of plain arrays to
+standard output. One of these arrays holds the names and everything that is no array.
 """
 
 import io
@@ -16,7 +17,10 @@ _Arrays = dict[str, np.ndarray[Any, Any]]
 
 
 def main() -> None:
-    """Read the file that is named on the command line, within so many bytes; what is asked for is input."""
+    """Read the file named on the command line, within a memory limit.
+
+    The requested names come from standard input.
+    """
     reader, path, room = sys.argv[1:]
     names = json.load(sys.stdin)
     report: dict[str, Any] = {}
@@ -42,7 +46,10 @@ def _mat(path: str, room: int, names: list[str], arrays: _Arrays) -> dict[str, A
 
 
 def _hdf5(path: str, room: int, names: list[str], arrays: _Arrays) -> dict[str, Any]:
-    """Named data sets of an HDF5 file, what the others are, or why it is refused."""
+    """Read named data sets of an HDF5 file.
+
+    The report also describes the other data sets, or gives the reason why the file is refused.
+    """
     import h5py
 
     _limit(room)
@@ -72,7 +79,10 @@ def _hdf5(path: str, room: int, names: list[str], arrays: _Arrays) -> dict[str, 
 
 
 def _mtx(path: str, room: int, names: list[str], arrays: _Arrays) -> dict[str, Any]:
-    """Matrix of a Matrix Market file: its entries and where they stand, or all of it."""
+    """Read the matrix of a Matrix Market file.
+
+    A sparse matrix is stored as its entries and their positions.
+    """
     from scipy.io import mminfo, mmread
 
     _limit(room)
@@ -86,7 +96,10 @@ def _mtx(path: str, room: int, names: list[str], arrays: _Arrays) -> dict[str, A
 
 
 def _limit(room: int) -> None:
-    """Memory beyond what the libraries have taken; on other systems than Linux time alone is a limit."""
+    """Limit the memory beyond what the libraries have taken.
+
+    This works on Linux only; on other systems only the time is limited.
+    """
     if not sys.platform.startswith("linux"):
         return
     import resource
@@ -99,7 +112,10 @@ def _limit(room: int) -> None:
 
 
 def _node(value: Any, arrays: _Arrays, depth: int) -> Any:
-    """Where an array stands, the fields of a structure, the texts of a cell array, or what else it is."""
+    """Return a description of a value of a MATLAB file.
+
+    It names the stored array, the fields of a structure, the stored texts of a cell array, or another type.
+    """
     if not isinstance(value, np.ndarray) or depth > 20:
         return {"other": type(value).__name__}
     if value.dtype.names is not None:

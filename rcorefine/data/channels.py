@@ -1,4 +1,7 @@
-"""Which channel of the record is which of the model: by name, otherwise by position."""
+"""Assignment of record channels to model channels.
+
+Channels are matched by name, otherwise by position.
+"""
 
 from __future__ import annotations
 
@@ -116,14 +119,17 @@ def _places(
 
 
 def record_for(data: Measurement, channels: Channels) -> Measurement:
-    """The record in the order of the model's channels (its unmeasured outputs left out)."""
+    """Return the record in the order of the model's channels.
+
+    Unmeasured outputs of the model are left out.
+    """
     data, rows = resting_inputs(data, channels.at_rest), list(channels.inputs)
     columns = [place for place in channels.outputs if place >= 0]
     return _selected(data, rows, columns)
 
 
 def resting_inputs(data: Measurement, labels: Sequence[str]) -> Measurement:
-    """Return the record of a free decay with inputs of these names, which are zero."""
+    """Return the record of a free decay with zero inputs of given names."""
     if data.n_inputs or not labels:
         return data
     return data._changed(
@@ -135,9 +141,10 @@ def resting_inputs(data: Measurement, labels: Sequence[str]) -> Measurement:
 
 
 def aligned(model: LinearModel, channels: Channels, data: Measurement, outputs: Sequence[int]) -> LinearModel:
-    """The model with the record's inputs and the compared outputs, in the record's order.
+    """Return the model with the record's channels, in the record's order.
 
-    An input of the record that the model does not have gets a column of zeros.
+    The model gets the record's inputs and the compared outputs. An input of the record that the model does
+    not have gets a column of zeros.
     """
     B = np.zeros((model.n_states, data.n_inputs))
     rows = [channels.outputs.index(place) for place in outputs]

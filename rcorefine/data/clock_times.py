@@ -1,4 +1,7 @@
-"""Times as clocks and calendars write or hold them (10:15:30.250 PM, `datetime`), in seconds."""
+"""Conversion of clock and calendar times to seconds.
+
+Times are text (10:15:30.250 PM) or objects (`datetime`).
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ _ORDERS = {"year first": (0, 1, 2), "day first": (2, 1, 0), "month first": (2, 0
 
 
 def is_clock_time(cell: str) -> bool:
-    """Whether a cell is a time of day, with or without its date.
+    """Return whether a cell is a time of day, with or without its date.
 
     Examples
     --------
@@ -35,7 +38,9 @@ def is_clock_time(cell: str) -> bool:
 
 
 def in_seconds(values: Any) -> Any:
-    """Dates, times of day and durations as seconds, dates from the earliest; whatever else as it is.
+    """Convert dates, times of day and durations to seconds.
+
+    Dates count from the earliest one. Other values are returned as they are.
 
     Parameters
     ----------
@@ -122,7 +127,10 @@ def seconds_of(cells: Sequence[str], places: Sequence[str]) -> tuple[Array, str]
 
 
 def _clock(match: re.Match[str], place: str) -> tuple[float, float]:
-    """Whole seconds from midnight, at Greenwich where a time zone is given, and the rest."""
+    """Return whole seconds since midnight and the fraction of a second.
+
+    If a time zone is given, midnight is that of Greenwich.
+    """
     hour = int(match["h"])
     if (match["half"] is not None and not 1 <= hour <= 12) or hour > 23:
         raise DataError(f"{place} has no such hour: {match[0]!r}")
@@ -136,7 +144,10 @@ def _clock(match: re.Match[str], place: str) -> tuple[float, float]:
 
 
 def _days(dates: Sequence[str], places: Sequence[str]) -> tuple[Array, str]:
-    """Days by the calendar, and the order of year, month and day in which they are dates."""
+    """Return the calendar days of dates and the order of their parts.
+
+    The order of year, month and day is one in which all texts are dates.
+    """
     known = {text: tuple(re.split("[-/.]", text)) for text in dict.fromkeys(dates)}
     ways: dict[str, Array] = {}
     for order, (y, m, d) in _ORDERS.items():

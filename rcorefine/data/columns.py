@@ -1,4 +1,4 @@
-"""Columns out of MATLAB files, NumPy files and data frames, for `Measurement`."""
+"""Columns for `Measurement` from MATLAB, NumPy and data frames."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ _OPTIONS = {"hold", "input_labels", "output_labels", "input_units", "output_unit
 
 
 class Columns(NamedTuple):
-    """Columns of a file by name, the units that stand there, and what was assumed in reading."""
+    """Columns of a file by name, with units and notes.
+
+    The notes list what was assumed in reading.
+    """
 
     values: dict[str, Any]
     units: dict[str, str] = {}  # noqa: RUF012
@@ -47,7 +50,10 @@ def wanted_columns(
     dt: float | None,
     options: Mapping[str, Any],
 ) -> list[str]:
-    """Names of all columns to read, each once; what else was given is checked before a file is opened."""
+    """Return the names of all columns to read, each once.
+
+    All other arguments are checked before a file is opened.
+    """
     unknown = options.keys() - _OPTIONS
     if unknown:
         raise TypeError(f"unrecognized keyword(s): {', '.join(map(repr, sorted(unknown)))}")
@@ -165,7 +171,9 @@ def _shape(value: Any) -> str:
 
 
 def read_frame(frame: Any, names: Sequence[str]) -> Columns:
-    """Named columns of a data frame (pandas, or whatever has columns and to_numpy).
+    """Read named columns of a data frame.
+
+    A data frame is one of pandas, or any object with columns and to_numpy.
 
     Raises
     ------

@@ -1,4 +1,7 @@
-"""Files that other packages read (HDF5, MATLAB 7.3, TDMS, universal), imported when first asked for."""
+"""Readers of HDF5, MATLAB 7.3, TDMS and universal files.
+
+They use other packages, which are imported when first needed.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,10 @@ def read_hdf5(path: Any, names: Sequence[str], reader: str = "from_hdf5") -> Col
 
 
 def read_mat(path: Any, names: Sequence[str]) -> Columns:
-    """Named variables of a MATLAB file, of version 7.3 where h5py is installed."""
+    """Read named variables of a MATLAB file.
+
+    Version 7.3 of the format needs h5py.
+    """
     with open(path, "rb") as file:
         new = file.read(10) == b"MATLAB 7.3"
     if not new:
@@ -41,7 +47,10 @@ def read_mat(path: Any, names: Sequence[str]) -> Columns:
 
 
 def read_tdms(path: Any, names: Sequence[str]) -> Columns:
-    """Named channels of a TDMS file: "group/channel", or the channel alone where only one group has it."""
+    """Read named channels of a TDMS file.
+
+    A name is "group/channel", or the channel alone where only one group has it.
+    """
     nptdms = needed("nptdms", "formats", "from_tdms")
     with open(path, "rb"):
         pass
@@ -63,7 +72,10 @@ def read_tdms(path: Any, names: Sequence[str]) -> Columns:
 
 
 def read_uff(path: Any, sets: Sequence[int]) -> tuple[list[Array], list[str], list[str], float]:
-    """Time histories (data sets of type 58) of a universal file: values, names, units, sampling time."""
+    """Read time histories of a universal file.
+
+    They are data sets of type 58. Values, names, units and the sampling time are returned.
+    """
     kinds, read = _sets_of(path, sets)
     values, names, units, steps = [], [], [], set()
     for k, found in zip(sets, read, strict=True):
@@ -83,7 +95,11 @@ def read_uff(path: Any, sets: Sequence[int]) -> tuple[list[Array], list[str], li
 def _sets_of(
     path: Any, sets: Sequence[int] | None, kind: int = 58
 ) -> tuple[list[int], list[dict[str, Any] | None]]:
-    """Types of all data sets of a universal file, and those asked for (all for None) that are of one type."""
+    """Read the data sets of one type from a universal file.
+
+    The types of all data sets are returned, and the requested sets (all for None). A set of another type is
+    None.
+    """
     pyuff = needed("pyuff", "formats", "from_uff")
     with open(path, "rb"):
         pass
@@ -102,7 +118,10 @@ _RESPONSE, _COHERENCE = 4, 6  # what an ordinate of type 58 is
 
 
 def read_uff_responses(path: Any, sets: Sequence[int] | None) -> dict[str, Any]:
-    """Frequency responses (data sets of type 58) of a universal file, as arguments of `FrequencyResponse`."""
+    """Read frequency responses of a universal file.
+
+    They are data sets of type 58, and are returned as arguments of `FrequencyResponse`.
+    """
     responses, known = _sorted(path, sets)
     outputs, inputs = (list(dict.fromkeys(place[side] for place in responses)) for side in (0, 1))
     if len(responses) != len(outputs) * len(inputs):

@@ -1,4 +1,7 @@
-"""A record out of a file of any kind that is known, by its suffix, named after the model that it is for."""
+"""Reading of a record for a model from a file of any known kind.
+
+The suffix gives the kind. The channels get the names of the model's signals.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The ways into a `Measurement` from files of named vectors, and from named columns to the record."""
+"""Construction of a `Measurement` from files of named vectors.
+
+The named columns become the channels of the record.
+"""
 
 from __future__ import annotations
 
@@ -132,7 +135,10 @@ class FileReaders:
         options: dict[str, Any],
         **how: Any,
     ) -> Self:
-        """The record of a file: arguments are checked before it is opened, it is named after it."""
+        """Read the record of a file, and name the record after the file.
+
+        Arguments are checked before the file is opened.
+        """
         path, names = as_path(path), wanted_columns(inputs, outputs, time, dt, options)
         columns = reader(path, names, **how)
         return cls._from_columns(columns, inputs, outputs, time, dt, {"name": Path(path).stem} | options)

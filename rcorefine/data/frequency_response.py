@@ -1,4 +1,7 @@
-"""Measured frequency response with coherence and standard deviation: python-control's, and more."""
+"""Measured frequency response with coherence and standard deviation.
+
+The class extends that of python-control.
+"""
 
 from __future__ import annotations
 
@@ -200,7 +203,7 @@ class FrequencyResponse(ResponseReaders, ct.FrequencyResponseData):  # type: ign
     # python-control looks the points of a measured response up by their frequency, on the imaginary
     # axis; on the unit circle, where a sampling time would send it, it knows none of them.
     def isctime(self, strict: bool = False) -> bool:
-        """Whether points are named by their frequency: always.
+        """Return True: each point is given by its frequency in rad/s.
 
         Parameters
         ----------
@@ -214,7 +217,7 @@ class FrequencyResponse(ResponseReaders, ct.FrequencyResponseData):  # type: ign
         return True
 
     def isdtime(self, strict: bool = False) -> bool:
-        """Whether points are named by where they lie on the unit circle: never.
+        """Return False: no point is given by its place on the unit circle.
 
         Parameters
         ----------
@@ -256,7 +259,10 @@ class FrequencyResponse(ResponseReaders, ct.FrequencyResponseData):  # type: ign
 
     @property
     def phase_std(self) -> Array | None:
-        """Standard deviation of the phase in rad, at most that of a uniform phase; None where not known."""
+        """Standard deviation of the phase in rad.
+
+        It is at most that of a uniform phase; None where it is not known.
+        """
         if self.std is None:
             return None
         size = self.magnitude
@@ -266,14 +272,20 @@ class FrequencyResponse(ResponseReaders, ct.FrequencyResponseData):  # type: ign
 
     @property
     def resolution(self) -> float:
-        """Distance of the segments' frequency lines in rad/s; NaN where there were no segments."""
+        """Distance between the frequency lines of the segments, in rad/s.
+
+        NaN if there were no segments.
+        """
         if self.segment_length == 0:
             return float("nan")
         return 2.0 * np.pi / (self.segment_length * self.dt)
 
     @property
     def frd(self) -> ct.FrequencyResponseData:
-        """The response alone, a plain `control.FrequencyResponseData` that keeps dt, name and labels."""
+        """Response alone, as a plain `control.FrequencyResponseData`.
+
+        It keeps dt, name and labels.
+        """
         return ct.frd(
             self.response.copy(),
             self.omega.copy(),

@@ -23,7 +23,10 @@ __all__ = ["LabReaders"]
 
 
 class LabReaders(FileReaders):
-    """Class methods of `Measurement` that need other packages, or take their objects."""
+    """Class methods of `Measurement` for the formats of other packages.
+
+    They need these packages, or take their objects.
+    """
 
     __slots__ = ()
 
@@ -198,7 +201,9 @@ class LabReaders(FileReaders):
         hold: str = "zoh",
         **options: Any,
     ) -> Self:
-        """Read signals of a ROS bag (ROS 1, ROS 2, or a single MCAP file) onto one regular grid.
+        """Read signals of a ROS bag onto one regular grid.
+
+        The bag is one of ROS 1 or ROS 2, or a single MCAP file.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""How a text table of a lab is laid out: header, separator, decimal mark, row of units."""
+"""Layout of a text table: header, separator, decimal mark, units row."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _LOOK = 1000  # lines whose decimal marks are looked at
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where the numbers of a text table stand.
+    """Position of the numbers in a text table.
 
     Parameters
     ----------
@@ -54,12 +54,12 @@ class Layout:
     units_line: int | None
 
     def cells_of(self, line: str) -> dict[str, str]:
-        """What stands in a line in the columns asked for."""
+        """Return the cells of a line in the requested columns."""
         return dict(zip(self.places, _asked(line, self.places, self.delimiter), strict=True))
 
     @property
     def text(self) -> str:
-        """What was taken for what, in one line."""
+        """Description of the layout in one line."""
         units = "no line of units" if self.units_line is None else f"units in line {self.units_line}"
         return (
             f"{self.header}, {units}, cells separated by {_WORDS.get(self.delimiter, repr(self.delimiter))}, "
@@ -77,7 +77,10 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 
 def rows_of(lines: list[str], delimiter: str, here: str, start: int) -> Iterator[tuple[int, list[str]]]:
-    """Pairs of line number in the file and cells; a quote that is left open would swallow lines."""
+    """Yield the line number in the file and the cells of each line.
+
+    A quote that is left open is refused, because it would swallow lines.
+    """
     reader = csv.reader([*lines, ""], delimiter=delimiter, skipinitialspace=True)
     try:
         for number, row in enumerate(reader, start=1):
@@ -151,7 +154,10 @@ def find_layout(
 
 
 def _header_line(lines: list[str], names: Sequence[str], here: str, delimiter: str | None) -> tuple[int, str]:
-    """Line with all the names that numbers follow, and its separator; else the likeliest one."""
+    """Find the header line with all names, and its separator.
+
+    Numbers must follow it. If no line qualifies, the likeliest one is taken.
+    """
     likeliest: tuple[int, int, int, str] | None = None
     for index, line in enumerate(lines):
         whole = all(name in line for name in names)
@@ -186,7 +192,10 @@ def _header_line(lines: list[str], names: Sequence[str], here: str, delimiter: s
 def _numbers_follow(
     lines: list[str], index: int, names: Sequence[str], cells: list[str], split_at: str
 ) -> bool:
-    """Whether the next line, or the one behind a line of units, holds numbers in the columns asked for."""
+    """Return whether numbers follow in the requested columns.
+
+    They stand in the next line, or in the one after a line of units.
+    """
     bare = [split_unit(cell)[0] for cell in cells]
     places = {name: cells.index(name) if name in cells else bare.index(name) for name in names}
     row = _next(lines, index)
@@ -198,7 +207,10 @@ def _numbers_follow(
 def _first_numbers(
     lines: list[str], cells: list[str], places: dict[str, int], here: str, delimiter: str | None
 ) -> tuple[int, str]:
-    """First line with as many cells as names, numbers where they are asked for, and its separator."""
+    """Find the first line of numbers, and its separator.
+
+    It has as many cells as there are names, and numbers in the requested columns.
+    """
     for index, line in enumerate(lines):
         for split_at in _DELIMITERS if delimiter is None else delimiter:
             row = _cells(line, split_at)

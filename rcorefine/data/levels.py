@@ -66,7 +66,10 @@ def stretches_by_level(data: Measurement) -> list[tuple[float, Measurement]]:
 
 
 def _thirds(height: Array, first: int, last: int) -> list[int]:
-    """Ends of the parts of a stretch: three where its level climbs or falls all the way, else one."""
+    """Return the ends of the parts of a stretch.
+
+    There are three parts if the level of the stretch rises or falls all the way, otherwise one.
+    """
     blocks = last - first
     if blocks < 3 * _FEWEST:
         return [last]

@@ -1,4 +1,4 @@
-"""The measured record: inputs, outputs, time, and what happens between the samples."""
+"""Measured record: inputs, outputs, time, behavior between samples."""
 
 from __future__ import annotations
 
@@ -178,10 +178,10 @@ class Measurement(Result, RecordReaders, RecordParts):
         name: str | None = None,
         release: float | None = None,
     ) -> Self:
-        """Make a record of a free decay: the system was released, and nothing drove it.
+        """Make a record of a free decay.
 
-        All inputs of a model are zero there. Several releases are several records, each with an initial
-        state of its own.
+        The system was released, and no input acts on it. All inputs of a model are zero there. Several
+        releases are several records, each with an initial state of its own.
 
         Parameters
         ----------
@@ -389,9 +389,10 @@ class Measurement(Result, RecordReaders, RecordParts):
 
 
 def released(outputs: Array) -> int:
-    """Return the sample at which a free decay begins: the end of the first large excursion of any output.
+    """Return the sample at which a free decay begins.
 
-    Excursions are from the median of the last fifth, in units of the largest of that output.
+    It is the end of the first large excursion of any output. Excursions are measured from the median of the
+    last fifth, relative to the largest one of that output.
     """
     rest = np.median(outputs[:, -max(outputs.shape[1] // 5, 1) :], axis=1, keepdims=True)
     away = np.abs(outputs - rest)

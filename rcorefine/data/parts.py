@@ -21,7 +21,7 @@ FIELDS = (
 
 
 class RecordParts:
-    """Methods of `Measurement` that give a part of it, or the same record otherwise held."""
+    """Methods of `Measurement` that return a part or another form of it."""
 
     __slots__ = ()
 
@@ -113,7 +113,7 @@ class RecordParts:
         return self._part(slice(int(found[0]), int(found[-1]) + 1))
 
     def with_hold(self, hold: str) -> Self:
-        """The same record with another behaviour of the inputs between samples.
+        """Return the record with another input behavior between samples.
 
         Parameters
         ----------
@@ -133,7 +133,7 @@ class RecordParts:
         return self if hold == self.hold else self._part(slice(None), hold)
 
     def deviation(self, inputs: Any = None, outputs: Any = None) -> Self:
-        """What the record has above an operating point.
+        """Return the deviations of the record from an operating point.
 
         Parameters
         ----------

@@ -1,4 +1,7 @@
-"""Checks of the points of a frequency response: every message says what, where and what to do."""
+"""Checks of the points of a frequency response.
+
+Every error message names the problem, its position and the remedy.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +63,10 @@ def as_coherence(values: ArrayLike, n_y: int, n: int) -> Array:
 
 
 def as_amplitude(value: Any, n: int, order: NDArray[np.intp]) -> Array | None:
-    """Peaks of the input, in the order of the sorted frequencies; None where they are not known."""
+    """Return the input peaks in the order of the sorted frequencies.
+
+    None if they are not known.
+    """
     if value is None:
         return None
     peaks = as_vector(value, "amplitude", above=0.0)

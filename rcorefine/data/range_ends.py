@@ -1,4 +1,7 @@
-"""Whether an output stands at the end of its range, and not only on a step of its converter."""
+"""Detection of outputs at the end of their range.
+
+Equal readings on one step of the converter do not count.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,10 @@ _SAME = 1e-9  # of the range, below which two readings are one
 
 
 def resolution(y: Array) -> float:
-    """Smallest difference between two readings (N,): the step of a converter, next to nothing without one."""
+    """Return the smallest difference between two readings (N,).
+
+    It is the step of the converter; without a converter it is close to zero.
+    """
     levels = np.unique(y)
     apart = np.diff(levels)
     apart = apart[apart > _SAME * float(np.ptp(y))]
@@ -24,7 +30,10 @@ def resolution(y: Array) -> float:
 
 
 def coarse_noise(y: Array) -> float:
-    """Standard deviation of white noise on a signal (N,) that is smooth beside it, outliers left out."""
+    """Estimate the standard deviation of white noise on a smooth signal.
+
+    The signal has shape (N,). Outliers do not count.
+    """
     return float(1.4826 * np.median(np.abs(np.diff(y, 2))) / np.sqrt(6.0))
 
 
@@ -35,7 +44,7 @@ def runs(at: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def cut_off(y: Array, limit: float) -> bool:
-    """Whether a record (N,) runs into a limit at speed and stands still there.
+    """Return whether a record (N,) runs into a limit at speed and stays.
 
     A peak shows as four equal readings of a converter only where it is so flat that the
     readings beside them are within three steps, and a response that settles comes slowly; a
@@ -70,7 +79,10 @@ def cut_off(y: Array, limit: float) -> bool:
 
 
 def clipped(y: Array) -> tuple[float, int] | None:
-    """Extreme at which an output (N,) sits, and the longest time that it does, in samples."""
+    """Return the extreme at which an output (N,) stays, and for how long.
+
+    The time is the longest one, in samples. None if the output is not clipped.
+    """
     if np.unique(y).size < 20:
         return None
     for level in (float(y.max()), float(y.min())):

@@ -1,4 +1,7 @@
-"""The ways into a `Measurement`: text files, data frame, python-control's response, stamped samples."""
+"""Construction of a `Measurement` from files and objects.
+
+The sources are text files, data frames, python-control's responses and stamped samples.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,7 @@ __all__ = ["RecordReaders"]
 
 
 class RecordReaders(LabReaders):
-    """Class methods of `Measurement` that take a record from text, data frames and responses."""
+    """Class methods of `Measurement` for text, data frames and responses."""
 
     __slots__ = ()
 

@@ -64,6 +64,9 @@ def at_rest(records: Sequence[Measurement]) -> bool:
 
 
 def amplitude(record: Measurement) -> float:
-    """Return the root mean square of the inputs, or that of the outputs if no input changes."""
+    """Return the root mean square of the inputs.
+
+    If no input changes, it is that of the outputs.
+    """
     signals = record.outputs if at_rest([record]) else record.inputs
     return float(np.sqrt(np.mean(signals**2)))

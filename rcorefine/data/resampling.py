@@ -1,4 +1,7 @@
-"""A regular grid out of whatever a clock gave, and a slower one behind a filter that keeps the relation."""
+"""Resampling of a record to a regular grid, and decimation.
+
+The filter of the decimation keeps the relation between inputs and outputs.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +53,9 @@ class Stamped(NamedTuple):
 
 
 def decimated(inputs: Array, outputs: Array, dt: float, timepts: Array, hold: str, factor: int) -> Resampled:
-    """Every `factor`-th sample behind a low-pass that inputs, as they are held, and outputs pass alike.
+    """Return every `factor`-th sample after a low-pass filter.
+
+    Inputs, as they are held, and outputs pass the same filter.
 
     Parameters
     ----------
@@ -132,7 +137,9 @@ def _response(t: Array, dt: float, factor: int) -> Array:
 
 
 def as_stamps(values: Any, name: str) -> Array:
-    """Times in s, shape (N,), as they were stamped; dates count from the first.
+    """Return time stamps in s, shape (N,).
+
+    Dates count from the first one.
 
     Raises
     ------
@@ -154,7 +161,9 @@ def as_stamps(values: Any, name: str) -> Array:
 
 
 def checked_grid(dt: Any, hold: Any, longest_gap: Any) -> tuple[float | None, float | None]:
-    """Sampling time and longest gap in s, None for the defaults; said before anything is read.
+    """Check the sampling time and the longest gap, both in s.
+
+    None stands for the default. The check comes before anything is read.
 
     Raises
     ------
@@ -174,9 +183,10 @@ def regular(
     hold: str,
     longest_gap: float | None,
 ) -> Resampled:
-    """Signals with stamps of their own on one regular grid, see `Measurement.from_timestamps`.
+    """Resample signals with separate time stamps to one regular grid.
 
-    Of several clocks of the outputs the slowest sets the sampling time, and the fastest the grid before it.
+    See `Measurement.from_timestamps`. Of several clocks of the outputs the slowest sets the sampling time,
+    and the fastest the grid before it.
     """
     notes: list[str] = []
     held = hold == "zoh"
@@ -234,7 +244,10 @@ def regular(
 
 
 def _start(inputs: Sequence[Stamped], outputs: Sequence[Stamped], step: float, held: bool) -> float:
-    """First time of the grid, which lies where held inputs switch: so nothing of a switch is shared out."""
+    """Return the first time of the grid.
+
+    The grid lies where held inputs switch, so that no switch is split between two samples.
+    """
     first = max(float(one.times[0]) for one in [*inputs, *outputs])
     if not held:
         return first
@@ -248,7 +261,10 @@ def _start(inputs: Sequence[Stamped], outputs: Sequence[Stamped], step: float, h
 
 
 def _in_order(signals: Stamped, last: bool, notes: list[str]) -> Stamped:
-    """Stamps that increase; what is stamped alike (or nearly so) becomes one sample."""
+    """Sort the stamps, and merge samples with equal stamps.
+
+    Stamps that are nearly equal count as equal.
+    """
     _check_clock(signals)
     times, rows, name = signals
     order = np.argsort(times, kind="stable")
@@ -275,7 +291,10 @@ def _in_order(signals: Stamped, last: bool, notes: list[str]) -> Stamped:
 
 
 def _check_clock(signals: Stamped) -> None:
-    """A clock that is set back stamps two stretches with the same times; what came late fills a hole."""
+    """Raise an error if the clock was set back.
+
+    Such a clock stamps two stretches with the same times, while a late sample fills a hole.
+    """
     times, rows, name = signals
     steps = np.diff(times)
     back = np.flatnonzero(steps < 0)
@@ -300,7 +319,10 @@ def _check_clock(signals: Stamped) -> None:
 
 
 def _step(times: Array) -> float:
-    """Usual step, lost samples not counted: the span over the number of steps in it."""
+    """Return the usual step between stamps; lost samples do not count.
+
+    It is the span divided by the number of steps in it.
+    """
     steps = np.diff(times)
     usual = np.median(steps)
     counts = np.where(steps > 1.75 * usual, np.round(steps / usual), 1.0)  # jitter is not a lost sample
@@ -329,7 +351,10 @@ def _straight(times: Array, values: Array, at: Array) -> Array:
 
 
 def _held_mean(times: Array, values: Array, at: Array) -> Array:
-    """Mean over each step between `at` of a value that is held until the next stamp."""
+    """Return the mean of a held value over each step between `at`.
+
+    The value is held until the next stamp.
+    """
     ends = np.append(times, max(times[-1], at[-1]) + 1.0)
     area = np.concatenate([[0.0], np.cumsum(values * np.diff(ends))])
     found: Array = np.diff(np.interp(at, ends, area)) / np.diff(at)

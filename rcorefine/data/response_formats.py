@@ -1,4 +1,4 @@
-"""The ways into a `FrequencyResponse` from files: text as labs write it, universal files."""
+"""Readers of a `FrequencyResponse` from text and universal files."""
 
 from __future__ import annotations
 
@@ -200,7 +200,7 @@ class ResponseReaders(Result):
 
 
 def _known(options: Mapping[str, Any]) -> None:
-    """What else was given, checked before a file is opened."""
+    """Check the other options before a file is opened."""
     unknown = options.keys() - _CHECKS.keys()
     if unknown:
         raise TypeError(f"unrecognized keyword(s): {', '.join(map(repr, sorted(unknown)))}")

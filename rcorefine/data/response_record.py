@@ -1,4 +1,7 @@
-"""A measured frequency response as a record: its real and imaginary parts, over their noise, row by row."""
+"""Measured frequency response as a record.
+
+Its rows are real and imaginary parts, divided by the standard deviation of their noise.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,9 @@ _BIAS = 1.0 / 6.0  # of the second difference of neighboring lines: what a Hann 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResponseRecord:
-    """A measured frequency response, channels in the order of a model, in units of its noise.
+    """Measured frequency response in units of its noise.
+
+    The channels are in the order of a model.
 
     Attributes
     ----------
@@ -52,7 +57,9 @@ class ResponseRecord:
 
     @classmethod
     def of(cls, measured: FrequencyResponse, model: LinearModel) -> ResponseRecord:
-        """The response in the order of a model's channels, with what is known of its noise.
+        """Return the response in the order of a model's channels.
+
+        The record includes what is known of the noise.
 
         Raises
         ------
@@ -89,7 +96,10 @@ class ResponseRecord:
 
     @property
     def inputs(self) -> Array:
-        """Peak of the sine behind each entry, 1 where it is not known, shape (n_w, N)."""
+        """Peak of the sine behind each entry, shape (n_w, N).
+
+        1 where the peak is not known.
+        """
         peaks = np.ones(self.omega.size) if self.measured.amplitude is None else self.measured.amplitude
         n_w = self.measured.ninputs
         return np.tile(peaks, (n_w, 2 * n_w))
@@ -140,7 +150,10 @@ class ResponseRecord:
         return self.measured.output_units
 
     def points(self, rows: Array) -> NDArray[np.complex128]:
-        """Rows (n_y, N) in units of the noise as complex points (n_y, n_w, n_omega)."""
+        """Return rows (n_y, N) as complex points (n_y, n_w, n_omega).
+
+        The rows are in units of the noise.
+        """
         parts = (rows * self.noise).reshape(self.n_outputs, 2, self.n_inputs, -1)
         return np.asarray(parts[:, 0] + 1j * parts[:, 1])
 
@@ -152,18 +165,24 @@ class ResponseRecord:
 
 
 def coded(points: NDArray[np.complex128]) -> Array:
-    """Complex points (n_y, n_w, n_omega) as real and imaginary parts in rows (n_y, 2 n_w n_omega)."""
+    """Return complex points as rows of real and imaginary parts.
+
+    Shape (n_y, n_w, n_omega) becomes (n_y, 2 n_w n_omega).
+    """
     return np.concatenate([points.real, points.imag], axis=1).reshape(points.shape[0], -1)
 
 
 def in_frequency(data: Any) -> bool:
-    """Whether data are frequency responses: one, or a list that begins with one."""
+    """Return whether data are frequency responses.
+
+    A list counts if it begins with one.
+    """
     first = data[0] if isinstance(data, (list, tuple)) and data else data
     return isinstance(first, (ct.FrequencyResponseData, ResponseRecord))
 
 
 def noise_is_known(records: Sequence[Any]) -> bool:
-    """Whether records are frequency responses that all know how noisy they are."""
+    """Return whether all records are responses with known noise."""
     return in_frequency(records) and all(record.known for record in records)
 
 
@@ -230,7 +249,10 @@ def _picked(measured: FrequencyResponse, rows: Places, columns: Places, lines: P
 
 
 def _noise(measured: FrequencyResponse) -> tuple[Array, bool, str]:
-    """Standard deviation of each point, whether that is its size, and where it comes from."""
+    """Return the standard deviation of each point and its source.
+
+    The flag is True if the size is known, and False if only the relative size is.
+    """
     if measured.std is not None and measured.std.any():
         return measured.std, True, ""
     if measured.coherence is not None and measured.coherence.min() < 1.0 and measured.ninputs == 1:
@@ -245,7 +267,10 @@ def _noise(measured: FrequencyResponse) -> tuple[Array, bool, str]:
 
 
 def _curvature(measured: FrequencyResponse) -> NDArray[np.complex128]:
-    """Distance of each point from the line between its neighbors, times -2; at the ends that of the next."""
+    """Return the second difference of the response at each point.
+
+    It is -2 times the distance from the line between the neighbors. The ends copy the point next to them.
+    """
     g, w = measured.response, measured.omega
     found = np.zeros(g.shape, complex)
     if w.size > 2:
@@ -256,7 +281,10 @@ def _curvature(measured: FrequencyResponse) -> NDArray[np.complex128]:
 
 
 def _scatter(measured: FrequencyResponse) -> Array:
-    """Constant and proportional noise of each output and input, by how neighbors scatter: relative sizes."""
+    """Estimate constant and proportional noise from neighboring points.
+
+    The sizes are relative, for each output and input.
+    """
     square, power = np.abs(_curvature(measured)) ** 2, measured.magnitude**2
     floor = 1e-6 * power.mean(axis=2)
     found = np.empty(power.shape)

@@ -1,4 +1,7 @@
-"""Signals of ROS bags (ROS 1, ROS 2, MCAP): each topic has messages, fields and a clock of its own."""
+"""Signals of ROS bags (ROS 1, ROS 2, MCAP).
+
+Each topic has messages, fields and a clock of its own.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,9 @@ _PART = re.compile(r"(\w+)(?:\[([^\]]+)\])?")
 def read_rosbag(
     path: Any, names: Sequence[str], by_header: bool
 ) -> tuple[dict[str, tuple[Array, Array]], tuple[str, ...]]:
-    """Times and values of signals of a bag by name ("/topic/field/part[2]"), and what is to be said of them.
+    """Read times and values of signals of a ROS bag.
+
+    A signal is named "/topic/field/part[2]".
 
     Parameters
     ----------
@@ -85,7 +90,10 @@ def _by_topic(path: Any, names: Sequence[str], topics: dict[str, str]) -> dict[s
 def _signals(
     path: Any, fields: dict[str, str], messages: Iterator[tuple[int, Any]], by_header: bool
 ) -> tuple[Array, dict[str, Array], bool]:
-    """Times in ns and values of one topic; whether all its messages bear their time."""
+    """Read times in ns and values of one topic.
+
+    The flag is True if all messages of the topic contain their time.
+    """
     stamps: list[tuple[int, int | None]] = []
     columns: dict[str, list[float]] = {name: [] for name in fields}
     for count, (logged, message) in enumerate(messages):
@@ -100,7 +108,10 @@ def _signals(
 
 
 def _value(path: Any, message: Any, name: str, field: str, count: int) -> float:
-    """One number of a message; entries by their place, or by the name that a list `name` beside them has."""
+    """Return one value of a message.
+
+    An entry is given by its index, or by its name in the list `name` of the same message.
+    """
     value: Any = message
     where = f"{path}: message {count} of {name!r}"
     for part in field.split("."):

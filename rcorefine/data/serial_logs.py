@@ -1,4 +1,7 @@
-"""What a serial monitor writes around the numbers: its clock before an arrow, and ``name:value`` pairs."""
+"""Removal of the text that a serial monitor writes around the numbers.
+
+This text is its clock before an arrow, and the names in ``name:value`` pairs.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,9 @@ _HEAD = 100  # lines in which the form of a log shows
 
 
 def unwrapped(lines: list[str], names: Sequence[str], path: object) -> tuple[list[str], tuple[str, ...]]:
-    """Lines of a plain table out of those of a serial log, and what was taken off.
+    """Convert the lines of a serial log to those of a plain table.
+
+    The notes list what was removed.
 
     Parameters
     ----------

@@ -1,4 +1,7 @@
-"""Checks of arrays, labels and times: every message says what, where and what to do."""
+"""Checks of arrays, labels and times.
+
+Every error message names the problem, its position and the remedy.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +14,10 @@ import numpy as np
 from ..arguments import as_array, as_number
 from ..exceptions import DataError
 from ..systems.linear import Array
+from . import HOLDS
 from .clock_times import in_seconds
 
 __all__ = ["HOLDS", "as_signals", "as_time_grid", "check_finite", "check_sizes", "default_labels", "step_of"]
-
-HOLDS = ("zoh", "foh", "bandlimited")
 
 # A time axis may leave its regular grid by this share of a sample: the rounding of a text file passes,
 # a lost, doubled or shifted sample does not.
@@ -23,7 +25,9 @@ GRID_TOLERANCE = 0.02
 
 
 def as_signals(values: Any, what: str) -> Array:
-    """Independent (signal, time) float array of what a user gave, or an error that says why not.
+    """Return signals as a new float array (signal, time).
+
+    If that is not possible, an error gives the reason.
 
     Parameters
     ----------
@@ -145,9 +149,10 @@ def as_time_grid(dt: Any, timepts: Any, n_samples: int) -> tuple[float, Array]:
 
 
 def step_of(times: Array, count: int) -> float:
-    """Mean of so many steps, by the fewest digits that the times themselves leave open.
+    """Return the mean step, rounded to as few digits as possible.
 
-    12 digits keep 0.01 from becoming 0.010000000000000002; times since 1970 are good to 2e-7 s.
+    The rounding stays within the resolution of the times. 12 digits keep 0.01 from becoming
+    0.010000000000000002; times since 1970 are good to 2e-7 s.
     """
     mean = float(times[-1] - times[0]) / count
     open_ = float(np.spacing(max(abs(times[0]), abs(times[-1])))) / count
@@ -156,7 +161,10 @@ def step_of(times: Array, count: int) -> float:
 
 
 def is_irregular(timepts: Any) -> bool:
-    """Whether times (N,) go back, stand still or leave the regular grid; not where they are no numbers."""
+    """Return whether times (N,) leave a regular grid.
+
+    Times that go back or do not advance count, too. Times that are no finite numbers do not.
+    """
     times = np.ravel(as_array(in_seconds(timepts), "timepts (in seconds)", finite=False))
     if times.size < 3 or not np.isfinite(times).all():
         return False

@@ -1,4 +1,7 @@
-"""Columns of numbers out of text files as labs write them, by NumPy's reader."""
+"""Columns of numbers from text files of labs.
+
+NumPy's reader parses the numbers.
+"""
 
 from __future__ import annotations
 
@@ -105,7 +108,10 @@ def _text(path: Any) -> tuple[str, tuple[str, ...]]:
 
 
 def _by_numpy(body: list[str], layout: Layout) -> Array | None:
-    """Columns asked for, None where a line is not plain: then the other parser reads it, or says which."""
+    """Read the requested columns with NumPy.
+
+    None if a line is not plain. The other parser then reads it, or names the wrong line.
+    """
     delimiter, columns = layout.delimiter, list(layout.places.values())
     comma = layout.decimal == ","
     if comma and delimiter == ",":
@@ -143,7 +149,10 @@ def _by_clock(body: list[str], layout: Layout, here: str, name: str, place: int)
 
 
 def _by_line(body: list[str], layout: Layout, here: str) -> Iterator[list[float]]:
-    """Numbers of the columns asked for, line by line, with a word on the first that is wrong."""
+    """Yield the numbers of the requested columns, line by line.
+
+    An error describes the first line that is wrong.
+    """
     for line, row in rows_of(body, layout.delimiter, here, layout.first):
         if not any(cell.strip() for cell in row):
             raise DataError(f"{here} {line} is empty in the midst of the data; remove it or fill the gap")

@@ -1,4 +1,7 @@
-"""Units as labs write them into headers, told from other remarks in brackets; times in seconds."""
+"""Units in column headers, and times in seconds.
+
+Other remarks in brackets are not taken for units.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,9 @@ _BRACKETS = re.compile(r"(.*\S)\s*[\[(]([^\[\]()]+)[\])]|(.*\S) / (\S+)")
 
 
 def is_unit(text: str) -> bool:
-    """Whether a text is made of the symbols of units, with or without brackets around it.
+    """Return whether a text consists of unit symbols.
+
+    Brackets around the text are allowed.
 
     Examples
     --------
@@ -50,7 +55,9 @@ def _bare(text: str) -> str:
 
 
 def split_unit(cell: str) -> tuple[str, str]:
-    """Name and unit of a header's cell; the unit is empty where none stands there.
+    """Split a header cell into name and unit.
+
+    The unit is empty if there is none.
 
     Examples
     --------

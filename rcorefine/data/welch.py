@@ -1,4 +1,7 @@
-"""Welch's method: the frequency response of a record (H1), its coherence and standard deviation."""
+"""Frequency response of a record (H1) by Welch's method.
+
+Coherence and standard deviation are estimated, too.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Effects: laws at places, their coefficients, their forces. A law is one class in one of these files.
+"""Effects: their laws, places, coefficients and forces.
+
+Each law is a class in one of these files.
 
 A law of your own is a subclass of `PortLaw`, `InputLaw` or `OutputLaw`: hand it to ``Effect(law=...)``,
 or enter it into the catalogue with `register`.

@@ -59,7 +59,7 @@ class Assembly:
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """Where an effect sits, in the states of the model with all effects.
+    """Place of an effect in the states of the model with all effects.
 
     Attributes
     ----------

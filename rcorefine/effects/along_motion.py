@@ -1,4 +1,4 @@
-"""Force of each law per unit of its coefficient, along a motion that is known."""
+"""Force of each law per unit of its coefficient, along a known motion."""
 
 from __future__ import annotations
 

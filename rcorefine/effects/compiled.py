@@ -1,8 +1,10 @@
-"""Laws as functions that kernels call by address: one signature, so a new law compiles no kernel anew.
+"""Laws as functions that kernels call by address.
+
+All have one signature, so no kernel is recompiled for a new law.
 
 A law is written as its formula, ``law(d, v, ...)`` with the names of what it takes. Here it becomes
 a function of one signature that writes the force, the inner state and their derivatives into
-a row of numbers. Built-in laws and a user's own go the same way and cost the same.
+a row of numbers. Built-in laws and those of a user work in the same way and cost the same.
 """
 
 from __future__ import annotations
@@ -137,7 +139,9 @@ def address(
 def code_of(
     plain: Callable[..., None], fast: Callable[..., None] | None = None, *, cache: bool = False
 ) -> tuple[int, Any]:
-    """Code by which `evaluate` calls a function, and what is to be kept as long as it is used.
+    """Return the code by which `evaluate` calls a function.
+
+    The second value must be kept as long as the code is used.
 
     Parameters
     ----------
@@ -225,7 +229,10 @@ def _source(
 
 
 def _defined(source: str, names: dict[str, Any], law: Callable[..., Any]) -> Callable[..., None]:
-    """The function of a source text, placed in the file of its law, so that numba caches it there."""
+    """Return the function that a source text defines.
+
+    It is placed in the file of its law, so that numba caches it there.
+    """
     code = getattr(getattr(law, "py_func", law), "__code__", None)
     file, line = ("<law>", 1) if code is None else (code.co_filename, code.co_firstlineno)
     scope = {"math": math, **names}
@@ -237,7 +244,10 @@ def _defined(source: str, names: dict[str, Any], law: Callable[..., Any]) -> Cal
 
 
 def _importable(function: Any) -> bool:
-    """Whether a name leads to the function: what it closes over else is in no cache's key."""
+    """Return whether a function can be found by its name.
+
+    Otherwise it may be a closure, whose variables are in no key of a cache.
+    """
     found: Any = sys.modules.get(getattr(function, "__module__", None) or "")
     for part in getattr(function, "__qualname__", "<none>").split("."):
         found = getattr(found, part, None)
@@ -249,7 +259,10 @@ _PROTOTYPE = ctypes.CFUNCTYPE(None, *[ctypes.c_double] * 4, _ROW, ctypes.c_doubl
 
 
 def _callback(plain: Callable[..., None]) -> tuple[int, Any]:
-    """Code of a law that is called in Python; what it raises waits for `raise_pending`."""
+    """Return the code of a law that is called in Python.
+
+    Its exceptions are stored, and `raise_pending` raises them.
+    """
 
     def call(
         d: float, v: float, d0: float, z0: float, p: Any, width: float, w: Any, n: int, out: Any
@@ -280,7 +293,9 @@ def raise_pending() -> None:
 
 @compiled
 def through(code, values, signal, slopes, value, own, step, held, settled):  # type: ignore[no-untyped-def]
-    """Pass a signal (N,) through a law, with `step` s from one value to the next.
+    """Pass a signal (N,) through a law.
+
+    `step` is the time [s] from one value to the next.
 
     `slopes` (q, N), its derivatives by something, become those of `value`; `own` (4, N) takes the
     derivatives by the law's coefficients.
@@ -306,7 +321,10 @@ def through(code, values, signal, slopes, value, own, step, held, settled):  # t
 
 @compiled
 def forces_along(code, d, v, w, values, width, found):  # type: ignore[no-untyped-def]
-    """Force per unit of each coefficient, `found` (4, N), along a motion d, v (N,) under w (N, n_w)."""
+    """Compute the force per unit of each coefficient along a motion.
+
+    The motion is d, v (N,) with inputs w (N, n_w). The result is written to `found` (4, N).
+    """
     out = np.zeros((1, COUNT + w.shape[1]))
     z, last = 0.0, d[0]
     for k in range(d.size):

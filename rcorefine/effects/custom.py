@@ -93,7 +93,10 @@ def custom_law(function: Callable[..., Any], names: tuple[str, ...]) -> Custom:
 
 
 def _try(function: Callable[..., Any], names: tuple[str, ...]) -> None:
-    """Refuse a law that returns no force anywhere: compiled, it could not say so."""
+    """Raise an error if a law returns no finite force at any test point.
+
+    A compiled law could not report this.
+    """
     label, force = getattr(function, "__name__", function), math.nan
     failed: Exception | None = None
     for d, v in _POINTS:

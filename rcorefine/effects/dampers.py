@@ -34,7 +34,7 @@ class Damping(AbsorbedLaw):
         into.rates += values[0] * site.by_velocity
 
     def bounds_in(self, structure: Any, place: str) -> tuple[float, float]:
-        """What is left of the damper stays positive."""
+        """Return bounds that keep the remaining damping positive."""
         return nominal_is_left(self.name, structure, place)
 
 

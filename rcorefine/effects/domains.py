@@ -1,4 +1,4 @@
-"""What things are called in the field that a port belongs to: a loss, a store, a spring."""
+"""Words of each domain, such as those for a loss, a store or a spring."""
 
 from __future__ import annotations
 
@@ -105,7 +105,9 @@ def domain_of(kind: str, velocity_unit: str) -> str:
 
 
 def worded(template: str, domain: str) -> str:
-    """A template with the words of a domain, empty where it has not all of them.
+    """Fill a template with the words of a domain.
+
+    The result is empty if the domain lacks one of the words.
 
     Parameters
     ----------

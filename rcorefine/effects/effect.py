@@ -180,7 +180,10 @@ class Effect:
 
     @property
     def label(self) -> str:
-        """Name to show: ``"kind at place"``, in the words of the place's domain, unless one was given."""
+        """Name to show, by default ``"kind at place"``.
+
+        The default uses the words of the place's domain.
+        """
         return self.name or f"{worded(self.spec.words[0], self._domain) or self.kind} at {self.place}"
 
     @property
@@ -200,12 +203,12 @@ class Effect:
 
     @property
     def is_linear(self) -> bool:
-        """Whether the refined model stays linear."""
+        """Return whether the refined model stays linear."""
         return self.spec.linear
 
     @property
     def explanation(self) -> str:
-        """What it means, in a sentence."""
+        """Meaning of the effect, in one sentence."""
         text = worded(self.spec.words[1], self._domain) or self.spec.explanation
         return text.format(place=self.place)
 
@@ -323,7 +326,10 @@ class Effect:
 
 
 def _own_kind(kind: Any, law: type[Law]) -> tuple[str, type[Law] | None]:
-    """Kind of an effect whose law is a class; the class again unless the catalogue holds it."""
+    """Return the kind of an effect whose law is a class, and the class.
+
+    The class is replaced by None if the catalogue holds it.
+    """
     if kind not in (Custom.name, law.name):
         raise ct.ControlArgument(
             f"the kind of an effect with law {law.__name__} is {law.name!r}, not {kind!r}"

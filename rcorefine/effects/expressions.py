@@ -83,7 +83,10 @@ class Symbolic:
         return function(*given)
 
     def __getattr__(self, name: str) -> Callable[..., Number]:
-        """What numpy asks of the entries of an array of objects: ``np.sin(x)`` calls ``x[i].sin()``."""
+        """Return the method that numpy calls on entries of an array of objects.
+
+        For example, ``np.sin(x)`` calls ``x[i].sin()``.
+        """
         function = as_numpy_calls(name)
         if function is None:
             raise AttributeError(name)
@@ -176,7 +179,10 @@ _COMPOSED: Final[Mapping[str, Callable[..., Any]]] = {
 
 
 def as_numpy_calls(name: str) -> Callable[..., Any] | None:
-    """What numpy calls so, of numbers of which some may be known; None where there is none."""
+    """Return the function that has this name in numpy, or None.
+
+    Its arguments are symbols or known numbers.
+    """
     return partial(_both, _BY_NUMPY[name]) if name in _BY_NUMPY else _COMPOSED.get(name)
 
 
@@ -223,7 +229,10 @@ class Tape:
         return Symbolic(self, self._known[key])
 
     def derivatives(self, value: Number, symbols: Iterable[Symbolic]) -> list[Number]:
-        """Exact derivatives of a value by symbols; a number where they do not hang on any."""
+        """Return the exact derivatives of a value by symbols.
+
+        A derivative that does not depend on any symbol is a number.
+        """
         return [self._derivative(value, symbol.at) for symbol in symbols]
 
     def _derivative(self, value: Number, by: int) -> Number:
@@ -278,7 +287,10 @@ class Tape:
         return found
 
     def code(self, wanted: Iterable[Number], done: set[int] | None = None) -> list[str]:
-        """Lines that compute what is wanted, without what was `done` before; that grows by them."""
+        """Return the lines of code that compute the wanted values.
+
+        Values in `done` are left out, and the new ones are added to it.
+        """
         done = set() if done is None else done
         lines = []
         for at in self._below(*(one.at for one in wanted if isinstance(one, Symbolic))):
@@ -299,7 +311,7 @@ class Tape:
         return f"{'' if name in ('max', 'min') else 'math.'}{name}({', '.join(words)})"
 
     def name(self, value: Number) -> str:
-        """What a value is called in the code."""
+        """Return the name of a value in the code."""
         if not isinstance(value, Symbolic):
             return repr(value) if value >= 0 else f"({value!r})"
         kind, given = self._made[value.at]
@@ -317,12 +329,15 @@ def _known(value: Any) -> float:
 
 
 def is_number(value: Number, number: float) -> bool:
-    """Whether a value is known, and this number."""
+    """Return whether a value is known and equal to a number."""
     return not isinstance(value, Symbolic) and value == number
 
 
 def _simplified(name: str, given: tuple[Number, ...]) -> Number | None:
-    """What an operation comes to where a number that is known makes it simple, else None."""
+    """Return the simplified result of an operation, or None.
+
+    Known numbers can make an operation simple.
+    """
     if name == "pick" and _same(given[2], given[3]):
         return given[2]
     if len(given) != 2:
@@ -345,6 +360,6 @@ def _simplified(name: str, given: tuple[Number, ...]) -> Number | None:
 
 
 def _same(a: Number, b: Number) -> bool:
-    """Whether two are one number."""
+    """Return whether two values are the same symbol or number."""
     at, where = (one.at if isinstance(one, Symbolic) else None for one in (a, b))
     return at == where if at is not None or where is not None else a == b

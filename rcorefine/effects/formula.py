@@ -1,4 +1,4 @@
-"""Laws that are written as a formula: forces at ports, what happens to inputs and outputs."""
+"""Laws written as a formula: at ports, at inputs and at outputs."""
 
 from __future__ import annotations
 
@@ -122,21 +122,23 @@ class FormulaLaw(Law):
 
     @property
     def needs_starts(self) -> bool:
-        """Whether nobody but the user knows where its coefficients start."""
+        """Return whether the user must give initial guesses of the coefficients."""
         return False
 
     @property
     def feels_inputs(self) -> bool:
-        """Whether the formula takes the inputs of the model."""
+        """Return whether the formula takes the inputs of the model."""
         return "w" in self.arguments and self.signals["w"] == "w"
 
     @property
     def code(self) -> int:
-        """What the kernels take; of this process only."""
+        """Code by which kernels call the law, valid in this process only."""
         return self._address[0]
 
     def unseen(self, dt: float, *values: float) -> float:
-        """How many samples hang on what went through before the record, which nobody knows.
+        """Return the number of samples that depend on the unknown past.
+
+        The past is the signal before the record.
 
         Parameters
         ----------
@@ -149,12 +151,12 @@ class FormulaLaw(Law):
 
     @property
     def moves_on(self) -> bool:
-        """Whether what comes out of it moves on between samples while its signal is held."""
+        """Return whether the result changes between samples of a held signal."""
         return "held" in self.arguments and "held" in self.signals
 
     @property
     def feels_time(self) -> bool:
-        """Whether the formula takes the time between the values of its signal."""
+        """Return whether the formula takes the time step of its signal."""
         return "step" in self.arguments and "step" in self.signals
 
     def through(
@@ -166,7 +168,7 @@ class FormulaLaw(Law):
         held: bool = False,
         settled: int = 1,
     ) -> tuple[Array, Array, Array]:
-        """What the law makes of a signal that is known.
+        """Return the result of the law for a known signal.
 
         Parameters
         ----------
@@ -215,7 +217,7 @@ class PortLaw(FormulaLaw):
 
 
 class InputLaw(FormulaLaw):
-    """What happens to an input before it acts: ``law(w, ...)``.
+    """Change of an input before it acts: ``law(w, ...)``.
 
     The formula may take ``w``, ``w_start`` and ``z_start`` (input and inner state at the start of the
     step), ``step`` (its length [s]), ``held`` (1 where w is held from here to the end of the step, and the
@@ -230,7 +232,10 @@ class InputLaw(FormulaLaw):
 
 
 class OutputLaw(FormulaLaw):
-    """What happens to an output before it is recorded: ``law(y, ...)``, as of an `InputLaw`."""
+    """Change of an output before it is recorded: ``law(y, ...)``.
+
+    The arguments mean the same as those of an `InputLaw`.
+    """
 
     where = frozenset({"output"})
     signals = MappingProxyType({"y": "d", "y_start": "d_start", "z_start": "z_start"})

@@ -144,7 +144,10 @@ class AsymmetricFriction(PortLaw):
         return force_minus * sign, force_minus * slope, 0.0, sign, 0.0
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
-        """Equal levels too: from zero, a push one way and a brake the other can look as good."""
+        """Return initial guesses, which include equal levels.
+
+        From zero, a push in one direction and a brake in the other can fit equally well.
+        """
         return [{"force_plus": q * seen.pull, "force_minus": q * seen.pull} for q in (0.0, 0.05, 0.2)]
 
 

@@ -76,7 +76,9 @@ class Hysteresis(PortLaw):
 
 @register
 class LugreFriction(PortLaw):
-    """LuGre: bristles that give before they slip, at a level that falls with speed.
+    """LuGre friction: bristles that deflect before they slip.
+
+    The friction level falls with speed.
 
     The step is exact for the level at its end, so stiff bristles need no finer ones. Damping of the
     bristles themselves is left out: only micrometers before slip show it.

@@ -1,4 +1,4 @@
-"""What happens to an input before it acts."""
+"""Effects on an input before it acts."""
 
 from __future__ import annotations
 
@@ -161,7 +161,10 @@ class InputDeadzone(InputLaw):
         return w - side * threshold, 1.0, -side
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
-        """Levels that the input often crosses, and one below: it may have two levels alone."""
+        """Return thresholds that the input often crosses, and a lower one.
+
+        The lower one is for an input that has only two levels.
+        """
         w = np.abs(seen.signal[seen.signal != 0])
         levels = np.quantile(w, [0.2, 0.2, 0.4, 0.6]) * [0.5, 1.0, 1.0, 1.0] if w.size else [0.1]
         return [{"threshold": float(q)} for q in levels]
@@ -192,7 +195,10 @@ class InputSaturation(InputLaw):
         return side * limit, 0.0, side
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
-        """Limits that the input reaches, and one below: it may have two levels alone."""
+        """Return limits that the input reaches, and a lower one.
+
+        The lower one is for an input that has only two levels.
+        """
         levels = np.quantile(np.abs(seen.signal), [0.97, 0.85, 0.6]) * [1.0, 1.0, 0.7]
         return [{"limit": float(q)} for q in levels]
 
@@ -325,7 +331,10 @@ class InputRateLimit(InputLaw):
         return (z_start + 0.5 * side * reach, 0.0, 1.0, 0.5 * side * rate, 0.0, 0.5 * side * step), row
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
-        """Rates that the command exceeds now and then, over one sample and over stretches between steps."""
+        """Return rates that the command exceeds now and then.
+
+        They are taken over one sample and over stretches between steps.
+        """
         found = []
         for samples in (64, 16, 4, 1):
             rates = np.abs(seen.signal[samples:] - seen.signal[:-samples]) / (samples * seen.dt)

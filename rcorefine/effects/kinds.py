@@ -1,4 +1,4 @@
-"""Whether a kind of effect exists, and which it may have meant to be."""
+"""Check of kinds of effects, with suggestions for unknown names."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a law is: its words, its coefficients, and all that the rest of the package asks of it.
+"""Base class of laws: words, coefficients, and interface to the package.
 
 Sign convention at a port: f is the resisting force, so a positive coefficient means more resistance
 (stiffness, damping, friction), and damage is negative.
@@ -54,7 +54,7 @@ class Coefficient:
 
 
 def positive(name: str, unit_rule: str, explanation: str, *, lower: float = 0.0, **more: Any) -> Coefficient:
-    """A coefficient that is not negative, and whose start must be found from data."""
+    """Return a nonnegative coefficient with an initial guess from data."""
     return Coefficient(name, unit_rule, lower, default_start=None, explanation=explanation, **more)
 
 
@@ -195,12 +195,12 @@ class Law:
 
     @property
     def is_element(self) -> bool:
-        """Whether it changes a spring, a damper or a mass of the model."""
+        """Return whether it changes a spring, a damper or a mass of the model."""
         return self.is_parameter and "mechanical" in self.where
 
     @property
     def at_channel(self) -> bool:
-        """Whether it sits at an input or an output."""
+        """Return whether it acts at an input or an output."""
         return bool(self.where & {"input", "output"})
 
     def checked(self) -> Law:
@@ -208,7 +208,10 @@ class Law:
         return self
 
     def of(self, law: Any, names: tuple[str, ...], label: str) -> Law:
-        """The law of what the user handed over, where it `needs_law`; `names` are those given a start."""
+        """Return the law that the user's argument defines.
+
+        This matters for a law that `needs_law`. `names` are the coefficients with an initial guess.
+        """
         return self
 
     @property
@@ -226,7 +229,7 @@ class Law:
         return {coefficient.name: coefficient for coefficient in self.coefficients}[name]
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
-        """Values worth trying for what the record alone tells, the likeliest first.
+        """Return initial guesses that the record suggests, the likeliest first.
 
         Parameters
         ----------
@@ -245,11 +248,14 @@ class Law:
         return -inf, inf
 
     def sits(self, model: Any, place: str) -> bool:
-        """Whether the place is one that only this law knows, no port and no channel of the model."""
+        """Return whether the place is known to this law only.
+
+        Such a place is neither a port nor a channel of the model.
+        """
         return False
 
     def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
-        """Whether people would look for it at a first-order port.
+        """Return whether the effect is plausible at a first-order port.
 
         Parameters
         ----------
@@ -263,7 +269,9 @@ class Law:
         return True
 
     def push(self, linear: Any, place: str, act: Array | None) -> Array | None:
-        """Direction (n,) in which a constant unit of it drives the states, None where it does not.
+        """Return the direction in which it drives the states, or None.
+
+        The direction (n,) is that of a constant unit of the effect. None means that it drives no state.
 
         Parameters
         ----------

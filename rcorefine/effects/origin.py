@@ -1,4 +1,4 @@
-"""Where a user's law comes from: the name that leads to it in another process."""
+"""Import path of a user's law, by which another process finds it."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ def import_path(effect: Effect) -> str:
 
 
 def law_here(path: str, label: str) -> Any:
-    """The law that `import_path` named, from the modules that are imported already.
+    """Return the law that `import_path` named, from imported modules.
 
-    A file names what is called (with numbers), so nothing is imported for it, and of a module nothing but its
-    own functions and laws is handed out: no lazy attribute, nothing that it imported itself, nothing of
-    Python's library or of this package.
+    A file decides which function is called, and with which values. Therefore nothing is imported for it, and
+    only functions and laws that a module itself defines are returned: no lazy attribute, nothing that it
+    imported, nothing of Python's library or of this package.
 
     Parameters
     ----------

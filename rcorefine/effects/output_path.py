@@ -1,4 +1,4 @@
-"""What happens to an output before it is recorded."""
+"""Effects on an output before it is recorded."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is wrong with a record as a whole."""
+"""Faults of a record as a whole."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .seen import Seen
 
 @register
 class Clock(AbsorbedLaw):
-    """Clock that runs slow: every rate of the model looks larger by one factor."""
+    """Slow clock: all rates of the model appear larger by one factor."""
 
     where = frozenset(["input"])
     coefficients = (
@@ -34,7 +34,9 @@ class Clock(AbsorbedLaw):
 
 @register
 class ClocksApart(AbsorbedLaw):
-    """Inputs and outputs by two clocks: what acts comes ever earlier, or later, than the record says.
+    """Different clocks of inputs and outputs: their time shift grows.
+
+    Inputs act increasingly earlier, or later, than the record states.
 
     The clocks agree where each record began: a part of it keeps the lag that it had, a record of its own, as
     for validation, begins without one. One that was cut elsewhere says so by `Measurement(elapsed=...)`.
@@ -55,7 +57,10 @@ class ClocksApart(AbsorbedLaw):
     contains = MappingProxyType({"clock": {}})
 
     def absorb(self, into: Assembly, site: Site, *values: Any) -> None:
-        """Speed up all states; what the inputs' clock does is no matter of matrices."""
+        """Speed up all states.
+
+        The clock of the inputs does not change the matrices.
+        """
         into.pace = into.pace + values[1]
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:

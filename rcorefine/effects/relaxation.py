@@ -1,4 +1,4 @@
-"""What gives way with a delay: a spring or a store behind a resistance."""
+"""Delayed responses: a spring or a store behind a resistance."""
 
 from __future__ import annotations
 
@@ -87,7 +87,10 @@ class HiddenStore(AbsorbedLaw):
     along_motion = False
 
     def absorb(self, into: Assembly, site: Site, *values: Any) -> None:
-        """Add its level z, in the absolute: what is around the port does not matter to it."""
+        """Add its level z.
+
+        The level is absolute, because the surroundings of the port do not affect it.
+        """
         mass, damping = values
         flow = np.zeros(into.constant.size, into.A.dtype)
         flow[site.state] -= damping
@@ -105,7 +108,10 @@ class HiddenStore(AbsorbedLaw):
 
 
 def _times(seen: Seen) -> Iterator[float]:
-    """Time constants about that of the motion, none much shorter than a sample."""
+    """Return time constants near that of the motion.
+
+    None is much shorter than a sample.
+    """
     pace = _size(seen.v - seen.v.mean()) / _size(np.gradient(seen.v, seen.dt))
     return (max(factor * pace, 0.3 * seen.dt) for factor in _PACES)
 

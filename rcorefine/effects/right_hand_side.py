@@ -1,4 +1,4 @@
-"""The right-hand side of a nonlinear model, as kernels call it: what its linear part leaves out."""
+"""Nonlinear rest of the right-hand side of a model, for kernels."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class ModelParameter(Law):
     along_motion = False
 
     def bounds_in(self, structure: Any, place: str) -> tuple[float, float]:
-        """What is positive stays so."""
+        """Return bounds that keep a positive parameter positive."""
         return nominal_is_left(self.name, structure, place)
 
     def sits(self, model: Any, place: str) -> bool:
@@ -96,7 +96,10 @@ class RightHandSide:
         return rows + as_numbers(tracing(self.output)(0.0, states, inputs, params))
 
     def compiled(self) -> _Function:
-        """``f(x, u, values, row)``, compiled, which fills a row with rates and outputs."""
+        """Return the compiled function ``f(x, u, values, row)``.
+
+        It fills a row with rates and outputs.
+        """
         entries = "".join(f"{name!r}: p[{i}], " for i, name in enumerate(self.names))
         held = "".join(f"{name!r}: held_{i}, " for i, name in enumerate(self.others))
         lines = [
@@ -119,12 +122,17 @@ class RightHandSide:
 
 
 def _plain(function: _Function) -> _Function:
-    """What numba compiled, as it was written: it takes a dict."""
+    """Return the Python function that numba compiled.
+
+    It takes a dict.
+    """
     return getattr(function, "py_func", function)
 
 
 class Field:
-    """What the linear part of a nonlinear model leaves out of its rates and outputs.
+    """Nonlinear rest of the rates and outputs of a model.
+
+    It is the difference from the linear part of the model.
 
     Parameters
     ----------
@@ -192,7 +200,7 @@ class Field:
         return code_of(plain)
 
     def _compare(self, fast: _Function) -> None:
-        """Whether the compiled functions say what the plain ones say."""
+        """Check that the compiled functions agree with the Python functions."""
         for share in (0.0, 1e-3):
             z = share * np.maximum(np.abs(self._of.level), 1.0)
             there = np.zeros((self.n_rows, self.n_columns))
@@ -205,13 +213,19 @@ class Field:
                 raise ValueError("compiled, they give other values than in Python")
 
     def table(self, values: Array, z: Array, want: float = 0.0) -> Array:
-        """Value, size and derivatives of each of the `rows` at `signals` above the level."""
+        """Return value, size and derivatives of each of the `rows`.
+
+        `z` holds the deviations of the `signals` from the level.
+        """
         out = np.zeros((self.n_rows, self.n_columns))
         self._fill(values, z, want, out)
         return out
 
     def slopes(self, values: Array, z: Array) -> Array:
-        """Derivatives (n + n_y, n + n_w) of all rows at all states and inputs above the level."""
+        """Return the derivatives of all rows by all states and inputs.
+
+        Their shape is (n + n_y, n + n_w). `z` holds deviations from the level.
+        """
         found = np.zeros_like(self._of.linear)
         columns = slice(_AHEAD, _AHEAD + self.n_signals)
         found[np.ix_(self.rows, self.signals)] = self.table(values, z[self.signals], 1.0)[:, columns]
@@ -241,7 +255,10 @@ def _row(values: Any, size: int) -> Array:
 
 
 def _tolerant(functions: RightHandSide) -> _Function:
-    """The functions in Python, NaN where a search has left what they are defined for."""
+    """Return the functions in Python, with NaN outside their domain.
+
+    A search may leave that domain.
+    """
 
     def whole(x: Array, u: Array, p: Array, row: Array) -> None:
         try:
@@ -257,7 +274,10 @@ def _tolerant(functions: RightHandSide) -> _Function:
 
 
 def fill_of(whole: _Function, of: Remainder, made: _Function) -> _Function:
-    """Function that fills the table of all rows by differences of ``whole(x, u, p, row)``."""
+    """Return the function that fills the table of all rows.
+
+    It takes differences of ``whole(x, u, p, row)``.
+    """
     numbers = (of.level, of.linear, of.rate_sensors, of.outputs)
     level, linear, rate_sensors, outputs = (np.ascontiguousarray(one, dtype=float) for one in numbers)
     n, (rows, signals) = of.functions.n_states, linear.shape

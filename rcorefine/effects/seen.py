@@ -1,4 +1,4 @@
-"""What a record tells about a place, for the starts of a law."""
+"""Properties of a record at a place, for initial guesses of a law."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["Seen", "delays"]
 
 
 class Seen(Protocol):
-    """What a record tells about a place, for the starts of a law's coefficients."""
+    """Properties of a record at a place, for initial guesses of coefficients."""
 
     dt: float
 
@@ -29,15 +29,18 @@ class Seen(Protocol):
 
     @property
     def peaks(self) -> Array:
-        """Frequencies in rad/s of the highest peaks of what the model leaves of the outputs."""
+        """Frequencies [rad/s] of the highest peaks of the output residuals."""
 
     @property
     def lag(self) -> float:
-        """Time [s] by which the outputs follow the free run, as a whole number of samples."""
+        """Lag [s] of the outputs behind the simulation, in whole samples."""
 
     @property
     def drifts(self) -> Sequence[float]:
-        """Share of the time by which the lag of the outputs behind the free run grows, where it is seen."""
+        """Growth of the lag of the outputs behind the simulation, if seen.
+
+        It is a share of the elapsed time.
+        """
 
     @property
     def pull(self) -> float:
@@ -49,6 +52,9 @@ class Seen(Protocol):
 
 
 def delays(seen: Seen) -> list[dict[str, float]]:
-    """Starts of a delay: from none, a descent does not get past the first minimum of what oscillates."""
+    """Return initial guesses of a delay.
+
+    From zero delay, a descent does not pass the first minimum of an oscillating signal.
+    """
     late = [seen.lag] if seen.lag > 8.0 * seen.dt else []
     return [{"delay": value} for value in [*late, *(q * seen.dt for q in (0.5, 2.5, 6.0))]]

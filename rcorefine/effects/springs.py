@@ -36,7 +36,7 @@ class Stiffness(AbsorbedLaw):
         into.rates += values[0] * site.by_displacement
 
     def bounds_in(self, structure: Any, place: str) -> tuple[float, float]:
-        """What is left of the spring stays positive."""
+        """Return bounds that keep the remaining stiffness positive."""
         return nominal_is_left(self.name, structure, place)
 
 

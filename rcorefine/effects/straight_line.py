@@ -1,4 +1,7 @@
-"""What the linear part of a nonlinear model leaves out, as straight-line code with exact derivatives."""
+"""Nonlinear rest of a model as straight-line code.
+
+The code computes exact derivatives.
+"""
 
 from __future__ import annotations
 
@@ -68,7 +71,7 @@ class Remainder:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StraightLine:
-    """Rows that are not linear, the signals that they hang on, and the code of a function for both.
+    """Nonlinear rows, the signals they depend on, and their code.
 
     The function is ``fill(p, z, want, out)`` as `Field` has it, with those signals and rows alone.
     """
@@ -78,7 +81,10 @@ class StraightLine:
     source: str
 
     def made(self, compiled: Callable[..., Any] | None = None) -> Callable[..., None]:
-        """The function, compiled, or in Python, where it gives inf and NaN as compiled code does."""
+        """Return the function, compiled or in Python.
+
+        In Python it returns inf and NaN as compiled code does.
+        """
         if compiled is not None:
             return compiled(self._built(math))  # type: ignore[no-any-return]
         quick, quiet = self._built(math), self._built(_QUIET)
@@ -143,7 +149,10 @@ def _traced(of: Remainder) -> StraightLine:
 
 
 def _departs(slope: Number, linear: float) -> bool:
-    """Whether a slope is another than that of the linear part, here or elsewhere."""
+    """Return whether a slope differs from that of the linear part.
+
+    A slope that is not constant differs as well.
+    """
     return isinstance(slope, Symbolic) or abs(slope - linear) > _AFFINE * (abs(slope) + abs(linear))
 
 
@@ -182,7 +191,10 @@ def _finite(tape: Tape, slope: Number) -> str:
 
 
 def _agrees(found: StraightLine, of: Remainder, plain: Callable[[Array, Array], Array]) -> bool:
-    """Whether the code says what the user's functions say, and those are linear in the other rows."""
+    """Return whether the code agrees with the user's functions.
+
+    The functions must also be linear in the other rows.
+    """
     fill, size = found.made(), np.maximum(np.abs(of.level), 1.0)
     out = np.zeros((found.rows.size, 2 + found.signals.size + of.nominal.size))
     angles = np.arange(size.size)
@@ -202,7 +214,10 @@ def _agrees(found: StraightLine, of: Remainder, plain: Callable[[Array, Array], 
 
 
 def exact_slopes(functions: RightHandSide, level: Array, nominal: Array) -> Array | None:
-    """Derivatives (n + n_y, n + n_w) by states and inputs, None where the functions cannot be traced."""
+    """Return the exact derivatives by states and inputs, or None.
+
+    Their shape is (n + n_y, n + n_w). None means that the functions cannot be traced.
+    """
     n, tape = functions.n_states, Tape()
     names = [f"z{j}" for j in range(level.size)]
     try:

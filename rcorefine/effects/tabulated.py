@@ -1,4 +1,4 @@
-"""A force without a law: values at knots, what lies between them interpolated."""
+"""Tabulated force: values at knots, interpolated between them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ __all__ = ["Table", "Tabulated", "share_beyond"]
 
 @dataclass(frozen=True)
 class Table:
-    """A force at knots of displacement and velocity; bilinear between them, straight on beyond them.
+    """Force tabulated at knots of displacement and velocity.
+
+    It is bilinear between the knots and continues linearly beyond them.
 
     Parameters
     ----------
@@ -89,7 +91,9 @@ class Table:
 
 
 def share_beyond(table: Table, d: Array, v: Array) -> float:
-    """Share of a motion that lies beyond the outer knots, where the force goes on straight.
+    """Return the share of a motion that lies beyond the outer knots.
+
+    The force is extrapolated linearly there.
 
     Parameters
     ----------
@@ -111,7 +115,10 @@ def share_beyond(table: Table, d: Array, v: Array) -> float:
 
 
 def _cells(knots: Array, x: Array) -> tuple[Any, Array]:
-    """Cell of each value, and how far into it; the outer cells go on beyond the knots."""
+    """Return the cell of each value, and the position inside the cell.
+
+    The outer cells continue beyond the knots.
+    """
     if knots.size < 2:
         return np.zeros(x.shape, dtype=int), np.zeros(x.shape)
     cell = np.clip(np.searchsorted(knots, x, side="right") - 1, 0, knots.size - 2)
@@ -120,7 +127,10 @@ def _cells(knots: Array, x: Array) -> tuple[Any, Array]:
 
 @compiled_law
 def _cell(table, first, n, x):  # type: ignore[no-untyped-def]
-    """Cell of x among n knots from `first` on, how far into it, and one over its width."""
+    """Return the cell of x, the position inside it, and one over its width.
+
+    There are n knots, the first of them at `first`.
+    """
     if n < 2:
         return 0, 0.0, 0.0
     i = 0
@@ -195,7 +205,10 @@ class Tabulated(PortLaw):
 
 @lru_cache(maxsize=256)
 def _tabulated(table: Table) -> Tabulated:
-    """The law of a table. The kernels take where its numbers lie, as one of its constants."""
+    """Return the law of a table.
+
+    One of its constants is the address of its values, for the kernels.
+    """
     law: Any = Tabulated()
     size = [max(len(table.d), 1), max(len(table.v), 1)]
     knots = [table.d or (0.0,), table.v or (0.0,)]

@@ -1,4 +1,7 @@
-"""Call a user's function with symbols: what it calls of math, numpy and Python then takes them."""
+"""Tracing of a user's function with symbols.
+
+The functions of math, numpy and Python that it calls are replaced by ones that take symbols.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,9 @@ OF_NUMPY |= {"atan2": "arctan2", "pow": "power"}
 
 
 def tracing(function: _Function) -> _Function:
-    """The function with its modules and helpers replaced by such as take symbols.
+    """Return the function with its modules and helpers replaced.
+
+    The replacements take symbols.
 
     Parameters
     ----------
@@ -38,19 +43,22 @@ def tracing(function: _Function) -> _Function:
 
 
 def as_numbers(values: Any) -> list[Number]:
-    """What a function gave, one after the other."""
+    """Return the values that a function returned, as a flat list."""
     entries = np.asarray(values, dtype=object).reshape(-1).tolist()
     return [one if isinstance(one, Symbolic) else float(one) for one in entries]
 
 
 class _Replacing:
-    """Functions with what they name outside themselves replaced, each of them once."""
+    """Functions in which the names from outside are replaced.
+
+    Each function is replaced once.
+    """
 
     def __init__(self) -> None:
         self._made: dict[int, Any] = {}
 
     def of(self, value: Any) -> Any:
-        """What stands for a value that a function names."""
+        """Return the replacement of a value that a function names."""
         if isinstance(value, MethodType):
             return MethodType(self.of(value.__func__), value.__self__)
         if isinstance(value, partial):

@@ -1,1 +1,4 @@
-"""A model in feedback with effects, run over a record: simulation, observer, harmonic balance."""
+"""Simulation, observer and harmonic balance of a model with effects.
+
+The effects act in feedback on the model; the engine runs both over a record.
+"""

@@ -191,10 +191,10 @@ def frequency_response_at(
 def _onward(
     balance: Balance, omega: float, peak: float, sweep: str, way: list[tuple[float, SteadyState]]
 ) -> SteadyState:
-    """Steady state at the next frequency; the states on the way there are appended.
+    """Return the steady state at the next frequency of a sweep.
 
-    Steps are halved while the answer changes much: long ones pass over peaks, and leave a branch
-    before it ends.
+    The states on the way there are appended to `way`. Steps are halved while the response changes much: long
+    steps miss peaks, and leave a branch before it ends.
     """
     if not way:
         return _settled(balance, omega, peak, sweep, balance.solve(omega, peak, []))
@@ -222,7 +222,10 @@ def _onward(
 
 
 def _settled(balance: Balance, omega: float, peak: float, sweep: str, state: SteadyState) -> SteadyState:
-    """Return a stable state: if this one is not, sweep to it from afar, then simulate from rest."""
+    """Return a stable steady state, if one is found.
+
+    If `state` is not stable, sweep to it from a distant frequency, then simulate from rest.
+    """
     starts: list[Array] = []
     afar = _AFAR if sweep == "up" else 1.0 / _AFAR
     for frequency in [] if state.converged else np.geomspace(afar * omega, omega, _APPROACH):

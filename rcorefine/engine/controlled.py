@@ -1,8 +1,9 @@
-"""A loop that is simulated: the controller as states of the structure, which jump at the samples.
+"""Simulation of a closed loop, with the controller as additional states.
 
-The input was recorded, noise of the sensors inside: u = K (r, y). What the loop of the model gives is
-u + K (0, y_model - y), so the controller acts as an observer does, through the input and on the error of the
-outputs. Its states are those of K, of that difference, and what its outputs hold over the sample.
+The states of the controller jump at the samples. The recorded input contains the noise of the sensors:
+u = K (r, y). The loop of the model gives u + K (0, y_model - y), so the controller acts as an observer does,
+through the input and on the error of the outputs. Its states are those of K, of that difference, and what its
+outputs hold over the sample.
 """
 
 from __future__ import annotations
@@ -32,7 +33,10 @@ def own_states(structure: Structure) -> NDArray[np.int64]:
 
 
 def open_loop(structure: Structure) -> Structure:
-    """The same model and effects without a controller."""
+    """Return the structure without its controller.
+
+    The model and the effects stay the same.
+    """
     if structure.model.controller is None:
         return structure
     model = replace(structure.model, controller=None)
@@ -40,7 +44,10 @@ def open_loop(structure: Structure) -> Structure:
 
 
 def sample_jumps(structure: Structure, dt: float) -> Array:
-    """What becomes of the states at a sample, before it corrects them: (n, n), or (0, 0) for nothing."""
+    """Return the matrix that updates the states at a sample, (n, n).
+
+    It acts before the sample corrects the states. Without a controller its shape is (0, 0).
+    """
     controller = structure.model.controller
     if controller is None:
         return np.zeros((0, 0))
@@ -53,7 +60,10 @@ def sample_jumps(structure: Structure, dt: float) -> Array:
 
 
 def loop_gain(structure: Structure, dt: float) -> Array:
-    """What an error of the outputs (measured minus model) does to the states at a sample, (n, n_y)."""
+    """Return the gain from output errors to states at a sample, (n, n_y).
+
+    The error is the measured output minus that of the model.
+    """
     controller = structure.model.controller
     gain = np.zeros((structure.n_states, structure.n_outputs))
     if controller is not None:
@@ -63,9 +73,10 @@ def loop_gain(structure: Structure, dt: float) -> Array:
 
 
 def start_columns(structure: Structure, count: int) -> Array:
-    """Derivatives (count, n) of the states at the start, by parameters and, last, by the initial states.
+    """Return the derivatives (count, n) of the states at the start.
 
-    Where the record holds what the controller gave, its difference from that is nothing at the start.
+    The rows belong to the parameters and, last, to the initial states. Where the record holds the output of
+    the controller, the states of the loop are zero at the start.
     """
     n, controller = structure.n_states, structure.model.controller
     found = np.eye(count, n, n - count)
@@ -75,7 +86,9 @@ def start_columns(structure: Structure, count: int) -> Array:
 
 
 def as_it_runs(model: PhysicalModel, record: Measurement) -> LinearModel:
-    """The linear model, or its loop from sample to sample, which decides whether there is a free run.
+    """Return the linear model, or its sampled closed loop.
+
+    Its stability decides whether there is a free run.
 
     Raises
     ------

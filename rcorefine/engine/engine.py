@@ -43,7 +43,7 @@ _NODES_FOR_DELAY = 8  # nodes per sample where an output is interpolated, or edg
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
-    """What the engine returns.
+    """Result of a simulation by the engine.
 
     Attributes
     ----------
@@ -221,7 +221,10 @@ class Engine:
         return blew_up
 
     def _decay(self, at: Setting, theta: Array, gain: Array, until: int) -> Array:
-        """Derivatives (N, n_y, n) by the initial states of a linear model, up to a sample."""
+        """Return the output derivatives by the initial states, (N, n_y, n).
+
+        The model is linear. From the sample `until` on they are zero.
+        """
         s, N = self.structure, self.data.n_samples
         longest = 1 << (N - 1).bit_length()  # records of about one length share it
         key = ("decay", theta[s.absorbed].tobytes(), gain.tobytes(), self.data.dt, self.substeps, longest)
@@ -229,7 +232,10 @@ class Engine:
         return found if until == N else np.where((np.arange(N) < until)[:, None, None], found, 0.0)
 
     def _corrections(self, gain: Array | None, use: NDArray[np.bool_] | None) -> tuple[NDArray[Any], Array]:
-        """Where the observer corrects, shape (N, n_y), and its gain; nowhere in a free run."""
+        """Return the flags and the gain of the observer.
+
+        The flags, shape (N, n_y), mark the samples that correct the states. In a free run no flag is set.
+        """
         shape = self._measured.shape
         if gain is None:
             return self._nowhere, np.zeros((self.structure.n_states, shape[1]))
@@ -237,11 +243,10 @@ class Engine:
         return flags, np.ascontiguousarray(gain, dtype=float)
 
     def judged(self, theta: Array) -> NDArray[np.bool_]:
-        """Samples of each output that say something about the model, shape (n_y, N).
+        """Return the samples that can be compared with the model, (n_y, N).
 
-        Others hang on inputs, or on motion, that nobody knows: over one delay on those from before the
-        record, under a clock of its own on those after its end. With an initial state that is free
-        nothing else is lost there.
+        The others depend on unknown inputs or unknown motion: with a delay on those before the record, with a
+        clock drift on those after its end. With an initial state that is free nothing else is lost there.
         """
         s, at = self.structure, np.arange(self.data.n_samples)
         if not s.drifts and not any(isinstance(e.spec, InputLaw | OutputLaw) for e in s.effects):
@@ -263,7 +268,10 @@ class Engine:
         return found
 
     def state_sizes(self, theta: Array) -> Array:
-        """What counts as one in each state without nonlinear forces, whatever its unit, shape (n,)."""
+        """Return the typical size of each state, shape (n,).
+
+        It is found without nonlinear forces and serves as the unit of the state.
+        """
         calm = theta.copy()
         if not self.structure.is_linear:
             calm[self.structure.port_columns] = 0.0
@@ -297,7 +305,10 @@ class Engine:
 
 
 def _trajectory(Y: Array, SY: Array, X: Array, F: Array, blew_up: int) -> Trajectory:
-    """Signals of the march, which run down the rows, in the order of the package."""
+    """Return the signals of `march` as a trajectory.
+
+    In `march` time is the first axis; in a trajectory it follows the channels.
+    """
     outputs, sensitivity, states, forces = (
         np.ascontiguousarray(one) for one in (Y.T, np.moveaxis(SY, 1, 0), X.T, F.T)
     )

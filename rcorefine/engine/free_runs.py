@@ -1,4 +1,4 @@
-"""Where the free run of a model begins anew: asked for, or because the model integrates."""
+"""Restarts of the free run, requested or because the model integrates."""
 
 from __future__ import annotations
 
@@ -37,7 +37,10 @@ def checked_horizon(horizon: Any, known_start: bool = False) -> float | None:
 
 
 def integrates(linear: LinearModel, record: Measurement) -> bool:
-    """Whether a constant input drives an output away for as long as the record lasts."""
+    """Return whether an output drifts under a constant input.
+
+    The drift must last as long as the record.
+    """
     if linear.n_states == 0:
         return False
     poles, right = np.linalg.eig(linear.A)
@@ -50,7 +53,10 @@ def integrates(linear: LinearModel, record: Measurement) -> bool:
 
 
 def runs_away(linear: LinearModel, record: Measurement) -> bool:
-    """Whether an unstable mode leaves no free run over a record of that length."""
+    """Return whether an unstable mode rules out a free run.
+
+    The mode grows too much over the length of the record.
+    """
     poles = np.linalg.eigvals(linear.A) if linear.n_states else np.zeros(0)
     with np.errstate(divide="ignore"):
         rates = poles.real * record.dt if linear.is_continuous else np.log(np.abs(poles))

@@ -1,8 +1,8 @@
-"""Steady response to a sine: harmonic balance of the linear model and the forces at its ports.
+"""Harmonic balance: steady response of a nonlinear model to a sine.
 
-The unknowns are the Fourier coefficients of the port forces only, however large
-the model: forces drive the linear part, harmonic by harmonic, and the motion that
-follows must give these forces back through their laws, sample by sample.
+The unknowns are the Fourier coefficients of the forces at the places only, however large the model: forces
+drive the linear part, harmonic by harmonic, and the motion that follows must give these forces back through
+their force laws, sample by sample.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class SteadyState:
 
     @property
     def stable(self) -> bool:
-        """Whether small disturbances of a solution die out."""
+        """Return whether small disturbances of the solution decay."""
         return self.converged and self.growth <= _UNSTABLE
 
 
@@ -95,7 +95,10 @@ class Balance:
         self.analysis[0] /= 2.0
 
     def coded(self, period: Array) -> Array:
-        """Coefficients of signals (rows) sampled over one period, as `SteadyState.forces` holds them."""
+        """Return the Fourier coefficients of signals sampled over one period.
+
+        Each row is a signal; the order is that of `SteadyState.forces`.
+        """
         spectrum = np.fft.rfft(period, axis=1) / period.shape[1]
         found = np.zeros((period.shape[0], self.harmonics + 1), complex)
         count = min(found.shape[1], spectrum.shape[1] - 1)
@@ -168,7 +171,10 @@ class Balance:
         return float(np.abs(np.linalg.eigvals(turn)).max()) if np.isfinite(turn).all() else np.inf
 
     def _input(self, omega: float, amplitude: float) -> Complex:
-        """Fourier coefficients of all inputs behind dead zones, saturations and delays."""
+        """Return the Fourier coefficients of the inputs that act on the model.
+
+        Dead zones, saturations and delays are included.
+        """
         w = np.zeros((self.structure.n_inputs, self.harmonics + 1), complex)
         signal = amplitude * np.cos(self.turn)
         delay = 0.0
@@ -244,7 +250,10 @@ class Balance:
         return point, error
 
     def _mismatch(self, matrix: Array, free: Array, point: Array) -> tuple[float, Array, Array]:
-        """Relative error of the forces, the difference, and its derivative by the forces."""
+        """Return relative size, value and derivative of the force mismatch.
+
+        The derivative is taken with respect to the forces.
+        """
         m, size = point.shape
         sensed = free + (matrix @ point.ravel()).reshape(2 * m, size)
         times = sensed @ self.basis.T
@@ -267,7 +276,10 @@ class Balance:
         return float(np.abs(rest).max()) / (scale or 1.0), rest, slope
 
     def _law(self, j: int, d: Array, v: Array) -> tuple[Array, Array | None, Array | None]:
-        """Force over a period, and its derivatives by displacement and velocity at the samples."""
+        """Return a force over one period, and its derivatives.
+
+        They are taken with respect to displacement and velocity at the samples.
+        """
         code, row = int(self.codes[j]), self.values[j : j + 1]
         if self.laws[j].inner_states:
             return *self._memory(code, row, d, v), None
@@ -279,7 +291,10 @@ class Balance:
         return f, by_d, by_v
 
     def _memory(self, code: int, row: Array, d: Array, v: Array) -> tuple[Array, Array]:
-        """A law with memory over a period: its inner state returns to where it began."""
+        """Return a periodic force with an inner state, and its derivatives.
+
+        After one period the inner state returns to its starting value.
+        """
         # after a turn the inner state is affine in its start: here is where it returns to itself
         w = self._inputs
         _, _, end, slope, left = memory_over_period(code, d, v, w, row, 0.0, np.zeros(d.size))
@@ -290,7 +305,10 @@ class Balance:
 
 
 def _coded(values: Complex) -> Array:
-    """Fourier coefficients as mean, cosine, sine, cosine, ... along the last axis."""
+    """Return complex Fourier coefficients in real form.
+
+    The last axis holds mean, cosine, sine, cosine and so on.
+    """
     pairs = np.stack([values[..., 1:].real, -values[..., 1:].imag], axis=-1)
     return np.concatenate([values[..., :1].real, pairs.reshape(*values.shape[:-1], -1)], axis=-1)
 
@@ -302,7 +320,10 @@ def _phasors(coded: Array) -> Complex:
 
 
 def _real_map(h: Complex, k: int) -> Array:
-    """Complex gains as real ones between cosines and sines: (rows, columns, 2, 2), 1 x 1 for the mean."""
+    """Return complex gains as real matrices between cosines and sines.
+
+    The shape is (rows, columns, 2, 2), for the mean (rows, columns, 1, 1).
+    """
     if k == 0:
         return np.real(h)[:, :, None, None]
     return np.moveaxis(np.array([[h.real, h.imag], [-h.imag, h.real]]), (0, 1), (2, 3))

@@ -1,4 +1,7 @@
-"""The initial state that suits a record, and what is known of it before: brief modes start as they move."""
+"""Initial state that fits a record, with a prior for brief modes.
+
+The prior lets brief modes start about as large as they are later.
+"""
 
 from __future__ import annotations
 
@@ -24,10 +27,11 @@ _WIDE = 1000.0  # standard deviations of how a brief mode starts, over the large
 
 
 def brief_modes(engine: Engine) -> Array:
-    """Prior of the initial state: modes that die within some samples start as far off as they move later.
+    """Return a prior of the initial state for modes that decay quickly.
 
-    The record hardly sees where they started, and the initial state would follow the noise of those samples
-    to any size; what is nonlinear blows up there.
+    It lets modes that decay within a few samples start about as large as they are later. The record hardly
+    sees where they started, and the initial state would follow the noise of those samples to any size; what
+    is nonlinear blows up there.
 
     Parameters
     ----------

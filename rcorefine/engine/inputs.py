@@ -1,4 +1,4 @@
-"""The input between the samples: hold, static laws and delay at the input channels, a clock of its own."""
+"""Inputs between the samples: hold, static effects, delay, clock drift."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Drive:
 
 
 class InputSignal:
-    """What the inputs do between the samples.
+    """Input signals between the samples.
 
     Parameters
     ----------
@@ -199,10 +199,11 @@ class InputSignal:
     def _shifted(
         self, signals: Array, delay: float, drift: float, moving: bool
     ) -> tuple[Array, Array, tuple[Array, Array], tuple[Array, Array]]:
-        """Signals (k, points) at the nodes and samples, taken at other times, and what these do to the first.
+        """Return delayed and drifting signals at nodes and samples.
 
-        At time t of the record they are what they were at t - delay + drift t. The derivatives are those by
-        the delay and by the drift, at the nodes and at the samples.
+        The signals have shape (k, points). The derivatives of the first signal are returned as well. At time
+        t of the record they are what they were at t - delay + drift t. The derivatives are those by the delay
+        and by the drift, at the nodes and at the samples.
         """
         if self._fine is None:
             return self._means(signals, delay, drift, moving)
@@ -252,7 +253,10 @@ class InputSignal:
 
 
 def _lines(means: Array) -> Array:
-    """Both ends of the straight line that has the means (..., 2 k) of both halves of each interval."""
+    """Return both ends of straight lines with given half-interval means.
+
+    `means`, shape (..., 2 k), holds the means over both halves of each interval.
+    """
     first, second = means[..., ::2], means[..., 1::2]
     return np.stack([1.5 * first - 0.5 * second, 1.5 * second - 0.5 * first], axis=-1).reshape(means.shape)
 
@@ -274,7 +278,9 @@ def _delay(structure: Structure, theta: Array, effects: list[int]) -> tuple[floa
 
 
 def clock_drift(structure: Structure, theta: Array) -> tuple[float, list[int]]:
-    """Share by which the clock of the inputs runs ahead of the record's, and its columns in theta.
+    """Return the relative drift of the input clock, and its columns in theta.
+
+    It is positive where the clock of the inputs runs ahead of the clock of the record.
 
     Parameters
     ----------

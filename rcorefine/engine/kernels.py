@@ -20,7 +20,10 @@ _NO_FORCES = 1e-6  # of their squares: what is left of an equation that has no s
 
 @compiled
 def _force_jacobian(J, parts, Q, slopes, m):
-    """Derivatives of what the forces lack of their laws, and of the field, by the forces at the end."""
+    """Compute the Jacobian of the force equations at the end of a substep.
+
+    Each force must equal that of its force law, or of its row of the field. `J` is filled in place.
+    """
     for j in range(J.shape[0]):
         for i in range(m):
             J[i, j] = -(parts[i, 1] * Q[i, j] + parts[i, 2] * Q[m + i, j])
@@ -34,7 +37,10 @@ def _force_jacobian(J, parts, Q, slopes, m):
 
 @compiled
 def _field_sensitivity(sf, slopes, staken, columns):
-    """Sensitivity (p, nf) of the field's rows, from that of what it takes, (p, ns), and of its parameters."""
+    """Compute the sensitivity (p, nf) of the rows of the nonlinear field.
+
+    It follows from the sensitivity (p, ns) of its signals, and from its parameters. `sf` is filled in place.
+    """
     ns = staken.shape[1]
     for q in range(sf.shape[0]):
         for i in range(sf.shape[1]):

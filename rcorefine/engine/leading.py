@@ -1,4 +1,7 @@
-"""What leads a model that has no free run over a record: an observer, as weak as it may be."""
+"""Observer for models that have no free run over a record.
+
+It corrects the states as weakly as possible.
+"""
 
 from __future__ import annotations
 
@@ -28,10 +31,11 @@ _KNOWN: dict[tuple[int, float, bytes, bytes], tuple[object, float | None]] = {}
 
 
 def leading_gain(structure: Structure, data: Measurement) -> Array | None:
-    """Gain that keeps an unstable model on its record; None where a free run does.
+    """Return the observer gain for an unstable model.
 
-    With sensor noise alone, the steady filter of an unstable system mirrors its unstable poles: what it
-    predicts is the best prediction there is, and under a controller an unbiased one.
+    It is None if the model has a free run. With sensor noise alone, the steady filter of an unstable system
+    mirrors its unstable poles: what it predicts is the best prediction there is, and under a controller an
+    unbiased one.
 
     Parameters
     ----------
@@ -53,10 +57,11 @@ def leading_gain(structure: Structure, data: Measurement) -> Array | None:
 
 
 def leading_ratio(model: PhysicalModel, data: Measurement) -> float | None:
-    """Ratio of `observer_gain` for a model that has no free run over a record, None for one that has.
+    """Return the ratio of `observer_gain` for a model without a free run.
 
-    Under a controller a model that integrates is led too, for windows would be needed else. The free run of
-    the loop is unbiased as well, but its residual is noise that the loop has colored and made stronger.
+    It is None for a model that has a free run. Under a controller, a model that integrates also gets an
+    observer, since it would need windows otherwise. The free run of the loop is unbiased as well, but its
+    residual is noise that the loop has colored and made stronger.
     """
     if runs_away(model.linear, data) or (model.controller is not None and integrates(model.linear, data)):
         return _QUIET
@@ -66,7 +71,9 @@ def leading_ratio(model: PhysicalModel, data: Measurement) -> float | None:
 
 
 def steadying_ratio(model: PhysicalModel, record: Measurement) -> float | None:
-    """Ratio of `observer_gain` that keeps a chaotic model on its record, None where it runs freely.
+    """Return the ratio of `observer_gain` that stabilizes a chaotic model.
+
+    The observer keeps the model on its record. The ratio is None if the model has a free run.
 
     Parameters
     ----------
@@ -104,7 +111,9 @@ def _sought(bare: Structure, record: Measurement) -> float | None:
 
 
 def growth(model: PhysicalModel, states: Array, record: Measurement) -> float:
-    """Log by which an error of the state grows at most from one sample to a later one, along given states.
+    """Return the logarithm of the largest growth of a state error.
+
+    The error grows from one sample to a later one, along given states.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""Steady answers to sines at many frequencies at once: harmonic balance over all lines of a response.
+"""Harmonic balance over all lines of a frequency response at once.
 
-The equations are those of `harmonic_balance.Balance`, which takes one sine at a time and says how stable
-its answer is. Here all lines take their Newton steps together. Of several answers to one sine the one
-nearest to the measured point counts, so no direction of a sweep needs to be known.
+The equations are those of `harmonic_balance.Balance`, which takes one sine at a time and determines how
+stable its solution is. Here all lines take their Newton steps together. Of several solutions for one sine the
+one nearest to the measured point counts, so no direction of a sweep needs to be known.
 """
 
 from __future__ import annotations
@@ -33,14 +33,20 @@ _STEP = 1e-6  # of a coefficient, for differences
 
 
 def remembering(structure: Structure) -> list[str]:
-    """Effects whose law has an inner state: their answers to a sine are not balanced here."""
+    """Return the effects that have an inner state.
+
+    Their responses to a sine are not balanced here.
+    """
     channels = [*structure.input_statics, *structure.output_statics]
     nonlinear = [*structure.port_effects, *(index for index, _ in channels)]
     return [structure.effects[i].label for i in nonlinear if structure.effects[i].spec.inner_states]
 
 
 class _Maps(NamedTuple):
-    """What forces and inputs do to the motion at the ports and to the outputs, line by line."""
+    """Gains from forces and inputs to motions and outputs, line by line.
+
+    The motions are those at the places.
+    """
 
     sensed: Complex  #: (L, 2 m, m, K + 1)
     free: Complex  #: (L, 2 m, K + 1)
@@ -49,7 +55,9 @@ class _Maps(NamedTuple):
 
 
 class LineBalance:
-    """Harmonic balance of a structure at the lines of a response, each input driven in turn.
+    """Harmonic balance of a structure at the lines of a frequency response.
+
+    Each input is driven in turn.
 
     Parameters
     ----------
@@ -81,7 +89,10 @@ class LineBalance:
         self._kept: tuple[bytes, _Maps] | None = None
 
     def begin(self, other: LineBalance | None) -> None:
-        """Start from the answers of a model without the last laws; from rest where that one is linear."""
+        """Set the starting forces from a model without the last effects.
+
+        They are zero if that model is linear.
+        """
         size = self.basis.shape[1]
         forces = np.zeros((self.omega.size, self.structure.n_ports, size))
         if other is not None and other._forces is not None:
@@ -91,7 +102,10 @@ class LineBalance:
 
     # ------------------------------------------------------------------ the answers
     def response(self, theta: Array, *, derivatives: bool = True) -> tuple[Complex, list[Complex]]:
-        """Fundamental of the outputs over the sine (n_y, n_w, n_omega), and its derivatives."""
+        """Return the frequency response of the fundamental, and its derivatives.
+
+        It is the fundamental of the outputs over the sine of the input, shape (n_y, n_w, n_omega).
+        """
         maps = self._maps(theta)
         forces = self._answers(theta, maps)
         outputs = self._outputs(theta, maps, forces)
@@ -105,7 +119,10 @@ class LineBalance:
         return self._shaped(outputs), slopes
 
     def _slope(self, theta: Array, k: int, forces: Array, outputs: Complex, slope: Array) -> Complex:
-        """Derivative by a coefficient: forces follow so that they still agree with the motion they cause."""
+        """Return the derivative of the response by one coefficient.
+
+        The forces follow so that they still agree with the motion that they cause.
+        """
         step = _STEP * max(abs(theta[k]), self._size(k))
         ahead = theta.copy()
         ahead[k] += step
@@ -154,7 +171,10 @@ class LineBalance:
         return _Maps(sensed[:, :, :m], free, outputs[:, :, :m] + M.G[None, :, :m, None], through)
 
     def _sines(self, theta: Array) -> Complex:
-        """Fourier coefficients of the driven input behind dead zones, saturations and delays, (L, K + 1)."""
+        """Return the Fourier coefficients of the driven input, (L, K + 1).
+
+        Dead zones, saturations and delays are included.
+        """
         s = self.structure
         signal = self.peaks[:, None] * self.basis[:, 1]
         order, late = np.arange(self.harmonics + 1), np.zeros(self.omega.size)
@@ -186,13 +206,19 @@ class LineBalance:
 
     @staticmethod
     def _phasors(coded: Array) -> Complex:
-        """Mean, cosines and sines in turn as complex coefficients, along the last axis."""
+        """Return real Fourier coefficients in complex form.
+
+        The last axis of `coded` holds the mean, then cosines and sines in turn.
+        """
         mean = coded[..., :1].astype(complex)
         return np.concatenate([mean, coded[..., 1::2] - 1j * coded[..., 2::2]], axis=-1)
 
     # ------------------------------------------------------------------ Newton steps
     def _answers(self, theta: Array, maps: _Maps) -> Array:
-        """Forces (L, m, 2 K + 1) that agree with the motion they cause, nearest to the measured points."""
+        """Return forces that agree with the motion that they cause.
+
+        Their shape is (L, m, 2 K + 1). Of several solutions, the one nearest to the measured points is taken.
+        """
         shape = (self.omega.size, self.structure.n_ports, self.basis.shape[1])
         if not self.structure.n_ports:
             return np.zeros(shape)
@@ -217,12 +243,15 @@ class LineBalance:
         return best
 
     def _off(self, theta: Array, maps: _Maps, forces: Array) -> Array:
-        """How far each line is from its measured point, 1 where another answer is worth a try."""
+        """Return the scaled distance of each line from its measured point.
+
+        Above 1, another solution is worth a try.
+        """
         limit = np.maximum(_FAR * self.noise, _FAR_SHARE * np.abs(self.measured))
         return np.asarray((np.abs(self._outputs(theta, maps, forces) - self.measured) / limit).max(axis=1))
 
     def _from_measured(self, theta: Array, maps: _Maps) -> Array:
-        """Forces of the laws along the motion under which the outputs would be the measured ones."""
+        """Return the forces for the motion that gives the measured outputs."""
         rest = self.measured - maps.through[:, :, 1]
         first = _shortest(maps.outputs[..., 1], rest[..., None])[..., 0]
         forces = np.zeros((len(first), first.shape[1], self.basis.shape[1]))
@@ -232,7 +261,10 @@ class LineBalance:
     def _newton(
         self, theta: Array, maps: _Maps, start: Array, lines: NDArray[np.intp]
     ) -> tuple[Array, Array]:
-        """Damped Newton steps of some lines; forces of all, and the relative error of each."""
+        """Solve the balance of some lines by damped Newton steps.
+
+        The forces of all lines and the relative error of each are returned.
+        """
         forces, error = start.copy(), np.zeros(len(start))
         active = lines
         rest, slope, wrong = self._mismatch(theta, maps, forces, active, slopes=True)
@@ -269,9 +301,10 @@ class LineBalance:
         at: Any = None,
         slopes: bool = False,
     ) -> tuple[Array, Array, Array]:
-        """Forces less those of the laws, derivatives by the forces, and the relative size of the difference.
+        """Return value, derivative and relative size of the force mismatch.
 
-        Of all lines, of some (`lines`), or of some among rows of forces for these (`at`).
+        The mismatch is the forces minus those of the force laws; the derivative is by the forces. Of all
+        lines, of some (`lines`), or of some among rows of forces for these (`at`).
         """
         where = slice(None) if lines is None else lines
         F = forces[where] if at is None else forces[at]
@@ -303,7 +336,10 @@ class LineBalance:
         return rest, slope, np.abs(rest).max(axis=(1, 2)) / np.where(scale > 0, scale, 1.0)
 
     def _law(self, theta: Array, j: int, d: Array, v: Array) -> tuple[Array, Array, Array]:
-        """Force over a period (L, T), and its derivatives by displacement and velocity."""
+        """Return a force over one period (L, T), and its derivatives.
+
+        They are taken with respect to displacement and velocity.
+        """
         codes, values, _, widths = self.structure.laws(theta)
         code, row, width = int(codes[j]), values[j : j + 1], float(widths[j])
         nothing = np.zeros((d.size, self.structure.n_inputs))

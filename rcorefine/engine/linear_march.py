@@ -1,4 +1,7 @@
-"""The loop over samples of a model without laws, by itself: it compiles in a fifth of the march's time."""
+"""Simulation loop of a model without nonlinear force laws.
+
+It is separate because it compiles in a fifth of the time of `march`.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,10 @@ __all__ = ["linear_march"]
 
 @compiled
 def _enter(dw, at, dW, row, driven):
-    """Add the derivatives of the inputs at a row of dW (r, rows, nw) to columns of dw, from `at` on."""
+    """Add the derivatives of the inputs to columns of dw.
+
+    They are those at one row of dW (r, rows, nw); the columns begin at `at`.
+    """
     for r in range(driven.shape[0]):
         for j in range(dW.shape[2]):
             dw[driven[r], at + j] += dW[r, row, j]

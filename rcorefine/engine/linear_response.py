@@ -1,4 +1,7 @@
-"""What several signals add to the outputs of a linear model, each alone, sample by sample."""
+"""Responses of a linear model to several signals, each alone.
+
+They are computed sample by sample.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Matrices of a model in feedback with effects, continuous-time, at given coefficients.
+"""Continuous-time matrices of a model in feedback with effects.
 
-Linear effects are absorbed exactly into A, B, C, D; the others keep a port of their own. Every
-entry is an analytic function of the coefficients, so that a complex step gives exact derivatives.
+Linear effects are absorbed exactly into A, B, C, D; the others act as forces at their places. Every entry is
+an analytic function of the coefficients, so that a complex step gives exact derivatives.
 """
 
 from __future__ import annotations
@@ -23,7 +23,10 @@ __all__ = ["Matrices", "continuous_matrices", "entry_among", "site_of"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matrices:
-    """Continuous-time matrices; the last column of B and D drives a constant one. Stacked, or of one."""
+    """Continuous-time matrices at one point, or stacked for several.
+
+    A constant one drives the last column of B and D.
+    """
 
     A: NDArray[Any]
     B: NDArray[Any]
@@ -39,7 +42,10 @@ class Matrices:
 
 
 def site_of(structure: Structure, index: int) -> Site:
-    """Where an absorbed effect sits."""
+    """Return the site of an absorbed effect.
+
+    It holds the rows, the channel or the matrix entry at which the effect acts.
+    """
     effect, base, n = structure.effects[index], structure.linear_model, structure.n_states
     where = effect.spec.where
     rows, inputs = [np.zeros(n)] * 3, [np.zeros(structure.n_inputs)] * 3
@@ -62,7 +68,10 @@ def site_of(structure: Structure, index: int) -> Site:
 
 
 def entry_among(structure: Structure, place: str) -> tuple[int, int]:
-    """Row and column of an entry in [A B; C D] of the model with all effects, which may add states."""
+    """Return row and column of an entry of [A B; C D] with all effects.
+
+    The effects may add states.
+    """
     row, column = structure.model.entry(place)
     own = structure.linear_model.n_states
     more = structure.n_states - own
@@ -70,7 +79,10 @@ def entry_among(structure: Structure, place: str) -> tuple[int, int]:
 
 
 def continuous_matrices(structure: Structure, points: NDArray[Any]) -> Matrices:
-    """Matrices at each of `points` (k, p), real or complex for derivatives, along a first axis."""
+    """Return the matrices at several points, stacked along the first axis.
+
+    `points`, shape (k, p), are real, or complex for derivatives.
+    """
     model, n, nw, ny = structure.model, structure.n_states, structure.n_inputs, structure.n_outputs
     n0, field = structure.linear_model.n_states, structure.field
     scales = [act_scales(structure, theta) for theta in points]
@@ -135,9 +147,10 @@ def continuous_matrices(structure: Structure, points: NDArray[Any]) -> Matrices:
 def _make_absolute(
     structure: Structure, points: NDArray[Any], gain: NDArray[Any], P: NDArray[Any], at: Matrices
 ) -> None:
-    """States and inputs are what they have above the operating point; sensors and ports are absolute.
+    """Make the signals of sensors and places absolute.
 
-    The force of a law at the point and its tangent there are in the model already: both are subtracted.
+    States and inputs are still deviations from the operating point. The force of an effect at the point and
+    its tangent there are in the model already: both are subtracted.
     """
     point, n, nw = structure.model.operating_point, structure.n_states, structure.n_inputs
     n0, m = structure.linear_model.n_states, structure.n_ports
@@ -153,7 +166,7 @@ def _make_absolute(
 
 
 def _together(parts: list[Assembly]) -> Assembly:
-    """What was assembled at several points as one, each array with an axis more in front."""
+    """Stack the assemblies of several points along a new first axis."""
     found: dict[str, Any] = {}
     for name in (entry.name for entry in fields(Assembly)):
         same = [getattr(part, name) for part in parts]
@@ -203,7 +216,7 @@ def _absorbed(structure: Structure, theta: NDArray[Any], scales: dict[str, Any])
 
 
 def _sensors(structure: Structure, into: Assembly) -> tuple[NDArray[Any], ...]:
-    """What the sensors read of x, r, 1 and dx/dt."""
+    """Return the output matrices for x, r, 1 and dx/dt."""
     model, n, nw = structure.model, structure.n_states, structure.n_inputs
     n0 = structure.linear_model.n_states
     rows = np.zeros((len(into.A), structure.n_outputs, 2 * n + nw + 1), into.A.dtype)
@@ -217,7 +230,10 @@ def _sensors(structure: Structure, into: Assembly) -> tuple[NDArray[Any], ...]:
 def _ports(
     structure: Structure, kind: np.dtype[Any], scales: list[dict[str, Any]]
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Where the forces of the other effects act (k, n, m), and what they sense (2 m, n + n_w)."""
+    """Return the matrices of places where nonlinear forces act.
+
+    The forces enter by a matrix of shape (k, n, m); they sense by one of shape (2 m, n + n_w).
+    """
     n, m, n0 = structure.n_states, structure.n_ports, structure.linear_model.n_states
     E, P = np.zeros((len(scales), n, m), kind), np.zeros((2 * m, n + structure.n_inputs), kind)
     for row, index in enumerate(structure.port_effects):
@@ -229,7 +245,10 @@ def _ports(
 
 
 def _input_lags(into: Assembly) -> tuple[NDArray[Any], list[tuple[int, NDArray[Any]]]]:
-    """Inputs that are states of a lag, as rows on the states, and what drives those states."""
+    """Return the matrix of lagged inputs, and the drives of their states.
+
+    A lagged input is a state; the rows of the matrix select it.
+    """
     points, nw, _ = into.Uw.shape
     Ux = np.zeros((points, nw, into.A.shape[-1]), into.A.dtype)
     drives = []

@@ -1,4 +1,7 @@
-"""The structure as a `control.NonlinearIOSystem`, for simulation by python-control."""
+"""Conversion of a structure to a `control.NonlinearIOSystem`.
+
+python-control can simulate it.
+"""
 
 from __future__ import annotations
 
@@ -107,7 +110,10 @@ def nonlinear_system(structure: Structure, theta: Array, name: str | None = None
 
 
 def _drive(structure: Structure, theta: Array) -> Callable[[Any], Array]:
-    """What the inputs become behind the laws at them, above the operating point, and a constant one."""
+    """Return a function from the inputs to the drives of the model.
+
+    It applies the effects at the inputs, subtracts the operating point, and appends a constant one.
+    """
     point, nw = structure.model.operating_point, structure.n_inputs
     level = np.zeros(nw) if point is None else point.inputs
 
@@ -124,7 +130,10 @@ def _drive(structure: Structure, theta: Array) -> Callable[[Any], Array]:
 
 
 def _refuse_without_equation(structure: Structure) -> None:
-    """A delay has no finite state; a law whose inner state is updated sample by sample has no rate."""
+    """Raise an error if an effect has no state equation.
+
+    A delay has no finite state; an inner state that is updated sample by sample has no rate.
+    """
     for effect in structure.effects:
         law = effect.spec
         if law.delays or law.drifts:

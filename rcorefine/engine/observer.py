@@ -1,4 +1,4 @@
-"""Observer gains for a structure: how strongly the record corrects the state."""
+"""Observer gains: how strongly the record corrects the state."""
 
 from __future__ import annotations
 
@@ -105,9 +105,10 @@ def observer_gain(
 
 
 def _units(A: Array, G: Array, C: Array) -> Array:
-    """Units in which states are of one size on the way from the drives to the outputs.
+    """Return units in which all states have about the same size.
 
-    Osborne, J. ACM 7 (1960) 338, without rounding to powers of two: gains are to depend on no unit.
+    They are balanced along the way from the drives to the outputs. The method is that of Osborne, J. ACM 7
+    (1960) 338, without rounding to powers of two: gains must not depend on units.
     """
     reached, seen = np.abs(G).max(axis=1, initial=0.0), np.abs(C).max(axis=0, initial=0.0)
     between = np.abs(A) * (1.0 - np.eye(len(A)))  # the diagonal has no unit
@@ -127,7 +128,7 @@ def _units(A: Array, G: Array, C: Array) -> Array:
 def existing_gain(
     structure: Structure, theta: Array, data: Measurement, ratio: float, *, at: str = "everywhere"
 ) -> Array:
-    """The gain of `observer_gain`, where there is nothing to be said without one.
+    """Return the gain of `observer_gain`, or raise an error if none exists.
 
     Raises
     ------

@@ -1,4 +1,7 @@
-"""Laws over one period of a steady motion, sample by sample: kernels of the harmonic balance."""
+"""Force laws over one period of a steady motion, sample by sample.
+
+These are kernels of the harmonic balance.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,10 @@ __all__ = ["law_over_period", "memory_over_period"]
 
 @compiled
 def law_over_period(code, d, v, w, values, width):
-    """Force and its slopes by displacement and velocity; rows of an array of shape (3, n)."""
+    """Return a force and its slopes over one period, shape (3, n).
+
+    The rows are the force and its derivatives by displacement and velocity.
+    """
     found = np.empty((3, d.size))
     out = np.zeros((1, COUNT + w.shape[1]))
     for i in range(d.size):
@@ -23,10 +29,11 @@ def law_over_period(code, d, v, w, values, width):
 
 @compiled
 def memory_over_period(code, d, v, w, values, inner, slope):
-    """One turn of a law with memory from an inner state and its derivative by the n displacements.
+    """Run a force law with an inner state over one period.
 
-    Returns the forces, their derivatives (n, n), the inner state at the end, its derivative, and
-    how much of the inner state at the start is left.
+    It starts from the inner state and its derivative by the n displacements. The forces, their derivatives
+    (n, n), the inner state at the end, its derivative, and the remaining share of the inner state at the
+    start are returned.
     """
     n = d.size
     f = np.empty(n)

@@ -1,4 +1,4 @@
-"""At the operating point of a model: what laws give there, and the field of a nonlinear one."""
+"""Force laws and nonlinear field at the operating point of a model."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ __all__ = ["about_point", "act_scales", "field_numbers", "resting", "tangents"]
 
 
 def resting(structure: Structure, place: str) -> tuple[float, float] | None:
-    """Displacement and velocity of a port at the operating point, None where no law is taken about it.
+    """Return displacement and velocity of a place at the operating point.
 
-    A velocity that differs from zero by rounding alone is returned as zero.
+    They are None if the model does not contain the forces at that point. A velocity that differs from zero by
+    rounding alone is returned as zero.
     """
     point = structure.model.operating_point
     if point is None or not structure.balanced:
@@ -36,11 +37,12 @@ def resting(structure: Structure, place: str) -> tuple[float, float] | None:
 
 
 def tangents(structure: Structure, theta: NDArray[Any]) -> NDArray[Any]:
-    """Force of each law at the operating point, and its slopes by displacement and velocity: (m, 3).
+    """Return force and slopes of each force law at the operating point.
 
-    A model that is linear about the point contains both. At a port at rest friction jumps with the
-    velocity, and a force with a memory depends on the past: no tangent there. Where theta is complex,
-    so is the answer, with the derivatives.
+    The columns, shape (m, 3), are the force and its derivatives by displacement and velocity. A model that is
+    linear about the point contains both. At a place at rest friction jumps with the velocity, and a force
+    with an inner state depends on the past: there is no tangent. Where theta is complex, the result is
+    complex too, with the derivatives.
     """
     found = np.zeros((structure.n_ports, 3), theta.dtype if theta.size else float)
     if not structure.balanced:
@@ -61,7 +63,10 @@ def tangents(structure: Structure, theta: NDArray[Any]) -> NDArray[Any]:
 
 
 def field_numbers(structure: Structure, theta: Array) -> tuple[int, Array, NDArray[np.int64]]:
-    """Code of the field, its parameters and their columns in theta, as `march` takes them."""
+    """Return code, parameters and columns in theta of the nonlinear field.
+
+    They are arguments of `march`.
+    """
     field = structure.field
     if field is None:
         return 0, np.zeros((1, 0)), np.zeros(0, dtype=np.int64)
@@ -76,10 +81,11 @@ def field_numbers(structure: Structure, theta: Array) -> tuple[int, Array, NDArr
 
 
 def act_scales(structure: Structure, theta: NDArray[Any]) -> dict[str, Any]:
-    """Share of its nominal effect that a force has at each port where parameters of the model float.
+    """Return how free parameters scale the force at each place.
 
-    A port whose force acts like an input is measured in units of that input: where the parameters
-    change what the input does, they change what the force does.
+    The scale is relative to the force with nominal parameters. A place whose force acts like an input is
+    measured in units of that input: where the parameters change what the input does, they change what the
+    force does.
     """
     field, base = structure.field, structure.linear_model
     if field is None or not structure.number_effects or not base.n_inputs:
@@ -107,9 +113,10 @@ def act_scales(structure: Structure, theta: NDArray[Any]) -> dict[str, Any]:
 
 
 def about_point(structure: Structure, theta: Array) -> tuple[Array, Array, Array, Array]:
-    """A, B, C, D with the linear effects, and of a nonlinear model with its slopes at the point.
+    """Return A, B, C, D of the model linearized about its operating point.
 
-    Of a model about a declared point these are its own: a law has no slope there.
+    The linear effects are included. A model about a declared point keeps its own matrices: effects at places
+    add no slope there.
     """
     matrices = structure.matrices(theta)
     A, B, C, D, P = matrices.A, matrices.B, matrices.C, matrices.D, matrices.P

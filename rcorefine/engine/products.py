@@ -110,7 +110,10 @@ else:
 
 @compiled
 def solve_in_place(J, R):
-    """Gaussian elimination with pivoting; rows of R (k, m) are the right-hand sides."""
+    """Solve linear equations by Gaussian elimination with pivoting.
+
+    The rows of R (k, m) are the right-hand sides.
+    """
     m = J.shape[0]
     for c in range(m):
         pivot = c

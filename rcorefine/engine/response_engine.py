@@ -1,7 +1,7 @@
-"""The response of a structure to sines, at the frequencies of a measured one, with exact sensitivities.
+"""Frequency response of a structure, with exact sensitivities.
 
-It takes the place of `Engine` where data are frequency responses: what is simulated, compared and fitted
-are real and imaginary parts over their noise.
+The frequencies are those of a measured response. It takes the place of `Engine` where data are frequency
+responses: what is simulated, compared and fitted are real and imaginary parts over their noise.
 """
 
 from __future__ import annotations
@@ -37,14 +37,17 @@ def engine_on(
     substeps: int = 1,
     initial: Array | None = None,
 ) -> Engine | ResponseEngine:
-    """What runs a structure over data: a record in time, or a frequency response."""
+    """Return the engine for a time record or for a frequency response."""
     if isinstance(data, ResponseRecord):
         return ResponseEngine(structure, data, substeps=substeps)
     return Engine(structure, data, substeps=substeps, initial=initial, lead=leading_gain(structure, data))
 
 
 def is_linear(structure: Structure) -> bool:
-    """Whether the response to a sine depends on no amplitude: linear effects and delays alone."""
+    """Return whether the response to a sine is independent of amplitude.
+
+    This is so with linear effects and delays alone.
+    """
     channels = [*structure.input_statics, *structure.output_statics]
     return not structure.n_ports and all(structure.effects[index].spec.delays for index, _ in channels)
 
@@ -87,7 +90,9 @@ class ResponseEngine:
         self._balance = None if is_linear(structure) else _balanced(structure, data)
 
     def run(self, theta: Array, x0: Array | None = None, *, sensitivity: bool = True, **_: Any) -> Trajectory:
-        """Response in rows as those of the data, with derivatives; it has no states and no observer.
+        """Return the response in rows as those of the data, with derivatives.
+
+        There are no states and no observer.
 
         Parameters
         ----------
@@ -127,9 +132,10 @@ class ResponseEngine:
         return np.ones(self.data.outputs.shape, dtype=bool)
 
     def push(self, theta: Array, place: str) -> Complex | None:
-        """What a unit of complex stiffness at a place changes of the response (n_y, n_w, n_omega).
+        """Return the change of the response by a unit of complex stiffness.
 
-        Behind a channel, a unit of a factor on it. None where the place is neither.
+        The stiffness acts at a place; the change has shape (n_y, n_w, n_omega). At a channel, the change is
+        that by a unit of a factor on it. The result is None where `place` is neither.
         """
         s = self.structure
         labels = s.linear_model.input_labels, s.linear_model.output_labels
@@ -156,7 +162,9 @@ class ResponseEngine:
 
     # ------------------------------------------------------------------ linear
     def response(self, theta: Array, *, derivatives: bool = True) -> tuple[Complex, list[Complex]]:
-        """Complex response (n_y, n_w, n_omega), and its derivative by each free coefficient.
+        """Return the complex frequency response, and its derivatives.
+
+        Its shape is (n_y, n_w, n_omega); there is one derivative for each free coefficient.
 
         Raises
         ------
@@ -179,7 +187,10 @@ class ResponseEngine:
         return self._delayed(theta, G, slopes)
 
     def _matrices(self, theta: Array, columns: NDArray[np.int64]) -> list[tuple[Array, ...]]:
-        """A, B, C, D as the response sees them, then their derivatives by these coefficients."""
+        """Return A, B, C, D of the response, then their derivatives.
+
+        They are discrete-time if the response is sampled. The derivatives are by the given coefficients.
+        """
         s, data = self.structure, self.data.measured
         nw = s.n_inputs
         if not data.dt or data.hold == "bandlimited":
@@ -242,7 +253,10 @@ def _balanced(structure: Structure, data: ResponseRecord) -> LineBalance:
 
 
 def _transfer(sets: list[tuple[Array, ...]], points: NDArray[Any]) -> tuple[Complex, list[Complex]]:
-    """C (z - A)^-1 B + D at every point; derivatives of A, B, C, D make those of it."""
+    """Return C (z - A)^-1 B + D at every point, and its derivatives.
+
+    They follow from the derivatives of A, B, C, D.
+    """
     A, B, C, D = sets[0]
     n, n_y, n_w = A.shape[0], *D.shape
     G = np.empty((n_y, n_w, points.size), complex)
@@ -270,7 +284,10 @@ def _transfer(sets: list[tuple[Array, ...]], points: NDArray[Any]) -> tuple[Comp
 def port_phasors(
     structure: Structure, theta: Array, data: ResponseRecord, place: str
 ) -> tuple[Complex, Complex]:
-    """Displacement and velocity at a port under the sines of the inputs, each (n_w n_omega,), as phasors."""
+    """Return the phasors of displacement and velocity at a place.
+
+    The inputs are sines; each result has shape (n_w n_omega,).
+    """
     m, nw = structure.matrices(theta.astype(float)), structure.n_inputs
     port, added = structure.model.port(place), structure.n_states - structure.linear_model.n_states
     rows = np.pad(np.array([port.position, port.velocity]), ((0, 0), (0, added)))

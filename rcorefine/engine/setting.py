@@ -1,4 +1,7 @@
-"""What the march takes of a structure at given coefficients: worked out once for all records that ask."""
+"""Arguments of the simulation loop at given coefficients.
+
+They are computed once for all records that need them.
+"""
 
 from __future__ import annotations
 
@@ -42,12 +45,12 @@ class Setting:
 
     @property
     def linear(self) -> tuple[Any, ...]:
-        """What `linear_march` takes of them."""
+        """Return the arguments of `linear_march`."""
         M, dM, _, rows, O, dO = self.substep[:6]
         return M[0], dM[0], rows, O, dO
 
     def decay(self, substeps: int, gain: Array, samples: int) -> Array:
-        """What a unit of each initial state adds to the outputs of a linear model, (N, n_y, n).
+        """Return the linear response to unit initial states, (N, n_y, n).
 
         At every sample the outputs correct the states by a gain (n, n_y).
         """
@@ -66,7 +69,7 @@ class Setting:
 
 
 def setting(structure: Structure, theta: Array, step: float, derivatives: bool) -> Setting:
-    """Arguments of the march at coefficients `theta` (p,), with substeps of `step` seconds.
+    """Return the arguments of `march` at given coefficients.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Simulate a model on a record, the initial state given, zero, or estimated."""
+"""Simulation of a model from a given, zero or estimated initial state."""
 
 from __future__ import annotations
 
@@ -116,7 +116,10 @@ def simulate(
 
 
 def simulated(model: Any, data: Measurement, x0: str | Array, *, led: bool = False) -> Simulation:
-    """As `simulate`; an unstable model may be led by an observer, since it has no free run."""
+    """Simulate as `simulate` does, if needed with an observer.
+
+    With `led`, an observer corrects an unstable model, which has no free run.
+    """
     model = as_model(model)
     inner = getattr(model, "system", model)
     if isinstance(inner, ct.StateSpace) and inner.dt != 0:
@@ -146,14 +149,20 @@ def simulated(model: Any, data: Measurement, x0: str | Array, *, led: bool = Fal
 
 
 def _lead(structure: Structure, data: Measurement, led: bool) -> Array | None:
-    """What acts on the error of the outputs: the controller, or an observer where that may be."""
+    """Return the gain on the error of the outputs, or None.
+
+    It is that of the controller, or of an observer where one is allowed.
+    """
     if structure.model.controller is not None:
         return loop_gain(structure, data.dt)
     return leading_gain(structure, data) if led else None
 
 
 def _settled_steps(structure: Structure, data: Measurement, start: Array | None, led: bool) -> int:
-    """Substeps whose doubling no longer moves the free run of a nonlinear model."""
+    """Return a sufficient number of substeps for a nonlinear model.
+
+    Doubling it no longer changes the free run.
+    """
     steps, before, theta = 2, None, np.zeros(0)
     made = partial(Engine, structure, data, lead=_lead(structure, data, led))
     if start is None:
@@ -170,7 +179,10 @@ def _settled_steps(structure: Structure, data: Measurement, start: Array | None,
 
 
 def _levels(structure: Structure, data: Measurement) -> tuple[Array, Array]:
-    """What outputs, as the record has them, and states are above those of the engine."""
+    """Return the offsets of outputs and states from those of the engine.
+
+    Added to values of the engine, they give outputs as in the record, and states.
+    """
     outputs, states = np.zeros(structure.n_outputs), np.zeros(structure.n_states)
     point = structure.model.operating_point
     if point is not None:
@@ -180,7 +192,10 @@ def _levels(structure: Structure, data: Measurement) -> tuple[Array, Array]:
 
 
 def unjudged_samples(model: Any, data: Measurement) -> int:
-    """First samples by which a model that holds a delay cannot be judged, its initial state being free."""
+    """Return the number of first samples that cannot be compared.
+
+    A model with a delay and a free initial state is undetermined there.
+    """
     known = getattr(model, "simulation_structure", None)
     if known is None:  # a delay is an effect: linear models hold none
         return 0

@@ -1,4 +1,7 @@
-"""States that a whole record shows: a steady Kalman filter forth, Rauch, Tung and Striebel's pass back."""
+"""Steady-state Rauch-Tung-Striebel smoother.
+
+A steady Kalman filter runs forward over the record, then the smoother runs backward.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +54,10 @@ class Smoothed:
 
     @cached_property
     def covariance(self) -> Array:
-        """Of the states by all samples, as far from the end as the record reaches, shape (n, n)."""
+        """Return the covariance of the smoothed states, shape (n, n).
+
+        It is that at the sample farthest from the end of the record.
+        """
         steady, back = self.steady, self._back
         found = steady.filtered - back @ steady.predicted @ back.T
         for _ in range(int(np.ceil(np.log2(len(self.filtered))))):  # P = Q + back P back', from the end on
@@ -61,7 +67,10 @@ class Smoothed:
 
     @cached_property
     def power(self) -> float:
-        """Mean square of the innovations in the metric of their covariance; 1 if the levels are right."""
+        """Return the mean square of the normalized innovations.
+
+        It is 1 if the noise levels are right.
+        """
         e = self.innovations
         weighed = np.einsum("ki,ij,kj->k", e, np.linalg.inv(self.steady.innovation), e)
         return float(np.mean(weighed) / e.shape[1])
@@ -88,7 +97,9 @@ def smooth(
     drive: Array | None = None,
     reset: NDArray[np.uint8] | None = None,
 ) -> Smoothed:
-    """States of ``x = F x + drive + process noise`` from outputs ``y = H x + sensor noise``.
+    """Return the states of a linear model, smoothed over a whole record.
+
+    The model is ``x = F x + drive + process noise`` with outputs ``y = H x + sensor noise``.
 
     Parameters
     ----------

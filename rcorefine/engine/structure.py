@@ -1,4 +1,7 @@
-"""The initial model in feedback with effects: which coefficients are free, and where each effect enters."""
+"""Structure: the initial model in feedback with effects.
+
+It determines which coefficients are free and where each effect enters.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +47,7 @@ class Kept:
         self._made: dict[Hashable, Any] = {}
 
     def __call__(self, key: Hashable, make: Callable[[], _Made]) -> _Made:
-        """What was made under a key; made now, if it is not here."""
+        """Return the value stored under a key, or make it if it is missing."""
         found: _Made | None = self._made.get(key)
         if found is None:
             found = make()
@@ -165,7 +168,10 @@ class Structure:
         return len(self.parameters)
 
     def inertia(self, place: str) -> float:
-        """Force per acceleration that a port feels, infinite where it moves nothing."""
+        """Return the effective inertia (force per acceleration) at a place.
+
+        It is infinite where a force moves nothing.
+        """
         port = self.model.port(place)
         answer = -float(port.velocity @ port.act)
         return 1.0 / answer if answer > 0 else np.inf
@@ -200,16 +206,25 @@ class Structure:
         return self.matrix_stack(theta[None])[0]
 
     def matrix_stack(self, points: NDArray[Any]) -> Matrices:
-        """The same at each of `points` (k, p) at once, stacked along their first axis."""
+        """Return the matrices at several points, stacked along the first axis.
+
+        `points` has shape (k, p).
+        """
         return continuous_matrices(self, points)
 
     def adjusted_rates(self, A: NDArray[Any], theta: NDArray[Any]) -> NDArray[Any]:
-        """State matrix before masses are divided by: a place for rules that tie its entries together."""
+        """Return the state matrix before the division by masses.
+
+        A subclass can add rules that tie its entries together.
+        """
         return A
 
     @property
     def has_mass(self) -> bool:
-        """Whether an effect adds mass, by which the matrices are to be divided."""
+        """Return whether an effect adds mass.
+
+        The matrices are divided by it.
+        """
         return any(effect.spec.inertial for effect in self.effects)
 
     @cached_property
@@ -222,7 +237,10 @@ class Structure:
         return np.array([i for i, q in enumerate(self.parameters) if q.effect not in skip], dtype=np.int64)
 
     def discretize(self, theta: Array, step: float, *, derivatives: bool = True) -> Discrete:
-        """One substep of `step` seconds, exact for the linear part; kept, for it is asked for again."""
+        """Return one substep of `step` seconds, exact for the linear part.
+
+        The result is kept because it is needed again.
+        """
         key = theta[self.absorbed].tobytes()
         make = partial(discretized, self, theta, step, derivatives=derivatives)
         return self.kept((key, step, derivatives), make)
@@ -230,23 +248,32 @@ class Structure:
     # ------------------------------------------------------------ nonlinear parts
     @property
     def balanced(self) -> bool:
-        """Whether the forces of the laws at the operating point are in the point already."""
+        """Return whether the operating point already contains the forces.
+
+        The forces are those of the effects at that point.
+        """
         point = self.model.operating_point
         return point is not None and point.field is None
 
     @property
     def field(self) -> Field | None:
-        """What a nonlinear model has beside its linear part."""
+        """Return the nonlinear field of the model, or None if there is none."""
         point = self.model.operating_point
         return None if point is None else point.field
 
     @property
     def n_forces(self) -> int:
-        """Number of forces in the matrices: those of the laws at ports, then the rows of the field."""
+        """Return the number of forces in the matrices.
+
+        The forces at places come first, then the rows of the nonlinear field.
+        """
         return self.n_ports + (0 if self.field is None else self.field.n_rows)
 
     def laws(self, theta: Array) -> tuple[NDArray[np.int64], Array, NDArray[np.int64], Array]:
-        """Codes, coefficients, their columns in theta, and widths of the port laws, as `march` takes them."""
+        """Return the force laws at places as arguments of `march`.
+
+        These are codes, coefficients, their columns in theta, and widths.
+        """
         m = self.n_ports
         codes = np.zeros(m, dtype=np.int64)
         values = np.zeros((m, MAX_COEFFICIENTS + 2))
@@ -278,7 +305,10 @@ class Structure:
         return [self.position(index, name) for name in self.effects[index].coefficients]
 
     def output_laws(self, theta: Array) -> tuple[NDArray[np.int64], Array, NDArray[np.int64]]:
-        """Codes, coefficients and their columns of the laws of the sensors, as `march` takes them."""
+        """Return the effects at the sensors as arguments of `march`.
+
+        These are codes, coefficients, and their columns in theta.
+        """
         ny = self.n_outputs
         codes, values = np.zeros(ny, dtype=np.int64), np.zeros((ny, MAX_COEFFICIENTS))
         columns = np.full((ny, MAX_COEFFICIENTS), -1, dtype=np.int64)
@@ -292,7 +322,7 @@ class Structure:
 
     @property
     def remembers(self) -> bool:
-        """Whether the law of a sensor has an inner state."""
+        """Return whether an effect at a sensor has an inner state."""
         return any(self.effects[index].spec.inner_states for index in self._output_statics)
 
     @property
@@ -302,12 +332,15 @@ class Structure:
 
     @cached_property
     def jumps(self) -> bool:
-        """Whether a force jumps with the sign of a velocity."""
+        """Return whether a force jumps with the sign of a velocity."""
         return any(self.effects[index].spec.jumps for index in self._port_effects)
 
     @property
     def port_columns(self) -> NDArray[np.int64]:
-        """Columns of theta that scale the port laws (their first free coefficients)."""
+        """Return the columns of theta that scale the force laws.
+
+        These are the first coefficients of the force laws, where they are free.
+        """
         found = [self.position(index, self.effects[index].coefficients[0]) for index in self._port_effects]
         return np.array([column for column in found if column >= 0], dtype=np.int64)
 
@@ -341,19 +374,25 @@ class Structure:
 
     @cached_property
     def is_linear(self) -> bool:
-        """Whether every effect is absorbed into A, B, C, D."""
+        """Return whether all effects are absorbed into A, B, C, D."""
         others = self._port_effects + self._input_statics + self._output_statics + self._delayed_outputs
         return not others and self.field is None and not self.drifts
 
     def state_labels(self) -> list[str]:
-        """State names, those that effects add included and those of a controller left out."""
+        """Return the names of the states.
+
+        States that effects add are included; those of a controller are not.
+        """
         names = list(self.linear_model.state_labels)
         for index, what in self.added_states:
             names.append(f"{self.effects[index].label} {what}".replace(" ", "_").replace(".", "_"))
         return names
 
     def system(self, theta: Array, name: str | None = None) -> ct.StateSpace:
-        """The model with its linear effects, as a continuous `StateSpace`; without a controller."""
+        """Return the model with its linear effects as a `StateSpace`.
+
+        It is continuous, and without the controller.
+        """
         A, B, C, D = about_point(open_loop(self), theta.astype(float))
         nw = self.n_inputs
         return self.linear_model.with_arrays(

@@ -1,4 +1,7 @@
-"""One substep of a structure: its discretization, with exact derivatives by a complex step."""
+"""Discretization of one substep of a structure, with derivatives.
+
+A complex step makes the derivatives exact.
+"""
 
 from __future__ import annotations
 
@@ -76,9 +79,10 @@ def discretized(structure: Structure, theta: Array, step: float, *, derivatives:
 
 
 def tiny_steps(structure: Structure, theta: Array, linear: NDArray[np.int64]) -> Matrices:
-    """Matrices a tiny imaginary step away from `theta` along each parameter that enters them.
+    """Return the matrices a tiny imaginary step away from `theta`.
 
-    Their real parts are those at `theta`; without such parameters it is the only point.
+    There is one step along each parameter that enters them. Their real parts are those at `theta`; without
+    such parameters it is the only point.
     """
     if not len(linear):
         return structure.matrix_stack(theta[None].astype(float))
@@ -88,7 +92,10 @@ def tiny_steps(structure: Structure, theta: Array, linear: NDArray[np.int64]) ->
 
 
 def _inner_scale(structure: Structure, A: NDArray[Any]) -> Array:
-    """Powers of two that bring the states of effects, in units of a signal, to those of the model."""
+    """Return scales that bring the states of effects to the model's size.
+
+    The scales are powers of two; the states of effects are in units of a signal.
+    """
     scale = np.ones(structure.n_states)
     for j in range(structure.linear_model.n_states, structure.n_states):
         others = np.arange(structure.n_states) != j

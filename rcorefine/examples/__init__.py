@@ -1,4 +1,4 @@
-"""The three examples of the paper: a circuit, a transmissibility, a structure.
+"""Three examples of the paper: circuit, transmissibility, structure.
 
 Each gives an initial (wrong) model, the true one, a sampling time and the
 settings that the paper uses. What the paper leaves open (sampling times,

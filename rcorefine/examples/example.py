@@ -1,4 +1,4 @@
-"""One example of the paper: two models, settings, and a record of the true one."""
+"""Example of the paper: two models, settings, and a simulated record."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["Example"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Example:
-    """One example of the paper: where it starts, what is true, and the settings.
+    """Example of the paper: initial model, true model, and settings.
 
     Attributes
     ----------

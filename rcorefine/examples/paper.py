@@ -212,7 +212,7 @@ def two_dof(*, form: str = "given", dt: float = 1e-3) -> Example:
 
 
 def rlc_parameters(system: ct.StateSpace, resistance: float = 250.0) -> dict[str, float]:
-    """Read inductance and capacitance off a (refined) model of the RLC circuit.
+    """Return inductance and capacitance of a model of the RLC circuit.
 
     Taken from the transfer function ``(R / L) s / (s^2 + (R / L) s +
     1 / (L C))``, hence valid in any state coordinates: the input map gives

@@ -1,4 +1,7 @@
-"""Exercises for a course: a record that hides an effect, another one for each student, and their grading."""
+"""Course exercises: records with a hidden effect, and their grading.
+
+Each student gets another record.
+"""
 
 from .exercise import Exercise, Mark, hidden_effect, load_exercise
 from .grading import Grade, Grades, grade

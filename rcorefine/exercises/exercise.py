@@ -1,4 +1,7 @@
-"""An exercise: a model, two records of a plant that lacks something, and answers under seal."""
+"""Exercise with a model, two records of a plant, and sealed answers.
+
+The plant has an effect that the model lacks.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,7 @@ EFFECT, PLACE, COEFFICIENT = 0.6, 0.3, 0.4  # points: for the effect, the place 
 
 @dataclass(frozen=True, slots=True)
 class Mark(Row):
-    """What an answer is worth.
+    """Mark of an answer.
 
     Attributes
     ----------
@@ -50,7 +53,10 @@ class Mark(Row):
 
     @property
     def points(self) -> float:
-        """0.6 for the effect (0.3 for the place alone) and 0.4 for the coefficient."""
+        """Return the points of the answer, from 0 to 1.
+
+        The effect gives 0.6 (the place alone 0.3), and the coefficient 0.4.
+        """
         first = {"right": EFFECT, "tied": EFFECT, "place": PLACE, "wrong": 0.0}[self.effect]
         return first + (COEFFICIENT if self.coefficient else 0.0)
 
@@ -97,7 +103,7 @@ class Exercise(Result):
 
     @property
     def has_answer(self) -> bool:
-        """Whether this copy can check answers."""
+        """Return whether this copy can check answers."""
         return bool(self._seals)
 
     def check(self, kind: str, place: str, coefficient: float | None = None) -> Mark:
@@ -144,7 +150,9 @@ class Exercise(Result):
         place: str,
         coefficient: float | None = None,
     ) -> Path:
-        """Write an answer as a file for `grade`; it says nothing about right or wrong.
+        """Write an answer as a file for `grade`.
+
+        The answer is not checked.
 
         Parameters
         ----------
@@ -213,7 +221,9 @@ class Exercise(Result):
 
 
 def hidden_effect(seed: int, plant: str = "motor", level: int = 1) -> Exercise:
-    """Make an exercise: a plant with one effect that its model lacks, another one for each seed.
+    """Make an exercise: a plant with one effect that its model lacks.
+
+    Each seed gives another exercise.
 
     Parameters
     ----------

@@ -86,7 +86,9 @@ def grade(
     folder: str | PathLike[str],
     exercises: str | PathLike[str] | None = None,
 ) -> Grades:
-    """Grade the answers in a folder, and write ``class.html`` and ``class.csv`` into it.
+    """Grade the answers in a folder, and write a report into it.
+
+    The report consists of ``class.html`` and ``class.csv``.
 
     Parameters
     ----------

@@ -1,4 +1,7 @@
-"""Choose what an exercise hides: large enough, unlike every other candidate, and found by a diagnosis."""
+"""Choice of the effect that an exercise hides.
+
+The effect is large enough, unlike every other candidate, and found by a diagnosis.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,10 @@ _TOLERANCE, _SPREAD = 0.1, 4.0  # of a coefficient: a share, or so many standard
 
 @dataclass(frozen=True, slots=True)
 class Accepted:
-    """An answer that counts: the hidden effect, or one that the record cannot tell from it."""
+    """Accepted answer: the hidden effect, or an indistinguishable one.
+
+    The record cannot distinguish the latter from the hidden effect.
+    """
 
     effect: Effect
     coefficient: float
@@ -119,7 +125,10 @@ def _sized(
     rng: np.random.Generator,
     speeds: Mapping[str, float],
 ) -> tuple[float, Array] | None:
-    """Coefficient with which the model misses about this share of the outputs, and these; or None."""
+    """Return a coefficient of an effect, and the outputs with it, or None.
+
+    With this coefficient, the model misses about the share `loss` of the outputs.
+    """
     widths = {0: _SHARP * speeds[effect.place]} if effect.spec.jumps else {}
     size = float(np.linalg.norm(plain.std(axis=1)))
     own = [p.value for p in model.parameters if (p.kind, p.place) == (effect.kind, effect.place)]
@@ -151,7 +160,10 @@ def _speeds(model: PhysicalModel, blank: Measurement) -> dict[str, float]:
 
 
 def _distance(offer: _Offer, offers: Sequence[_Offer]) -> float:
-    """Squared distance of the outputs to those of the nearest rival of any size."""
+    """Return the squared output distance to the nearest other candidate.
+
+    That candidate may have any size.
+    """
     own = offer.change.ravel()
     left = [own @ own]
     for other in offers:
@@ -162,7 +174,10 @@ def _distance(offer: _Offer, offers: Sequence[_Offer]) -> float:
 
 
 def _accepted(found: Diagnosis, offer: _Offer) -> tuple[Accepted, ...]:
-    """Answers that count after a diagnosis that named the effect, or tied it; empty after another."""
+    """Return the accepted answers after a diagnosis.
+
+    The diagnosis must name the hidden effect, or tie it; otherwise the result is empty.
+    """
     if found.verdict not in ("effect", "ambiguous") or offer.effect not in found.ambiguous:
         return ()
     accepted = []

@@ -1,4 +1,7 @@
-"""The plants of the exercises, one for each lab: a linear model, how it is excited, what it may lack."""
+"""Plants of the exercises, one for each lab.
+
+Each has a linear model, an excitation, and effects that the model may lack.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +52,7 @@ class Plant:
     mean: float = 0.0
 
     def candidates(self, model: PhysicalModel) -> tuple[Effect, ...]:
-        """What may be missing, place by place."""
+        """Return the effects that may be missing, place by place."""
         return tuple(
             effect
             for place, kinds in self.laws.items()
@@ -123,7 +126,10 @@ def _pendulum() -> PhysicalModel:
 
 
 def _crane() -> PhysicalModel:
-    """A cart on a spring with a load that hangs from it; coordinates: the cart, and the load's offset."""
+    """Return a crane: a cart on a spring with a hanging load.
+
+    The coordinates are those of the cart, and the offset of the load.
+    """
     cart, load, length = 2.0, 0.5, 0.6
     mass = np.array([[cart + load, load], [load, load]])
     return mechanical(

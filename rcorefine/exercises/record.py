@@ -1,4 +1,7 @@
-"""A record of a model with effects that the model lacks, simulated more finely than any estimator does."""
+"""Simulated record of a model with effects that the model lacks.
+
+The simulation is finer than that of any estimator.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,10 @@ _SUBSTEPS = 16
 def record_of(
     model: PhysicalModel, inputs: Array, outputs: Array | None = None, *, dt: float, name: str = "record"
 ) -> Measurement:
-    """Record with the model's labels and units; inputs (n_w, N), outputs (n_y, N) or zero."""
+    """Return a record with the labels and units of the model.
+
+    The inputs have shape (n_w, N), the outputs (n_y, N); by default they are zero.
+    """
     linear = model.linear
     return Measurement(
         inputs,

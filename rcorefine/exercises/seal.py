@@ -1,4 +1,4 @@
-"""Answers under seal: an answer can be compared with the right one, which cannot be read."""
+"""Sealed answers, which can be checked but not read."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ _GRID = 0.01  # of the logarithm of a coefficient
 
 
 def sealed(accepted: Iterable[Accepted], salt: str) -> frozenset[str]:
-    """Seals of all that counts: effects, places, and the coefficients within their tolerance."""
+    """Return the seals of all accepted answers.
+
+    They cover effects, places, and the coefficients within their tolerance.
+    """
     found = set()
     for one in accepted:
         kind, place = one.effect.kind, one.effect.place
@@ -30,7 +33,10 @@ def sealed(accepted: Iterable[Accepted], salt: str) -> frozenset[str]:
 
 
 def is_sealed(seals: frozenset[str], salt: str, what: str, *words: str, value: float | None = None) -> bool:
-    """Whether an answer of this sort counts: "right", "tied", "place" or "value"."""
+    """Return whether an answer counts in the given way.
+
+    The ways are "right", "tied", "place" and "value".
+    """
     if value is not None:
         if not math.isfinite(value) or value == 0.0:
             return False

@@ -1,1 +1,4 @@
-"""A refined model as the code of another program: python-control alone, MATLAB, Modelica, C."""
+"""Export of a refined model as the code of another program.
+
+The targets are python-control alone, MATLAB, Modelica and C.
+"""

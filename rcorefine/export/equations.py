@@ -1,4 +1,7 @@
-"""What a refined model computes, apart from any language: matrices, and functions for its laws."""
+"""Equations of a refined model, independent of any language.
+
+They consist of matrices, and of functions for the force laws.
+"""
 
 from __future__ import annotations
 
@@ -48,10 +51,11 @@ class Term:
 
 @dataclass(frozen=True, slots=True)
 class Equations:
-    """dx = A x + B [w; 1] + E f, y = C x + D [w; 1] + G f, with f at ports that sense P [x; w; 1].
+    """State equations of a refined model with its nonlinear forces.
 
-    `ports`, `inputs` and `outputs` hold the terms of ports, of inputs before, and of outputs behind;
-    `rates` those of inner states, of the port `channel`.
+    They are dx = A x + B [w; 1] + E f, y = C x + D [w; 1] + G f, with f at places that sense P [x; w; 1].
+    `ports`, `inputs` and `outputs` hold the terms at places, before the inputs and behind the outputs;
+    `rates` holds those of inner states, at the place `channel`.
     """
 
     A: Array

@@ -20,7 +20,10 @@ _POWER = {"C": "pow({0}, {1})", "Python": "{0} ** {1}"}
 
 @dataclass(frozen=True, slots=True)
 class Language:
-    """How one language writes what formulas are made of; `{...}` are parts."""
+    """Syntax of the formulas in one language.
+
+    Parts to be filled in are marked as `{...}`.
+    """
 
     name: str
     head: str
@@ -163,7 +166,10 @@ class _Writer:
         return "\n".join([*lines, language.end.format(name=name)])
 
     def _plain(self, node: ast.stmt) -> ast.stmt:
-        """Python's own: numbers in the place of the module's names, the force alone."""
+        """Return a Python statement with values in place of names.
+
+        Only names of the module are replaced. Of a pair of returned values, the force alone is kept.
+        """
         outer = self
 
         class Inline(ast.NodeTransformer):

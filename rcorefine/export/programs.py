@@ -1,4 +1,7 @@
-"""Equations as a program of another language: the same lines, each in its words."""
+"""Equations as a program in another language.
+
+The lines are the same, in the syntax of each language.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,10 @@ def _sum(coefficients: Iterable[float], names: list[str]) -> str:
 
 
 def _lines(e: Equations, at: Callable[[str, int], str]) -> tuple[_Lines, list[str], list[str]]:
-    """Lines that both need, the rates of the states, and the outputs; `at` writes an entry of x or u."""
+    """Return the shared lines, the state derivatives, and the outputs.
+
+    State derivatives and outputs need the shared lines. `at` writes an entry of x or u.
+    """
     n, m, n_w = len(e.A), len(e.ports), len(e.input_labels)
     order = [*e.ports, *e.inputs, *e.outputs, *e.rates]
 
@@ -64,7 +70,10 @@ def _laws(e: Equations, language: str) -> list[str]:
 
 
 def _head(e: Equations, mark: str) -> list[str]:
-    """Comments: what it is, the estimates with their errors, which entry is which signal."""
+    """Return the comments at the head of a program.
+
+    They name the model, the estimates with their errors, and the signal of each entry.
+    """
     listed = [
         f"{what}: {', '.join(f'{name} ({k + 1})' for k, name in enumerate(names))}"
         for what, names in (

@@ -1,4 +1,7 @@
-"""Many records of many machines: each examined alone, wherever there is a worker, then all together."""
+"""Survey of many records of many machines.
+
+Each record is examined alone, on any worker; then all are compared.
+"""
 
 from .result import Survey
 from .survey import survey

@@ -1,4 +1,7 @@
-"""What the machines have in common, what belongs to one, what grows: from rows to the fleet."""
+"""Comparison of machines: common effects, individual ones, and trends.
+
+It takes the rows of the records and describes the fleet.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +56,9 @@ class MachineEffect(Row):
 
 @dataclass(frozen=True, slots=True)
 class FleetEffect(Row):
-    """A coefficient over the fleet. Mean and spread are those of the machines that do not stand out.
+    """Coefficient of an effect over the fleet.
+
+    Mean and spread are those of the machines that do not stand out.
 
     Attributes
     ----------
@@ -200,7 +205,9 @@ def _machines(
 
 
 def trends(rows: Sequence[SurveyRow], level: float) -> tuple[Trend, ...]:
-    """Every coefficient of every machine that has three records of it or more, over time.
+    """Return the trend of every coefficient of every machine.
+
+    A machine needs three estimates of the coefficient, or more.
 
     Parameters
     ----------
@@ -232,7 +239,10 @@ def trends(rows: Sequence[SurveyRow], level: float) -> tuple[Trend, ...]:
 
 @dataclass(slots=True)
 class _Coefficient:
-    """Estimates of one coefficient: of each machine the times, the values and their variances."""
+    """Estimates of one coefficient for all machines.
+
+    There are times, values and variances for each machine.
+    """
 
     key: tuple[str, str, str]
     unit: str

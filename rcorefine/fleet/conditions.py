@@ -1,4 +1,7 @@
-"""Conditions that a fleet must keep, out of a TOML file: what a check that runs every night asks."""
+"""Conditions that a fleet must keep, read from a TOML file.
+
+A check that runs every night can use them.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +59,10 @@ _Said = Iterator[tuple[str, str]]
 
 
 def _effects(survey: Survey, table: Mapping[str, Any]) -> list[FleetEffect]:
-    """Coefficients that a condition speaks of; "effect" and "place" may be left out."""
+    """Return the coefficients to which a condition applies.
+
+    The keys "effect" and "place" may be left out.
+    """
     return [
         effect
         for effect in survey.effects

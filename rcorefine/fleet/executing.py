@@ -1,4 +1,7 @@
-"""Work done here or on an executor: what fails there is named, what is left is done all the same."""
+"""Execution of tasks in this process or on an executor.
+
+Tasks that fail are reported; the others are done all the same.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,9 @@ _LARGEST = 20  # tasks in a parcel
 
 
 def as_submitter(executor: Any) -> Any:
-    """What takes `submit` and gives futures of `concurrent.futures`: an executor, or a dask client's.
+    """Return an executor with `submit`, also for a dask client.
+
+    Its futures are those of `concurrent.futures`.
 
     Raises
     ------
@@ -135,7 +140,10 @@ class _Parcels:
         return queue.popleft()
 
     def _take_in(self) -> BrokenExecutor | None:
-        """Results that have come; what broke the workers, if anything did: then nothing runs any more."""
+        """Collect the finished results, and return the error of broken workers.
+
+        After such an error nothing runs any more. The result is None if no worker broke.
+        """
         broken = None
         for future in [future for future in self.running if future.done()]:
             error = _error_of(future)
@@ -154,7 +162,10 @@ class _Parcels:
         return broken
 
     def _doubt(self, parcel: tuple[int, ...], error: BaseException) -> None:
-        """It came to nothing, by itself or by what was under way beside it: it is tried once more, alone."""
+        """Schedule a failed task for a second try, or give it up.
+
+        Another task beside it may be the cause, so it is tried once more, alone.
+        """
         if parcel == self.alone:
             self._lose(parcel, error)
         elif len(parcel) > 1:
@@ -171,7 +182,7 @@ class _Parcels:
 
 
 def _error_of(future: Future[Any]) -> BaseException | None:
-    """What a task came to, once it has come to something."""
+    """Return the error of a finished task, or None."""
     try:
         return future.exception()
     except CancelledError as error:
@@ -179,7 +190,10 @@ def _error_of(future: Future[Any]) -> BaseException | None:
 
 
 def _replacement(executor: Any, stack: ExitStack) -> ProcessPoolExecutor | None:
-    """A process pool that starts its workers in the same way; None where these do not live either."""
+    """Return a new process pool with the settings of a broken one.
+
+    It is None if the executor is no process pool, or if the new workers fail too.
+    """
     if not isinstance(executor, ProcessPoolExecutor):
         return None
     own: Any = executor

@@ -1,4 +1,4 @@
-"""Which coefficients grow with time: a straight line through the records of each machine."""
+"""Trends of coefficients over time, as a straight line per machine."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ Course = tuple[Array, Array, Array]
 
 
 def slopes(courses: Sequence[Course]) -> tuple[Array, Array, Array]:
-    """Slope of one coefficient over the records of each machine, by weighted least squares.
+    """Return the slope of one coefficient over time for each machine.
+
+    The line through the records of a machine is fitted by weighted least squares.
 
     Parameters
     ----------

@@ -1,4 +1,7 @@
-"""Which records of which machines there are, each with its model, and how a worker turns one into a row."""
+"""Records and models of each machine, and their evaluation by workers.
+
+A worker turns one record into one row.
+"""
 
 from __future__ import annotations
 
@@ -83,7 +86,10 @@ class Piece:
 
 @functools.lru_cache(maxsize=16)
 def _model_in(path: Path, _: int) -> Any:
-    """Model of a file as long as the file is the same: a worker has many records of one machine."""
+    """Return the model of a file, cached until the file changes.
+
+    The cache helps because a worker has many records of one machine.
+    """
     return as_physical(read_model(path))
 
 
@@ -97,7 +103,10 @@ def examine(pieces: tuple[Piece, ...]) -> list[SurveyRow]:
 
 
 def again(pieces: tuple[tuple[Piece, SurveyRow, tuple[Effect, ...]], ...]) -> list[SurveyRow]:
-    """The rows with the coefficients of all effects of the fleet in place of those that were named."""
+    """Return the rows with the coefficients of all effects of the fleet.
+
+    They replace the coefficients of the effects that were named.
+    """
     rows = []
     for piece, row, effects in pieces:
 
@@ -203,7 +212,11 @@ def _listed(machine: str, value: Any) -> Iterator[Any]:
 
 
 def _in_folder(folder: Path, suffixes: tuple[str, ...]) -> dict[str, list[Any]]:
-    """Each file a machine, and each folder in it one whose files are its records in order of their names."""
+    """Return the machines in a folder, with their files.
+
+    Each file is a machine. Each folder in it is a machine whose files are its records, in order of their
+    names.
+    """
     if not folder.is_dir():
         raise DataError(
             f"{folder} is no folder; give one that holds records, or a mapping from machines to them"
@@ -227,7 +240,10 @@ def _natural(path: Path) -> list[tuple[bool, int, str]]:
 
 
 def model_for(path: Path) -> Any:
-    """The model of a file, or the first of a folder: where words are looked up that hold for all."""
+    """Return the model of a file, or the first model of a folder.
+
+    Names that are valid for all machines are looked up in it.
+    """
     if not path.is_dir():
         return read_model(path)
     found = _in_folder(path, _MODELS)
@@ -256,7 +272,10 @@ def _models(models: Any, machines: list[str]) -> dict[str, Any]:
 
 
 def _model(model: Any, name: str) -> Any:
-    """A path, a refinement as it is, or a physical model: a `StateSpace` itself cannot be pickled."""
+    """Return a model in a form that can be pickled.
+
+    This is a path, a refinement, or a physical model; a `StateSpace` itself cannot be pickled.
+    """
     if isinstance(model, str | PathLike):
         return as_path(model, name)
     if isinstance(model, Refinement):

@@ -1,9 +1,10 @@
-"""One coefficient of many machines: mean, spread between machines, and which of them stand out.
+"""Pooling of one coefficient over many machines.
 
-The model is that of a meta-analysis with random effects: machine i has the coefficient
-mu + b_i, b_i of variance tau^2, and its estimate has an error of known variance v_i besides.
-tau^2 is that of DerSimonian and Laird (Controlled Clinical Trials 7, 1986, 177-188), the error of
-mu that of Hartung and Knapp (Statistics in Medicine 20, 2001, 3875-3889), never smaller than the plain one.
+It gives the mean, the spread between machines, and the machines that stand out. The model is that of a
+meta-analysis with random effects: machine i has the coefficient mu + b_i, b_i of variance tau^2, and its
+estimate has an error of known variance v_i besides. tau^2 is that of DerSimonian and Laird (Controlled
+Clinical Trials 7, 1986, 177-188), the error of mu that of Hartung and Knapp (Statistics in Medicine 20, 2001,
+3875-3889), never smaller than the plain one.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ _TOGETHER = 20  # machines that hide each other, at most
 
 @dataclass(frozen=True, slots=True)
 class Pooled:
-    """What several estimates of one coefficient have in common.
+    """Mean and spread of several estimates of one coefficient.
 
     Attributes
     ----------
@@ -86,7 +87,9 @@ def pool(values: Array, variances: Array) -> Pooled:
 
 
 def shrunk(values: Array, variances: Array, common: Pooled) -> tuple[Array, Array]:
-    """Estimates drawn toward the mean as far as their errors ask for it: partial pooling.
+    """Return estimates shrunk toward the mean by partial pooling.
+
+    The larger the error of an estimate, the more it is shrunk.
 
     Parameters
     ----------
@@ -106,7 +109,7 @@ def shrunk(values: Array, variances: Array, common: Pooled) -> tuple[Array, Arra
 
 
 def deviations(values: Array, variances: Array, core: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Each machine against the others: the difference over its standard deviation.
+    """Return the standardized deviation of each machine from the others.
 
     Parameters
     ----------
@@ -181,7 +184,10 @@ def standing_out(values: Array, variances: Array, level: float) -> NDArray[np.bo
 
 
 def _take_out(values: Array, variances: Array, core: NDArray[np.bool_], level: float, most: int) -> None:
-    """Take out of the core, one after the other, what the rest does not explain."""
+    """Remove machines from the core that the others do not explain.
+
+    They are removed one after the other, the most significant first.
+    """
     while core.size - core.sum() < most:
         _, p_values = deviations(values, variances, core)
         first = int(np.argmin(np.where(core, p_values, np.inf)))

@@ -1,4 +1,7 @@
-"""What a survey found: rows, the fleet, what grows; in figures, words, a picture and pages."""
+"""Result of a survey: rows, effects of the fleet, and trends.
+
+It can be shown as values, sentences, a plot and a report.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +67,10 @@ class Survey(Result):
 
     @property
     def standing_out(self) -> tuple[tuple[FleetEffect, MachineEffect], ...]:
-        """Machines whose coefficient is another than that of the rest, with the effect."""
+        """Return the machines whose coefficient differs from that of the rest.
+
+        Each comes with the effect.
+        """
         return tuple((effect, machine) for effect in self.effects for machine in effect.standing_out)
 
     @property
@@ -74,7 +80,10 @@ class Survey(Result):
 
     @property
     def finds(self) -> bool:
-        """Whether anything was found, or a record failed: what the command ends with."""
+        """Return whether anything was found, or a record failed.
+
+        It determines the exit status of the command.
+        """
         fine = ("adequate", "unchanged", "fitted")
         return any(row.verdict not in fine or (row.effects and self.task != "refine") for row in self.rows)
 
@@ -101,7 +110,7 @@ class Survey(Result):
         return found
 
     def summary(self) -> str:
-        """What was found, in words.
+        """Return the findings as text.
 
         Returns
         -------
@@ -146,7 +155,7 @@ class Survey(Result):
         return said + list(self.notes)
 
     def breaches(self, conditions: str | PathLike[str] | Mapping[str, Any]) -> tuple[Breach, ...]:
-        """What of the conditions is not kept.
+        """Return the conditions that are not kept.
 
         Parameters
         ----------
@@ -168,7 +177,9 @@ class Survey(Result):
 
     @picture
     def plot(self, **options: Unpack[Options]) -> ct.ControlPlot:
-        """Each coefficient of each machine with its 95 % interval, beside the fleet's mean and spread.
+        """Plot the coefficients of the machines and of the fleet.
+
+        Each machine is shown with its 95 % interval, the fleet with its mean and spread.
 
         Parameters
         ----------
@@ -218,7 +229,7 @@ class Survey(Result):
 
 
 def _words(effect: FleetEffect) -> str:
-    """What the fleet has of one coefficient."""
+    """Return a sentence about one coefficient of the fleet."""
     held = len(effect.machines)
     if effect.sort == "common":
         differs = f"differs by {effect.spread:.3g} between them, beyond the errors"

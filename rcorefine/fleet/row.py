@@ -1,4 +1,7 @@
-"""What one record gave: a row of plain values, small enough to send and to keep by the million."""
+"""Row of a survey: the result of one record as plain values.
+
+It is small enough to send, and to keep by the million.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +42,9 @@ class Estimate(Row):
 
 @dataclass(frozen=True, slots=True)
 class SurveyRow(Row):
-    """One record of one machine. Rows are equal where all but their seconds is.
+    """Result of one record of one machine.
+
+    Rows are equal if all their values but the seconds are equal.
 
     Attributes
     ----------

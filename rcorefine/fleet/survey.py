@@ -163,7 +163,10 @@ def survey(
 
 
 def _known(given: Mapping[str, Any] | None, name: str, function: Any) -> dict[str, Any]:
-    """Options that the function takes, those that the survey gives itself left out."""
+    """Return the options after a check that the function accepts them.
+
+    Options that the survey sets itself are not accepted.
+    """
     options = as_mapping(given, name, "values")
     takes = [key for key in inspect.signature(function).parameters if key not in (*_OURS, "path")]
     unknown = [key for key in options if key not in takes]
@@ -173,7 +176,10 @@ def _known(given: Mapping[str, Any] | None, name: str, function: Any) -> dict[st
 
 
 def _of_the_fleet(rows: Sequence[SurveyRow]) -> tuple[tuple[Effect, ...], list[str]]:
-    """Effects that any record names, those of most records first; and what is left out."""
+    """Return the effects found in any record, the most frequent first.
+
+    The second result holds a note on effects that are left out.
+    """
     counts: Counter[Effect] = Counter()
     first: dict[tuple[str, str], Effect] = {}
     for row in rows:
@@ -201,5 +207,8 @@ def _lost(piece: Piece, error: BaseException) -> SurveyRow:
 
 
 def _not_compared(task: tuple[Piece, SurveyRow, Any], error: BaseException) -> SurveyRow:
-    """The row as it was: the worker was lost while it was asked for the other effects."""
+    """Return the row unchanged after its worker was lost.
+
+    The worker was estimating the effects of the other records.
+    """
     return task[1]

@@ -1,4 +1,4 @@
-"""What is asked of one record, and the row that comes of it."""
+"""Tasks for one record, and the row that results."""
 
 from __future__ import annotations
 
@@ -50,7 +50,10 @@ class Found:
 
 
 def _diagnosed(model: Any, data: Measurement, options: Mapping[str, Any]) -> Found:
-    """The best effect where it stands alone; the numbers of the model where they are off."""
+    """Return the result of a diagnosis.
+
+    It holds the best effect if that stands alone, or the parameters of the model if these explain the record.
+    """
     found = diagnose(model, data, **options)
     best, said = found.best, tuple(found.sentences())
     if found.verdict == "parameters":
@@ -91,7 +94,7 @@ def _localized(model: Any, data: Measurement, options: Mapping[str, Any]) -> Fou
 
 
 def _refined(model: Any, data: Measurement, options: Mapping[str, Any]) -> Found:
-    """What `refine` was asked to fit."""
+    """Return the effects and parameters that `refine` fitted."""
     found = refine(model, data, **options)
     wanted = {(e.kind, e.place) for e in found.effects}
     rows = _estimates(found.parameters, "effect", wanted) + _estimates(found.parameters, "linear")
@@ -114,7 +117,9 @@ _OF_FIT = ("tolerance", "offset", "noise", "horizon", "free")  # options of `ref
 def estimate_again(
     model: Any, data: Measurement, effects: Sequence[Effect], options: Mapping[str, Any], floats: bool
 ) -> tuple[Estimate, ...]:
-    """The coefficients of given effects, whether this record needs them or not.
+    """Return the coefficients of given effects for one record.
+
+    The record may need these effects or not.
 
     Parameters
     ----------
@@ -141,7 +146,10 @@ def estimate_again(
 
 
 def _estimates(rows: Sequence[EstimatedParameter], role: str, wanted: Any = None) -> tuple[Estimate, ...]:
-    """Coefficients of one role, of these effects, that the record determines at all."""
+    """Return the coefficients of one role that the record determines.
+
+    If `wanted` is given, only the coefficients of its effects are returned.
+    """
     return tuple(
         Estimate(row.kind, row.place, row.name, float(row.coefficient), float(row.std), row.unit)
         for row in rows

@@ -1,1 +1,4 @@
-"""From a record to coefficients: whitening, sensitivities, descent, covariance, tests."""
+"""Estimation of coefficients from records.
+
+It covers whitening, sensitivities, optimization, covariance and tests.
+"""

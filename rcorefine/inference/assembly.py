@@ -1,4 +1,7 @@
-"""What is estimated: the effects asked for, the linear parameters that float, the nuisance offsets."""
+"""Setup of an estimation: effects, linear parameters and offsets.
+
+The linear parameters are those that are estimated together with the effects; offsets are nuisance parameters.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +43,10 @@ _LOOSE = 30.0  # relative sd of a linear parameter that floats freely
 
 
 def unfold(model: Any) -> tuple[PhysicalModel, list[tuple[Effect, str]]]:
-    """Initial model and the effects that a Refinement already holds, at their values."""
+    """Return the initial model and the effects of a Refinement.
+
+    The effects start at their estimated values. Any other model has no effects yet.
+    """
     if not isinstance(model, Refinement):
         return as_physical(model), []
     kept = []
@@ -64,7 +70,7 @@ def check_settings(
     horizon: Any = None,
     known_start: bool = False,
 ) -> None:
-    """What every fit of a model takes, said before the work begins.
+    """Check the settings that all fits share, before the fit begins.
 
     Raises
     ------
@@ -102,7 +108,10 @@ def assemble(
 
 
 def _covers(chosen: Effect, linear: Effect) -> bool:
-    """Whether an effect already holds everything that a linear parameter could change."""
+    """Return whether an effect makes a linear parameter redundant.
+
+    It does if it already contains everything that the linear parameter could change.
+    """
     if chosen.place != linear.place:
         return False
     return chosen.kind == linear.kind or linear.kind in chosen.spec.covers
@@ -133,10 +142,10 @@ def _linear_effects(physical: PhysicalModel, free: Any, tolerance: float) -> lis
 
 
 def offset_variants(physical: PhysicalModel, record: Measurement, offset: bool) -> list[list[Effect]]:
-    """Where the constant offset may sit: rivals, the more likely first.
+    """Return the possible places of constant offsets, likeliest first.
 
-    Behind a linear model actuator and sensor offsets cannot be told apart as long as the
-    inputs reach the outputs at rest; behind a nonlinear one they can, and both are tried.
+    In a linear model the data cannot distinguish actuator from sensor offsets as long as the
+    inputs reach the outputs at rest; in a nonlinear one they can, and both are tried.
     Where the model integrates, an offset of the sensors that read what is integrated is an initial state.
     """
     if not as_flag(offset, "offset") or in_frequency(record):
@@ -159,7 +168,10 @@ def offset_variants(physical: PhysicalModel, record: Measurement, offset: bool) 
 
 
 def offsets_everywhere(physical: PhysicalModel, records: Sequence[Measurement]) -> list[Effect]:
-    """A constant offset at every input and output; what a linear model cannot tell, priors settle."""
+    """Return a constant offset at every input and output.
+
+    Priors decide between offsets that the data of a linear model cannot distinguish.
+    """
     linear = physical.linear
     found = []
     for law, labels, signals, wide in (
@@ -173,7 +185,10 @@ def offsets_everywhere(physical: PhysicalModel, records: Sequence[Measurement]) 
 
 
 def _own_levels(linear: LinearModel) -> list[int]:
-    """Outputs of a model that integrates whose level neither an initial state nor a constant input sets."""
+    """Return the outputs of an integrating model that need their own offset.
+
+    Neither an initial state nor a constant input sets the level of these outputs.
+    """
     if not linear.is_continuous:
         return []
     U, s, Vt = np.linalg.svd(linear.A)
@@ -192,7 +207,10 @@ def _own_levels(linear: LinearModel) -> list[int]:
 
 
 def priors(structure: Structure, roles: Sequence[str], tolerance: float) -> tuple[Array, Array]:
-    """Gaussian prior of every coefficient: mean and standard deviation (inf for none)."""
+    """Return the means and standard deviations of the Gaussian priors.
+
+    There is one prior for every coefficient; the standard deviation is inf where there is none.
+    """
     mean = np.zeros(structure.n_parameters)
     sd = np.full(structure.n_parameters, np.inf)
     for i, parameter in enumerate(structure.parameters):
@@ -208,7 +226,10 @@ def priors(structure: Structure, roles: Sequence[str], tolerance: float) -> tupl
 
 
 def nominal_size(structure: Structure, effect: Effect) -> float:
-    """Size of the number of the model that an effect changes; 0 where the model has none."""
+    """Return the size of the model parameter that an effect changes.
+
+    It is 0 if the model has no such parameter.
+    """
     if effect.spec.relative:
         return 1.0
     for q in structure.model.parameters:

@@ -1,4 +1,7 @@
-"""Autoregressive model of a signal: the only one, so that all parts agree on what is white."""
+"""Autoregressive model of a signal.
+
+All parts of the package use this one, so that they agree on what is white.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,10 @@ _RIDGE = 1e-13  # of the signal's power: rounding of the sums of products stays 
 
 
 def highest_order(n_samples: int) -> int:
-    """Largest order that a record of this length is asked for: 20 samples per coefficient."""
+    """Return the largest model order for a record of this length.
+
+    Each coefficient needs 20 samples.
+    """
     return min(MAX_ORDER, n_samples // 20)
 
 
@@ -28,7 +34,9 @@ def autoregression(
     price: float = 2.0,
     most: int | None = None,
 ) -> tuple[Array, float]:
-    """Autoregressive model of a signal, order by Akaike's criterion or another one.
+    """Fit an autoregressive model to a signal.
+
+    Akaike's criterion chooses the order, or another one by its `price`.
 
     Parameters
     ----------
@@ -89,7 +97,10 @@ def autoregression(
 
 
 def _products(r: Array, most: int) -> Array:
-    """Sums of r(k - i) r(k - j) over all k with a whole past, shape (most + 1, most + 1)."""
+    """Return the sums of r(k - i) r(k - j) over all k with a whole past.
+
+    The shape is (most + 1, most + 1).
+    """
     n, lags = r.size, np.arange(most + 1)
     products = np.empty((most + 1, most + 1))
     products[0] = [r[most:] @ r[most - lag : n - lag] for lag in lags]
@@ -101,7 +112,10 @@ def _products(r: Array, most: int) -> Array:
 
 
 def stable_model(a: Array, variance: float) -> tuple[Array, float]:
-    """The same spectrum with every pole inside the unit circle: least squares may put one outside."""
+    """Reflect the unstable poles of a model into the unit circle.
+
+    The spectrum does not change. Least squares may place a pole outside the unit circle.
+    """
     if a.size == 1:
         return a, variance
     roots = np.roots(a)

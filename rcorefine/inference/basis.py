@@ -1,4 +1,7 @@
-"""Orthonormal bases of what was fitted: directions that one record feels alone, and those common to all."""
+"""Orthonormal bases of the fitted regressors.
+
+Some directions belong to one record only, the others are common to all records.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,10 @@ class Basis:
 
     @classmethod
     def of(cls, common: Sequence[Array], own: Sequence[Array]) -> Basis:
-        """Basis of columns given by record, (rows, c) and (rows, k): those common to all, and its own."""
+        """Return the basis of columns that are given by record.
+
+        `common` holds the columns (rows, c) common to all records, `own` the columns (rows, k) of one record.
+        """
         if len(common) == 1:
             return cls(rank_basis(np.hstack([common[0], own[0]])))
         ends = np.cumsum([len(rows) for rows in common])
@@ -58,7 +64,10 @@ class Basis:
         return np.asarray(found)
 
     def weighted(self, weights: Array, more: Array) -> Basis:
-        """Basis of the same directions and more columns (N, m), each row times a weight (N,)."""
+        """Return the basis of the weighted directions and more columns.
+
+        The additional columns have shape (N, m). Each row is multiplied by its weight, shape (N,).
+        """
         common = weights[:, None] * np.hstack([self.common, more])
         if not self.own:
             return Basis(rank_basis(common))
@@ -111,7 +120,7 @@ def rank_basis(columns: Array, sizes: Array | None = None) -> Array:
 
 
 def project(values: Array, basis: Basis | Array) -> Array:
-    """What is left of values after the span of an orthonormal basis is taken out."""
+    """Remove the span of an orthonormal basis from values."""
     basis = as_basis(basis)
     left = np.array(values)
     for at, q in basis.own:
@@ -127,9 +136,11 @@ def lengths(columns: Array) -> Array:
 
 
 def in_own_units(columns: Array) -> Array:
-    """Columns with 1 as their largest entry; zero where the response diverges, which tests nothing.
+    """Scale columns to a largest entry of 1.
 
-    What nearly diverges has squares beyond every number.
+    A column whose response diverges is set to zero, because it cannot test anything.
+
+    The squares of a response that nearly diverges would overflow.
     """
     largest = np.maximum(columns.max(axis=0, initial=0.0), -columns.min(axis=0, initial=0.0))
     finite = np.isfinite(largest)

@@ -1,4 +1,7 @@
-"""Coordinates to descend in: every constraint is a bound, and the sizes of laws hang on no power."""
+"""Optimization coordinates in which every constraint is a bound.
+
+In these coordinates the size of a force law does not depend on its exponent.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +59,10 @@ class Coordinates:
         return point
 
     def columns(self, jacobian: Array, point: Array) -> Array:
-        """Derivatives (rows, size) at a point, turned into those for its coordinates."""
+        """Convert derivatives at a point into those by its coordinates.
+
+        The shape is (rows, size).
+        """
         if not self.ordered and not self.powers:
             return jacobian
         turned = jacobian.copy()

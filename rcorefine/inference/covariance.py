@@ -1,4 +1,7 @@
-"""How sure the estimate is: covariance under colored residuals, and what the data cannot see."""
+"""Covariance of an estimate with colored residuals.
+
+The module also finds the directions that the data do not determine.
+"""
 
 from __future__ import annotations
 
@@ -111,7 +114,10 @@ def unmoved(normal: Array, point: Array, home: Array) -> Array:
 
 
 def _directions(normal: Array, size: Array | None = None) -> tuple[Array, Array, NDArray[np.bool_], Array]:
-    """Eigenvalues and eigenvectors in unit columns, which of them the data see, and the norms of columns."""
+    """Return the eigenvalues and eigenvectors for columns of unit norm.
+
+    Also return which of them the data determine, and the norms of the columns.
+    """
     size = np.sqrt(np.diag(normal)) if size is None else size
     size = np.where(size <= 1e-100 * size.max(initial=0.0), 1.0, size)  # not felt: its squares would overflow
     values, vectors = np.linalg.eigh(normal / np.outer(size, size))
@@ -148,7 +154,9 @@ def standard_deviations(covariance: Array) -> Array:
 
 
 def wald(difference: Array, covariance: Array) -> float:
-    """Probability of a difference by chance; what the data do not see says nothing.
+    """Return the p-value of a difference (Wald test).
+
+    Entries that the data do not determine are left out.
 
     Parameters
     ----------
@@ -170,7 +178,9 @@ def colored(
     order: int | None = None,
     columns: Sequence[Any] | None = None,
 ) -> tuple[Array, Array]:
-    """Information and covariance of the gradient of a plain sum of squares, for colored residuals.
+    """Return the information matrix and the covariance of the gradient.
+
+    They belong to a plain sum of squares of colored residuals.
 
     Parameters
     ----------
@@ -212,10 +222,10 @@ def parameter_uncertainty(
     order: int | None = None,
     columns: Sequence[Any] | None = None,
 ) -> Uncertainty:
-    """Covariance of a plain least-squares estimate whose residual may be colored.
+    """Return the covariance of a plain least-squares estimate.
 
-    For white residuals it is the Cramer-Rao bound ``sigma^2 (J'J)^-1``. Parameters are those of
-    `colored`.
+    The residual may be colored. If it is white, this is the Cramer-Rao bound ``sigma^2 (J'J)^-1``.
+    The parameters are those of `colored`.
     """
     normal, middle = colored(residuals, jacobians, precision, order, columns)
     _, lost, condition = pseudo_inverse(normal)

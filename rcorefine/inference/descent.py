@@ -1,4 +1,7 @@
-"""Gauss-Newton descents of an estimation problem, in the metric of an observer and a whitening filter."""
+"""Gauss-Newton minimization of an estimation problem.
+
+An observer and a whitening filter may define the residual that is minimized.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ __all__ = ["Descent", "descend", "remeasured"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Descent:
-    """Where a descent ended.
+    """Result of a minimization.
 
     Attributes
     ----------
@@ -51,7 +54,11 @@ class Descent:
         return self.evaluation if same else None
 
     def blocks(self, problem: Problem) -> list[tuple[Array, Array]]:
-        """Residual (n_y, N) and Jacobian (n_y, N, .) of each record, by what it feels alone."""
+        """Return the residual and the Jacobian of each record.
+
+        The shapes are (n_y, N) and (n_y, N, .); the Jacobian has a column for each unknown that affects the
+        record.
+        """
         return [(r, j) for r, j, _ in problem.split(self.evaluation)]
 
     def at_bound(self, problem: Problem) -> list[str]:
@@ -121,7 +128,10 @@ def descend(
 
 
 def remeasured(problem: Problem, run: Descent, whitener: Whitener) -> Descent:
-    """A run as it is, with its cost and what it lacks (log-likelihood) in the metric of a filter."""
+    """Return a descent with its cost and lack for a whitening filter.
+
+    The point does not change; cost and lack are log-likelihoods.
+    """
     rows = _rows(problem, run.evaluation, run.point, whitener)
     at = problem.coordinates.of(run.point)
     lack = promised(rows, at, *problem.box(), problem.sizes_at(at))
@@ -129,7 +139,10 @@ def remeasured(problem: Problem, run: Descent, whitener: Whitener) -> Descent:
 
 
 def _rows(problem: Problem, evaluation: Evaluation, point: Array, whitener: Whitener | None) -> Rows:
-    """What a descent sees of an evaluation, in the metric of a filter; the rows of the priors as they are."""
+    """Return the whitened residual of an evaluation and its derivatives.
+
+    The rows of the priors are not filtered.
+    """
     if not evaluation.finite:
         return Rows(np.full(1, np.inf), evaluation.prior, evaluation)
     parts = problem.split(evaluation)

@@ -1,4 +1,7 @@
-"""What makes an estimate worthless although the search converged: said, and no success."""
+"""Checks for estimates that are worthless although the fit converged.
+
+Such an estimate is reported as unsuccessful, with the reason.
+"""
 
 from __future__ import annotations
 
@@ -33,9 +36,9 @@ def stands_still(outputs: Array) -> Array:
 
 
 def explains_nothing(fit: Array, n_samples: int, unknowns: int) -> bool:
-    """Whether a constant explains the record as well as a free run with so many unknowns.
+    """Return whether a constant explains the record as well as the fit.
 
-    The log-likelihood that the free run gains, against what that many numbers gain from noise.
+    Compare the log-likelihood gain of the simulation with what as many parameters gain from noise.
     """
     left = np.clip((1.0 - np.asarray(fit) / 100.0) ** 2, 1e-300, 1.0)
     gain = -n_samples * float(np.sum(np.log(np.where(np.isfinite(left), left, 1.0))))
@@ -95,7 +98,10 @@ def doubted(found: Refinement, fit: Any, again: Callable[[list[Measurement]], An
 def _turned(
     found: Refinement, fit: Any, again: Callable[[list[Measurement]], Any], labels: Sequence[str]
 ) -> list[str]:
-    """A swapped sign: the same fit with an output turned over comes much closer."""
+    """Return a hint if reversing the sign of an output improves the fit.
+
+    The hint is returned only if the same fit comes much closer with the reversed output.
+    """
     if np.nanmin(found.fit) >= _POOR:
         return []
     against = _against(found, fit.segments)
@@ -145,7 +151,10 @@ def _too_fast(found: Refinement, fit: Any, idle: bool) -> str:
 
 
 def _fast_share(model: LinearModel, fit: Any, limit: float) -> float:
-    """Largest share of an output's power that comes from modes above a frequency."""
+    """Return the largest share of fast modes in the power of an output.
+
+    Fast modes oscillate at the frequency `limit` or above.
+    """
     poles, left, right = eig(model.A, left=True, right=True)
     fast = np.flatnonzero(np.abs(poles.imag) >= limit)
     part = np.zeros_like(model.A)
@@ -163,7 +172,9 @@ def _fast_share(model: LinearModel, fit: Any, limit: float) -> float:
 
 
 def _undetermined(found: Refinement, fit: Any) -> str:
-    """Linear parameters along whose valley the error grows otherwise than their std promises.
+    """Return a warning that names the undetermined linear parameters.
+
+    Around these, the error does not grow as the standard deviation predicts.
 
     Moving one parameter by s standard deviations, the others along with it, should raise
     twice the log-likelihood by s squared. Where it does not, the valley is bent within the

@@ -1,4 +1,7 @@
-"""Residual and Jacobian of an estimation problem at one point, each record by what it feels alone."""
+"""Residual and Jacobian of an estimation problem at one point.
+
+The Jacobian of each record has a column for each unknown that affects the record.
+"""
 
 from __future__ import annotations
 
@@ -90,14 +93,19 @@ class Evaluation:
 
     @cached_property
     def condensed(self) -> tuple[Array, Array]:
-        """Residual and Jacobian turned, record by record, into as few rows as unknowns: `turned`."""
+        """Return the residual and the Jacobian in as few rows as unknowns.
+
+        Each record is condensed separately; see `turned`.
+        """
         return self.turned(self.residual)
 
     def turned(self, residual: Array) -> tuple[Array, Array]:
-        """A residual and the Jacobian, the rows of each record turned until all but a few are zero.
+        """Condense a residual and the Jacobian into fewer rows.
 
-        Sums of squares, gradients and normal matrices are as before; what is done with them no longer
-        costs time and room for samples times unknowns of all records. One record alone stays as it is.
+        A QR decomposition of each record rotates its rows until all but a few are zero.
+
+        Sums of squares, gradients and normal matrices do not change. Later steps need less time and memory,
+        which no longer grow with samples times unknowns of all records. A single record stays as it is.
         """
         if len(self.blocks) == 1:
             return residual, self.jacobian

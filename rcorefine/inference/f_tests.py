@@ -1,4 +1,4 @@
-"""Tests of columns against a whitened residual that need no equal variances."""
+"""F-tests on a whitened residual that allow unequal variances."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ _FEWEST = 10  # degrees of freedom that a test leaves at least
 
 @dataclass(frozen=True, slots=True)
 class FTest(Row):
-    """Whether a set of columns explains more of the residual than chance.
+    """Result of an F-test of additional columns (regressors).
+
+    The test asks whether the columns explain more of the residual than chance would.
 
     Attributes
     ----------
@@ -74,7 +76,10 @@ def f_test(name: str, residual: Array, columns: Array, basis: Basis | Array) -> 
 
 
 def projected_test(name: str, residual: Array, left: Array, size: Array, basis: Basis | Array) -> FTest:
-    """As `f_test`, of columns off which the basis was projected already; `size` is their norm before."""
+    """Run `f_test` on columns that are already orthogonal to the basis.
+
+    `left` holds the projected columns, `size` their norms before the projection.
+    """
     keep = lengths(left) > _INSIDE * np.maximum(size, 1e-300)
     q = rank_basis(left if keep.all() else left[:, keep])
     k, basis = q.shape[1], as_basis(basis)
@@ -90,7 +95,10 @@ def _nothing(name: str) -> FTest:
 
 
 def _tested(name: str, residual: Array, k: int, basis: Basis, gain: float, unequal: float) -> FTest:
-    """The test of k directions that take so much away, with the p-value of unequal variances."""
+    """Return the test of k directions from the gain that they achieve.
+
+    `unequal` is the p-value for unequal variances.
+    """
     free = residual.size - basis.rank - k
     rest = max(float(residual @ residual) - gain, 1e-300)
     statistic = gain / k / (rest / free)
@@ -101,7 +109,9 @@ def _tested(name: str, residual: Array, k: int, basis: Basis, gain: float, unequ
 def apart_test(
     name: str, residual: Array, parts: Sequence[tuple[NDArray[np.intp], Array]], basis: Basis | Array
 ) -> FTest:
-    """As `f_test`, of columns that each have rows of their own: those of one output.
+    """Run `f_test` on columns that each belong to one output.
+
+    The columns of an output are zero in the rows of the others.
 
     Parameters
     ----------
@@ -154,7 +164,10 @@ def apart_test(
 
 
 def _outside(beyond: Array, inside: Array) -> Array:
-    """Orthonormal basis of what columns leave of a basis, of which so much lies inside their span."""
+    """Return an orthonormal basis of a basis outside a span of columns.
+
+    `beyond` is what the columns leave of the basis; `inside` holds its inner products with the columns.
+    """
     values, vectors = np.linalg.eigh(np.eye(len(inside)) - inside @ inside.T)
     kept = values > _INSIDE**2
     return np.asarray(beyond @ (vectors[:, kept] / np.sqrt(values[kept])))
@@ -168,7 +181,10 @@ def _apart_variances(
     residual: Array,
     explained: Array,
 ) -> float:
-    """`unequal_variances` of the span of columns and `beyond` less that of the basis."""
+    """Return the p-value of `apart_test` for unequal variances.
+
+    It is `unequal_variances` for the span of the columns and `beyond`, without the span of the basis.
+    """
     weight = np.einsum("ij,ij->i", beyond, beyond) - basis.leverage
     for rows, part in columns:
         weight[rows] += np.einsum("ij,ij->i", part, part)
@@ -188,7 +204,10 @@ def _apart_variances(
 
 
 def _by_box(gain: float, total: float, size: float, weight: Array) -> float:
-    """Probability of a gain, from the trace of its covariance and of the square of that."""
+    """Return the p-value of a gain by Box's approximation.
+
+    `total` is the trace of the covariance matrix, `size` the trace of its square.
+    """
     if total <= 0.0:
         return 1.0 if gain <= 0.0 else 0.0
     dof = total**2 / size
@@ -205,7 +224,7 @@ def _side_by_side(parts: Sequence[tuple[NDArray[np.intp], Array]], count: int) -
 
 
 def unequal_variances(gain: float, q: Array, residual: Array, basis: Basis | Array) -> float:
-    """Probability of a gain by chance where each sample may have a noise level of its own.
+    """Return the p-value of a gain if the noise level differs by sample.
 
     Noise in proportion to the reading, bursts, spikes or dropouts are no fault of the
     model, but columns that are large where the noise is large take much of it away.

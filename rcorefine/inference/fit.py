@@ -1,4 +1,7 @@
-"""One set of effects on the records: search, polish, substeps, noise levels."""
+"""Fit of one set of effects to the records.
+
+The fit searches, optimizes, chooses the substeps and estimates the noise levels.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ _ROUGHLY, _EXACTLY = 1e-7, 1e-12  # tolerances of a polish before and after the 
 
 
 class Fit:
-    """One set of effects on the records: search, polish, substeps, noise levels."""
+    """Fit of one set of effects to the records."""
 
     def __init__(
         self,
@@ -71,7 +74,10 @@ class Fit:
         )
 
     def run(self, motion: Motion, substeps: int | None, rival: Fit | None = None) -> None:
-        """Search (or start from a rival's minimum), polish, refine the substep until it no longer matters."""
+        """Search, optimize and refine the substep until it no longer matters.
+
+        With `rival`, start from the minimum of that fit instead of searching.
+        """
         if rival is not None:
             self.steps = rival.steps
             self.problem = self.build(self.segments, self.steps)
@@ -84,7 +90,10 @@ class Fit:
         self._settle(point, substeps)
 
     def resume(self, steps: int, states: Array) -> None:
-        """Polish from the starts of the effects themselves, and from known initial states if they suit."""
+        """Optimize from the starting values of the effects.
+
+        The known initial states are used if they fit the records better than estimated ones.
+        """
         self.steps = max(steps, 1 if self.structure.is_linear else 2)
         self.problem = self.build(self.segments, self.steps)
         theta = self.structure.start()
@@ -109,7 +118,10 @@ class Fit:
         self.result = self.problem.minimize(point, max_nfev=60, tol=tolerance)
 
     def _reweigh(self) -> None:
-        """Noise levels from the residual, and once more at these where that moves the minimum."""
+        """Estimate the noise levels from the residual.
+
+        Optimize once more with these levels if they can move the minimum.
+        """
         if self.noise is not None:
             return
         self.weights = output_weights(self.segments, None, self.problem, self.result.x)

@@ -70,7 +70,10 @@ class FittedModel:
         return self.problem.unpack(self.point)[0]
 
     def gain(self, ratio: float) -> Array | None:
-        """Observer gain for an unknown force of that ratio; for 0 what leads an unstable model."""
+        """Return the observer gain for an unknown force of a given ratio.
+
+        For ratio 0, return the gain that stabilizes an unstable model, or None.
+        """
         if ratio == 0:
             lead: Array | None = self.problem.engines[0].lead
             return lead
@@ -81,16 +84,18 @@ class FittedModel:
         return self._gains[ratio]
 
     def forced(self, at: str) -> FittedModel:
-        """The same model with unmeasured forces elsewhere."""
+        """Return the model with unmeasured forces at another place."""
         if at == self.force_at:
             return self
         free = {ratio: blocks for ratio, blocks in self._blocks.items() if ratio == 0}
         return replace(self, force_at=at, _blocks=free, _gains={}, _states={})
 
     def blocks(self, ratio: float = 0.0) -> list[tuple[Array, Array]]:
-        """Residual (n_y, N) and Jacobian (n_y, N, .) of each record, free run or observer-led.
+        """Return the residual and the Jacobian of each record.
 
-        The Jacobian is by what the record feels alone: the coefficients, then its initial state.
+        The shapes are (n_y, N) and (n_y, N, .). Ratio 0 means the simulation, any other ratio an observer.
+
+        The columns of the Jacobian are the coefficients, then the initial state of the record.
         """
         if ratio not in self._blocks:
             self._blocks[ratio] = evaluated(self.problem, self.point, self.gain(ratio))
@@ -121,10 +126,12 @@ class FittedModel:
 
     @cached_property
     def lead_columns(self) -> list[Array]:
-        """What a stronger lead of each output would do to the judged residual: (n_y, N, k) per record.
+        """Return how a stronger observer gain changes the judged residual.
 
-        None where the run is free, or a controller leads it, which is known. No observer of a nonlinear
-        model is the best one, and what a better one would gain is no fault of the model.
+        Each output has one column; the shape is (n_y, N, k) for each record.
+
+        There are no columns without an observer, or where a known controller stabilizes the run. No observer
+        of a nonlinear model is optimal, and the improvement by a better one is no fault of the model.
         """
         K, records = self.gain(0.0), self.problem.records
         known = self.structure.model.controller is not None
@@ -148,13 +155,19 @@ class FittedModel:
         )
 
     def linearized(self) -> tuple[Array, Array]:
-        """A and C with each nonlinear force replaced by its best linear fit along the motion."""
+        """Return A and C with nonlinear forces replaced by linear fits.
+
+        Each fit is the best one along the motion.
+        """
         theta, starts = self.problem.unpack(self.point)
         run = self.problem.engines[0].run(theta, starts[0], sensitivity=False, histories=True, check=False)
         return linearized(self.structure, theta, run, self.problem.records[0].inputs)
 
     def extended(self, effects: Sequence[Effect], motion: Motion) -> tuple[Problem, Array]:
-        """Problem with effects added, and its point at which they are absent (shapes at their start)."""
+        """Return the problem with added effects, and its starting point.
+
+        The added effects are absent at that point; their shape coefficients have their starting values.
+        """
         old = self.refinement
         base = Structure(old.physical_model, [*old.effects, *effects])
         widths = law_widths(base, motion)
@@ -171,7 +184,11 @@ class FittedModel:
 
 
 def evaluated(problem: Problem, point: Array, gain: Array | None = None) -> list[tuple[Array, Array]]:
-    """Residual and Jacobian of each record by what it feels alone, led by an observer if a gain is given."""
+    """Return the residual and the Jacobian of each record.
+
+    With a gain, an observer corrects the simulation. The Jacobian has a column for each unknown that affects
+    the record.
+    """
     problem.gain, problem._cache = gain, None
     try:
         return [(r, j) for r, j, _ in problem.own_blocks(point)]
@@ -182,7 +199,10 @@ def evaluated(problem: Problem, point: Array, gain: Array | None = None) -> list
 def coefficient_covariance(
     problem: Problem, blocks: Sequence[tuple[Array, Array]], whitener: Whitener
 ) -> Array:
-    """Covariance of the coefficients (p, p) by generalized least squares, from blocks as of `evaluated`."""
+    """Return the generalized least-squares covariance of the coefficients.
+
+    The shape is (p, p); `blocks` are those of `evaluated`.
+    """
     p, white = problem.n_theta, [whitener.apply([j]) for _, j in blocks]
     if len(white) == 1:
         return covariance(white[0].T @ white[0] + np.diag(problem.precision))[:p, :p]

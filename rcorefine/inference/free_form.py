@@ -1,8 +1,8 @@
-"""A force at a place without any law: a free curve in displacement and velocity, priced for its freedom.
+"""Unknown force at a place, as a curve in displacement and velocity.
 
-The curve is f(d) + g(v) + v h(d), piecewise linear; neighbors are alike, as in a random walk that
-returns. The record says how large it is; what that freedom costs is the evidence (MacKay, Neural
-Computation 4 (1992) 415).
+The curve is f(d) + g(v) + v h(d), piecewise linear. Neighboring values are correlated, as in a random
+walk that returns to zero. The record determines the size of the curve, and the evidence penalizes its
+freedom (MacKay, Neural Computation 4 (1992) 415).
 """
 
 from __future__ import annotations
@@ -89,7 +89,10 @@ class Curve(NamedTuple):
 
 
 def _knots(x: Array) -> Array:
-    """Knots half by how often a motion is there, half evenly; none where nothing moves."""
+    """Return knots midway between quantiles of a motion and even spacing.
+
+    There are none where nothing moves.
+    """
     spread = np.ptp(x)
     if spread <= 1e-9 * max(float(np.abs(x).max(initial=0.0)), 1e-300):
         return np.zeros(0)
@@ -104,7 +107,10 @@ def _alike(knots: Array) -> Array:
 
 
 def _hats(knots: Array, x: Array) -> Array:
-    """Share (N, n) of each knot in a piecewise linear function; the outer ones go on."""
+    """Return the share of each knot in a piecewise linear function.
+
+    The shape is (N, n). The function is extrapolated beyond the outer knots.
+    """
     i = np.clip(np.searchsorted(knots, x, side="right") - 1, 0, knots.size - 2)
     share = (x - knots[i]) / (knots[i + 1] - knots[i])
     hats = np.zeros((x.size, knots.size))
@@ -114,7 +120,7 @@ def _hats(knots: Array, x: Array) -> Array:
 
 
 class Evidence(NamedTuple):
-    """What a residual says of a curve whose size is open.
+    """Evidence for a curve of unknown size.
 
     Attributes
     ----------
@@ -157,7 +163,9 @@ def evidence(residual: Array, columns: Array) -> Evidence:
 
 
 def averaged_evidence(residual: Array, columns: Array) -> float:
-    """Log of the evidence for a normal force over none, each rms size from 0 to 1 as likely as another.
+    """Return the log evidence for a force, averaged over its size.
+
+    It compares a normally distributed force with none; all rms sizes from 0 to 1 are equally likely.
 
     Parameters
     ----------
@@ -175,14 +183,20 @@ def averaged_evidence(residual: Array, columns: Array) -> float:
 
 
 def _spectrum(residual: Array, columns: Array) -> tuple[Array, Array]:
-    """What each direction of a curve moves the residual, and what the residual has there: squares (k,)."""
+    """Return the squared gain of each curve direction on the residual.
+
+    Also return the square of the residual along each direction. Both have shape (k,).
+    """
     values, vectors = np.linalg.eigh(columns.T @ columns)
     values = np.maximum(values, 1e-300)
     return values, (vectors.T @ (columns.T @ residual)) ** 2 / values
 
 
 def _at_sizes(values: Array, along: Array, sizes: Array) -> tuple[Array, Array, Array]:
-    """Gain and price (s,) at variances of a curve, and how well each direction is seen there (s, k)."""
+    """Return the gain and the price at given variances of a curve.
+
+    Both have shape (s,). Also return how well the data determine each direction, shape (s, k).
+    """
     seen = sizes[:, None] * values
     price = 0.5 * np.sum(np.log1p(seen), axis=1)
     return 0.5 * np.sum(along * seen / (1.0 + seen), axis=1) - price, price, seen
@@ -295,7 +309,10 @@ def fit_free_form(
 
 
 def _with(fitted: FittedModel, curve: Curve, point: Array, values: Array) -> FittedModel:
-    """The model with a curve of these values, at a point of the model without it."""
+    """Return the model with a curve of the given values added.
+
+    `point` is a point of the model without the curve.
+    """
     effect = Effect(Tabulated.name, curve.place, law=curve.table(values), fixed={"scale": 1.0})
     base = fitted.structure
     structure = Structure(base.model, [*base.effects, effect], constants=base.constants)
@@ -304,7 +321,10 @@ def _with(fitted: FittedModel, curve: Curve, point: Array, values: Array) -> Fit
 
 
 def _linear(model: FittedModel, curve: Curve, whitener: Whitener, ratio: float) -> tuple[Array, Array, Array]:
-    """White residual, its derivatives by the point, and by the values of the curve."""
+    """Return the white residual and its derivatives.
+
+    The derivatives are those by the point, then those by the values of the curve.
+    """
     blocks, judged = model.blocks(ratio), model.problem.judged(model.theta)
     columns = zip(judged, curve_responses(model, curve, ratio), strict=True)
     return (
@@ -315,7 +335,10 @@ def _linear(model: FittedModel, curve: Curve, whitener: Whitener, ratio: float) 
 
 
 def curve_responses(model: FittedModel, curve: Curve, ratio: float) -> list[Array]:
-    """Outputs (n_y, N, k) per record that a unit of each coefficient of a curve would add."""
+    """Return the output change for a unit of each coefficient of a curve.
+
+    The list holds an array of shape (n_y, N, k) for each record.
+    """
     found = []
     for i in range(len(model.problem.records)):
         columns = curve.columns(*model.port(curve.place, ratio, i))

@@ -1,4 +1,4 @@
-"""The force that a model lacks at a port, from the record, without any law."""
+"""Estimate of the missing force at a place, without a force law."""
 
 from __future__ import annotations
 
@@ -23,10 +23,12 @@ _TRIED_ON = 1000  # samples
 def estimated_force(
     model: Refinement, noise: Array, port: Port, record: Measurement
 ) -> tuple[Array, Array, float]:
-    """Force at a port and the motion, from the record and the model as it is, without any law.
+    """Estimate the missing force at a place, and the motion.
 
-    The force is one more state of a Kalman smoother, driven by noise; how strongly, and how
-    long it remembers, is chosen by likelihood. Its mean is no part of the estimate.
+    The estimate uses the record and the model as it is; it assumes no force law.
+
+    The force is one more state of a Kalman smoother, driven by noise. The likelihood chooses the noise
+    level and the correlation time. The mean of the force is not estimated.
 
     Parameters
     ----------

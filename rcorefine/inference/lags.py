@@ -18,9 +18,9 @@ _SLIP = 0.5  # radians at the end of the record from one to the next
 
 
 def growing_lags(structure: Structure, records: Sequence[Measurement]) -> list[float]:
-    """Share of the time by which outputs come ahead of the free run, the best of a scan.
+    """Return the share of time by which outputs precede the simulation.
 
-    A phase that slips by more than half a period leaves a fit no gradient, so every share is tried.
+    A fit has no gradient beyond a phase error of half a period, so a scan tries every share.
 
     Parameters
     ----------
@@ -52,9 +52,9 @@ def growing_lags(structure: Structure, records: Sequence[Measurement]) -> list[f
 
 
 def common_lag(structure: Structure, record: Measurement) -> float:
-    """Time [s] by which the outputs follow the free run where they are most alike.
+    """Return the time [s] by which the outputs lag behind the simulation.
 
-    A third of the record at most.
+    It is the lag of the highest correlation, and at most a third of the record.
 
     Parameters
     ----------

@@ -1,4 +1,7 @@
-"""The levels of every decision, each with its statistic, what that is by chance, and what follows."""
+"""Thresholds of all decisions.
+
+Each level is documented with its statistic, the value of that by chance, and the consequence.
+"""
 
 from __future__ import annotations
 
@@ -152,7 +155,9 @@ class Levels:
 
 
 def levels() -> Levels:
-    """The levels in force: the defaults, and what ``control.config`` says otherwise.
+    """Return the levels in force.
+
+    They are the defaults, unless ``control.config`` sets other values.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""A nonlinear model along its motion, as the linear one that comes closest."""
+"""Closest linear model of a nonlinear model along its motion."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ __all__ = ["linearized"]
 
 
 def linearized(structure: Structure, theta: Array, run: Trajectory, inputs: Array) -> tuple[Array, Array]:
-    """A and C with each nonlinear force replaced by its best linear fit along the motion.
+    """Return A and C with nonlinear forces replaced by linear fits.
+
+    Each fit is the best one along the motion.
 
     Parameters
     ----------

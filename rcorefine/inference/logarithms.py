@@ -1,7 +1,7 @@
-"""Where a fit to a frequency response starts: by the logarithms of the points, which peaks draw from afar.
+"""Starting point of a fit to a frequency response, from logarithms.
 
-A resonance that lies beside that of the model by more than its width has no slope towards it in the
-points themselves. In their logarithm it has: the flanks are as good as the peak (Sidman, DeAngelis and
+The points themselves give no gradient towards a resonance that lies further than its width from that of
+the model. Their logarithms do, because the flanks count as much as the peak (Sidman, DeAngelis and
 Verghese, IEEE Trans. Automat. Control 36 (1991) 1065).
 """
 

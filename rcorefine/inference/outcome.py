@@ -95,7 +95,10 @@ def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
 
 
 def _unmoved(problem: Problem, point: Array) -> Array:
-    """A minimum with what the record does not see where it began: a valley that is flat leads anywhere."""
+    """Return a minimum with undetermined directions at their prior means.
+
+    A flat valley leads anywhere. The point stays as it is if the cost would increase.
+    """
     evaluation = problem.evaluate(point)
     jacobian = evaluation.condensed[1]
     if not (evaluation.finite and np.isfinite(jacobian).all()):
@@ -150,9 +153,11 @@ def _fit(measured: Array, error: Array) -> Array:
 
 
 def fit_of(records: Sequence[Any], errors: Sequence[Array]) -> tuple[Array, Array]:
-    """Fit in percent and root mean square error of each output, in its own unit, from errors of the rows.
+    """Return the fit in percent and the RMS error of each output.
 
-    Those of complex points, about their mean, where data are frequency responses.
+    The RMS error has the unit of the output; `errors` are those of the rows.
+
+    For frequency responses, they are those of the complex points about their mean.
     """
     if not in_frequency(records):
         error = np.concatenate(errors, axis=1)

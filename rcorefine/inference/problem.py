@@ -1,4 +1,7 @@
-"""The estimation problem: records, coefficients, initial states, priors, as one residual."""
+"""Estimation problem that stacks records and priors in one residual.
+
+The unknowns are the coefficients and the initial states.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,7 @@ _FAILED = 1e8  # residual level of a simulation that blew up: worse than anythin
 
 
 class Problem:
-    """Output-error (or innovation) residuals of a structure on several records.
+    """Output errors or innovations of a structure on several records.
 
     The point is ``[theta / scale, x0 of record 1, x0 of record 2, ...]``.
 
@@ -98,7 +101,7 @@ class Problem:
     def like(
         self, structure: Structure | None = None, records: Sequence[Any] | None = None, **changes: Any
     ) -> Problem:
-        """The same problem of another structure, on other records, or with other arguments."""
+        """Return a copy with another structure, other records or arguments."""
         structure = structure or self.structure
         names = ("weights", "prior_mean", "prior_sd", "substeps", "hold_brief")
         given = {name: getattr(self, name) for name in names}
@@ -123,7 +126,10 @@ class Problem:
 
     @property
     def dwells(self) -> bool:
-        """Whether nonlinear effects answer to sines: each evaluation is a harmonic balance."""
+        """Return whether each evaluation needs a harmonic balance.
+
+        It does where nonlinear effects respond to sines.
+        """
         return not self.in_time and not is_linear(self.structure)
 
     @property
@@ -179,13 +185,19 @@ class Problem:
         return result
 
     def prior_rows(self, point: Array) -> tuple[Array, Array]:
-        """Distance of the unknowns from their priors in standard deviations, and its derivatives."""
+        """Return the distances of the unknowns from their priors.
+
+        They are in standard deviations; their derivatives are the second value.
+        """
         rows = self._prior
         return rows @ point - self._expected, rows
 
     @cached_property
     def _prior(self) -> Array:
-        """Rows of the priors: of the coefficients that have one, then of how brief modes start."""
+        """Return the rows of the priors.
+
+        First come the coefficients that have a prior, then the initial states of brief modes.
+        """
         held = np.flatnonzero(np.isfinite(self.prior_sd))
         starts = []
         if self.free_start:
@@ -195,16 +207,18 @@ class Problem:
 
     @cached_property
     def _expected(self) -> Array:
-        """Products of the rows of the priors with the unknowns, as they were expected."""
+        """Return the products of the prior rows with the prior means."""
         held = np.isfinite(self.prior_sd)
         expected = np.zeros(self._prior.shape[0])
         expected[: held.sum()] = self.prior_mean[held] / self.prior_sd[held]
         return expected
 
     def judged(self, theta: Array) -> list[Array]:
-        """Weight (n_y, N) of the samples of each record: nothing for those that a delay hides.
+        """Return the weight (n_y, N) of the samples of each record.
 
-        The others stand in for them, so that no delay gains by hiding what does not fit, and
+        The weight is zero for samples that a delay hides.
+
+        The weights of the others increase, so that no delay gains by hiding what does not fit, and
         sums of squares stay comparable.
         """
         found = []
@@ -243,7 +257,10 @@ class Problem:
         return self.coordinates.point(np.clip(self.coordinates.of(point), low, high))
 
     def at_bound(self, point: Array, jacobian: Array) -> list[str]:
-        """Labels of the coefficients that stand on a bound, judged by what the residual feels of them."""
+        """Return the labels of the coefficients that lie on a bound.
+
+        The tolerance depends on how strongly a coefficient affects the residual.
+        """
         felt = np.linalg.norm(self.coordinates.columns(jacobian, point), axis=0)
         box, found = self.coordinates.of(point), []
         for bound, inner in zip(self.bounds(), self.box(), strict=True):
@@ -261,7 +278,10 @@ class Problem:
         return list(zip(residuals, self.whole(jacobians), strict=True))
 
     def whole(self, jacobians: Sequence[Array]) -> list[Array]:
-        """Jacobians (n_y, N, .) by what each record feels alone as those by all unknowns."""
+        """Expand the Jacobian of each record to columns for all unknowns.
+
+        The given ones, (n_y, N, .), have a column for each unknown that affects the record.
+        """
         found = []
         for i, own in enumerate(jacobians):
             found.append(np.zeros((*own.shape[:2], self.size)))
@@ -269,7 +289,10 @@ class Problem:
         return found
 
     def own_blocks(self, point: Array) -> list[tuple[Array, Array, NDArray[np.intp]]]:
-        """The same by the unknowns that a window feels alone, (n_y, N, .), and which of all these are."""
+        """Return residual, Jacobian and indices of the unknowns of each window.
+
+        The Jacobian, (n_y, N, .), has a column for each unknown that affects the window.
+        """
         return self.split(self.evaluate(point))
 
     def split(self, evaluation: Evaluation) -> list[tuple[Array, Array, NDArray[np.intp]]]:
@@ -283,7 +306,10 @@ class Problem:
         return found
 
     def felt_by(self, record: int) -> NDArray[np.intp]:
-        """Unknowns that a record feels: the coefficients, then its own initial state."""
+        """Return the indices of the unknowns that affect a record.
+
+        These are the coefficients, then the initial state of the record.
+        """
         own = np.arange(self.n_states if self.free_start else 0) + self.n_theta + record * self.n_states
         return np.concatenate([np.arange(self.n_theta), own])
 
@@ -347,9 +373,11 @@ class Problem:
         return np.asarray(np.where(felt, level / columns, np.maximum(np.abs(point), self.sizes)))
 
     def sizes_at(self, point: Array) -> Array:
-        """Natural sizes of the unknowns. A coefficient beyond its own is its size; an initial state is not.
+        """Return the natural sizes of the unknowns at a point.
 
-        The start of a body too light to be felt would be felt wherever it has strayed to, and stray on.
+        A coefficient that exceeds its natural size counts with its magnitude; an initial state does not.
+
+        Otherwise the initial state of a body too light to affect the residual could drift ever further.
         """
         sizes = self.sizes.copy()
         sizes[: self.n_theta] = np.maximum(sizes[: self.n_theta], np.abs(point[: self.n_theta]))
@@ -357,5 +385,8 @@ class Problem:
 
 
 def _bounded(values: Array) -> bool:
-    """Whether squares of the values are numbers; False where any is NaN."""
+    """Return whether the squares of all values are finite.
+
+    A NaN is not finite.
+    """
     return not values.size or bool(np.abs(values).max() < _LARGEST)

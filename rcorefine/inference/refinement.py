@@ -200,11 +200,16 @@ class Refinement(ReportedModel, CodeExports):
 
     @property
     def hold(self) -> str | None:
-        """Hold that was found to suit the inputs, whatever a record declares; None where none was sought."""
+        """Hold that was found to suit the inputs.
+
+        It replaces the hold that a record declares, and is None where none was sought.
+        """
         return self.physical_model.hold
 
     def with_hold(self, hold: str | None) -> Refinement:
-        """The same coefficients with the inputs taken otherwise between the samples.
+        """Return the refinement with another hold of the inputs.
+
+        The coefficients do not change.
 
         Parameters
         ----------
@@ -248,7 +253,9 @@ class Refinement(ReportedModel, CodeExports):
         )
 
     def parameter(self, name: str, place: str | None = None) -> EstimatedParameter:
-        """One row of `parameters` by name (or kind), and place where several share it.
+        """Return one row of `parameters` by name or kind.
+
+        Give the place, too, where several rows share the name.
 
         Parameters
         ----------
@@ -288,7 +295,9 @@ class Refinement(ReportedModel, CodeExports):
         levels: Sequence[float] | None = None,
         **options: Unpack[Options],
     ) -> ct.ControlPlot:
-        """Bode plot of the initial and the refined model, beside the measured response.
+        """Plot the frequency responses of the initial and the refined model.
+
+        The measured response is drawn beside them if it is given.
 
         Parameters
         ----------
@@ -319,7 +328,7 @@ class Refinement(ReportedModel, CodeExports):
         return "frequency response" if self.of_responses else "prediction" if self.led else "free run"
 
     def sentences(self) -> list[str]:
-        """What the figures mean, one sentence each.
+        """Return the meaning of the results, one sentence per entry.
 
         Returns
         -------

@@ -1,4 +1,7 @@
-"""Find the valley: observer-held fits, growing free runs, scans over decades; then polish."""
+"""Global search for the minimum of a fit, then optimization.
+
+The search uses observer fits, simulations of growing length and scans over decades.
+"""
 
 from __future__ import annotations
 
@@ -102,7 +105,10 @@ def search(
 def _polish_each(
     trial: Problem, outcomes: list[tuple[float, Array]], level: float, steps: int
 ) -> list[tuple[float, Array, int]]:
-    """The best starts, each polished on its free run; no further ones after a good fit."""
+    """Optimize the best starting points on the simulation.
+
+    No further points are tried after a good fit.
+    """
     polished: list[tuple[float, Array, int]] = []
     for _, point in outcomes[:_POLISHED]:
         result = trial.minimize(point, max_nfev=25)
@@ -120,11 +126,13 @@ def _grow(
     poor: float,
     seen: list[float],
 ) -> tuple[float, Array, int] | None:
-    """Fit many short free runs together and let them grow, so that no phase slips by a period.
+    """Fit many short simulations together, then lengthen them.
 
-    Each run starts where the shorter one before it had its initial state; a state estimated
-    anew over a long run can itself end in a wrong valley. None where not even the short
-    runs fit, or where they fit as they did from another start.
+    The phase error then never exceeds a period.
+
+    Each run starts from the initial state of the shorter run before it; a state estimated
+    anew over a long run can itself end in a wrong valley. The result is None where not even the
+    short runs fit, or where they fit as they did from another start.
     """
     n = min(record.n_samples for record in windows)
     count = 2 ** int(np.log2(np.clip(n / _SHORTEST_WINDOW, 1, _FIRST_WINDOWS)))
@@ -179,7 +187,9 @@ def _cut(record: Measurement, count: int) -> list[Measurement]:
 def sufficient_steps(
     problem: ProblemOf, segments: Sequence[Measurement], coarse: Problem, point: Array
 ) -> int:
-    """Substeps that shift no coefficient by more than half a standard deviation.
+    """Return the number of substeps that the accuracy requires.
+
+    With these, no coefficient shifts by more than half a standard deviation.
 
     Parameters
     ----------
@@ -245,7 +255,10 @@ def _first_pass(
 
 
 def starting_states(problem: Problem, theta: Array) -> Array:
-    """Initial state of each segment that suits the coefficients, shape (segments, n)."""
+    """Return the initial state of each segment for given coefficients.
+
+    The shape is (segments, n).
+    """
     if not problem.free_start:
         return np.zeros((len(problem.records), problem.n_states))
     low, high = problem.bounds()
@@ -254,9 +267,10 @@ def starting_states(problem: Problem, theta: Array) -> Array:
 
 
 def step_matters(coarse: Problem, fine: Problem, point: Array) -> float:
-    """What halving the substep changes.
+    """Return the relative change that halving the substep causes.
 
-    A coefficient in its standard deviations, or an output in its residual.
+    It is the largest change of a coefficient in its standard deviations, or of the outputs relative to the
+    residual.
     """
     evaluation = coarse.evaluate(point)
     finer = fine.evaluate(point)

@@ -1,4 +1,4 @@
-"""What each candidate, and each generic fault, would do to the residual."""
+"""Sensitivity of the residual to each candidate and generic fault."""
 
 from __future__ import annotations
 
@@ -36,7 +36,10 @@ _DIVERGED = 1e100  # of the noise: its squares would be no numbers
 
 @dataclass(eq=False)
 class Candidate:
-    """An effect, what it would do to the residual, and (made when asked for) its problem."""
+    """Candidate effect with its sensitivities and its problem.
+
+    The problem is made on demand.
+    """
 
     effect: Effect
     columns: dict[float, list[Array]]  # by observer ratio: blocks (n_y, N, k) per record
@@ -58,7 +61,10 @@ class Candidate:
         return self._made
 
     def at(self, substeps: int, structure: Structure | None = None) -> Problem:
-        """The same problem at another number of substeps, or of a structure with other constants."""
+        """Return the problem with other substeps or another structure.
+
+        Another structure may have other constants.
+        """
         return self.problem.like(structure, substeps=substeps)
 
     def finer(self, substeps: int) -> Candidate:
@@ -149,7 +155,10 @@ def candidate_columns(
 def _law_columns(
     fitted: FittedModel, found: list[Candidate], laws: list[tuple[int, list[dict[str, float]]]], ratio: float
 ) -> None:
-    """Columns of nonlinear laws at ports: the outputs that their forces along the motion would add."""
+    """Compute the columns of nonlinear effects at places.
+
+    They are the outputs that the forces of the effects along the motion would add.
+    """
     gain = fitted.gain(ratio)
     parts: dict[int, list[Array]] = {i: [] for i, _ in laws}
     for record in range(len(fitted.problem.records)):
@@ -257,7 +266,10 @@ def _own_columns(candidate: Candidate, ratio: float) -> list[Array]:
 
 
 def generic_forces(fitted: FittedModel, ratio: float, record: int) -> list[tuple[str, Array]]:
-    """Forces of laws that are in no library, at every port: (port, force of shape (N,))."""
+    """Return generic forces of unlisted effects at every place.
+
+    Each entry is (place, force of shape (N,)). The force laws are in no library.
+    """
     forces = []
     for port in fitted.structure.model.ports:
         d, v = fitted.port(port.name, ratio, record)
@@ -284,9 +296,11 @@ def slow_forces(fitted: FittedModel, ratio: float, record: int) -> list[tuple[st
 def force_responses(
     fitted: FittedModel, record: int, forces: Sequence[tuple[str, Array]], gain: Array | None = None
 ) -> Array:
-    """Outputs that small forces at ports would add, linearized: (n_y, N, k), in units of the noise.
+    """Return the outputs that small forces at places would add.
 
-    In place of ports, inputs may be named: what is added to them is held as they are.
+    The model is linearized. The shape is (n_y, N, k), in units of the noise.
+
+    Inputs may be named instead of places; the added signals then have the hold of the inputs.
     """
     structure = fitted.structure
     A, C0 = fitted.linearized()

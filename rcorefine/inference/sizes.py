@@ -1,4 +1,7 @@
-"""Natural sizes of coefficients, so that no tolerance depends on the units of a record."""
+"""Natural sizes of coefficients.
+
+They make every tolerance independent of the units of a record.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,9 @@ __all__ = ["natural_sizes"]
 
 
 def natural_sizes(structure: Structure, records: Sequence[Measurement]) -> Array:
-    """What counts as one in each coefficient, whatever its units.
+    """Return the natural size of each coefficient.
+
+    This is the value that counts as one, whatever the unit.
 
     Parameters
     ----------

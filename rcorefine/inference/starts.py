@@ -1,4 +1,7 @@
-"""Where to start: shapes of laws from the motion, and scans of far-off coefficients."""
+"""Starting values: shapes of effects and scans of coefficients.
+
+The shapes follow from the motion; the scans reach distant values.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,7 @@ _MOST_STARTS = 24
 
 
 class Motion:
-    """Displacement and velocity at the ports, estimated by an observer of the model."""
+    """Displacement and velocity at the places, estimated by an observer."""
 
     def __init__(self, structure: Structure, theta: Array, data: Measurement, ratio: float = 1.0) -> None:
         engine = Engine(structure, data)
@@ -46,7 +49,9 @@ class Motion:
 
 
 class ResponseMotion(Motion):
-    """Motion at the ports as a frequency response and the model together see it: one sine after the other.
+    """Motion at the places for a frequency response.
+
+    It follows from the response and the model together, one sine after the other.
 
     Attributes
     ----------
@@ -64,7 +69,10 @@ class ResponseMotion(Motion):
         self._structure, self._theta = structure, theta
 
     def port(self, name: str) -> tuple[Array, Array]:
-        """Displacement and velocity at one port, sampled over a period of each sine."""
+        """Return displacement and velocity at one place.
+
+        They are sampled over one period of each sine.
+        """
         d, v = port_phasors(self._structure, self._theta, self.data, name)
         return sampled(d), sampled(v)
 
@@ -91,7 +99,9 @@ def estimated_motion(structure: Structure, theta: Array, data: Measurement | Res
 
 
 def law_widths(structure: Structure, motion: Motion) -> dict[int, float]:
-    """Smoothing width of each law that has one: a small share of the motion there.
+    """Return the smoothing width of each effect that has one.
+
+    It is a small share of the motion at the place of the effect.
 
     Parameters
     ----------
@@ -120,7 +130,9 @@ def law_widths(structure: Structure, motion: Motion) -> dict[int, float]:
 
 
 def shape_starts(structure: Structure, theta: Array, motion: Motion) -> list[Array]:
-    """Starting points for the coefficients that shape a law (gaps, delays, limits, ...).
+    """Return starting points for the shape coefficients of effects.
+
+    These are gaps, delays, limits and the like.
 
     Parameters
     ----------
@@ -162,7 +174,10 @@ def shape_starts(structure: Structure, theta: Array, motion: Motion) -> list[Arr
 
 
 class _Seen:
-    """What a record tells about the place of an effect, looked at when asked for: see `Seen`."""
+    """Information in a record about the place of an effect.
+
+    It is computed on demand; see `Seen`.
+    """
 
     def __init__(self, structure: Structure, index: int, motion: Motion) -> None:
         self._structure, self._motion = structure, motion

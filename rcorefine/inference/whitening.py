@@ -25,7 +25,10 @@ _HEAVY = 5.0  # excess kurtosis, in its standard deviations, from which samples 
 
 
 def innovations(a: Array, signal: Array) -> Array:
-    """What a filter leaves of a signal, shape (N,) or (N, k), that was zero before its first sample."""
+    """Return the innovations of a signal under a whitening filter.
+
+    The shape is (N,) or (N, k). The signal is taken as zero before its first sample.
+    """
     if a.size == 1:
         return signal
     if signal.ndim == 1:
@@ -37,14 +40,17 @@ def innovations(a: Array, signal: Array) -> Array:
 
 
 def whitened(signal: Array) -> Array:
-    """Innovations of a signal (N,) under its own model, mean taken out, from where the past is whole."""
+    """Return the innovations of a signal (N,) under its own model.
+
+    The mean is removed. The innovations begin at the first sample with a whole past.
+    """
     a, _ = autoregression(signal)
     return innovations(a, signal - signal.mean())[a.size - 1 :]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Whitener:
-    """One autoregressive filter per output, common to residuals and regressors.
+    """Autoregressive filters, one per output, for residuals and regressors.
 
     Attributes
     ----------
@@ -87,7 +93,10 @@ class Whitener:
         return tuple(a.size - 1 for a in self.filters)
 
     def of_output(self, i: int, signal: Array) -> Array:
-        """Whiten what is felt at one output, (N,) or (N, k), from where the filter has its past."""
+        """Whiten a signal (N,) or (N, k) of one output.
+
+        The result begins at the first sample with a whole past.
+        """
         a = self.filters[i]
         with np.errstate(over="ignore"):  # the column of an enormous unit is as enormous
             return np.asarray(innovations(a, signal)[a.size - 1 :] / self.scales[i])
@@ -112,7 +121,10 @@ class Whitener:
         return white
 
     def log_likelihood(self, n_samples: int) -> float:
-        """Of so many samples of the residual that it was fitted to, up to a constant."""
+        """Return the log-likelihood of the fitted residual, up to a constant.
+
+        `n_samples` is the number of its samples.
+        """
         return -n_samples * float(np.sum(np.log(self.scales)))
 
     def outputs(self, blocks: Sequence[Array]) -> NDArray[np.intp]:
@@ -122,7 +134,9 @@ class Whitener:
 
 
 def huber_weights(residual: Array, outputs: NDArray[np.intp]) -> Array | None:
-    """Square roots of Huber's weights, or None where the samples look equally noisy.
+    """Return the square roots of Huber's weights, or None.
+
+    The result is None where the samples look equally noisy.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ _MOST_LINES, _FEWEST_LINES = 200, 40  # frequencies that nonlinear effects are s
 
 
 def check_validation(model: Any, record: Any) -> None:
-    """Whether a record can judge the model; said before the work, whatever it will find."""
+    """Check that a record can validate the model, before the fit begins."""
     if not isinstance(record, (Measurement, FrequencyResponse)):
         raise ct.ControlArgument(
             f"validation must be a Measurement that took no part in the fit, not {type(record).__name__}"
@@ -41,7 +41,9 @@ def check_validation(model: Any, record: Any) -> None:
 def as_data(
     data: Any, *, x0: Any = "estimate", horizon: Any = None, noise: Any = None, controller: Any = None
 ) -> list[Any]:
-    """Records in time, or frequency responses; the settings that these have no use for are refused.
+    """Return the data as records in time or as frequency responses.
+
+    Settings that frequency responses cannot use are refused.
 
     Raises
     ------
@@ -62,7 +64,10 @@ def as_data(
 
 
 def spread_lines(data: list[Any]) -> list[Any]:
-    """Frequency responses at known amplitudes, at as many frequencies as harmonic balance has time for."""
+    """Limit the number of frequencies of responses at known amplitudes.
+
+    Harmonic balance would take too long at all of them, so evenly spread ones are kept.
+    """
     if not in_frequency(data) or any(one.amplitude is None for one in data):
         return data
     total = sum(one.omega.size for one in data)
@@ -76,7 +81,7 @@ def spread_lines(data: list[Any]) -> list[Any]:
 
 
 def about_noise(physical: PhysicalModel, data: list[Any], given: list[Any]) -> list[str]:
-    """What is said of the noise of frequency responses, and of how many of their points were taken."""
+    """Return notes on the noise and the used points of frequency responses."""
     if not in_frequency(data):
         return []
     said = windows(physical, [ResponseRecord.of(one, physical.linear) for one in data], None)[1]
@@ -90,7 +95,10 @@ def about_noise(physical: PhysicalModel, data: list[Any], given: list[Any]) -> l
 def windows(
     physical: PhysicalModel, records: list[Any], horizon: float | None, known_start: bool = False
 ) -> tuple[list[Any], str]:
-    """Records in the windows of `engine.free_runs`, and why; responses whole, and what their noise is."""
+    """Cut the records into windows, and return a note with the reason.
+
+    The windows are those of `engine.free_runs`. Responses stay whole, and the note is about their noise.
+    """
     if in_frequency(records):
         return records, " ".join(dict.fromkeys(record.note for record in records if record.note))
     cuts, note = free_runs([as_it_runs(physical, r) for r in records], records, horizon, known_start)

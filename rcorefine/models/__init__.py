@@ -1,1 +1,4 @@
-"""The initial model with its places: built, recognized in a `StateSpace`, read from files."""
+"""Initial model and its places.
+
+The model is built by a builder, recognized in a `StateSpace`, or read from a file.
+"""

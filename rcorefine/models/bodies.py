@@ -79,7 +79,10 @@ def connected(linked: NDArray[np.bool_]) -> Groups:
 
 
 def unit(g: Array) -> Array:
-    """A direction with a component of size one: one that occurs twice, or else the largest."""
+    """Scale a direction so that one component has size one.
+
+    That component has a size that occurs twice, if there is one. Otherwise it is the largest component.
+    """
     g = np.where(np.abs(g) > ROUNDING * np.abs(g).max(), g, 0.0)
     size = np.abs(g)
     entries = np.flatnonzero(size > 1e-9 * size.max())
@@ -89,7 +92,10 @@ def unit(g: Array) -> Array:
 
 
 def between_bodies(K: Array, C: Array, alike: NDArray[np.bool_]) -> tuple[list[Array], Groups]:
-    """Links between bodies and to the ground, by the grouping that needs the fewest of them."""
+    """Return the links between bodies and to the ground, and open bodies.
+
+    Of all groupings of the displacements into bodies, the one that needs the fewest links is used.
+    """
     best: list[tuple[int, list[Array], Groups]] = []
     for groups in _groupings(K):
         found = _between(K, C, groups, alike)
@@ -105,7 +111,7 @@ def _same(one: Sequence[Array], two: Sequence[Array]) -> bool:
 
 
 def parallel(g: Array, h: Array, tolerance: float = 1e-6) -> bool:
-    """Whether two directions are one."""
+    """Return whether two directions are parallel."""
     return bool(abs(g @ h) >= (1.0 - tolerance) * np.linalg.norm(g) * np.linalg.norm(h))
 
 
@@ -150,7 +156,10 @@ def _partitions(items: list[int]) -> Iterator[Groups]:
 def _between(
     K: Array, C: Array, groups: Groups, alike: NDArray[np.bool_]
 ) -> tuple[int, list[Array], Groups] | None:
-    """Price, links, and bodies left open of one grouping; None where it does not explain K."""
+    """Return cost, links and open bodies of one grouping, or None.
+
+    None means that the grouping does not explain K.
+    """
     ends: list[tuple[int, int, Array, Array, float]] = []
     for a, b in combinations(range(len(groups)), 2):
         block = K[np.ix_(groups[a], groups[b])]
@@ -191,7 +200,10 @@ def _between(
 
 
 def _normed(g: Array, one: Sequence[int], two: Sequence[int]) -> Array:
-    """Both ends of length one where they are equally long (a bar), else as `unit` has it."""
+    """Scale both ends of a link to length one if they are equally long.
+
+    A bar is an example. Otherwise the direction is scaled by `unit`.
+    """
     g = np.where(np.abs(g) > ROUNDING * np.abs(g).max(), g, 0.0)
     length = float(np.linalg.norm(g[one]))
     if len(one) == len(two) and abs(np.linalg.norm(g[two]) / length - 1.0) < ROUNDING:
@@ -205,10 +217,10 @@ def _shares(
     ends: Sequence[tuple[int, int, Array, Array, float]],
     alike: NDArray[np.bool_],
 ) -> list[float] | None:
-    """How much longer each link's one end is than the other, squared.
+    """Return the squared length ratio of the two ends of each link.
 
-    Bodies of equally many displacements have the same units: their difference counts.
-    Elsewhere the couplings inside the larger body tell.
+    Bodies with equally many displacements of the same unit are linked by differences: their ratio is one.
+    Otherwise the couplings inside the larger body determine the ratio.
     """
     share: list[float | None] = [
         1.0 if len(groups[a]) == len(groups[b]) and alike[groups[a][0], groups[b][0]] else None
@@ -245,7 +257,10 @@ def _shares(
 
 
 def _to_ground(K: Array, C: Array, size: float, *, paired: bool) -> tuple[int, list[Array], bool] | None:
-    """Price, directions to the ground, and whether they stay open; None if K cannot be springs."""
+    """Return cost, directions to the ground, and whether they stay open.
+
+    The result is None if springs cannot produce K.
+    """
     values, vectors = np.linalg.eigh(K)
     if values[0] < -ROUNDING * size:
         return None

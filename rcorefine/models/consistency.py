@@ -1,4 +1,4 @@
-"""Whether the parts of a physical model fit together."""
+"""Consistency checks of the parts of a physical model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The controller around a model: what it reads, what it drives, and the inputs that it gave."""
+"""Controller around a model: its signals, and the inputs it computed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,9 @@ _DEFAULT = re.compile(r"[uyx]\[\d+\]")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Controller:
-    """A linear controller from outputs of a model, and recorded references, to inputs of it.
+    """Linear controller of a model.
+
+    It computes inputs of the model from outputs of the model and from recorded references.
 
     Parameters
     ----------
@@ -50,11 +52,13 @@ class Controller:
 
     @property
     def sampled(self) -> bool:
-        """Whether it acts at the samples and holds its outputs between them."""
+        """Return whether the controller acts at samples and holds its outputs."""
         return not self.linear.is_continuous
 
     def at(self, dt: float) -> tuple[Array, Array, Array, Array]:
-        """A, B, C, D over one sample; of a continuous one its inputs run straight between samples.
+        """Return the discrete-time matrices A, B, C, D for one sample.
+
+        The inputs of a continuous-time controller are taken as linear between samples.
 
         Raises
         ------
@@ -89,7 +93,9 @@ class Controller:
 
 
 def as_controller(given: Any, model: LinearModel) -> Controller:
-    """A controller from what a user hands over, its signals matched by name, otherwise by position.
+    """Return the user's controller with its signals matched to the model.
+
+    Signals are matched by name, otherwise by position.
 
     Parameters
     ----------
@@ -161,7 +167,10 @@ def unrecorded(controller: Controller, model: LinearModel, data: Any) -> list[st
 
 
 def answer(controller: Controller, model: LinearModel, data: Measurement) -> tuple[Array | None, list[str]]:
-    """What a controller that starts at zero makes of a record, (n_u, N), or None and what is lacking."""
+    """Return the controller's outputs (n_u, N) for a record, or None.
+
+    The controller starts at zero. The second value lists the signals that the record lacks.
+    """
     signals = np.vstack([data.inputs, data.outputs]) + data.origin[:, None]
     labels = [*data.input_labels, *data.output_labels]
     if data.n_outputs == model.n_outputs and all(_DEFAULT.fullmatch(q) for q in data.output_labels):
@@ -185,9 +194,9 @@ def answer(controller: Controller, model: LinearModel, data: Measurement) -> tup
 
 
 def completed(model: PhysicalModel, data: Measurement) -> Measurement:
-    """The record with the inputs that the controller gave, where they were not recorded.
+    """Return the record with the unrecorded outputs of the controller added.
 
-    What it holds at the start is unknown and taken as zero; the loop begins with states of its own.
+    The initial state of the controller is unknown and set to zero here. The closed loop has its own one.
 
     Raises
     ------

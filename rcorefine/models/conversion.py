@@ -30,14 +30,17 @@ __all__ = ["as_model", "as_physical", "known_physical", "physical", "ports", "un
 
 
 def as_model(model: Any) -> Any:
-    """The model itself; a transfer function in state space, a nonlinear system as a physical model."""
+    """Return the model, converted if necessary.
+
+    A transfer function is converted to state space, a nonlinear system to a physical model.
+    """
     if isinstance(model, ct.TransferFunction):
         return realized(model)
     return as_known(model) if is_nonlinear(model) else model
 
 
 def known_physical(model: Any) -> PhysicalModel | None:
-    """What is known of a model beside its matrices, if anything."""
+    """Return the physical model that belongs to a model, or None."""
     physical = getattr(model, "physical_model", model)
     return physical if isinstance(physical, PhysicalModel) else None
 
@@ -78,7 +81,10 @@ def as_physical(model: Any, *, dt: float | None = None) -> PhysicalModel:
 
 
 def under_control(model: Any, controller: Any, data: Any) -> Any:
-    """`as_model`, with the controller around it that is given, or that it has, for such records."""
+    """Return `as_model` of the model, with its controller for these records.
+
+    The controller is the given one, or the one that the model has.
+    """
     model = as_model(model)
     physical = known_physical(model) if controller is None else as_physical(model)
     known = None if physical is None else physical.controller
@@ -286,7 +292,10 @@ def _own_port(model: PhysicalModel, name: str, label: str) -> Port:
 
 
 def _in_units(model: PhysicalModel, units: Mapping[str, str]) -> PhysicalModel:
-    """The model with units of its signals, and those that follow from them at its ports."""
+    """Return the model with the units of its signals.
+
+    The units at its ports follow from these.
+    """
     linear = model.linear
     signals = (linear.state_labels, linear.input_labels, linear.output_labels)
     for label in units:
@@ -319,7 +328,7 @@ def _unit_of(row: np.ndarray[Any, Any], units: tuple[str, ...]) -> str:
 def _named(
     model: PhysicalModel, numbers: Mapping[str, tuple[str, str, float]]
 ) -> tuple[NominalParameter, ...]:
-    """The parameters that were declared, and those that were read out of the matrices."""
+    """Return the declared parameters and those read from the matrices."""
     declared = []
     for name, (kind, place, value) in numbers.items():
         try:

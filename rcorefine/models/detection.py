@@ -28,7 +28,10 @@ __all__ = ["displacement_port", "find_ports", "recognized"]
 
 
 def recognized(sys: ct.StateSpace, dt: float | None, declared: Declared | None = None) -> dict[str, Any]:
-    """What a `PhysicalModel` is made of, found in a plain model; see `PhysicalModel.from_statespace`."""
+    """Return the arguments of a `PhysicalModel`, found in a plain model.
+
+    See `PhysicalModel.from_statespace`.
+    """
     linear, tolerance = _in_continuous_time(sys, dt)
     ports, parameters = find_ports(linear, tolerance, declared)
     rate, ports, parameters = find_meters(linear, find_rate_sensors(linear, tolerance), ports, parameters)
@@ -167,7 +170,10 @@ def displacement_port(linear: LinearModel, item: Displacement, masses: MassScale
 
 
 def _state_port(linear: LinearModel, i: int, masses: MassScale, *, mechanical: bool) -> Port:
-    """Port of a state that is its own place: a store, or the speed of a mass without displacement."""
+    """Return the port of a state that is its own place.
+
+    The state is a store, or the speed of a mass without displacement.
+    """
     label, origin = linear.state_labels[i], masses.origin[i]
     nothing = np.zeros(linear.n_inputs)
     return Port(
@@ -187,7 +193,10 @@ def _stored(origin: str) -> str:
 
 
 def _is_voltage(linear: LinearModel, item: Displacement, declared: Declared) -> bool:
-    """Whether a state is the voltage of a capacitor between currents, by its unit or as it is called."""
+    """Return whether a state is the voltage of a capacitor between currents.
+
+    Its declared unit decides, otherwise the names of the states.
+    """
     label = linear.state_labels[item.state]
     ends = [linear.state_labels[i] for i in (item.moving, item.other) if i is not None]
     if label in declared.units:
@@ -196,7 +205,10 @@ def _is_voltage(linear: LinearModel, item: Displacement, declared: Declared) -> 
 
 
 def _shunt_port(linear: LinearModel, item: Displacement) -> Port:
-    """Port of a current past a capacitor; its own port is a voltage in series with it."""
+    """Return the port of a current that bypasses a capacitor.
+
+    The capacitor's own port is a voltage in series with it.
+    """
     label, nothing = linear.state_labels[item.state], np.zeros(linear.n_inputs)
     return Port(
         f"shunt {label}",
@@ -210,7 +222,10 @@ def _shunt_port(linear: LinearModel, item: Displacement) -> Port:
 
 
 def _exchange_port(linear: LinearModel, source: int, sink: int, masses: MassScale) -> Port:
-    """Port between two stores: an exchange both ways (temperatures) or a flow (tanks)."""
+    """Return the port between two stores.
+
+    It is an exchange in both directions (temperatures) or a flow (tanks).
+    """
     A, labels = linear.A, linear.state_labels
     both = A[source, sink] > 0
     gain = 1.0 / masses.mass[sink] if both else A[sink, source] / -A[source, source] / masses.mass[source]

@@ -39,7 +39,7 @@ class Displacement:
 
 
 def is_companion(A: Array, tolerance: float = 1e-9) -> bool:
-    """Whether A is a companion matrix, as in the observable canonical form.
+    """Return whether A is a companion matrix (observable canonical form).
 
     Parameters
     ----------
@@ -75,7 +75,9 @@ def is_companion(A: Array, tolerance: float = 1e-9) -> bool:
 
 
 def significant(A: Array, tolerance: float) -> Array:
-    """A with the entries set to zero that are noise beside their row or their column.
+    """Return A with negligible entries set to zero.
+
+    An entry is negligible if it is small relative to its row and to its column.
 
     Parameters
     ----------
@@ -181,7 +183,10 @@ def _unit_pairs(unit: dict[int, int], entries: list[NDArray[np.intp]]) -> dict[i
 def _elongation(
     A: Array, driven: Array, i: int, entries: NDArray[np.intp], taken: set[int]
 ) -> Displacement | None:
-    """State whose derivative is v_j - v_k, v_j - w, w - v_k or v_j / N - v_k, with a spring acting back."""
+    """Return state i as an elongation, or None if it is not one.
+
+    Its derivative is v_j - v_k, v_j - w, w - v_k or v_j / N - v_k, and a spring acts back.
+    """
     if i in entries or any(int(j) in taken for j in entries) or not 0 < entries.size <= 2:
         return None
     if any(A[i, j] * A[j, i] >= 0 for j in entries):
@@ -203,7 +208,10 @@ def _elongation(
 
 
 def _from_input(A: Array, driven: Array, i: int, j: int) -> bool:
-    """Whether the other end of an elongation is an input, a velocity in the same unit."""
+    """Return whether an input moves the other end of an elongation.
+
+    The input is a velocity in the same unit.
+    """
     velocity = driven[driven != 0]
     if velocity.size != 1 or not np.isclose(velocity[0], -A[i, j], rtol=1e-6):
         return False

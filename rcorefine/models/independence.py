@@ -1,4 +1,7 @@
-"""Which numbers of a plain StateSpace can float together: no record tells what only rescales others."""
+"""Parameters of a plain StateSpace that can be estimated together.
+
+No record determines a parameter that only rescales others.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,9 @@ _POINTS = 4  # in the complex plane for each state
 
 @lru_cache(maxsize=8)  # by identity: every fit of a model asks for them
 def independent_parameters(model: PhysicalModel) -> tuple[NominalParameter, ...]:
-    """The parameters of a model without those that only do again what others do.
+    """Return the parameters of a model without the redundant ones.
+
+    A parameter is redundant if other parameters have the same influence.
 
     Parameters
     ----------
@@ -63,7 +68,10 @@ def independent_parameters(model: PhysicalModel) -> tuple[NominalParameter, ...]
 
 
 class _Responses:
-    """What numbers change in the transfer function, at points away from its poles."""
+    """Influence of parameters on the transfer function.
+
+    It is evaluated at points away from the poles.
+    """
 
     def __init__(self, model: PhysicalModel) -> None:
         linear, self.model = model.linear, model

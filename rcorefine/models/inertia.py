@@ -1,4 +1,4 @@
-"""A mass matrix that couples coordinates, from the symmetry of stiffness and damping."""
+"""Coupled mass matrix from the symmetry of stiffness and damping."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ _SINGULAR = 1e-6  # smallest eigenvalue of a mass matrix with ones on its diagon
 
 
 def coupled_inverse(K: Array, C: Array, B: Array, without: int) -> tuple[Array, int, int] | None:
-    """Inverse W of the mass matrix of coordinates that share inertia: a cart and its pendulum, a beam.
+    """Return the inverse W of a mass matrix that couples coordinates.
+
+    Examples are a cart with its pendulum, and a beam.
 
     Parameters
     ----------
@@ -70,7 +72,11 @@ def coupled_inverse(K: Array, C: Array, B: Array, without: int) -> tuple[Array, 
 
 
 def _candidates(open_: Array, B: Array, tolerance: float) -> list[tuple[Array, int, int]]:
-    """Mass matrices among those that are open, each with a coordinate at which an input acts alone."""
+    """Return possible inverse mass matrices, each with an input.
+
+    They belong to the family `open_`, and the input acts at a single coordinate, which is returned as
+    well.
+    """
     found = []
     for j, b in enumerate(B.T):
         size = np.linalg.norm(b)
@@ -97,7 +103,10 @@ def _unit(n: int, i: int, j: int) -> Array:
 
 
 def _asymmetries(X: Array, basis: Array) -> Array:
-    """How far X W is from symmetric: an equation per pair of coordinates, those that say nothing left out."""
+    """Return the equations that make X W symmetric.
+
+    There is one equation per pair of coordinates. Empty equations are left out.
+    """
     products = X @ basis
     upper = np.triu_indices(len(X), 1)
     rows = (products - products.transpose(0, 2, 1))[:, upper[0], upper[1]].T
@@ -107,7 +116,10 @@ def _asymmetries(X: Array, basis: Array) -> Array:
 
 
 def _numbers(K: Array, C: Array, B: Array, W: Array) -> tuple[int, int]:
-    """Numbers in masses, stiffness, damping and inputs, and whether any but inertia couples coordinates."""
+    """Count the numbers in masses, stiffness, damping and inputs.
+
+    The second value is 1 if stiffness or damping couples coordinates.
+    """
     M: Array = np.asarray(np.linalg.inv(W), dtype=np.float64)
     size = np.sqrt(np.diag(M))
 

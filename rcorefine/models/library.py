@@ -1,4 +1,4 @@
-"""What could be missing from a model, place by place."""
+"""Candidate effects of a model, place by place."""
 
 from __future__ import annotations
 
@@ -188,7 +188,7 @@ def _at_ports(physical: PhysicalModel, asked: tuple[str, ...] | None) -> list[Ef
 
 
 def _plausible(physical: PhysicalModel, port: Port, law: Law) -> bool:
-    """Whether people would look for this law at this port first."""
+    """Return whether this effect is plausible at this port."""
     if law.name == Gravity.name:  # of an angle in rad, by its unit or by its name
         labels = [physical.linear.state_labels[i] for i in np.flatnonzero(port.position)]
         named = len(labels) == 1 and bool(_ANGLE.search(labels[0]))
@@ -221,7 +221,7 @@ def _plausible(physical: PhysicalModel, port: Port, law: Law) -> bool:
 
 
 def _joins(port: Port) -> bool:
-    """Whether the force acts on two bodies, or along more than one displacement."""
+    """Return whether a force acts on two bodies or several displacements."""
     return _opposed(port.act) or bool(np.count_nonzero(port.velocity) > 1)
 
 
@@ -230,7 +230,10 @@ def _opposed(row: Array) -> bool:
 
 
 def _body_elsewhere(physical: PhysicalModel, port: Port) -> bool:
-    """Whether another port is the body that this one only holds (wheel and tire, mass and load cell)."""
+    """Return whether another port is the body that this port only holds.
+
+    Examples are wheel and tire, or mass and load cell.
+    """
     return not _has_parameter(physical, port, Mass.name) and any(
         np.array_equal(other.act, port.act)
         and (_has_parameter(physical, other, Mass.name) or (port.output.any() and not other.output.any()))
@@ -243,7 +246,10 @@ def _has_parameter(physical: PhysicalModel, port: Port, kind: str) -> bool:
 
 
 def _action(port: Port, kind: str) -> tuple[Any, ...]:
-    """Key that is equal for effects that act exactly alike, up to the sense of the port."""
+    """Return a key that is equal for effects that act in the same way.
+
+    Of the signals that the port senses, only those that the effect takes count.
+    """
     senses = KINDS[kind].senses
     arrays = [port.act, port.output]
     if "position" in senses:
@@ -271,7 +277,10 @@ def _at_channels(physical: PhysicalModel, asked: tuple[str, ...] | None) -> list
 def _at_entries(
     physical: PhysicalModel, asked: tuple[str, ...] | None, wanted: tuple[str, ...] | None
 ) -> list[Effect]:
-    """Entries: those named, or those that are left over when the ports are taken off."""
+    """Return `coefficient` effects at entries of the matrices.
+
+    They are the named entries, or those that remain after the ports are subtracted.
+    """
     named = [place for place in wanted or () if place not in physical.places]
     if asked is not None and Entry.name not in asked:
         return []

@@ -25,7 +25,7 @@ _UNEXPLAINED = 0.01  # of a damping coupling: more than rounding leaves of what 
 
 @dataclass(frozen=True, slots=True)
 class Declared:
-    """What the user knows of a plain model, by the names of its signals.
+    """Known properties of a plain model, by the names of its signals.
 
     Parameters
     ----------
@@ -58,7 +58,10 @@ def find_links(
     tolerance: float,
     declared: Declared,
 ) -> tuple[list[Link], dict[Displacement, str]]:
-    """Links in the stiffness and the damping matrix; words for the displacements where they stay open."""
+    """Find the links in the stiffness and damping matrices.
+
+    The second value describes the displacements whose links stay open.
+    """
     absolute = [item for item in displacements if item.absolute and item.moving is not None]
     v = [item.moving for item in absolute if item.moving is not None]
     q, scale = [item.state for item in absolute], np.array([item.scale for item in absolute])
@@ -98,7 +101,10 @@ def find_links(
 def _directions(
     K: Array, C: Array, alike: NDArray[np.bool_], given: Sequence[Array]
 ) -> tuple[list[Array], Groups]:
-    """Links that were declared, and what the rest of stiffness and damping adds; bodies that stay open."""
+    """Return the directions of all links, and the bodies that stay open.
+
+    Links are declared, or found in the rest of stiffness and damping.
+    """
     found, open_ = factors(K, C, alike)
     new = [g for g in given if not any(parallel(g, other) for other in found)]
     # a found link inside the ends of a declared one is another reading of the same coupling
@@ -118,7 +124,10 @@ def _directions(
 
 
 def _alike(labels: Sequence[str], units: Sequence[str]) -> NDArray[np.bool_]:
-    """Whether displacements have the same unit: as declared, or angles and lengths as they are called."""
+    """Return for each pair of displacements whether the units are the same.
+
+    Declared units decide. Otherwise the names distinguish angles from lengths.
+    """
 
     def angle(label: str) -> bool:
         return re.split(r"[^a-z]", label.lower())[0] in _ANGLES
@@ -132,7 +141,7 @@ def _alike(labels: Sequence[str], units: Sequence[str]) -> NDArray[np.bool_]:
 def _open_words(
     linear: LinearModel, absolute: Sequence[Displacement], open_: Groups
 ) -> dict[Displacement, str]:
-    """What is not known about the links of some displacements, in words."""
+    """Describe what is unknown about the links of some displacements."""
     found = {}
     for body in open_:
         names = ", ".join(linear.state_labels[absolute[i].state] for i in body)

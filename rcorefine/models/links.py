@@ -1,4 +1,4 @@
-"""Links between masses: the rank-one factors of a stiffness or damping matrix."""
+"""Links between masses: rank-one factors of a stiffness or damping matrix."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ __all__ = ["factors"]
 
 
 def factors(K: Array, C: Array, alike: NDArray[np.bool_]) -> tuple[list[Array], Groups]:
-    """Directions g of the links in K = sum of k g g' + (springs to the ground).
+    """Return the directions g of the links in a stiffness or damping matrix.
+
+    The matrix is K = sum of k g g' + (springs to the ground).
 
     Parameters
     ----------
@@ -79,7 +81,10 @@ def _comparison(K: Array) -> Array:
 
 
 def _differences(K: Array, alike: NDArray[np.bool_]) -> list[Array] | None:
-    """x_i - x_j for every coupling, where springs to the ground explain what is left."""
+    """Return x_i - x_j for each coupling, or None.
+
+    None means that springs to the ground do not explain the rest of K.
+    """
     coupled = couplings(K)
     if not alike[coupled].all():
         return None
@@ -94,7 +99,10 @@ def _differences(K: Array, alike: NDArray[np.bool_]) -> list[Array] | None:
 
 
 def _balanced(K: Array) -> bool:
-    """Whether turning the sense of some displacements makes all couplings negative."""
+    """Return whether sign changes can make all couplings negative.
+
+    A sign change reverses the sense of a displacement.
+    """
     sign, front = {0: 1.0}, [0]
     while front:
         i = front.pop()
@@ -109,7 +117,7 @@ def _balanced(K: Array) -> bool:
 
 
 def _ratios(K: Array) -> list[Array] | None:
-    """Links with the ratio that leaves nothing to the ground, where there is one."""
+    """Return the links whose ratios leave no springs to the ground, or None."""
     size = np.diag(K)
     if (size <= 0).any():
         return None

@@ -41,16 +41,16 @@ class MassScale:
 
     @property
     def mass(self) -> Array:
-        """What a force on one state alone feels, of shape (n,)."""
+        """Effective mass for a force on one state alone, of shape (n,)."""
         return np.asarray(1.0 / np.diag(self.inverse))
 
     @property
     def shared(self) -> bool:
-        """Whether coordinates share inertia."""
+        """Return whether coordinates share inertia."""
         return bool(np.count_nonzero(self.inverse) > len(self.inverse))
 
     def linked(self, one: int, two: int) -> bool:
-        """Whether a two-sided link joins two velocity states."""
+        """Return whether a two-sided link joins two velocity states."""
         return (min(one, two), max(one, two)) in self.links
 
 
@@ -60,7 +60,9 @@ def relative_masses(
     tolerance: float,
     declared: Mapping[int, float] | None = None,
 ) -> MassScale:
-    """Masses that make the couplings in A symmetric, scaled by an input where one tells.
+    """Return the masses that make the couplings in A symmetric.
+
+    An input scales them if it determines a mass.
 
     Parameters
     ----------
@@ -122,7 +124,10 @@ def _share_inertia(
     kept: set[tuple[int, int]],
     tolerance: float,
 ) -> None:
-    """Where a mass for each coordinate leaves couplings one-sided: a matrix of masses, if there is one."""
+    """Enter a coupled mass matrix where separate masses do not suffice.
+
+    Separate masses do not suffice if they leave couplings one-sided.
+    """
     A, labels = significant(linear.A, tolerance), linear.state_labels
     q, scale = [item.state for item in displacements], np.array([item.scale for item in displacements])
     v = [item.moving for item in displacements if item.moving is not None]
@@ -152,7 +157,9 @@ def _share_inertia(
 
 
 def exchanging(A: Array, states: Sequence[int], tolerance: float) -> list[tuple[int, int]]:
-    """Pairs of stores that something flows between: both ways, or from the first to the second.
+    """Return the pairs of stores between which something flows.
+
+    It flows in both directions, or from the first to the second.
 
     Parameters
     ----------
@@ -188,7 +195,7 @@ def exchanging(A: Array, states: Sequence[int], tolerance: float) -> list[tuple[
 def _ratios(
     A: Array, displacements: Sequence[Displacement], tolerance: float
 ) -> dict[tuple[int, int], float]:
-    """log(m_j / m_i) of each pair of velocity states that are coupled both ways."""
+    """Return log(m_j / m_i) of velocity states coupled in both directions."""
     found: dict[tuple[int, int], float] = {}
     absolute = [(item.state, item.moving, item.scale) for item in displacements if item.moving is not None]
     absolute = [(q, v, s) for q, v, s in absolute if any(i.state == q and i.absolute for i in displacements)]
@@ -215,7 +222,10 @@ def _ratios(
 def _solve(
     states: list[int], ratios: dict[tuple[int, int], float]
 ) -> tuple[dict[int, float], set[tuple[int, int]], list[list[int]]]:
-    """Log masses that fit all ratios; pairs that do not fit are dropped, the worst first."""
+    """Return log masses that fit all ratios, the kept pairs, and groups.
+
+    Pairs that do not fit are dropped, the worst first.
+    """
     kept = dict(ratios)
     index = {state: k for k, state in enumerate(states)}
     while True:
@@ -257,7 +267,10 @@ def _base_acceleration(linear: LinearModel, states: list[int]) -> Array:
 
 
 def _anchors(linear: LinearModel, base: Array, tolerance: float) -> dict[int, tuple[float, int]]:
-    """Mass 1/|B| and input of each state that exactly one input drives, that input driving it alone."""
+    """Return mass 1/|B| and input of each state with an input of its own.
+
+    Exactly one input drives such a state, and that input drives no other state.
+    """
     B = np.abs(linear.B)
     B = np.where(B > tolerance * B.max(axis=0, initial=0.0, keepdims=True), B, 0.0)
     found: dict[int, tuple[float, int]] = {}

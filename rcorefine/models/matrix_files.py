@@ -1,4 +1,4 @@
-"""One matrix out of a file: text (.csv), Matrix Market (.mtx), NumPy (.npy)."""
+"""Matrix files: text (.csv), Matrix Market (.mtx) and NumPy (.npy)."""
 
 from __future__ import annotations
 

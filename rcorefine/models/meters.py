@@ -1,4 +1,4 @@
-"""Sensors of a plain StateSpace that read a force: load cells, shunts, flow meters."""
+"""Force sensors of a plain StateSpace: load cells, shunts, flow meters."""
 
 from __future__ import annotations
 
@@ -27,7 +27,9 @@ def find_meters(
     ports: Sequence[Port],
     parameters: Sequence[NominalParameter],
 ) -> tuple[Array, tuple[Port, ...], tuple[NominalParameter, ...]]:
-    """Ports that know which sensors read their force, and what is left of the accelerometers.
+    """Find the sensors that read the force at a port.
+
+    The remaining accelerometers are returned as well.
 
     Parameters
     ----------
@@ -92,7 +94,10 @@ def find_meters(
 
 
 def _scale(linear: LinearModel, row: Array, port: Port, parameters: Sequence[NominalParameter]) -> float:
-    """What a row reads of a unit force at a port, 0 if it is no reading of that force."""
+    """Return the reading of a unit force at a port in an output row.
+
+    It is 0 if the row does not read that force.
+    """
     k, c = (
         sum(q.value for q in parameters if q.kind == kind and q.place == port.name)
         for kind in (Stiffness.name, Damping.name)

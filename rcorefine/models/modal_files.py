@@ -1,4 +1,4 @@
-"""Modes of a universal file (data sets of type 55) as a model in modal coordinates."""
+"""Modal model from the modes of a universal file (data sets of type 55)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,11 @@ _DEGREE = re.compile(r"(\d+):([+-]?[1-6])")
 
 
 class _Mode(NamedTuple):
-    """y = 2 Re(shape q) (or shape q, where all is real), (i w - pole) q = drive w / scale."""
+    """One mode of a universal file.
+
+    Its output is y = 2 Re(shape q), or shape q where all is real, with (i omega - pole) q = drive w /
+    scale.
+    """
 
     pole: complex
     scale: complex
@@ -207,7 +211,10 @@ def _check_degree(path: Any, label: str, modes: Sequence[_Mode]) -> None:
 
 
 def _block(mode: _Mode, inputs: Sequence[str], outputs: Sequence[str]) -> tuple[Array, Array, Array]:
-    """A, B, C of one mode: displacement and rate (normal), real and imaginary part (complex)."""
+    """Return the matrices A, B, C of one mode.
+
+    Its states are displacement and rate (normal mode), or real and imaginary part (complex mode).
+    """
     drive, sense = (np.array([_at(mode.shape, label) for label in labels]) for labels in (inputs, outputs))
     drive = drive / mode.scale
     s = mode.pole

@@ -1,4 +1,4 @@
-"""Modal coordinates: blocks of two states, each with a frequency and a damping of its own."""
+"""Modal coordinates: two states per mode, with frequency and damping."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def find_modes(
 
 
 def _shared(rows: Array, blocks: Sequence[tuple[int, int]]) -> bool:
-    """Whether one signal belongs to several of the blocks."""
+    """Return whether one signal belongs to several of the blocks."""
     size = np.abs(rows) > 1e-9 * np.abs(rows).max(axis=1, keepdims=True, initial=0.0)
     return any(sum(bool(row[[i, j]].any()) for i, j in blocks) > 1 for row in size)
 

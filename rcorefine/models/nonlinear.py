@@ -1,4 +1,7 @@
-"""A `control.NonlinearIOSystem` as a physical model: linear about a point, with a field for the rest."""
+"""Conversion of a `control.NonlinearIOSystem` to a physical model.
+
+The model is linear about an operating point. A `Field` holds the nonlinear rest.
+"""
 
 from __future__ import annotations
 
@@ -28,12 +31,18 @@ _KNOWN: WeakKeyDictionary[Any, tuple[dict[str, Any], PhysicalModel]] = WeakKeyDi
 
 
 def is_nonlinear(model: Any) -> bool:
-    """Whether it is a nonlinear system of python-control; its StateSpace is one in name."""
+    """Return whether a model is a nonlinear system of python-control.
+
+    A StateSpace does not count, although its class is derived from that of nonlinear systems.
+    """
     return isinstance(model, ct.NonlinearIOSystem) and not isinstance(model, ct.StateSpace)
 
 
 def as_known(system: ct.NonlinearIOSystem) -> PhysicalModel:
-    """The model of a system with nothing declared, made once: its functions are compiled."""
+    """Return the physical model of a system without declarations.
+
+    It is made only once, because its functions are compiled.
+    """
     held = _KNOWN.get(system)
     if held is None or held[0] != system.params:
         _KNOWN[system] = held = (dict(system.params), from_nonlinear(system))
@@ -108,7 +117,10 @@ def from_nonlinear(
 
 
 def _checked(functions: RightHandSide, level: Array, nominal: Array, origin: bool) -> Array:
-    """Rates and outputs at a point, the same at any time and as many as they should be."""
+    """Return rates and outputs at a point, after checks.
+
+    They must not depend on time, and there must be as many as declared.
+    """
     n = functions.n_states
     first, later = (functions(level[:n], level[n:], nominal, t) for t in _TIMES)
     if first.size != n + functions.n_outputs:
@@ -130,7 +142,10 @@ _NOWHERE = (
 
 
 def _slopes(functions: RightHandSide, level: Array, nominal: Array) -> Array:
-    """Derivatives by states and inputs, Richardson's central differences, cleared of their rounding."""
+    """Return the derivatives by states and inputs.
+
+    They are Richardson's central differences, rounded to ten digits.
+    """
     n = functions.n_states
 
     def central(j: int, h: float) -> Array:

@@ -1,4 +1,7 @@
-"""The point about which a model is linear: what counts as zero in its states, inputs and outputs."""
+"""Operating point about which a model is linear.
+
+It is the zero of the states, inputs and outputs of the linear model.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,9 @@ __all__ = ["OperatingPoint", "as_operating_point", "ordered_record", "refuse_poi
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OperatingPoint:
-    """Values about which a model holds; its matrices speak of what is above them.
+    """Operating point about which a model holds.
+
+    The matrices of the model describe deviations from it.
 
     Parameters
     ----------
@@ -47,7 +52,7 @@ class OperatingPoint:
 
 
 def as_operating_point(given: Any, linear: LinearModel) -> OperatingPoint:
-    """An operating point from what a user writes: numbers in order, or by name of the signal.
+    """Return the operating point that a user gave in order or by signal name.
 
     Raises
     ------
@@ -85,7 +90,9 @@ def _values(what: str, given: Any, labels: Sequence[str]) -> Array:
 
 
 def refuse_point(model: PhysicalModel, what: str) -> PhysicalModel:
-    """The model, unless it has an operating point or a controller of which `what` cannot know.
+    """Return the model if it has no operating point and no controller.
+
+    `what` supports neither of them.
 
     Raises
     ------
@@ -110,7 +117,7 @@ def refuse_point(model: PhysicalModel, what: str) -> PhysicalModel:
 
 
 def ordered_record(model: PhysicalModel, data: Any) -> Any:
-    """The record in the order of the model's channels, and as what it has above the operating point.
+    """Return the record in the model's order, relative to the operating point.
 
     A frequency response becomes a record of its points.
     """
@@ -129,7 +136,10 @@ def ordered_record(model: PhysicalModel, data: Any) -> Any:
 
 
 def start_above(model: PhysicalModel, x0: Any) -> Array | None:
-    """An initial state as a user gives it, as what it has above the operating point; None to estimate it."""
+    """Return the user's initial state relative to the operating point.
+
+    None means that the initial state is estimated.
+    """
     start = as_state(x0, model.linear.n_states)
     if start is None or isinstance(x0, str) or model.operating_point is None:
         return start
@@ -137,7 +147,10 @@ def start_above(model: PhysicalModel, x0: Any) -> Array | None:
 
 
 def sensed(model: PhysicalModel, place: str, states: Array, inputs: Array) -> tuple[Array, Array]:
-    """Displacement and velocity (N,) at a port, absolute, from states and inputs above the point."""
+    """Return the absolute displacement and velocity (N,) at a port.
+
+    `states` and `inputs` are deviations from the operating point.
+    """
     port, point = model.port(place), model.operating_point
     x = states[: port.act.size]
     if point is not None:

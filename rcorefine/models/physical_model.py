@@ -228,7 +228,9 @@ class PhysicalModel(Result):
         raise ModelError(f"model {self.name!r} has no port {name!r}; its ports are: {known}")
 
     def entry(self, place: str) -> tuple[int, int]:
-        """Row and column of an entry of [A B; C D], the place of a `coefficient` effect.
+        """Return row and column of an entry of [A B; C D].
+
+        Such an entry is the place of a `coefficient` effect.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""A port is a place in the model: what it senses, and where its force acts."""
+"""Ports: places in the model with what they sense and where they act."""
 
 from __future__ import annotations
 
@@ -137,33 +137,42 @@ class Port(Row):
 
     @property
     def has_position(self) -> bool:
-        """Whether a displacement can be read here."""
+        """Return whether a displacement can be read here."""
         return bool(self.position.any() or self.position_input.any())
 
     @property
     def has_velocity(self) -> bool:
-        """Whether a velocity (first order: a state) can be read here."""
+        """Return whether a velocity (first order: a state) can be read here."""
         return bool(self.velocity.any() or self.velocity_input.any())
 
     @property
     def domain(self) -> str:
-        """Field whose words fit here, by the unit of what it senses; its kind where that is unknown."""
+        """Domain whose words are used here.
+
+        The unit of the sensed signal determines it, or the kind of the port where that unit is unknown.
+        """
         return domain_of(self.kind, self.velocity_unit)
 
     @property
     def acts_by(self) -> str:
-        """What acts here, as its field calls it: a force, a torque, a flow, a heat flow, ..."""
+        """Name of what acts here: a force, a torque, a flow, a heat flow, ..."""
         return DOMAINS[self.domain].get("force", "force")
 
     @property
     def senses(self) -> tuple[str, str]:
-        """What is read here, as its field calls it: displacement and velocity, charge and current, ..."""
+        """Names of the signals that are read here.
+
+        Examples are displacement and velocity, or charge and current.
+        """
         words = DOMAINS[self.domain]
         return words.get("moved", "displacement"), words.get("state", "velocity")
 
     @property
     def is_relative(self) -> bool:
-        """Whether the force acts between two places (and so on more than one state)."""
+        """Return whether the force acts between two places.
+
+        It then acts on more than one state.
+        """
         return bool(np.count_nonzero(self.act) > 1)
 
     @property
@@ -185,7 +194,9 @@ Port.__setstate__ = Port._restore  # type: ignore[attr-defined]
 
 
 def felt(port: Port, output_rate: Array) -> Array:
-    """What sensors read at once of a unit resisting force at a port.
+    """Return the sensor readings of a unit resisting force at a port.
+
+    Only the immediate readings count, not those that arise through the states.
 
     Parameters
     ----------

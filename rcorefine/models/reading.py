@@ -1,4 +1,7 @@
-"""Models out of files: TOML (matrices, or a builder's parameters), and .npz or .mat with A, B, C, D."""
+"""Models from files: TOML, .npz and .mat.
+
+A TOML file holds matrices or the parameters of a builder. The others hold A, B, C and D.
+"""
 
 from __future__ import annotations
 
@@ -149,7 +152,10 @@ def _from_toml(file: Path) -> ct.StateSpace | PhysicalModel:
 
 
 def _from_file(path: Path, where: str, *, whole: bool) -> Any:
-    """Matrix of a file, its size and numbers checked; a .npy of one dimension stays one row or column."""
+    """Return the matrix of a file, after checks of its size and entries.
+
+    A .npy file of one dimension stays one row or column.
+    """
     found = read_matrix(path, where)
     if issparse(found) and not whole:  # a few modes of it are kept
         return found
@@ -167,7 +173,10 @@ def _physical(plain: ct.StateSpace, known: Mapping[str, Any], where: str) -> Phy
 
 
 def _name_of(file: Path) -> str:
-    """Name of the file as python-control takes it: a dot would part system and signal."""
+    """Return the name of a file as a valid name of a system.
+
+    In python-control a dot separates system and signal.
+    """
     return file.stem.replace(".", "_")
 
 
@@ -296,7 +305,10 @@ def _matrix(value: Any, where: str) -> Array:
 
 
 def _texts(value: Any, where: str) -> list[str]:
-    """Names from an array of text: NumPy's, MATLAB's char array or its cell array."""
+    """Return the names in a text array of NumPy or MATLAB.
+
+    The array of MATLAB is a char array or a cell array.
+    """
     found: list[str] = []
     for item in np.asarray(value).ravel():
         inner: Sequence[Any] = [item] if isinstance(item, str) else list(np.asarray(item).ravel())

@@ -1,4 +1,4 @@
-"""Parameters and accelerometers of a plain StateSpace, read out of its matrices."""
+"""Parameters and accelerometers in the matrices of a plain StateSpace."""
 
 from __future__ import annotations
 
@@ -33,7 +33,9 @@ def read_parameters(
     masses: MassScale,
     tolerance: float,
 ) -> tuple[NominalParameter, ...]:
-    """Stiffness and damping by place, whatever else is in A, and the input gains.
+    """Return stiffness and damping by place, other entries of A, and gains.
+
+    The gains are those of the inputs.
 
     Parameters
     ----------
@@ -99,7 +101,7 @@ def read_parameters(
 
 
 class _Rest:
-    """What is left of A while links are taken off it."""
+    """Remainder of A while links are subtracted."""
 
     def __init__(self, linear: LinearModel, tolerance: float) -> None:
         self.B, self.tolerance = linear.B, tolerance
@@ -107,7 +109,10 @@ class _Rest:
         self.found: list[NominalParameter] = []
 
     def take(self, port: Port, kind: str, row: int, column: int) -> None:
-        """Find the coefficient that explains what is left of an entry, and take all its part off."""
+        """Find the coefficient that explains the rest of an entry.
+
+        Its contribution to all entries is subtracted.
+        """
         sensed = port.position if kind == Stiffness.name else port.velocity
         if abs(self.left[row, column]) > _LEFT * self.scale[row, column]:
             self.off(port, kind, float(self.left[row, column] / (port.act[row] * sensed[column])))
@@ -120,7 +125,10 @@ class _Rest:
             self.off(port, Damping.name, value)
 
     def round_off(self, masses: Sequence[tuple[int, int]]) -> None:
-        """Forget what rounding left of the links at masses, given as (velocity, displacement)."""
+        """Set the rounding errors of the links at masses to zero.
+
+        `masses` holds pairs of velocity and displacement states.
+        """
         for row, own in masses:
             left = self.left[row]
             rounded = np.abs(left) <= _ROUNDED * self.scale[row]
@@ -150,7 +158,7 @@ def _take_elongation(rest: _Rest, port: Port, item: Displacement) -> None:
 
 
 def find_rate_sensors(linear: LinearModel, tolerance: float = 1e-9) -> Array:
-    """Part of the outputs that reads rates of velocity states (accelerometers).
+    """Find the outputs that read rates of velocity states (accelerometers).
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Weights with which a plain StateSpace divides its inputs and mixes its outputs: entries of B, C and D."""
+"""Input and output weights of a plain StateSpace: entries of B, C and D."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def read_weights(
 
 
 def _enters(column: Array, ports: Sequence[Port]) -> bool:
-    """Whether an input acts as the force of a port does."""
+    """Return whether an input acts like the force of a port."""
     size = float(np.linalg.norm(column))
     acts = [port.act / np.linalg.norm(port.act) for port in ports if port.act.any()]
     return size > 0 and any(abs(act @ column) > (1 - _ALONG) * size for act in acts)

@@ -1,4 +1,7 @@
-"""Retrospective cost optimization: the paper's two stages on a stream of samples."""
+"""Retrospective cost optimization on a stream of samples.
+
+It implements the two stages of the paper.
+"""
 
 from __future__ import annotations
 

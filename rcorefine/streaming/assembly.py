@@ -1,4 +1,4 @@
-"""Which estimator stands behind a refiner, from what the refiner was given."""
+"""Choice of the estimator behind a refiner, from the given arguments."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ def _listed(given: dict[str, Any], sampled: Sampled, items: Sequence[Any]) -> Se
 def _forms(
     static: str, given: dict[str, Any], sampled: Sampled, settings: FilterSettings
 ) -> dict[str, Setup]:
-    """The forms that take part, the one that tells most about the physics first."""
+    """Return the correction forms that take part, the most physical first."""
     model, every = sampled.initial, static == "auto"
     found: dict[str, Setup] = {}
     if static in ("auto", "nonzero"):

@@ -75,7 +75,10 @@ def as_samples(values: Any, what: str, n_signals: int) -> Array:
 
 
 def as_block(model: LinearModel, w: Any, y: Any) -> tuple[Array, Array]:
-    """Inputs (n_w, N) and outputs (n_y, N) at the same samples; what is raised as in `as_samples`."""
+    """Return inputs (n_w, N) and outputs (n_y, N) at the same samples.
+
+    Errors are raised as in `as_samples`.
+    """
     inputs, outputs = as_samples(w, "inputs", model.n_inputs), as_samples(y, "outputs", model.n_outputs)
     if inputs.shape[1] != outputs.shape[1]:
         raise ct.ControlDimension(
@@ -88,7 +91,10 @@ def as_block(model: LinearModel, w: Any, y: Any) -> tuple[Array, Array]:
 
 
 def check_samples(signals: Array, labels: Sequence[str], what: str, first: int, dt: float | None) -> None:
-    """Refuse NaN and Inf, and what has no square; samples are counted from the start of the stream."""
+    """Refuse NaN, Inf and values whose square overflows.
+
+    Samples are counted from the start of the stream.
+    """
     bad = ~np.isfinite(signals)
     if not bad.any():
         check_sizes(signals, labels, what, smallest=0.0)  # a sample may be as small as it likes

@@ -1,4 +1,4 @@
-"""What `RCORefiner` asks of whatever refines the model behind it."""
+"""Protocol of the estimators behind `RCORefiner`."""
 
 from __future__ import annotations
 
@@ -38,21 +38,33 @@ class Estimator(Protocol):
 
     @property
     def scales(self) -> Scales | None:
-        """Sizes that stage 1 divides signals by, None while they are not known or where it does not run."""
+        """Sizes that stage 1 divides signals by.
+
+        None while they are not known or if stage 1 does not run.
+        """
         ...
 
     @property
     def parameters(self) -> tuple[Any, ...]:
-        """One row per static coefficient; an `RCOError` where coefficients are no parameters."""
+        """One row per static coefficient.
+
+        An `RCOError` is raised if the coefficients are not parameters.
+        """
         ...
 
     @property
     def covariance(self) -> Array:
-        """Covariance of the static coefficients; an `RCOError` where it is not known."""
+        """Covariance of the static coefficients.
+
+        An `RCOError` is raised if it is not known.
+        """
         ...
 
     def take(self, block: Block, *, keep_sound: bool = False) -> None:
-        """Learn from a block: all of it or nothing, or with `keep_sound` what came before a divergence."""
+        """Learn from a block completely or not at all.
+
+        With `keep_sound`, keep what came before a divergence.
+        """
         ...
 
     def finish(self) -> None:
@@ -80,7 +92,10 @@ class Estimator(Protocol):
         ...
 
     def deviation(self) -> Callable[[Array], Array] | None:
-        """Standard deviation of the refined response by frequency, None where it is not known."""
+        """Return the standard deviation of the refined frequency response.
+
+        It is a function of frequency, or None if it is not known.
+        """
         ...
 
     def dynamic_theta(self) -> Array:

@@ -1,6 +1,8 @@
-"""Several forms of the static correction side by side on one stream, the initial model among them.
+"""Several forms of the static correction side by side on one stream.
 
-Each is judged by what it predicts, never by what it was fitted to: its model is frozen, then runs free
+The initial model is one of them.
+
+Each is judged by what it predicts, never by what it was fitted to: its model is frozen, then simulated
 over the stretch that follows (Dawid's prequential principle, J. Royal Statistical Soc. A 147 (1984) 278).
 """
 
@@ -39,7 +41,10 @@ _WINDOW = 3.0  # growth of an unstable initial model, in powers of e, after whic
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frozen:
-    """A model frozen before a stretch; `raw` where it grows faster than the initial one may."""
+    """Model frozen before a stretch.
+
+    `raw` is true if it grows faster than the limit set by the initial model.
+    """
 
     name: str
     model: LinearModel
@@ -138,7 +143,10 @@ class FilterBank:
                 raise
 
     def take(self, block: Block, *, predict: bool = False) -> Array:
-        """Learn from a block; with `predict` what the best form expected, one sample ahead."""
+        """Learn from a block, and predict its outputs if asked.
+
+        With `predict`, return what the best form expected one sample ahead.
+        """
         position, total = 0, len(block.inputs)
         expected = np.full(block.outputs.shape if predict else (0, 0), np.nan)
         while position < total:
@@ -176,7 +184,10 @@ class FilterBank:
         self.memory = replace(self.memory, stopped={**self.memory.stopped, name: why})
 
     def _turn(self) -> None:
-        """A stretch ends: judge, let losers go, and freeze the present models for the next one."""
+        """Judge the forms at the end of a stretch and prepare the next one.
+
+        Forms that predict poorly are dropped, and the present models are frozen.
+        """
         memory = self.memory
         if memory.frozen:
             chosen, scores = self._judged()
@@ -235,7 +246,10 @@ class FilterBank:
 
     @property
     def chosen(self) -> tuple[str, bool]:
-        """Form that predicts best, and whether its model may grow: on this stretch if it is long enough."""
+        """Form that predicts best, and whether its model may grow.
+
+        The present stretch decides if it is long enough.
+        """
         memory = self.memory
         if memory.frozen and len(memory.inputs) >= max(memory.length, _FIRST) // 4:
             return self._judged()[0]
@@ -263,7 +277,10 @@ class FilterBank:
         return self.filters[self.form]
 
     def system(self, name: str) -> LinearModel:
-        """Best model, in the timebase that it is estimated in; it grows only where the data say so."""
+        """Return the best model in the timebase that it is estimated in.
+
+        Its growth exceeds the limit only if the data support that.
+        """
         form, grows = self.chosen
         model = self.filters[form].system(name)
         limit = np.inf if grows else self._limit
@@ -287,7 +304,10 @@ class FilterBank:
         return {"race": self.memory, "filters": parts}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from what `state` gave, once it was held against a race that begins."""
+        """Restore what `state` holds after checking it.
+
+        It is checked against a model comparison that has just begun.
+        """
         memory, names = state["race"], set(self.filters)
         bare = replace(memory, frozen=(), scores={}, behind={}, stopped={})
         check_like(bare, self.memory, "race", dict.fromkeys(("inputs", "outputs", "use"), "samples"))
@@ -316,7 +336,10 @@ def _end(n_samples: int) -> int:
 
 
 def _allowed(initial: LinearModel) -> float:
-    """Growth that a refined model may have: none where the initial one is stable."""
+    """Return the growth rate that a refined model may have.
+
+    No growth is allowed if the initial model is stable.
+    """
     rate = growth(initial)
     if rate > 1e-9:
         return np.inf

@@ -1,4 +1,4 @@
-"""How well a frozen model predicts a stretch that it has not seen."""
+"""Simulation cost of a frozen model on data that it has not seen."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ __all__ = ["free_run_cost", "state_power"]
 
 @compiled
 def free_run_cost(A, B, C, D, W, Y, use, weights, window):
-    """Mean square of weighted measured minus simulated outputs, the initial state fitted.
+    """Return the weighted mean square simulation error.
+
+    The initial state is fitted.
 
     Parameters
     ----------
@@ -101,7 +103,10 @@ def free_run_cost(A, B, C, D, W, Y, use, weights, window):
 
 @compiled
 def state_power(A, B, W):
-    """Mean square of each state of a discrete model on inputs of shape (N, nw), from rest."""
+    """Return the mean square of each state of a discrete model.
+
+    The model starts from rest, with inputs of shape (N, nw).
+    """
     n, nw = B.shape
     x, xn, total = np.zeros(n), np.zeros(n), np.zeros(n)
     for k in range(W.shape[0]):

@@ -1,4 +1,4 @@
-"""Samples that are missing: where they are, and how the paper's stages are carried over them."""
+"""Missing samples, and how the paper's stages handle them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ RAISE, HOLD_OUT = "raise", "hold-out"
 
 
 class Block(NamedTuple):
-    """Samples with gaps bridged, and which of them were measured, as kernels take them.
+    """Samples with gaps bridged, and flags for what was measured.
+
+    The arrays are in the form that the kernels take.
 
     Parameters
     ----------
@@ -38,7 +40,7 @@ class Block(NamedTuple):
 
     @property
     def whole(self) -> bool:
-        """Whether nothing is missing."""
+        """Return whether nothing is missing."""
         # of a single sample ten times as fast as .all()
         return b"\0" not in self.use.tobytes() and b"\0" not in self.known.tobytes()
 
@@ -65,7 +67,7 @@ def whole_block(inputs: Array, outputs: Array) -> Block:
 
 
 def as_missing(value: Any) -> str:
-    """What to do about missing samples."""
+    """Return the checked choice of what to do about missing samples."""
     return as_choice(value, "missing", (RAISE, HOLD_OUT))
 
 

@@ -1,4 +1,7 @@
-"""The static stage as a filter for state and coefficients jointly, stage 1 beside it."""
+"""Joint filter for state and coefficients as the static stage.
+
+Stage 1 runs beside it.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,9 @@ _PENDING = 32  # single samples that wait for one another (race, stage 1) until 
 
 
 class JointStages:
-    """Coefficients by one filter or by several in a race, and the paper's stage 1 beside them.
+    """Coefficients by one filter or several, with the paper's stage 1.
+
+    Several filters are compared on the same samples.
 
     Parameters
     ----------
@@ -100,7 +105,10 @@ class JointStages:
             self._learn(block)
 
     def _one(self, block: Block) -> bool:
-        """Learn from a single sample on the shortest way; False, and nothing done, where that is not open."""
+        """Learn from a single sample by the fast path, if that is available.
+
+        Otherwise do nothing and return False.
+        """
         if len(self._behind) >= _PENDING:
             self._catch_up()
         if (self._beside and not block.whole) or not self._static.filter.one(block):
@@ -111,7 +119,7 @@ class JointStages:
 
     @property
     def _beside(self) -> bool:
-        """Whether stage 1 runs."""
+        """Return whether stage 1 runs."""
         return self.first is not None and not self.stopped
 
     def _flush(self) -> None:
@@ -137,7 +145,10 @@ class JointStages:
                 self._run_beside(block, expected)
 
     def _run_beside(self, block: Block, predicted: Array) -> None:
-        """Stage 1 on the same samples; in a gap it sees what the static stage predicts."""
+        """Run stage 1 on the same samples.
+
+        In a gap it receives the prediction of the static stage.
+        """
         assert self.first is not None
         outputs = block.outputs
         if not block.whole:
@@ -208,7 +219,10 @@ class JointStages:
         return self.filter.standard_deviations[None]
 
     def deviation(self) -> Callable[[Array], Array] | None:
-        """Standard deviation of the refined response by frequency, None where it is not known."""
+        """Return the standard deviation of the refined frequency response.
+
+        It is a function of frequency, or None if it is not known.
+        """
         part = self.filter
         around = variants(part)
         if not around:
@@ -271,7 +285,10 @@ _SHARE = 1e-4
 
 
 def variants(part: CoefficientFilter) -> list[LinearModel]:
-    """Models a little away, along each independent direction of the coefficients."""
+    """Return models that deviate slightly from the estimate.
+
+    There is one along each independent direction of the coefficients.
+    """
     setup, memory = part.setup, part.memory
     covariance = part.covariance
     if memory.rounds == 0 or not covariance.size:
@@ -287,7 +304,9 @@ def variants(part: CoefficientFilter) -> list[LinearModel]:
 
 
 def response_deviation(center: LinearModel, around: Sequence[LinearModel], omega: Array) -> Array:
-    """Standard deviation of the frequency response, shape (n_y, n_w, K), NaN beyond its Nyquist frequency.
+    """Return the standard deviation of the frequency response.
+
+    The shape is (n_y, n_w, K). It is NaN beyond the Nyquist frequency of the model.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a refiner has learned: coefficients, their uncertainty, the refined model."""
+"""Results of a refiner: coefficients, uncertainty and refined model."""
 
 from __future__ import annotations
 
@@ -56,7 +56,9 @@ if hasattr(os, "register_at_fork"):  # where there is fork
 
 
 def alone(method: _Method) -> _Method:
-    """Let one thread at a time into a method, so that no sample is lost between two.
+    """Let only one thread at a time run a method.
+
+    Thus no sample is lost between two threads.
 
     The kernels notice what overflows themselves; as plain Python they are as silent about it as compiled.
     """
@@ -70,7 +72,7 @@ def alone(method: _Method) -> _Method:
 
 
 class Learned(Result):
-    """What `RCORefiner` shows of what it has learned; none of this changes it."""
+    """Read-only view of what `RCORefiner` has learned."""
 
     _lock: threading.RLock
     _estimator: Estimator
@@ -88,7 +90,10 @@ class Learned(Result):
     @property
     @alone
     def n_learned(self) -> int:
-        """Number of samples learned from: 0 while the first are held back for the scales."""
+        """Number of samples learned from.
+
+        It is 0 while the first samples are held back for the scales.
+        """
         return self._estimator.n_learned
 
     @property
@@ -105,19 +110,27 @@ class Learned(Result):
     @property
     @alone
     def scores(self) -> dict[str, float]:
-        """In a race: fit in % of each form's free run on the last stretch it had not seen."""
+        """Simulation fit of each form in percent, in a model comparison.
+
+        It refers to the last stretch that the forms had not seen.
+        """
         return self._estimator.scores
 
     @property
     @alone
     def scales(self) -> Scales | None:
-        """Sizes that stage 1 divides signals by, None while they are not known yet."""
+        """Sizes that stage 1 divides signals by.
+
+        None while they are not known yet.
+        """
         return self._estimator.scales
 
     @property
     @alone
     def theta(self) -> Array:
-        """Dynamic coefficients, shape (l_u, (n_c + 1)(n + n_w) + n_c l_u), in the units of the signals.
+        """Dynamic coefficients in the units of the signals.
+
+        The shape is (l_u, (n_c + 1)(n + n_w) + n_c l_u).
 
         Empty, of shape (0, 0), where stage 1 does not run.
         """
@@ -126,7 +139,9 @@ class Learned(Result):
     @property
     @alone
     def static_theta(self) -> Array:
-        """Static coefficients in the units of the signals, as changes of the initial model.
+        """Static coefficients, as changes of the initial model.
+
+        They are in the units of the signals.
 
         By the paper's equations [theta_x, theta_w] of shape (l_u, n + n_w), the mean over the last
         `static_average` samples (`history.theta2` has those of each sample); else those of
@@ -137,7 +152,9 @@ class Learned(Result):
     @property
     @alone
     def standard_deviations(self) -> Array:
-        """Standard deviations of `static_theta`, infinite before anything is learned.
+        """Standard deviations of `static_theta`.
+
+        They are infinite before anything is learned.
 
         Of the joint filter for white innovations; by the paper's equations the
         scatter over the samples that the coefficients are averaged over.
@@ -214,7 +231,9 @@ class Learned(Result):
     def bode_plot(
         self, measured: Any = None, omega: ArrayLike | None = None, **options: Unpack[Options]
     ) -> ct.ControlPlot:
-        """Bode plot of the initial and the refined model, beside the measured response.
+        """Draw a Bode plot of the initial and the refined model.
+
+        The measured response is drawn beside them if it is given.
 
         The band about the refined curve is two standard deviations wide, as the coefficients
         are known; by the paper's equations there is none.

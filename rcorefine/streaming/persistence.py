@@ -1,4 +1,7 @@
-"""A refiner in one file: plain arrays and JSON, written whole or not at all, nothing executed on reading."""
+"""File format of a refiner: plain arrays and JSON.
+
+A file is written completely or not at all, and nothing is executed on reading.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`RCORefiner`: both stages of retrospective cost model refinement on a stream."""
+"""`RCORefiner`: two-stage retrospective cost refinement on a stream."""
 
 from __future__ import annotations
 
@@ -153,7 +153,9 @@ class RCORefiner(Learned):
 
     @alone
     def update(self, w: ArrayLike, y: ArrayLike) -> None:
-        """Learn from one sample, or from a block of samples; a call that raises changes nothing.
+        """Learn from one sample or from a block of samples.
+
+        A call that raises an error changes nothing.
 
         Parameters
         ----------
@@ -301,7 +303,9 @@ class RCORefiner(Learned):
     def load(
         cls, path: str | os.PathLike[str], *, laws: Mapping[str, Callable[..., Any]] | None = None
     ) -> RCORefiner:
-        """Read a refiner that `save` wrote; it goes on as if it had never stopped, bit by bit.
+        """Read a refiner that `save` wrote.
+
+        It continues bit by bit as if it had never stopped.
 
         Parameters
         ----------

@@ -1,4 +1,6 @@
-"""What a file of state may hold: what a fresh object of the same settings would, grown where it may grow.
+"""Checks of a file of state against a fresh object.
+
+A file may hold what a fresh object of the same settings holds, grown where growth is allowed.
 
 Kernels trust shapes and counters, so nothing from a file reaches one before it was held against its
 counterpart.
@@ -82,7 +84,9 @@ def check_like(found: Any, fresh: Any, where: str, grown: Mapping[str, str] = _N
 
 
 def check_course(found: Any, rows: Any, n_outputs: int) -> None:
-    """Hold the history of a file against a block of it: what was recorded, and the outputs.
+    """Check the history of a file.
+
+    It is compared with an empty record, and the shape of its outputs is checked.
 
     Parameters
     ----------
@@ -109,7 +113,9 @@ def check_course(found: Any, rows: Any, n_outputs: int) -> None:
 
 
 def fits(value: Any, hint: Any) -> bool:
-    """Whether a value from a file is what its field is declared to be, as far as that is said.
+    """Return whether a value from a file has the declared type.
+
+    Only the types that are named under `hint` are checked.
 
     Parameters
     ----------
@@ -143,7 +149,9 @@ def fits(value: Any, hint: Any) -> bool:
 
 
 def check_range(values: Any, low: Any, high: Any, where: str) -> None:
-    """Refuse numbers of a file outside of what a kernel or a loop may be handed.
+    """Refuse values of a file outside of the allowed range.
+
+    A kernel or a loop must not receive other values.
 
     Parameters
     ----------

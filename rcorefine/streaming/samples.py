@@ -1,4 +1,7 @@
-"""Samples and records against the model: lengths, channels, finite values, excitation, hold and dt."""
+"""Checks of samples and records against the model.
+
+They cover lengths, channels, finite values, excitation, hold and dt.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +55,10 @@ def checked_block(
 
 
 def checked_record(setup: Sampled, data: Any, hold: str) -> tuple[Array, Array]:
-    """Inputs and outputs of a record as (N, signals), in the order of the model's channels."""
+    """Return inputs and outputs of a record as (N, signals).
+
+    They are in the order of the model's channels.
+    """
     model = setup.initial
     data = as_record(data)
     from ..data.channels import match_channels

@@ -1,1 +1,1 @@
-"""Where a model fails: over time, frequency, amplitude, state space and place."""
+"""Failures of a model in time, frequency, amplitude, state and place."""

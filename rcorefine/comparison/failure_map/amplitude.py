@@ -1,4 +1,7 @@
-"""Failures in amplitude: inputs that act less or more than in proportion, responses that do not scale."""
+"""Failures in amplitude: nonlinear inputs, responses that do not scale.
+
+A nonlinear input acts less or more than in proportion to its value.
+"""
 
 from __future__ import annotations
 
@@ -65,7 +68,10 @@ _OTHER_SIGN = 0.01  # of an input's energy: with less of it, the input has one s
 
 
 def input_laws(scene: ModelOnRecord) -> list[Finding]:
-    """Static laws at each input: dead zone, saturation, unequal sides, odd and even distortion."""
+    """Find static nonlinearities at each input.
+
+    They are dead zone, saturation, unequal sides, and odd and even distortion.
+    """
     found = []
     for j, w in enumerate(scene.data.inputs):
         if np.ptp(w) != 0.0:

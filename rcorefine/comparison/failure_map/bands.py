@@ -1,4 +1,7 @@
-"""Failures in bands of frequency: an output that is a factor off the model there."""
+"""Failures in frequency bands.
+
+An output differs from the model by a factor there.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Distortion under a periodic input: what comes back at frequencies that were not sent."""
+"""Nonlinear distortion under a periodic input.
+
+It appears at frequencies that the input does not contain.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,9 @@ _LEAST = 3  # periods, the first of which settles
 
 
 def period_of(signals: Array) -> int | None:
-    """Shortest period in samples that all inputs (n_w, N) repeat at least twice; None without one.
+    """Return the shortest period of all inputs, in samples.
+
+    The inputs (n_w, N) repeat it at least twice. None if there is no such period.
 
     Examples
     --------
@@ -36,7 +41,10 @@ def period_of(signals: Array) -> int | None:
 
 
 def distortions(scene: ModelOnRecord) -> list[Finding]:
-    """Power at even and at odd harmonics that the input does not hold (Pintelon and Schoukens)."""
+    """Find distortion at harmonics that the input does not contain.
+
+    Even and odd harmonics are separate findings (Pintelon and Schoukens).
+    """
     period = period_of(scene.data.inputs)
     if period is None or len(scene.starts) > 1:
         return []

@@ -1,4 +1,4 @@
-"""Laws that a force may follow at a place, over the displacement or the velocity there."""
+"""Force laws at a place, over the displacement or the velocity there."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _OF_STORES = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceLaw:
-    """A law up to its coefficients, and the region in which it departs from zero.
+    """Force law with open coefficients, and the region where it is nonzero.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class ForceLaw:
 
     @property
     def meaning(self) -> str:
-        """What a force of this law does."""
+        """Description of a force of this law."""
         of_store = self.values.get("axis") == "x"
         return _OF_STORES.get(self.name, _MEANINGS[self.name]) if of_store else _MEANINGS[self.name]
 

@@ -41,7 +41,7 @@ class Mode:
 
     @property
     def paired(self) -> bool:
-        """Whether it is one of a pair."""
+        """Return whether the mode is one of a complex pair."""
         return self.pole.imag > 0
 
     @property
@@ -80,7 +80,7 @@ def find_modes(model: LinearModel) -> list[Mode]:
 
 
 class Shift:
-    """What a mode would add to the outputs if it lay elsewhere."""
+    """Change of the outputs if a mode had another pole."""
 
     def __init__(self, scene: ModelOnRecord, mode: Mode) -> None:
         self.scene, self.mode = scene, mode
@@ -110,7 +110,10 @@ class Shift:
         return np.asarray(out / scene.scale)
 
     def pole(self, point: Array) -> complex:
-        """Pole at relative changes: log frequency and log damping ratio, or log corner."""
+        """Return the pole after relative changes.
+
+        The changes are of log frequency and log damping ratio, or of the log corner frequency.
+        """
         if not self.mode.paired:
             return complex(self.mode.pole.real * np.exp(np.clip(point[0], -5, 5)))
         omega = self.mode.omega * np.exp(np.clip(point[0], -1.5, 1.5))

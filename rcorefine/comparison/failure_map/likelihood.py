@@ -1,4 +1,4 @@
-"""How much more likely a record becomes when a part of its residual is explained."""
+"""Likelihood gain when a part of the residual is explained."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class ResidualLikelihood:
         return np.asarray(u[:, s > 1e-6 * np.sqrt(self.n_samples)])
 
     def without_nuisance(self, signals: Array) -> Array:
-        """What is left of (n_y, N) beside initial states and constant offsets."""
+        """Return signals (n_y, N) without initial states and offsets."""
         out = self._initial_out(signals)
         q = self._constant_basis
         flat = out.reshape(-1)
@@ -114,10 +114,10 @@ class ResidualLikelihood:
         return left if np.linalg.norm(left) > _ROUNDING * np.linalg.norm(signals) else np.zeros_like(left)
 
     def outside(self, mask: NDArray[np.bool_]) -> Array:
-        """Residual (n_y, N) with the initial states and offsets that fit best outside a mask.
+        """Return the residual with nuisances that are fitted outside a mask.
 
-        The masked samples keep a little weight, for the rest may say nothing about an
-        initial state.
+        The residual has shape (n_y, N). The nuisances are initial states and offsets. The masked samples keep
+        a little weight, because the other samples may not determine an initial state.
         """
         out = self.residual.copy()
         for a, b in zip(self.edges[:-1], self.edges[1:], strict=True):
@@ -130,7 +130,10 @@ class ResidualLikelihood:
         return out
 
     def after(self, fit: Array, whole: Array) -> ResidualLikelihood:
-        """Likelihood of what an explanation leaves, beside constant offsets and with them."""
+        """Return the likelihood of the residual that an explanation leaves.
+
+        The explanation is given without constant offsets (`fit`) and with them (`whole`).
+        """
         rest = copy.copy(self)
         rest.residual = self.residual - fit
         rest.with_offset = self.with_offset - whole
@@ -145,7 +148,10 @@ class ResidualLikelihood:
         self._white = self._filtered(self.residual)
 
     def use_white(self) -> None:
-        """Weigh all frequencies alike: right where a failure stands far above the noise."""
+        """Weight all frequencies equally.
+
+        This is right where a failure is far above the noise.
+        """
         self.whitener = Whitener((np.ones(1),) * self.n_outputs, np.ones(self.n_outputs))
         self._white = self._filtered(self.residual)
 
@@ -154,19 +160,28 @@ class ResidualLikelihood:
         return Whitener.fit([remainder], order=self.order, floor=_FLOOR)
 
     def log_likelihood(self, remainder: Array) -> float:
-        """Log-likelihood of a remainder under its own noise model, up to a constant."""
+        """Return the log-likelihood of a remainder under its own noise model.
+
+        A constant is left out.
+        """
         return self._noise(remainder).log_likelihood(self.n_samples - self.order)
 
     def _filtered(self, signals: Array) -> Array:
         return self.whitener.apply([signals])
 
     def white(self, columns: Sequence[Array]) -> tuple[Array, Array]:
-        """Whitened columns (rows, k) and residual (rows,), nuisances taken out of both."""
+        """Return whitened columns (rows, k) and residual (rows,).
+
+        Nuisance parameters are removed from both.
+        """
         return np.array([self._filtered(self.without_nuisance(c)) for c in columns]).T, self._white
 
     # ------------------------------------------------------------------ explanations
     def linear(self, columns: Sequence[Array]) -> Explanation:
-        """Least-squares fit of columns (n_y, N) to the residual, and what it is worth."""
+        """Fit columns (n_y, N) to the residual by least squares.
+
+        The result includes the gain in log-likelihood.
+        """
         left = [self.without_nuisance(c) for c in columns]
         white = np.array([self._filtered(c) for c in left]).T
         values = _least_squares(white, self._white)
@@ -175,7 +190,10 @@ class ResidualLikelihood:
         return Explanation(fit, self.gain(fit), values, whole - fit)
 
     def best_of(self, groups: Sequence[Sequence[Array]], most: int = 3) -> list[tuple[int, Explanation]]:
-        """The groups of columns that explain most under the present noise model, each judged."""
+        """Return the groups of columns that explain the most, with their fits.
+
+        The groups are ranked under the present noise model.
+        """
         taken = []
         for group in groups:
             white = np.array([self._filtered(self.without_nuisance(c)) for c in group]).T
@@ -190,7 +208,10 @@ class ResidualLikelihood:
         return 2.0 * (self.log_likelihood(self.residual - fit) - self.base)
 
     def misfit(self, shape: Array, *, scaled: bool = False) -> float:
-        """Whitened sum of squares left by a shape; with its best factor where `scaled`."""
+        """Return the whitened sum of squares that a shape leaves.
+
+        Where `scaled`, the shape is multiplied by its best factor.
+        """
         white = self._filtered(self.without_nuisance(shape))
         if not scaled:
             return float(np.sum((self._white - white) ** 2))
@@ -201,7 +222,10 @@ class ResidualLikelihood:
     def searched(
         self, shape: Callable[[float], Array], grid: Sequence[float] | Array, *, scaled: bool = False
     ) -> Explanation:
-        """Best of a family of shapes with one unknown, with a factor where `scaled`."""
+        """Find the best shape of a family with one unknown.
+
+        Where `scaled`, the shape is multiplied by its best factor.
+        """
         points = np.unique(np.asarray(grid, dtype=float))
         costs = [self.misfit(shape(float(g)), scaled=scaled) for g in points]
         k = int(np.argmin(costs))
@@ -224,7 +248,10 @@ class ResidualLikelihood:
     def descended(
         self, shape: Callable[[Array], Array], start: Array, *, evaluations: int = 12
     ) -> Explanation:
-        """Best of a family of shapes with several unknowns, relative numbers or logs, near a start."""
+        """Find the best shape of a family with several unknowns.
+
+        The search stays near a start. The unknowns are relative changes or logarithms.
+        """
 
         def left(point: Array) -> Array:
             return self._white - self._filtered(self.without_nuisance(shape(point)))
@@ -243,27 +270,39 @@ class ResidualLikelihood:
         return Explanation(fit, self.gain(fit), values, self._initial_out(shape) - fit)
 
     def whole(self, one: Explanation) -> Array:
-        """What an explanation takes off the error, the constant offset included where that fits."""
+        """Return the part of the error that an explanation removes.
+
+        The constant offset is included where that fits better.
+        """
         if one.level is None:
             return one.fit
         both = one.fit + one.level
         return max(one.fit, both, key=lambda part: -float(np.sum((self.with_offset - part) ** 2)))
 
     def share_of_error(self, part: Array) -> float:
-        """Share of the error's energy, constant offsets included, that a part takes away, 0 to 1."""
+        """Return the share of the error's energy that a part removes, 0 to 1.
+
+        The error includes constant offsets.
+        """
         total = float(np.sum(self.with_offset**2))
         left = float(np.sum((self.with_offset - part) ** 2))
         return float(np.clip(1.0 - left / total, 0.0, 1.0)) if total > 0 else 0.0
 
     def share(self, fit: Array) -> float:
-        """Share of the energy beside constant offsets that an explanation takes away, 0 to 1."""
+        """Return the share of the residual's energy that a fit removes, 0 to 1.
+
+        Constant offsets are left out.
+        """
         total = float(np.sum(self.residual**2))
         left = float(np.sum((self.residual - fit) ** 2))
         return float(np.clip(1.0 - left / total, 0.0, 1.0)) if total > 0 else 0.0
 
 
 def _least_squares(columns: Array, target: Array) -> Array:
-    """Coefficients of columns (rows, k), those that are nearly nothing left out."""
+    """Return least-squares coefficients of columns (rows, k).
+
+    A column that is nearly zero is left out.
+    """
     size = np.linalg.norm(columns, axis=0)
     keep = size > 1e-12 * max(float(size.max(initial=0.0)), 1e-300)
     values = np.zeros(columns.shape[1])

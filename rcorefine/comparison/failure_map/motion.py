@@ -1,4 +1,7 @@
-"""The motion behind a record: the model led by its residual, forwards and backwards."""
+"""Estimation of the motion behind a record.
+
+A forward and a backward pass correct the model by its residual.
+"""
 
 from __future__ import annotations
 
@@ -39,11 +42,10 @@ class MotionEstimate:
 
 
 def estimated_motion(scene: ModelOnRecord, chosen: Sequence[int] | None = None) -> MotionEstimate:
-    """States of the motion that the record shows, unknown forces at places allowed for.
+    """Estimate the states of the recorded motion.
 
-    What the model with its known input leaves unexplained is put down to
-    forces at the places (first stage of the paper, with a Kalman gain), whose
-    common level is the most likely one. A backward pass takes out the lag.
+    Unknown forces at the places explain what the model with its known input leaves (first stage of the paper,
+    with a Kalman gain). Their common level is the most likely one. A backward pass removes the lag.
 
     Parameters
     ----------

@@ -1,4 +1,7 @@
-"""Where a hidden force could act on a compared model, in the order of the record's channels."""
+"""Places where a hidden force could act on a compared model.
+
+The channels are in the record's order.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +67,10 @@ def given_places(
 
 
 def found_places(linear: LinearModel, dt: float) -> Places | None:
-    """Places found in the matrices of a plain system; None where none can be found."""
+    """Find the places in the matrices of a plain state-space system.
+
+    None if none can be found.
+    """
     try:
         with unheard():
             physical = PhysicalModel.from_statespace(linear.to_statespace(), dt=dt)

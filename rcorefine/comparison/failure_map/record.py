@@ -1,4 +1,4 @@
-"""What the searches for a failure look at: one model on its record, in common units."""
+"""One model on its record, in common units, for the failure searches."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ DIMENSIONS = ("time", "frequency", "amplitude", "state", "place")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Finding:
-    """A failure that a search proposes, before it is judged against the others.
+    """Failure that a search proposes, before the comparison with others.
 
     Attributes
     ----------
@@ -158,11 +158,14 @@ class ModelOnRecord:
 
     @property
     def drive(self) -> Array:
-        """What a unit of each input does to the state over one sample."""
+        """Change of the state over one sample per unit of each input."""
         return np.asarray(self._drive[0] + self._drive[1])
 
     def free(self, output: int) -> list[Array]:
-        """Free motions as one output alone would show them; none where they are projected off anyway."""
+        """Return the free motions that one output alone would show.
+
+        The list is empty if free motions are projected off anyway.
+        """
         if self._motions is None:
             return []
         columns = np.zeros((self.model.n_states, *self.run.shape))
@@ -175,7 +178,7 @@ class ModelOnRecord:
         return self.evidence.residual
 
     def driven(self, changes: Sequence[tuple[int, Array]]) -> list[Array]:
-        """What changes of inputs would add to the outputs, (n_y, N) each.
+        """Return the output changes (n_y, N) that input changes would cause.
 
         Parameters
         ----------
@@ -190,7 +193,9 @@ class ModelOnRecord:
         return self._marched(G0[:, which], G1[:, which], self.model.D[:, which], signals)
 
     def forced(self, forces: Sequence[tuple[int, Array]]) -> list[Array]:
-        """What resisting forces at places would add to the outputs, (n_y, N) each.
+        """Return the output changes that resisting forces would cause.
+
+        The forces act at places. Each change has shape (n_y, N).
 
         Parameters
         ----------
@@ -216,7 +221,10 @@ class ModelOnRecord:
         ]
 
     def moved(self, place: int, force: Array) -> Array:
-        """What a resisting force at a place would add to the states, (n, N)."""
+        """Return the state change (n, N) that a resisting force would cause.
+
+        The force acts at a place.
+        """
         assert self.places is not None
         act = self.places.places[place].act[:, None]
         Phi, G0, G1 = discretize(self.places.A, act, self.dt, "zoh")
@@ -235,7 +243,10 @@ class ModelOnRecord:
         return [np.ascontiguousarray(column) / self.scale for column in np.moveaxis(out, (2, 1), (0, 1))]
 
     def late(self, delay: float) -> Array:
-        """Simulated outputs (n_y, N) a number of samples later, exact between the samples."""
+        """Return the simulated outputs (n_y, N), delayed by some samples.
+
+        A delay that is no whole number of samples is exact, too.
+        """
         key = round(delay, 6)
         if key not in self._late:
             if len(self._late) > 60:
@@ -283,7 +294,10 @@ class ModelOnRecord:
 
 
 def model_on_record(comparison: Comparison, index: int) -> tuple[ModelOnRecord, list[str]]:
-    """A model of a comparison on its record, and notes on what cannot be searched."""
+    """Return a model of a comparison on its record, and notes.
+
+    The notes list what cannot be searched.
+    """
     notes: list[str] = []
     model = comparison.models[index]
     places = comparison.places[index]

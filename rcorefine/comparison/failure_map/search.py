@@ -1,4 +1,7 @@
-"""Where a model fails: one table over time, frequency, amplitude, state space and place."""
+"""Search for the failures of a model, in one table.
+
+The table covers time, frequency, amplitude, state space and place.
+"""
 
 from __future__ import annotations
 
@@ -83,7 +86,7 @@ class Failure(Row):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FailureMap(Result):
-    """Where one model fails on a record, most telling row first.
+    """Failures of one model on a record, most important row first.
 
     Behaves as a sequence of its rows; empty where nothing is significant.
 
@@ -191,7 +194,10 @@ def _p_value(finding: Finding, scene: ModelOnRecord, count: int) -> float:
 
 
 def _rows(scene: ModelOnRecord) -> tuple[Failure, ...]:
-    """The leader, what is left besides it, and other views of it; significant ones only."""
+    """Return the significant rows of the table.
+
+    The leading row comes first, then rows that add to it, then alternatives to it.
+    """
     whole = scene.evidence
     # first as if the noise were nothing, then with the noise that the leader leaves
     whole.use_white()
@@ -239,10 +245,10 @@ def _rows(scene: ModelOnRecord) -> tuple[Failure, ...]:
 
 
 def _follows(f: Finding, leader: Finding, whole: ResidualLikelihood) -> bool:
-    """Whether a row is but a consequence of the leader, and no view of the error by its own right.
+    """Return whether a row is only a consequence of the leading row.
 
-    Beside the leader it says nothing more, while the leader beside it does (or says the same
-    with fewer numbers). Bands and places only describe where the error lies: they stay.
+    Such a row explains nothing in addition to the leading row. The leading row explains more in addition to
+    it, or the same with fewer parameters. Bands and places only describe where the error lies, so they stay.
     """
     if f.dimension == "place" or f.measure == "band":
         return False
@@ -273,10 +279,10 @@ def _ranked(findings: Sequence[Finding], scene: ModelOnRecord, count: int) -> li
 
 
 def _in_order(findings: Sequence[Finding], scene: ModelOnRecord) -> list[Finding]:
-    """By worth; but what leaves several times as much of the error as another cannot come before it.
+    """Sort the findings by their gain in likelihood.
 
-    The likelihood forgives a slow error as noise of that color. Where something explains
-    the error itself, that counts.
+    A finding that leaves several times as much of the error as another cannot come before it. The likelihood
+    treats a slow error as colored noise, so the share of the error that is explained counts, too.
     """
     left = [1.0 - scene.evidence.share(f.explanation.fit) for f in findings]
     bound = _MUCH * min(left, default=0.0) + 0.01
@@ -285,7 +291,10 @@ def _in_order(findings: Sequence[Finding], scene: ModelOnRecord) -> list[Finding
 
 
 def _region(finding: Finding) -> tuple[str, ...]:
-    """What counts as the same row: of rivals for one region only the best is shown."""
+    """Return a key that is equal for findings in the same region.
+
+    Of several findings in one region only the best is shown.
+    """
     v, kind = finding.values, str(finding.values.get("kind", finding.measure))
     if finding.dimension == "time" and "span" in v:
         return "time", "stretch", str(v["output"]), str(round(v["span"][0] / 20))
@@ -298,7 +307,10 @@ def _region(finding: Finding) -> tuple[str, ...]:
 
 
 def _settled(ranked: list[Finding], scene: ModelOnRecord) -> list[Finding]:
-    """A place is another view of what the other dimensions show, and comes after the best of them."""
+    """Move a finding of another dimension before a leading place.
+
+    A place is another view of what the other dimensions show. It comes after the best of them.
+    """
     if not ranked or ranked[0].dimension != "place":
         return ranked
     lead = scene.evidence.share(ranked[0].explanation.fit)

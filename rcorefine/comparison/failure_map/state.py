@@ -1,4 +1,7 @@
-"""Failures in the state space: forces at a place that follow its displacement or velocity."""
+"""Failures in the state space: forces over displacement or velocity.
+
+These forces act at a place, and follow its motion.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,10 @@ _UNLIKE = 0.2  # of the larger of two steps, from which on they count as differe
 
 
 def _columns(scene: ModelOnRecord) -> list[tuple[int, Port, list[ForceLaw], list[Array]]]:
-    """Laws at each place along the motion that the record shows if a force acts there."""
+    """Return the force laws at each place, along the motion there.
+
+    The motion is the one that the record shows if a force acts at that place.
+    """
     if scene.laws is None:
         assert scene.places is not None
         scene.laws = []
@@ -107,7 +113,10 @@ def forces_at_places(scene: ModelOnRecord) -> list[Finding]:
 
 
 def _apart(scene: ModelOnRecord, forward: Array, backward: Array) -> bool:
-    """Whether steps that differ with the direction would show as more than a constant offset."""
+    """Return whether force steps that differ by direction can be identified.
+
+    They must show as more than a constant offset.
+    """
     both = forward - backward
     left = scene.evidence.without_nuisance(both)
     if np.linalg.norm(left) < _SEEN * np.linalg.norm(both):
@@ -215,7 +224,10 @@ def loop(  # type: ignore[no-untyped-def]
 
 
 def _between(scene: ModelOnRecord, d: Array, v: Array, factor: int = 0) -> tuple[Array, Array]:
-    """Motion several times per sample: a force that jumps does so between samples."""
+    """Interpolate the motion to several values per sample.
+
+    A force that jumps does so between samples.
+    """
     n, factor = d.size, factor or (_FINE if d.size < 30_000 else 2)
     grid = np.arange(n, dtype=float)
     fine = np.arange(n * factor) / factor

@@ -1,4 +1,7 @@
-"""Failures in stretches of time: an output that is off by more than elsewhere, or hangs."""
+"""Failures in stretches of time.
+
+An output deviates by more than elsewhere, or hangs.
+"""
 
 from __future__ import annotations
 
@@ -92,7 +95,10 @@ def _stretch(scene: ModelOnRecord, i: int, masked: NDArray[np.bool_]) -> Finding
 
 
 def _both_ways(own: Array, left: Array) -> Array:
-    """Squared innovations, forwards or backwards in time: the memory of neither reaches over both edges."""
+    """Return the smaller squared innovations, forward or backward in time.
+
+    So the memory of the filter does not reach over both edges of a stretch.
+    """
     forwards, backwards = innovations(own, left), innovations(own, left[::-1])[::-1]
     return np.asarray(np.minimum(forwards**2, backwards**2))
 
@@ -110,7 +116,10 @@ def _sums(energy: Array) -> tuple[Array, Array]:
 
 
 def _ratio(total: Array, count: Array, a: NDArray[np.int_], b: NDArray[np.int_]) -> Array:
-    """Twice the log-likelihood ratio of a level of its own within a..b; minus where it is lower."""
+    """Return twice the log-likelihood ratio of a level of its own in a..b.
+
+    It is minus infinity where the level in a..b is lower.
+    """
     n, m = count[-1], count[b] - count[a]
     inside = (total[b] - total[a]) / np.maximum(m, 1)
     outside = (total[-1] - total[b] + total[a]) / np.maximum(n - m, 1)
@@ -153,7 +162,10 @@ def _edges(energy: Array, a: int, b: int) -> tuple[int, int]:
 
 
 def _worth(r: Array, left: Array, masked: NDArray[np.bool_], a: int, b: int, order: int) -> float:
-    """Twice the log-likelihood that a level of its own within a..b adds, heavy tails bounded."""
+    """Return twice the log-likelihood gain of a level of its own in a..b.
+
+    Heavy tails are bounded.
+    """
     inside = np.zeros(r.size, dtype=bool)
     inside[a:b] = True
     own, _ = autoregression(np.where(inside | masked, 0.0, left), order=order)
@@ -173,9 +185,10 @@ def _worth(r: Array, left: Array, masked: NDArray[np.bool_], a: int, b: int, ord
 
 
 def _jumps(seen: Array, a: int, b: int) -> bool:
-    """Whether a record jumps where a stretch begins or ends: one that hangs must catch up.
+    """Return whether a record jumps where a stretch begins or ends.
 
-    What moves fast against the sampling jumps anywhere, but does not rest by itself either.
+    An output that hangs must catch up. A signal that moves fast relative to the sampling jumps anywhere, but
+    it does not rest by itself.
     """
     steps = np.abs(np.diff(seen))
     near = np.zeros(steps.size, dtype=bool)

@@ -164,7 +164,10 @@ def signs(scene: ModelOnRecord) -> list[Finding]:
 
 
 def pinned(scene: ModelOnRecord) -> list[Finding]:
-    """Samples of the record that stand still at its very top or bottom: the range was exceeded."""
+    """Find samples that rest at the top or bottom of the record.
+
+    The range was exceeded there.
+    """
     found = []
     for i, y in enumerate(scene.data.outputs):
         still = np.flatnonzero(np.diff(y) == 0.0)
@@ -232,7 +235,10 @@ def clipping(scene: ModelOnRecord) -> list[Finding]:
 
 
 def _flat(y: Array, run: Array, at: NDArray[np.bool_]) -> float:
-    """Level at which a record stays while the run goes on above it; NaN where the record goes on, too."""
+    """Return the level at which a record stays below the simulation.
+
+    NaN if the record follows the simulation.
+    """
     level = float(np.median(y[at]))
     beyond = level + _LEVEL + 4.0 * coarse_noise(y)
     above = run[at] - run[at].mean()

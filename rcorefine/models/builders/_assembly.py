@@ -31,7 +31,10 @@ class Place:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensor:
-    """y = displacement @ q + velocity @ q' + acceleration @ q'' + direct @ w, and the force at a place."""
+    """Sensor of motions and inputs, and possibly of the force at a place.
+
+    Without that force, y = displacement @ q + velocity @ q' + acceleration @ q'' + direct @ w.
+    """
 
     label: str
     unit: str
@@ -93,7 +96,10 @@ class SecondOrder:
         input_units: Sequence[str],
         letters: tuple[str, str] = ("q", "v"),
     ) -> PhysicalModel:
-        """Physical model with the given places, sensors and parameters; states by letter and number."""
+        """Return the physical model with these places, sensors and parameters.
+
+        States are named by letter and number.
+        """
         n, n_w = self.size, self.force.shape[1]
         solved = np.linalg.solve(self.M, np.hstack([self.K, self.C, self.force]))
         A = np.zeros((2 * n, 2 * n))

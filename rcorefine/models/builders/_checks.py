@@ -1,4 +1,7 @@
-"""Checks that all builders share: those of arguments, out of range a fault of the model."""
+"""Argument checks that all builders share.
+
+A value out of range raises `ModelError`.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,10 @@ from ...systems.linear import Array
 
 
 def as_number(value: Any, name: str, *, positive: bool = True) -> float:
-    """One finite number, positive unless `positive` is False (then not negative)."""
+    """Return one finite number that is positive, or at least not negative.
+
+    Zero is allowed if `positive` is False.
+    """
     return float(as_vector(value, name, 1, positive=positive)[0])
 
 

@@ -29,7 +29,10 @@ class Reading:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Equations:
-    """State equations by label: rates[i][j] multiplies the state or the input j."""
+    """State equations by label.
+
+    ``rates[i][j]`` multiplies the state or the input j.
+    """
 
     states: tuple[str, ...]
     inputs: tuple[str, ...]

@@ -1,4 +1,7 @@
-"""The physical model that a builder hands over: matrices, readout, places, and what signals are called."""
+"""Physical model that a builder returns.
+
+It consists of matrices, readout, places and signal names.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,11 @@ def built(
     ports: Sequence[Port],
     parameters: Sequence[NominalParameter],
 ) -> PhysicalModel:
-    """Model with outputs ``state @ x + rate @ dx/dt + direct @ w``; labels are those where none are given."""
+    """Return the physical model of these matrices, places and parameters.
+
+    Its outputs are ``state @ x + rate @ dx/dt + direct @ w``. `labels` are used where the user gave
+    none.
+    """
     state, rate, direct = readout
     inputs, outputs, states = (
         as_labels(own, what, default)

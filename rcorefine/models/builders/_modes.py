@@ -1,4 +1,4 @@
-"""The lowest modes of M q'' + K q = 0, for matrices as large as finite elements make them."""
+"""Lowest modes of M q'' + K q = 0 for large finite-element matrices."""
 
 from __future__ import annotations
 
@@ -38,7 +38,9 @@ def as_sparse(value: Any, name: str, size: int, *, symmetric: bool) -> csc_matri
 
 
 def lowest_modes(M: csc_matrix, K: csc_matrix, count: int) -> tuple[Array, Array]:
-    """Squared frequencies (count,) and shapes (n, count) with Phi' M Phi = I, the lowest first.
+    """Return squared frequencies and mode shapes, the lowest first.
+
+    Their shapes are (count,) and (n, count), and Phi' M Phi = I.
 
     Raises
     ------
@@ -64,7 +66,10 @@ def lowest_modes(M: csc_matrix, K: csc_matrix, count: int) -> tuple[Array, Array
 
 
 def _by_lanczos(M: csc_matrix, K: csc_matrix, count: int, shift: float) -> tuple[Array, Array]:
-    """Shift and invert below zero, where K alone would be singular by rigid bodies."""
+    """Return the lowest modes by shift-and-invert Lanczos iteration.
+
+    The shift lies below zero, because rigid-body modes make K itself singular.
+    """
     solved = _factors(K - shift * M)
     if (solved.U.diagonal() < 0).any():
         raise ModelError("K has a negative direction; the structure would not stand")
@@ -89,7 +94,10 @@ def _by_lanczos(M: csc_matrix, K: csc_matrix, count: int, shift: float) -> tuple
 
 
 def _factors(X: csc_matrix) -> Any:
-    """Symmetric factors without row exchanges: as many pivots are negative as eigenvalues."""
+    """Factor a symmetric matrix without row exchanges.
+
+    There are then as many negative pivots as negative eigenvalues.
+    """
     return splu(
         csc_matrix(X), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
     )

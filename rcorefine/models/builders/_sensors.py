@@ -101,13 +101,16 @@ def _requests(sensors: Any, size: int, *, nested: bool = False) -> list[tuple[st
 
 
 def _is_request(item: Any) -> bool:
-    """Whether an item is a sensor of its own rather than a place."""
+    """Return whether an item is a sensor of its own, not a place."""
     first = item if isinstance(item, str) else item[0] if isinstance(item, Sequence) and item else None
     return isinstance(first, str) and first in _LETTER
 
 
 def parse_force(force: Any, size: int) -> tuple[Array, list[str]]:
-    """Map from inputs to masses and labels, from mass numbers or from a matrix."""
+    """Return the map from inputs to masses, and the labels of the inputs.
+
+    `force` holds the numbers of the masses, or it is the matrix of the map.
+    """
     if isinstance(force, np.ndarray) and force.ndim == 2:
         matrix = as_array(force, "the map of the forces", error=ModelError)
         if matrix.shape[0] != size:

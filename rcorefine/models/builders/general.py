@@ -1,4 +1,4 @@
-"""Any linear mechanical model from its mass, damping and stiffness matrices."""
+"""Linear mechanical models from mass, damping and stiffness matrices."""
 
 from __future__ import annotations
 
@@ -178,7 +178,10 @@ def _by_modes(
     M: Any, C: Any, K: Any, n_modes: Any, ratio: Any, links: Any, sensors: Any, excitation: str,
     force_map: Any, units: Units, given: Given,
 ) -> PhysicalModel:  # fmt: skip
-    """The lowest modes of a structure, with its sensors, forces and named links projected on them."""
+    """Return a model that consists of the lowest modes of a structure.
+
+    Its sensors, forces and named links are projected on the modes.
+    """
     if not issparse(M):
         M = np.atleast_1d(arguments.as_array(M, "M", error=ModelError))
         M = diags(as_vector(M, "M"), format="csc") if M.ndim == 1 else M
@@ -305,7 +308,7 @@ def _ends(label: str, ends: Any, n: int) -> list[tuple[int, float]]:
 def _link_parameters(
     M: Array, C: Array, K: Array, pairs: Mapping[tuple[int, ...], str], units: Units
 ) -> list[NominalParameter]:
-    """Masses if M is diagonal, and springs and dampers as far as they have a place."""
+    """Return masses if M is diagonal, and springs and dampers with a place."""
     n = M.shape[0]
     found: list[NominalParameter] = []
     if not np.any(M - np.diag(np.diag(M))):

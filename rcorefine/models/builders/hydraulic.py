@@ -1,4 +1,4 @@
-"""Two tanks in cascade: a pump fills the first, which runs into the second."""
+"""Cascade of two tanks: a pump fills the first, which feeds the second."""
 
 from __future__ import annotations
 

@@ -128,7 +128,10 @@ def dc_motor(
 
 @dataclass(frozen=True, slots=True)
 class _Motor:
-    """Equations of a motor, mass and friction at its shaft with their names, and R and L of a winding."""
+    """Equations and parameters of a motor.
+
+    The parameters are mass and friction at the shaft, with their names, and R and L of a winding.
+    """
 
     rates: dict[str, Row]
     mass: float

@@ -178,7 +178,10 @@ def _ports(
 
 
 def _edges(resistances: Any, n: int) -> list[tuple[int, int | None, float]]:
-    """First node, second node (None: the surroundings) and resistance, each pair once."""
+    """Return both nodes and the value of each resistance.
+
+    The second node is None for the surroundings. Each pair of nodes occurs once.
+    """
     if not isinstance(resistances, Mapping) or not resistances:
         raise ct.ControlArgument(
             f"resistances must be a mapping such as {{(1, 2): 0.5, (2, 0): 2.0}}, not {resistances!r}"

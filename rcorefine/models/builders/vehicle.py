@@ -129,7 +129,10 @@ def quarter_car(
 
 @dataclass(frozen=True, slots=True)
 class _Path:
-    """How the road comes in: the states beside the velocities, and both elongations by states and inputs."""
+    """Kinematics of a vehicle model for one kind of road input.
+
+    It holds the equations of all states but the velocities, and both elongations by states and inputs.
+    """
 
     kinematics: dict[str, Row]
     suspension: Row
@@ -144,7 +147,10 @@ class _Path:
         tire: tuple[float, float],
         actuator: bool,
     ) -> dict[str, Row]:
-        """State equations, by both masses and the stiffness and damping of both springs."""
+        """Return the state equations from masses, stiffness and damping.
+
+        `suspension` and `tire` hold stiffness and damping.
+        """
         (ks, cs), (kt, ctire) = suspension, tire
         sprung: Row = {"body_velocity": 1.0, "wheel_velocity": -1.0}
         lifted = _sum((-ks / mb, self.suspension), (-cs / mb, sprung))

@@ -1,1 +1,4 @@
-"""Coefficients on a stream: entries of the model or physical effects, by one re-linearized joint filter."""
+"""Estimation of coefficients on a stream.
+
+One re-linearized joint filter estimates entries of the model or physical effects.
+"""

@@ -50,7 +50,10 @@ class _Pass:
 
 
 def go_over(setup: EffectsSetup, memory: CoefficientMemory) -> CoefficientMemory:
-    """Memory after the stretch, as if the best coefficients had been known from its first sample."""
+    """Return the memory after filtering again with the best coefficients.
+
+    It is as if the best coefficients had been known from the first sample of the stretch.
+    """
     memory = _sized(setup, memory)
     initial = _initial_state(setup, memory)
     memory = replace(memory, states=np.sqrt(np.diag(initial[1])))
@@ -72,7 +75,9 @@ def go_over(setup: EffectsSetup, memory: CoefficientMemory) -> CoefficientMemory
 def _judge_means(
     setup: EffectsSetup, memory: CoefficientMemory, initial: tuple[Array, Array], best: _Pass
 ) -> None:
-    """Warn where the first samples have a constant part that no effect takes: it distorts the coefficients.
+    """Warn if the first samples have a constant part that no effect takes.
+
+    Such a constant part distorts the coefficients.
 
     Seen in what the best fit leaves, by the standard error of a mean of colored noise. But a fit that ran
     away turns the constant into a slow motion: where it is the larger part of what the initial model
@@ -105,7 +110,10 @@ def _judge_means(
 
 
 def _means(left: Array) -> tuple[Array, Array, Array]:
-    """Mean of what is left at each output, its standard error for colored noise, standard deviation."""
+    """Return the residual's mean, standard error and deviation per output.
+
+    The standard error is that of a mean of colored noise.
+    """
     found = np.array([[0.0], [np.inf], [0.0]]) * np.ones(left.shape[1])
     for i, row in enumerate(left.T):
         row = row[np.isfinite(row)]
@@ -137,7 +145,7 @@ def _promising(
 
 
 def _same(setup: EffectsSetup, one: _Pass, other: _Pass) -> bool:
-    """Whether two descents ended in one valley."""
+    """Return whether two descents ended in the same minimum."""
     spread = np.sqrt(np.diag(setup.layout.view(other.memory.packed, "Pt")))
     return bool(np.all(np.abs(one.memory.centre - other.memory.centre) < 3.0 * spread))
 
@@ -279,7 +287,10 @@ def _widths(setup: EffectsSetup, memory: CoefficientMemory) -> Array:
 
 
 def _prior(setup: EffectsSetup, memory: CoefficientMemory) -> Array:
-    """Standard deviation of every coefficient: declared, or by its nominal value, or by its trace."""
+    """Return the prior standard deviation of every coefficient.
+
+    It is declared, or follows from the nominal value, or from the sensitivity of the outputs.
+    """
     structure = setup.structure(memory.widths)
     spread = _LOOSE * setup.nominal
     engine = engine_on(setup, structure, memory.inputs, memory.outputs)
@@ -321,7 +332,11 @@ def _initial_state(setup: EffectsSetup, memory: CoefficientMemory) -> tuple[Arra
 
 
 def _starts(setup: EffectsSetup, memory: CoefficientMemory) -> tuple[list[Array], list[Array]]:
-    """Starts to descend from: present coefficients and rivals; and far ones, of which only the best."""
+    """Return the starting values of the descent: near ones and far ones.
+
+    The near ones are the present coefficients and the alternatives in memory. Of the far ones only
+    the best are used.
+    """
     from ...inference.starts import shape_starts
 
     starts = [setup.layout.view(memory.packed, "theta").copy(), *memory.rivals]

@@ -72,7 +72,7 @@ class EffectsSetup(Setup):
 
     @cached_property
     def fast(self) -> bool:
-        """Whether all effects are absorbed into the matrices."""
+        """Return whether all effects are absorbed into the matrices."""
         return self.bare.is_linear
 
     @property
@@ -103,7 +103,10 @@ class EffectsSetup(Setup):
         return compile_kernel(self, memory)
 
     def go_over(self, memory: CoefficientMemory) -> CoefficientMemory:
-        """Memory after the first samples, as if the best coefficients had been known from the first."""
+        """Return the memory after filtering again with the best coefficients.
+
+        It is as if the best coefficients had been known from the first sample.
+        """
         from .descent import go_over
 
         return go_over(self, memory)
@@ -145,14 +148,20 @@ class EffectsSetup(Setup):
         return np.maximum(lower, floor), upper
 
     def is_shape(self, column: int) -> bool:
-        """Whether a coefficient has no value at which its effect is absent, so that data tell a start."""
+        """Return whether a coefficient needs a starting value from the data.
+
+        This is so if it has no value at which its effect is absent.
+        """
         q = self.bare.parameters[column]
         effect = self.effects[q.effect]
         return effect.start_of(q.name) is None
 
     @cached_property
     def nominal(self) -> Array:
-        """Size of the physical parameter that each coefficient changes, 0 where there is none."""
+        """Size of the physical parameter that each coefficient changes.
+
+        It is 0 where there is no such parameter.
+        """
         s = self.bare
         known = {(q.kind, q.place): abs(q.value) for q in s.model.parameters}
         found = []
@@ -215,7 +224,7 @@ def compile_kernel(setup: EffectsSetup, memory: CoefficientMemory) -> Kernel:
 
 @lru_cache(maxsize=64)
 def _forces(setup: EffectsSetup, sizes: tuple[float, ...]) -> tuple[Array, Array]:
-    """What unknown forces move in a sample, and what an input that was not measured does."""
+    """Return how unknown forces and missing inputs move the state per sample."""
     s, n, n_w = setup.bare, setup.layout.n, setup.layout.nu - 1
     level = np.array([size if size > 0 else 1.0 for size in sizes[:n_w]])
     lower, upper = setup.bounds

@@ -1,4 +1,7 @@
-"""Entries of a linear model as coefficients: [A B; C D] plus patterns times coefficients."""
+"""Entries of a linear model as coefficients.
+
+The matrices are [A B; C D] plus patterns times coefficients.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +35,9 @@ _LEAST = 0.1  # prior of an entry that is zero, over what would move its row as 
 
 @dataclass(frozen=True, eq=False)
 class EntriesSetup(Setup):
-    """A linear model whose matrices depend linearly on coefficients, in its own timebase.
+    """Linear model whose matrices depend linearly on coefficients.
+
+    It keeps its own timebase.
 
     Parameters
     ----------
@@ -96,12 +101,12 @@ class EntriesSetup(Setup):
 
     @property
     def share(self) -> float:
-        """Standard deviations that a coefficient may move before the model is discretized anew."""
+        """Standard deviations a coefficient may move before rediscretization."""
         return _SHARE if self.base.is_continuous else NEVER
 
     @property
     def watch(self) -> float:
-        """Mean square of innovations over their variance at which the filter has to begin anew."""
+        """Mean square of normalized innovations at which the filter restarts."""
         return _SURPRISE if self.names else NEVER
 
     def start(self) -> Array:
@@ -137,7 +142,9 @@ class EntriesSetup(Setup):
         )  # fmt: skip
 
     def go_over(self, memory: CoefficientMemory) -> CoefficientMemory:
-        """Memory after the first samples, gone over again from the present coefficients.
+        """Return the memory after filtering the first samples again.
+
+        The filter starts from the present coefficients.
 
         Where that diverges, the filter goes on as it was.
         """
@@ -169,7 +176,11 @@ class EntriesSetup(Setup):
     # -- for the kernel ------------------------------------------------------------------------------
 
     def discretized(self, theta: Array) -> tuple[Array, Array]:
-        """Columns of the state, the inputs before and after one sample; derivatives by each coefficient."""
+        """Return the discretized state equation and its derivatives.
+
+        The columns belong to the state and to the inputs before and after one sample. The
+        derivatives are by each coefficient.
+        """
         base, hold = self.base, self.settings.hold
         n, nw, p = base.n_states, base.n_inputs, len(self.names)
         nu = nw + 1
@@ -229,7 +240,10 @@ class EntriesSetup(Setup):
 
     @cached_property
     def _response_change(self) -> Array:
-        """Change of the initial model's frequency response by each coefficient, shape (2 K n_y n_w, p)."""
+        """Change of the initial frequency response by each coefficient.
+
+        The shape is (2 K n_y n_w, p).
+        """
         n, nw, p = self.base.n_states, self.base.n_inputs, len(self.names)
         M, dM = self.discretized(self.start())
         nu = nw + 1
@@ -268,7 +282,7 @@ class EntriesSetup(Setup):
 
 
 def _sized(setup: EntriesSetup, memory: CoefficientMemory) -> CoefficientMemory:
-    """Memory with the sizes of signals and states, and the prior that goes with them."""
+    """Return the memory with signal and state sizes and a matching prior."""
     count = np.maximum(memory.use.sum(axis=0), 1)
     outputs = np.sqrt(np.sum(np.where(memory.use, memory.outputs, 0.0) ** 2, axis=0) / count)
     outputs = np.where(outputs > 0, outputs, 1.0)

@@ -1,4 +1,7 @@
-"""Coefficients on a stream: samples in; coefficients, their uncertainty and a model out."""
+"""Estimator of coefficients on a stream.
+
+It takes samples and returns coefficients, their uncertainty and a model.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,9 @@ _GROWN = {**dict.fromkeys(("inputs", "outputs", "known", "use"), "samples"), "ri
 
 
 class CoefficientFilter:
-    """Kalman filter for the state and the coefficients of a model jointly, on a stream.
+    """Joint Kalman filter for the state and coefficients of a model.
+
+    It runs on a stream.
 
     Parameters
     ----------
@@ -77,7 +82,10 @@ class CoefficientFilter:
         return record.predicted
 
     def one(self, block: Block) -> bool:
-        """Learn from a single sample on the shortest way; False, and nothing done, where that is not open."""
+        """Learn from a single sample by the fast path, if that is available.
+
+        Otherwise do nothing and return False.
+        """
         memory = self.memory
         kernel = memory.kernel
         if self.keep or kernel is None or memory.inputs.size or memory.rounds == 0:
@@ -103,7 +111,10 @@ class CoefficientFilter:
 
     @property
     def covariance(self) -> Array:
-        """Covariance of the coefficients, shape (p, p); infinite before anything is learned."""
+        """Covariance of the coefficients, shape (p, p).
+
+        It is infinite before anything is learned.
+        """
         found = self.setup.layout.view(self.memory.packed, "Pt").copy()
         if not found.any():
             found[np.diag_indices_from(found)] = np.inf
@@ -111,7 +122,10 @@ class CoefficientFilter:
 
     @property
     def standard_deviations(self) -> Array:
-        """Standard deviations of the coefficients, shape (p,); infinite before anything is learned."""
+        """Standard deviations of the coefficients, shape (p,).
+
+        They are infinite before anything is learned.
+        """
         return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
 
     @property
@@ -184,7 +198,7 @@ class CoefficientFilter:
         self.memory, self.records = memory, records
 
     def cautions(self) -> list[str]:
-        """What speaks against trusting the coefficients, one sentence each."""
+        """Return the reasons not to trust the coefficients, one sentence each."""
         return cautions(self.setup, self.memory)
 
     def rows(self) -> list[list[str]]:

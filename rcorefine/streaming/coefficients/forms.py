@@ -1,4 +1,7 @@
-"""The forms that a static correction may take: which entries of which model it changes."""
+"""Forms that a static correction may take.
+
+A form says which entries of which model change.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +61,10 @@ def nonzero_entries(model: LinearModel, settings: FilterSettings) -> EntriesSetu
 
 
 def all_entries(model: LinearModel, discrete: LinearModel, settings: FilterSettings) -> EntriesSetup:
-    """All entries of the discrete A and B, and those of outputs that mix several signals."""
+    """Return the setup with all entries of the discrete A and B.
+
+    Entries of outputs that mix several signals are included.
+    """
     n = model.n_states
     found = [_Entry("A", i, j) for i in range(n) for j in range(n)]
     found += [_Entry("B", i, j) for i in range(n) for j in range(model.n_inputs)]
@@ -95,7 +101,10 @@ def named_entries(model: LinearModel, names: Sequence[str], settings: FilterSett
 def correction(
     model: LinearModel, inputs: Array, feedthrough: Array, settings: FilterSettings
 ) -> EntriesSetup:
-    """The paper's u = theta [x; w] through B_u and D_u, in the timebase of the model."""
+    """Return the setup of the paper's correction u = theta [x; w].
+
+    The correction acts through B_u and D_u, in the timebase of the model.
+    """
     n, nw = model.n_states, model.n_inputs
     acts = np.vstack([inputs, feedthrough])
     patterns, names = [], []

@@ -1,4 +1,4 @@
-"""Why the physical stage failed, or may not be trusted, in words."""
+"""Reasons why the physical stage failed or may not be trusted."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def explain_divergence(setup: Setup, memory: CoefficientMemory, sample: int) -> 
 
 
 def cautions(setup: Setup, memory: CoefficientMemory) -> list[str]:
-    """What speaks against trusting the coefficients."""
+    """Return the reasons not to trust the coefficients."""
     if memory.rounds == 0 or not memory.spread.size:
         return []
     lay = setup.layout
@@ -81,7 +81,10 @@ def cautions(setup: Setup, memory: CoefficientMemory) -> list[str]:
 
 
 def _poles(setup: Setup, memory: CoefficientMemory) -> NDArray[np.complex128]:
-    """Poles of the present model in rad/s (continuous time, also of a discrete model)."""
+    """Return the poles of the present model in rad/s.
+
+    Poles of a discrete model are converted to continuous time.
+    """
     theta = setup.layout.view(memory.packed, "theta")
     if not np.isfinite(theta).all():
         return np.zeros(0, dtype=complex)

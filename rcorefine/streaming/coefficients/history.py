@@ -1,4 +1,4 @@
-"""What a refiner with physical effects did, sample by sample."""
+"""History of a refiner with physical effects, sample by sample."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ __all__ = ["CoefficientHistory"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoefficientHistory:
-    """Course of both stages with physical effects, in the units of the signals.
+    """History of both stages with physical effects.
+
+    Values are in the units of the signals.
 
     Attributes
     ----------
@@ -63,7 +65,9 @@ class CoefficientHistory:
 
     @picture
     def plot(self, **options: Unpack[Options]) -> ct.ControlPlot:
-        """Plot the performance of both stages over time, the coefficients and the refined poles.
+        """Plot the performance of both stages, coefficients and refined poles.
+
+        The horizontal axis is time.
 
         Parameters
         ----------

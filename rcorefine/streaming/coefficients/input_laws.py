@@ -1,4 +1,7 @@
-"""Inputs behind their laws and delays over one sample, on a stream, and their derivatives."""
+"""Input effects and delays over one sample, with derivatives.
+
+They are applied to the inputs of a stream.
+"""
 
 from __future__ import annotations
 
@@ -110,7 +113,10 @@ def keep_first(w, statics, levels, room):
 
 @compiled
 def _input_at(ring, channel, when, foh):
-    """Raw input at `when` samples before the latest (0 or negative), and its slope per sample."""
+    """Return the raw input and its slope at time `when`.
+
+    `when` counts samples from the latest one (0 or negative). The slope is per sample.
+    """
     last = ring.shape[0] - 1
     cell = int(np.floor(when + 1e-9))
     if cell < -last:
@@ -126,7 +132,10 @@ def _input_at(ring, channel, when, foh):
 
 @compiled
 def _node(when, channel, ring, statics, levels, dt, foh, room, found, slopes):
-    """One input at one time: its value into `found`, its derivatives into `slopes` (c, nu)."""
+    """Compute one input at one time, and its derivatives.
+
+    The value is written to `found`, the derivatives to `slopes` (c, nu).
+    """
     raw, rise = _input_at(ring, channel, when, foh)
     found[channel], passed = _through(raw, channel, statics, levels, room, False)
     for i in range(room.free.shape[0]):
@@ -137,7 +146,10 @@ def _node(when, channel, ring, statics, levels, dt, foh, room, found, slopes):
 
 @compiled
 def _mean(early, late, channel, ring, statics, levels, dt, room, s):
-    """Mean of a held input over a substep, so that no impulse is lost where an edge falls inside it."""
+    """Compute the mean of a held input over a substep.
+
+    The mean keeps the whole impulse if an edge falls inside the substep.
+    """
     turn = min(max(np.floor(early + 1e-9) + 1.0, early), late)
     share = (turn - early) / (late - early)
     total = room.total
@@ -158,7 +170,10 @@ def _mean(early, late, channel, ring, statics, levels, dt, room, s):
 
 @compiled
 def hold(ring, substeps, foh, W, Wout):
-    """Inputs over the last interval as they are, at the nodes of the substeps and at both ends."""
+    """Write the unchanged inputs over the last interval.
+
+    They are taken at the nodes of the substeps and at both ends.
+    """
     last = ring.shape[0] - 1
     for channel in range(ring.shape[1]):
         start, end = ring[last - 1, channel], ring[last, channel]
@@ -169,7 +184,10 @@ def hold(ring, substeps, foh, W, Wout):
 
 @compiled
 def drive(ring, statics, levels, substeps, foh, dt, room):
-    """Inputs that have laws, over the last interval behind these and their delays, and their derivatives."""
+    """Compute inputs with effects over the last interval, with derivatives.
+
+    The effects and delays are applied to the raw inputs.
+    """
     delays = room.delays
     room.dW[:, :, :] = 0.0
     room.dWout[:, :, :] = 0.0

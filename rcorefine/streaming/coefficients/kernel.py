@@ -1,4 +1,6 @@
-"""The loop over a block of samples: predict with the model at the present coefficients, compare, correct.
+"""Loop over a block of samples: predict, compare and correct.
+
+The prediction uses the model at the present coefficients.
 
 The filter is a Kalman filter for state and coefficients jointly, kept in two parts
 (Friedland, IEEE Trans. Automatic Control 14 (1969) 359): the state as if the coefficients
@@ -69,7 +71,10 @@ class Kernel:
 
 @compiled
 def _follow(i, e, floor, level, count, forgetting):
-    """Follow the level of the innovations of output i; the noise is that, or what was declared, if larger."""
+    """Update the innovation level of output i and return the noise.
+
+    The noise variance is that level, or the declared one if that is larger.
+    """
     count[i] += 1.0
     level[0, i] += _SHORT * (e * e - level[0, i])
     level[1, i] += max(_LONG, 1.0 - forgetting, 1.0 / count[i]) * (e * e - level[1, i])
@@ -78,7 +83,11 @@ def _follow(i, e, floor, level, count, forgetting):
 
 @compiled
 def _excites(i, R, h, least, power):
-    """Whether the coefficients show at output i, now and by what they ever did: else nothing is forgotten."""
+    """Return whether the coefficients are excited at output i.
+
+    Their present effect must be large enough compared with the noise and with the largest effect so
+    far. Otherwise nothing is forgotten.
+    """
     doubt = 0.0
     for a in range(least.shape[0]):
         doubt += (h[i, a] * 1e6 * least[a]) ** 2
@@ -89,7 +98,7 @@ def _excites(i, R, h, least, power):
 
 @compiled
 def _bounded(x, limit):
-    """Whether all states are numbers below a limit."""
+    """Return whether all states are numbers below a limit."""
     for i in range(x.shape[0]):
         if not abs(x[i]) < limit:
             return False
@@ -249,7 +258,10 @@ def advance(sizes, fixed, packed, counters, block, frozen, record, laws):
 
 @compiled
 def state_gain(i, R, Pb, F, H, gain):
-    """Gain of the state for known coefficients, before and after the transition; variance of output i."""
+    """Compute the state gain for known coefficients.
+
+    `gain` holds it before and after the transition. Return the variance of output i.
+    """
     n = Pb.shape[0]
     s = R
     for a in range(n):
@@ -270,7 +282,10 @@ def state_gain(i, R, Pb, F, H, gain):
 
 @compiled
 def coefficient_gain(i, Pt, h, g):
-    """Covariance of the coefficients with output i, and what they add to its variance."""
+    """Compute the covariance of the coefficients with output i.
+
+    Return what the coefficients add to the variance of that output.
+    """
     p = g.shape[0]
     spread = 0.0
     for a in range(p):
@@ -284,7 +299,7 @@ def coefficient_gain(i, Pt, h, g):
 
 @compiled
 def collect(i, e, st, delta, h, g):
-    """What output i says about coefficients that are kept."""
+    """Accumulate the information of output i on frozen coefficients."""
     for a in range(g.shape[0]):
         e -= h[i, a] * delta[a]
     for a in range(g.shape[0]):
@@ -293,7 +308,10 @@ def collect(i, e, st, delta, h, g):
 
 @compiled
 def move_coefficients(i, e, st, theta, limits, x, S, h, g, yhat):
-    """Move the coefficients inside their bounds, and all that they move; return what is left of `e`."""
+    """Update the coefficients inside their bounds and what depends on them.
+
+    Return what is left of the innovation `e`.
+    """
     left = e
     for a in range(theta.shape[0]):
         aim = theta[a] + g[a] * e / st
@@ -313,7 +331,7 @@ def move_coefficients(i, e, st, theta, limits, x, S, h, g, yhat):
 
 @compiled
 def move_state(i, e, s, x, S, Pb, H, h, gain, yhat):
-    """Move the state, and what the later outputs and the sensitivities have of it."""
+    """Update the state, the later outputs and the sensitivities."""
     n, p = x.shape[0], S.shape[0]
     for b in range(n):
         x[b] += gain[1, b] * e
@@ -334,7 +352,9 @@ def move_state(i, e, s, x, S, Pb, H, h, gain, yhat):
 
 @compiled
 def forget(i, s, spread, forgetting, S, h, g, gain, loose):
-    """Forget along what this sample saw only (Kulhavy); return the share that is learned of it.
+    """Forget only along the direction that this sample excited (Kulhavy).
+
+    Return the share of the sample that is learned.
 
     The coefficients may have changed just now: the state no longer answers for them since the start.
     """
@@ -374,7 +394,10 @@ def reduce_covariance(Pt, g, down):
 
 @compiled
 def step_covariance(Pb, F, Q, loose, T):
-    """Covariance of the state one sample on: F Pb F', and what unknown forces and forgetting add."""
+    """Propagate the covariance of the state by one sample.
+
+    It becomes F Pb F' plus what unknown forces and forgetting add.
+    """
     n = F.shape[0]
     for a in range(n):
         for b in range(n):
@@ -393,7 +416,10 @@ def step_covariance(Pb, F, Q, loose, T):
 
 @compiled
 def moved(theta, centre, Pt, share, least):
-    """Whether a coefficient has moved so far that the model is to be discretized anew."""
+    """Return whether the model must be discretized again.
+
+    This is so if a coefficient has moved too far.
+    """
     for a in range(theta.shape[0]):
         shift = abs(theta[a] - centre[a])
         if shift > least[a] and shift > share * np.sqrt(max(Pt[a, a], 0.0)):
@@ -402,7 +428,9 @@ def moved(theta, centre, Pt, share, least):
 
 
 class LinearPart(NamedTuple):
-    """A discretized model: x+ = M [x; w; w+], y = O [x; w], and their derivatives.
+    """Discretized model and its derivatives.
+
+    The model is x+ = M [x; w; w+], y = O [x; w].
 
     columns : coefficient of each derivative; rows : first row that it moves, and the last one + 1;
     varied : 1 where O depends on a coefficient; Oc : O at the present coefficients; others : room.
@@ -453,7 +481,10 @@ def linear_at(sizes, fixed, at):
 
 @compiled
 def step_state(x, F, M, dM, columns, rows, theta, centre, step, drive):
-    """State and its transition at the present coefficients: first order about those of `M`."""
+    """Compute the next state and its transition matrix.
+
+    Both are at the present coefficients, to first order about those of `M`.
+    """
     n, nz = M.shape
     for i in range(n):
         total = 0.0

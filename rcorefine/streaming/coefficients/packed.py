@@ -1,4 +1,6 @@
-"""Where each quantity of a filter stands in two plain arrays: what it remembers, and what it is given.
+"""Layout of the quantities of a filter in two plain arrays.
+
+One array holds what the filter remembers, the other what it is given.
 
 One array to copy makes a call all or nothing at no cost, and one array to write makes a save exact.
 """
@@ -91,7 +93,7 @@ class Layout:
 
 @lru_cache(maxsize=64)
 def _places(layout: Layout) -> dict[str, tuple[slice, tuple[int, ...]]]:
-    """Where each quantity stands in the memory, and its shape."""
+    """Return the position and shape of each quantity in the memory."""
     found, at = {}, 0
     for name, shape in layout.shapes.items():
         stop = at + int(np.prod(shape))
@@ -101,7 +103,10 @@ def _places(layout: Layout) -> dict[str, tuple[slice, tuple[int, ...]]]:
 
 
 class CoefficientRecord(NamedTuple):
-    """Course over a block: coefficients, predicted outputs and states, each of shape (N, .), or no rows."""
+    """History over a block: coefficients, predicted outputs and states.
+
+    Each has shape (N, .), or no rows.
+    """
 
     theta: Array
     predicted: Array
@@ -113,14 +118,14 @@ class CoefficientRecord(NamedTuple):
 
 
 class Filter(NamedTuple):
-    """What the filter remembers, as views into the packed memory.
+    """State of the filter as views into the packed memory.
 
     theta : coefficients; delta : what a block of frozen ones says about them; x : state;
     S : sensitivity of the state, (p, n); Pb : covariance of the state for known coefficients;
     Pt : covariance of the coefficients; level : mean square of the innovations, quick and slow,
     (2, n_y); counted : samples in it; cost : sum of squares and count; power : what the prior doubt
     moves at an output; surprise : mean square of what the filter was sure of; w : last inputs;
-    z, ring, kept : inner states of laws, past inputs, inner states of input laws.
+    z, ring, kept : inner states of force laws, past inputs, inner states of input effects.
     """
 
     theta: Array
@@ -141,7 +146,7 @@ class Filter(NamedTuple):
 
 
 class Given(NamedTuple):
-    """What stays as it is until the model is discretized anew.
+    """Quantities that stay fixed until the next discretization.
 
     centre : coefficients of the discretization; limits : their bounds, (2, p); least : steps that do
     not matter; floor : declared variance of the noise; numbers : when to discretize (standard
@@ -159,7 +164,7 @@ class Given(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """What the prediction of one sample leaves for its correction, and room to work in.
+    """Prediction of one sample for its correction, and work space.
 
     F : transition; H, h : outputs by the state before and by the coefficients; yhat : outputs, the
     later ones corrected by the earlier; predicted : outputs as they were predicted; g : gain of the
@@ -185,7 +190,7 @@ def row(packed, at, size):
 
 @compiled
 def matrix(packed, at, rows, columns):
-    """The same as a matrix."""
+    """Return a matrix view of the packed array, and the next position."""
     return packed[at : at + rows * columns].reshape(rows, columns), at + rows * columns
 
 

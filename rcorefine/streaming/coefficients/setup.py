@@ -1,4 +1,7 @@
-"""What a filter for coefficients knows before the first sample, whatever its coefficients are."""
+"""Setup of a coefficient filter before the first sample.
+
+It is the base for all kinds of coefficients.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +59,10 @@ class FilterSettings:
 
     @property
     def loose(self) -> bool:
-        """Whether the state never becomes certain: unknown forces act, or coefficients may change."""
+        """Return whether the state always stays uncertain.
+
+        This is so if unknown forces act or coefficients may change.
+        """
         return self.disturbance > 0 or self.forgetting < 1
 
 
@@ -122,7 +128,10 @@ class Setup(ABC):
         """Estimated parameters, one row each."""
 
     def milestone(self, rounds: int) -> int:
-        """Samples after which the first ones are gone over for the next time, -1 for never again."""
+        """Return after how many samples the first ones are filtered again.
+
+        It is -1 if that never happens again.
+        """
         lengths = self.milestones
         return lengths[rounds] if rounds < len(lengths) else -1
 
@@ -187,7 +196,7 @@ class Setup(ABC):
 
     @property
     def watch(self) -> float:
-        """Mean square of innovations over their variance at which the filter has to begin anew."""
+        """Mean square of normalized innovations at which the filter restarts."""
         return NEVER
 
     def prior_covariance(self, spread: Array) -> Array:
@@ -195,7 +204,9 @@ class Setup(ABC):
         return np.diag(spread**2)
 
     def renewed(self, memory: CoefficientMemory) -> CoefficientMemory:
-        """Memory that no longer trusts its state; nor its coefficients, where that did not help for long.
+        """Return a memory that no longer trusts its state.
+
+        It does not trust its coefficients either if the last restart did not help for long.
 
         A bump moves the state alone. Where the coefficients were learned from something that is
         over, they begin anew as the initial ones: they may be far off.
@@ -220,17 +231,20 @@ class Setup(ABC):
 
     @property
     def share(self) -> float:
-        """Standard deviations that a coefficient may move before the model is discretized anew."""
+        """Standard deviations a coefficient may move before rediscretization."""
         return SHARE
 
 
 def floor_at(lay: Layout) -> slice:
-    """Where the noise floor stands among the packed numbers."""
+    """Return the position of the noise floor in the packed array."""
     return slice(4 * lay.p, 4 * lay.p + lay.ny)
 
 
 def held_columns(M: Array, n: int, nu: int, hold: str) -> Array:
-    """Columns of the linear part; an input that is held acts with its value at the start."""
+    """Return the columns of the linear part for the given hold.
+
+    With a zero-order hold an input acts with its value at the start.
+    """
     M = np.ascontiguousarray(M[:, :, : n + 2 * nu])
     if hold == "zoh":
         M[:, :, n : n + nu] += M[:, :, n + nu :]

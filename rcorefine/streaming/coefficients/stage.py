@@ -63,7 +63,9 @@ def take(
 def advanced(
     setup: Setup, memory: CoefficientMemory, block: Block, record: CoefficientRecord
 ) -> tuple[CoefficientMemory, int]:
-    """Memory, changed in place, after a block, and the samples done: fewer where it diverged.
+    """Return the memory after a block, and the number of samples done.
+
+    The memory is changed in place. Fewer samples are done if the filter diverged.
 
     The model is discretized anew where coefficients have moved.
     """

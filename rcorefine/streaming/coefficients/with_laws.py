@@ -1,4 +1,7 @@
-"""A model with laws at the present coefficients, for the engine's march over one interval."""
+"""Nonlinear model at the present coefficients over one interval.
+
+The engine integrates this model.
+"""
 
 from __future__ import annotations
 
@@ -89,7 +92,10 @@ def push(ring, w):
 
 @compiled
 def fill(values, columns, first, theta):
-    """Coefficients of laws, those that are estimated from `theta`; their columns from `first` on."""
+    """Fill in the estimated coefficients of force laws from `theta`.
+
+    Their columns begin at `first`.
+    """
     for i in range(values.shape[0]):
         for c in range(4):
             if columns[i, first + c] >= 0:
@@ -98,7 +104,10 @@ def fill(values, columns, first, theta):
 
 @compiled
 def shift_matrices(Ms, O, given_Ms, dMs, given_O, dO, linear, theta, centre):
-    """Matrices to first order about the coefficients that they were discretized for."""
+    """Update the matrices to the present coefficients, to first order.
+
+    The expansion is about the coefficients that the matrices were discretized for.
+    """
     if linear.shape[0] == 0:
         return
     put_rows(Ms[0], given_Ms[0])
@@ -119,7 +128,10 @@ def shift_matrices(Ms, O, given_Ms, dMs, given_O, dO, linear, theta, centre):
 
 @compiled
 def enter(through, S):
-    """Sensitivities at the start of the interval; of the state to itself behind those to coefficients."""
+    """Set the sensitivities at the start of the interval.
+
+    Those to the coefficients come first, then those of the state to itself.
+    """
     p, n = S.shape
     put_rows(through, S)
     for i in range(through.shape[0] - p):

@@ -1,4 +1,7 @@
-"""Streaming diagnosis: a bank of candidates, a sequential test, an alarm with a name."""
+"""Streaming diagnosis: candidate effects, sequential test and alarm.
+
+The alarm names the effect.
+"""
 
 from .alarm import Alarm, MonitorRow
 from .monitor import Monitor

@@ -1,4 +1,7 @@
-"""How far the healthy model is from the samples that it learned from, and what to do about it."""
+"""Adequacy of the healthy model on the samples that it learned from.
+
+It says how far the model deviates from these samples and what to do about it.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,9 @@ _SHOWN = 3  # numbers in the sentence
 
 @dataclass(frozen=True, slots=True)
 class Adequacy(Row):
-    """What `Monitor.adequacy` says of the healthy model after the learning phase.
+    """Adequacy of the healthy model after the learning phase.
+
+    It is the value of `Monitor.adequacy`.
 
     Attributes
     ----------
@@ -66,7 +71,10 @@ class Adequacy(Row):
 def explained(
     numbers: Numbers, theta: Array, data: Measurement, use: NDArray[np.uint8], gain: Array
 ) -> Array:
-    """Fit of each output in percent, shape (n_y,): of the free run where there is one."""
+    """Return the fit of each output in percent, shape (n_y,).
+
+    It is that of the free run if there is one.
+    """
     n = numbers.structure.n_states
     step = numbers.structure.discretize(theta, data.dt, derivatives=False).M[:, :n]
     free = float(np.abs(np.linalg.eigvals(step)).max(initial=0.0)) <= FREE

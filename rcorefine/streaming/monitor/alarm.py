@@ -1,4 +1,4 @@
-"""What the monitor says: the alarm, and the rows of its ranking."""
+"""Alarm of the monitor, and the rows of its ranking."""
 
 from __future__ import annotations
 

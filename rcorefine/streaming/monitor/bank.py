@@ -1,4 +1,7 @@
-"""What each candidate would do to the outputs, as forces along the estimated motion."""
+"""Effect of each candidate on the outputs.
+
+Candidates act as forces along the estimated motion.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,7 @@ _MOST_SHAPES = 3  # of a law with a gap, a limit or a fading speed
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bank:
-    """Columns of all candidates, and of what is known of the model but for a doubt.
+    """Columns of all candidates and of uncertain model parameters.
 
     Attributes
     ----------
@@ -82,12 +85,15 @@ class Bank:
 
     @property
     def candidates(self) -> tuple[Effect, ...]:
-        """What is watched for."""
+        """Candidate effects that are monitored."""
         return self.effects[: int(self.owner[self.watched - 1]) + 1]
 
     @property
     def laws(self) -> NDArray[np.int64]:
-        """Law of each column for the kernels of this process, 0 where it has none to evaluate."""
+        """Force law of each column for the kernels of this process.
+
+        It is 0 where a column has none to evaluate.
+        """
         specs = [self.effects[owner].spec for owner in self.owner]
         asked = (self.codes < 100) | (self.codes == CODES["change"])
         found = [
@@ -211,7 +217,10 @@ def build_bank(
 
 
 def _sizes(bank: Bank, structure: Structure, theta: Array, data: Measurement, gain: Array) -> Array:
-    """One over the rms force of each column per unit of its coefficient, 0 where there is none."""
+    """Return one over the rms force of each column.
+
+    The force is per unit of the coefficient. The result is 0 where there is no force.
+    """
     run = Engine(structure, data, substeps=2 if structure.n_ports else 1).run(
         theta, sensitivity=False, gain=gain, histories=True, check=False
     )
@@ -228,7 +237,10 @@ def _sizes(bank: Bank, structure: Structure, theta: Array, data: Measurement, ga
 
 
 def _along(structure: Structure, theta: Array, data: Measurement, gain: Array) -> Array:
-    """A of the healthy model, each nonlinear force replaced by its best linear fit."""
+    """Return A of the healthy model, linearized along the data.
+
+    Each nonlinear force is replaced by its best linear fit.
+    """
     if structure.n_ports == 0:
         return structure.matrices(theta).A.astype(float)
     run = Engine(structure, data, substeps=2).run(
@@ -318,7 +330,10 @@ def _row(effect: Effect, shape: dict[str, float]) -> tuple[float, ...]:
 
 
 def _shapes(structure: Structure, theta: Array, effect: Effect, motion: Motion) -> list[dict[str, float]]:
-    """Coefficients at which the law is looked at: its gap, limit or fading speed, the forces zero."""
+    """Return the coefficients at which a force law is evaluated.
+
+    They hold its gap, limit or fading speed; the forces are zero.
+    """
     probe = Structure(structure.model, [effect])
     sets: list[dict[str, float]] = []
     for point in shape_starts(probe, probe.start(), motion):

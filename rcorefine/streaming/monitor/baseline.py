@@ -1,4 +1,4 @@
-"""What the monitor learns from the first, healthy samples: gain of the observer, and its noise."""
+"""Observer gain and noise, learned from the first, healthy samples."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Healthy:
 
 
 def check_outputs(structure: Structure, data: Measurement, use: NDArray[np.uint8]) -> None:
-    """Refuse a learning phase where an output is hardly there, or does not move."""
+    """Refuse a learning phase with a missing or constant output."""
     for i, label in enumerate(structure.linear_model.output_labels):
         there = use[:, i] > 0
         if there.mean() < 1 - _MOST_MISSING:
@@ -144,7 +144,10 @@ def learn(
 
 
 def _alone(white: Array, use: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Samples that stand out of the whitened innovations, shape (N, n_y); none where they are many."""
+    """Return isolated outliers of the whitened innovations.
+
+    The shape is (N, n_y). There are none where outliers are frequent.
+    """
     size = np.abs(white.T)
     usual = np.array([np.median(row[there > 0]) for row, there in zip(size.T, use.T, strict=True)])
     out = (size > _STANDS_OUT / norm.ppf(0.75) * usual) & (use > 0) & (usual > 0)
@@ -159,7 +162,10 @@ def _chosen(
     use: NDArray[np.uint8],
     period: int,
 ) -> tuple[Healthy, Array, Array]:
-    """The likeliest observer, its whitened innovations, and their standard deviations."""
+    """Return the most likely observer and its whitened innovations.
+
+    The standard deviations of the innovations are returned as well.
+    """
     structure = engine.structure
     best: tuple[float, Healthy, Array, Array] | None = None
     for ratio in ratios:
@@ -209,7 +215,10 @@ def _evaluated(
     use: NDArray[np.uint8],
     period: int,
 ) -> tuple[float, Healthy, Array, Array] | None:
-    """Minus log-likelihood, the observer and what its filter leaves; None where it cannot follow."""
+    """Return minus log-likelihood, observer and filtered innovations.
+
+    Return None if the observer cannot follow the data.
+    """
     y, flags = engine.data.outputs, use.T > 0
     spread = np.maximum(y.std(axis=1), 1e-300)
     K = gain if gain.any() else None
@@ -262,12 +271,17 @@ def _evaluated(
 
 
 def variance_by(law: Array, sizes: Array) -> Array:
-    """Variance of each sample, never far below that of those around it; see `noise_law`."""
+    """Return the variance of each sample for a noise model.
+
+    It is never far below the variance of the samples around it; see `noise_law`.
+    """
     return np.asarray(np.maximum(sizes @ law, EVEN * (law[0] + (law[1] + law[2]) * sizes[:, 2])))
 
 
 def noise_law(white: Array, sizes: Array, floor: float) -> Array:
-    """Variance of a signal as a sum of sizes, each with a factor of zero or more.
+    """Fit the variance of a signal as a sum of nonnegative terms.
+
+    Each term is a size times a factor of zero or more.
 
     Parameters
     ----------

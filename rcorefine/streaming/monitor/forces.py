@@ -1,4 +1,7 @@
-"""Forces of the candidates along the motion, one compiled loop with its memory in arrays."""
+"""Forces of the candidates along the motion, in one compiled loop.
+
+Its memory is kept in arrays.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Which candidate it is: each one fitted to the samples since the change, in the observer's form."""
+"""Identification of the effect behind a change.
+
+Each candidate is fitted to the samples since the change, in the observer's form.
+"""
 
 from __future__ import annotations
 
@@ -71,7 +74,10 @@ class Segment:
 
     @property
     def judged(self) -> NDArray[np.bool_]:
-        """Samples that are whitened, shape (N,): they and the past of the filters were measured."""
+        """Samples that are whitened, shape (N,).
+
+        They and the past of the filters were measured.
+        """
         whole = self.use.all(axis=1)
         q = self.filters.shape[1]
         if whole.size <= q:
@@ -80,7 +86,10 @@ class Segment:
         return np.concatenate([np.zeros(q, dtype=bool), known])
 
     def whiten(self, errors: Array) -> Array:
-        """Innovations (n_y, N) or (n_y, N, p) as independent rows of unit variance."""
+        """Return innovations as independent rows of unit variance.
+
+        `errors` has shape (n_y, N) or (n_y, N, p).
+        """
         ny, N = errors.shape[:2]
         there = self.judged
         flags = self.use.T > 0
@@ -215,7 +224,10 @@ def descend(
     worst: float = math.inf,
     prior: Callable[[Array], Rows] | None = None,
 ) -> Fit:
-    """Fit the coefficients `loose` of `theta`, and the initial state where it is free, from one start."""
+    """Fit the coefficients `loose` of `theta` from one starting value.
+
+    The initial state is fitted as well if it is free.
+    """
     start = theta[loose]
     p, n = start.size, x0.size
     free = n if segment.free_state else 0

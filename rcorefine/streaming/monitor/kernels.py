@@ -91,7 +91,9 @@ else:
 
 @compiled
 def _calibrate(N_, V_, doubt, keep, counted, spread, factor):  # type: ignore[no-untyped-def]
-    """How much wider than by theory the statistics scatter while nothing is wrong.
+    """Estimate how much wider the statistics scatter than in theory.
+
+    The estimate uses samples at which nothing is wrong.
 
     Long windows have few independent values yet; they borrow from the next shorter one.
     """
@@ -158,9 +160,11 @@ def scores(  # type: ignore[no-untyped-def]
     scale,  # (N, ny)     standard deviation of the noise at each sample, on return
     ratio,  # (N,)        largest squared statistic over its threshold, on return
 ):
-    """Send the forces through the observer, whiten, and update the windows; return samples done.
+    """Whiten the forces behind the observer and update the windows.
 
-    The first columns are those of the candidates; others are numbers of the model. Ends early at a
+    Return the number of samples done.
+
+    The first columns are those of the candidates; others are parameters of the model. Ends early at a
     sample that is left out, for the observer must not follow it either.
     """
     total, k = F.shape

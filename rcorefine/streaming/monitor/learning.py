@@ -1,4 +1,7 @@
-"""The learning phase, from the first samples to the stream that follows; records, windows, thresholds."""
+"""Learning phase of the monitor.
+
+It leads from the first samples to the stream that follows, with records, windows and thresholds.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,9 @@ _SLOW = 16  # periods of the mean that is taken off
 
 
 def learned(monitor: Monitor, block: Block, per: int, blocks: int) -> tuple[Stream, Adequacy]:
-    """Numbers, noise and columns from the first samples, which are then watched like any others.
+    """Learn parameters, noise and columns from the first samples.
+
+    These samples are then monitored like any others.
 
     Parameters
     ----------
@@ -75,7 +80,10 @@ def learned(monitor: Monitor, block: Block, per: int, blocks: int) -> tuple[Stre
 
 
 def record_to_watch(model: LinearModel, dt: float, hold: str, data: Any) -> Measurement:
-    """A record in the order of the model's channels, if it was taken as the stream is."""
+    """Return a record in the order of the model's channels.
+
+    It must have the sample time and the hold of the stream.
+    """
     data = as_record(data)
     if not math.isclose(data.dt, dt, rel_tol=1e-6):
         raise DataError(f"the record has dt = {data.dt:g} s and the monitor {dt:g} s; resample one")
@@ -91,7 +99,10 @@ _LONGEST = 200  # periods in the longest window
 
 
 def window_lengths(windows: tuple[int, int] | None, period: int) -> Array:
-    """Samples in each window, doubled from one to the next; `period` is that of the first mode."""
+    """Return the samples in each window, doubled from one to the next.
+
+    `period` is that of the first mode.
+    """
     if windows is None:
         shortest, longest = max(8, period // 4), _LONGEST * period
     else:
@@ -105,7 +116,9 @@ def window_lengths(windows: tuple[int, int] | None, period: int) -> Array:
 
 
 def crossing_rate(level: float, keep: float) -> float:
-    """Rate per sample at which one windowed statistic crosses a level by chance.
+    """Return the rate per sample of chance crossings of a level.
+
+    The rate is that of one windowed statistic.
 
     Parameters
     ----------

@@ -47,7 +47,9 @@ _BLOCKS = 256
 
 
 class Monitor(Result):
-    """Watch a structure on a stream: is it still healthy, and if not, what has changed since when.
+    """Monitor that detects changes of a structure on a stream.
+
+    It reports whether the structure is still healthy, and if not, what has changed since when.
 
     A steady observer of the healthy model follows the samples. What it does not explain is whitened;
     every candidate effect contributes what it would add to the outputs, and a sequential test asks at
@@ -253,7 +255,10 @@ class Monitor(Result):
             raise
 
     def _way_back(self, coming: int) -> Callable[[], None]:
-        """What restores the present state after an update of `coming` samples that failed."""
+        """Return a function that restores the present state.
+
+        It undoes an update of `coming` samples that failed.
+        """
         names = "_stream", "_count", "_latest", "remarks", "adequacy"
         before: dict[str, Any] = {name: getattr(self, name) for name in names}
         before |= {name: copy(getattr(self, name)) for name in ("_waiting", "_watch", "_course")}
@@ -309,7 +314,9 @@ class Monitor(Result):
 
     @alone
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the monitor to a file (replaced in one step), to go on later exactly where it stood.
+        """Write the monitor to a file.
+
+        The file is replaced in one step. A loaded monitor continues exactly where this one stopped.
 
         Parameters
         ----------
@@ -380,9 +387,9 @@ class Monitor(Result):
 
     @property
     def probability(self) -> Array:
-        """Course of the probabilities at `timepts`, shape (1 + n_candidates, n_rows).
+        """Probabilities at `timepts`, shape (1 + n_candidates, n_rows).
 
-        The first row is "nothing has changed": one half where the statistic stands at its
+        The first row is "nothing has changed": one half where the statistic is at its
         threshold. The others follow in the order of `candidates`. At most 2048
         rows are kept; a longer stream is thinned.
         """
@@ -391,13 +398,15 @@ class Monitor(Result):
 
     @property
     def statistic(self) -> Array:
-        """Course of the largest statistic over its threshold at `timepts`, shape (n_rows,)."""
+        """Largest statistic over its threshold at `timepts`, shape (n_rows,)."""
         c = self._course
         return c.rows[: c.count, -3].copy()
 
     @property
     def coefficient(self) -> Array:
-        """Course of the named effect's first coefficient and its standard deviation, (2, n_rows).
+        """First coefficient of the named effect, with its standard deviation.
+
+        The shape is (2, n_rows).
 
         NaN while no alarm is on.
         """
@@ -406,7 +415,10 @@ class Monitor(Result):
 
     @property
     def ranking(self) -> tuple[MonitorRow, ...]:
-        """All candidates, the most probable first; empty during the learning phase."""
+        """All candidates, the most probable first.
+
+        The ranking is empty during the learning phase.
+        """
         if self._stream is None:
             return ()
         if self._watch.rows:
@@ -415,7 +427,9 @@ class Monitor(Result):
 
     @picture
     def plot(self, **options: Unpack[Options]) -> ct.ControlPlot:
-        """Draw statistic, probabilities and the coefficient of the named effect over time.
+        """Draw statistic, probabilities and coefficient over time.
+
+        The coefficient is that of the named effect.
 
         Parameters
         ----------

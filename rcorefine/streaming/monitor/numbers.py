@@ -1,4 +1,7 @@
-"""The numbers of the healthy model: moved as far as the baseline asks for, and known but for a doubt."""
+"""Parameters of the healthy model with their uncertainty.
+
+They are re-estimated as far as the baseline requires.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +57,10 @@ class Numbers:
 
     @cached_property
     def moving(self) -> list[tuple[Effect, str]]:
-        """Effect and coefficient of each number, its law at the gap or limit that it has."""
+        """Effect and coefficient of each uncertain parameter.
+
+        The force law is taken at the gap or limit that it has.
+        """
         return [_seen_as(self.structure, self.theta, int(i)) for i in self.loose]
 
 
@@ -70,7 +76,7 @@ def _seen_as(structure: Structure, theta: Array, at: int) -> tuple[Effect, str]:
 def numbers_of(
     structure: Structure, theta: Array, substeps: int, covariance: Array | None, tolerance: float
 ) -> Numbers:
-    """What is not known exactly: numbers of the model, and coefficients that were estimated.
+    """Return the uncertain model parameters and estimated coefficients.
 
     Parameters
     ----------
@@ -117,9 +123,11 @@ def numbers_of(
 
 
 def offset(numbers: Numbers, data: Measurement, use: NDArray[np.uint8]) -> Numbers:
-    """The numbers with the constant offset of each sensor, estimated with the initial state.
+    """Return the parameters with the constant offset of each sensor.
 
-    Without it, observer and numbers would follow the offset.
+    The offsets are estimated together with the initial state.
+
+    Without it, observer and parameters would follow the offset.
     """
     structure, theta = numbers.structure, numbers.theta
     n, ny = structure.n_states, structure.n_outputs
@@ -150,7 +158,9 @@ def settled(
     disturbance: float | None,
     period: int,
 ) -> tuple[Numbers, Healthy]:
-    """Numbers and noise that the healthy samples are likeliest with, and the doubt that is left.
+    """Return the most likely parameters and noise of the healthy samples.
+
+    The parameters come with their remaining uncertainty.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The healthy model on a stream: an observer that keeps its state between blocks."""
+"""Observer of the healthy model that keeps its state between blocks."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ __all__ = ["Observer", "Pace", "as_base", "pace_of"]
 
 
 def as_base(model: Any, hold: str) -> tuple[Structure, Array, int]:
-    """Structure, coefficients and substeps of the model that is taken for healthy.
+    """Return structure, coefficients and substeps of the healthy model.
 
     Raises
     ------
@@ -45,7 +45,7 @@ def as_base(model: Any, hold: str) -> tuple[Structure, Array, int]:
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """How fast the model is.
+    """Time scale of the model in samples.
 
     Attributes
     ----------
@@ -61,7 +61,10 @@ class Pace:
 
 
 def pace_of(structure: Structure, theta: Array, dt: float) -> Pace:
-    """Period of the first mode in samples (or what stands for it), kept between 8 and 100 000."""
+    """Return the period of the first mode in samples.
+
+    Without a mode the slowest state decides. The result is kept between 8 and 100 000.
+    """
     poles = np.linalg.eigvals(structure.matrices(theta).A.astype(float))
     swinging = np.abs(poles[np.abs(poles.imag) > 0.2 * np.abs(poles)])
     if swinging.size:

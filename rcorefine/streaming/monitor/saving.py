@@ -1,4 +1,7 @@
-"""A monitor as a tree of what files hold, and back: checked against a fresh one of the same settings."""
+"""Conversion of a monitor to a tree of file contents, and back.
+
+A tree is checked against a fresh monitor of the same settings.
+"""
 
 from __future__ import annotations
 
@@ -91,7 +94,10 @@ def content_of(monitor: Monitor) -> dict[str, Any]:
 
 
 def restored(cls: type[Monitor], content: Any) -> Monitor:
-    """The monitor that `content` was taken from, every part held against what a fresh one would be."""
+    """Return the monitor that `content` was taken from.
+
+    Every part is checked against that of a fresh monitor.
+    """
     if content.get("layout") != _LAYOUT:
         raise DataError(
             "this monitor was saved by another version of rcorefine (one without number: before 0.2), which "
@@ -241,7 +247,7 @@ def _check_adequacy(found: Any, monitor: Monitor) -> None:
 
 
 def _check_parts(found: Any, monitor: Monitor) -> None:
-    """What was learned: observer and noise, columns of the candidates, windows."""
+    """Check the learned parts: observer, noise, columns and windows."""
     s = monitor._structure
     n, ny, nw = s.n_states, s.n_outputs, s.n_inputs
     healthy, bank = parts_of(found["healthy"]), parts_of(found["bank"])

@@ -62,7 +62,10 @@ class Watch:
 
     @property
     def busy(self) -> bool:
-        """Whether a threshold was crossed and the structure does not count as healthy."""
+        """Return whether the structure counts as changed.
+
+        This is so after a threshold was crossed, until the structure counts as healthy again.
+        """
         return self.found is not None
 
     @property
@@ -106,7 +109,10 @@ class Watch:
             self.attend(stream)
 
     def _look(self, sample: int, least: int = 0) -> int:
-        """When to look at the names again: at 1/2, 1, 2, 4, ... periods, then once per memory."""
+        """Return the sample at which the ranking is updated next.
+
+        Updates come after 1/2, 1, 2, 4, ... periods, then once per memory.
+        """
         age = sample - self.crossed
         step = max(self.period // 2, 1)
         while step <= age:
@@ -135,7 +141,10 @@ class Watch:
             self.follow(stream)
 
     def _sure(self) -> bool:
-        """Whether one place has nearly all of the probability, twice in a row, and explains the change."""
+        """Return whether one place clearly explains the change.
+
+        It must have nearly all of the probability, twice in a row.
+        """
         places: dict[str, float] = {}
         for row in self.rows:
             places[row.effect.place] = places.get(row.effect.place, 0.0) + row.probability
@@ -192,13 +201,19 @@ class Watch:
         self._state(stream.observer.structure.model)
 
     def change(self, stream: Stream) -> float:
-        """Log-likelihood ratio of a change, 0 at the threshold; never less than when it rang."""
+        """Return the log-likelihood ratio of a change, 0 at the threshold.
+
+        It is never less than its value at the alarm.
+        """
         assert self.found is not None
         at_alarm = 0.5 * (self.found.statistic**2 - self.found.threshold**2)
         return max(at_alarm, float(standing(stream)[1].max()))
 
     def _state(self, model: PhysicalModel) -> None:
-        """Put the best row into the alarm; of those that explain the change as well there, the simplest."""
+        """Write the best row into the alarm.
+
+        If several rows explain the change equally well at that place, the simplest is taken.
+        """
         assert self.found is not None
         best, near = self.rows[0], 0.5 * levels().rival
         alike = [
@@ -222,7 +237,10 @@ class Watch:
         self.found = replace(found, sentence=_sentence(found, model, others))
 
     def follow(self, stream: Stream) -> None:
-        """Fit the named effect to the last periods alone; end the alarm where it is gone."""
+        """Fit the named effect to the last periods alone.
+
+        End the alarm if the effect is gone.
+        """
         assert self.found is not None
         index = stream.bank.effects.index(self.found.effect)
         sample, reach = stream.n_samples, _FOLLOW * self.period
@@ -242,7 +260,10 @@ class Watch:
             self.end(stream, start, nothing.state)
 
     def end(self, stream: Stream, start: int, state: Array) -> None:
-        """The change is gone: back to the healthy state, `state` being that at sample `start`."""
+        """End the alarm and return to the healthy state.
+
+        `state` is the healthy state at sample `start`.
+        """
         assert self.found is not None
         gone = replace(self.found, ended=stream.n_samples * self.dt)
         if self.confirmed:

@@ -1,4 +1,4 @@
-"""What the bank says: since when, and how likely each candidate is."""
+"""Time of the change, and the probability of each candidate."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ _HOPELESS = 100.0  # sum of squares by which a fit may lie behind before it is g
 
 
 def standing(stream: Stream) -> tuple[float, Array]:
-    """Largest statistic over its threshold, and by how much each candidate's log-likelihood tops it.
+    """Return the largest statistic over its threshold, and all gains.
+
+    A gain says by how much a candidate's log-likelihood exceeds the threshold.
 
     Returns
     -------
@@ -53,7 +55,9 @@ def _by_candidate(stream: Stream, values: Array) -> Array:
 
 
 def shares(change: float, gains: Array) -> Array:
-    """Probabilities of nothing and of each candidate, which are as likely before.
+    """Return the probabilities of no change and of each candidate.
+
+    The prior probabilities of the candidates are equal.
 
     Parameters
     ----------
@@ -72,7 +76,7 @@ def shares(change: float, gains: Array) -> Array:
 
 
 def change_of(stream: Stream) -> tuple[int, Array]:
-    """Sample since which something is different, and the gain of each column since.
+    """Return the sample of the change, and the gain of each column since.
 
     The change that makes the likelihood of one candidate largest, among the starts of the
     blocks that are kept.
@@ -89,7 +93,10 @@ def change_of(stream: Stream) -> tuple[int, Array]:
 
 
 def linear_estimates(stream: Stream, since: int) -> tuple[Array, Array, Array]:
-    """Coefficient, standard deviation and gain of each column since a sample, linearized."""
+    """Return linearized estimates of each column since a sample.
+
+    They are coefficient, standard deviation and gain.
+    """
     starts, sums = stream.block_sums()
     recent = starts + stream.windows.block > since
     N, V = sums[0][recent].sum(axis=0), sums[1][recent].sum(axis=0)
@@ -157,7 +164,7 @@ def fit_all(
     latest: int | None,
     window: int,
 ) -> tuple[list[tuple[Fit, float]], int, float]:
-    """Candidates that are worth it, each fitted to the samples since the change.
+    """Fit each promising candidate to the samples since the change.
 
     Parameters
     ----------
@@ -217,7 +224,10 @@ def _best_first(scored: Iterable[tuple[Fit, float]]) -> list[tuple[Fit, float]]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Contest:
-    """Candidates fitted to the same samples; the fields are the arguments of `fit_all`."""
+    """Candidates fitted to the same samples.
+
+    The fields are the arguments of `fit_all`.
+    """
 
     stream: Stream
     mean: Array
@@ -228,7 +238,10 @@ class _Contest:
     def fits_from(
         self, start: int, which: Sequence[int], known: Mapping[Effect, Array]
     ) -> list[tuple[Fit, float]]:
-        """Fits of some candidates to the samples from `start` on, and their gains, best first."""
+        """Fit some candidates to the samples from `start` on.
+
+        Return the fits and their gains, best first.
+        """
         stream = self.stream
         if self.latest is None:
             first, free = max(start, stream.n_samples - self.window, stream.oldest), True
@@ -256,7 +269,10 @@ class _Contest:
     def moved(
         self, scored: list[tuple[Fit, float]], since: int, latest: int
     ) -> tuple[list[tuple[Fit, float]], int]:
-        """The change where the leaders fit best: earlier or later than the linear scores say."""
+        """Move the change to the sample at which the leaders fit best.
+
+        It may be earlier or later than the linear scores indicate.
+        """
         index = {effect: i for i, effect in enumerate(self.stream.bank.candidates)}
         leaders = [index[fit.effect] for fit, _ in scored[:_LEADERS] if fit.effect is not None]
         known = {fit.effect: fit.coefficients for fit, _ in scored if fit.effect is not None}
@@ -280,7 +296,10 @@ class _Contest:
 
 
 def find_state(stream: Stream) -> None:
-    """Find the state anew after a missing input, which a lightly damped model does not forget."""
+    """Find the state again after a missing input.
+
+    A lightly damped model does not forget a wrong state.
+    """
     start = max(int(stream.memory["lost"][0]), stream.oldest)
     segment = segment_of(stream, start, True, stream.memory["mean_e"])
     motion = Motion(segment.structure, segment.theta, segment.data)
@@ -289,7 +308,10 @@ def find_state(stream: Stream) -> None:
 
 
 def fit_one(stream: Stream, index: int, start: int, mean: Array, before: Array) -> tuple[Fit, Fit]:
-    """One candidate, and none, on the samples from `start` on, their state before unknown."""
+    """Fit one candidate, and no effect, to the samples from `start` on.
+
+    The state at `start` is unknown.
+    """
     segment = segment_of(stream, max(start, stream.oldest), True, mean)
     motion = Motion(segment.structure, segment.theta, segment.data)
     effect = stream.bank.effects[index]

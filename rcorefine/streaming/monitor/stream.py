@@ -1,4 +1,7 @@
-"""The part of the monitor that runs with every sample: observer, bank and windows."""
+"""Part of the monitor that runs with every sample.
+
+It consists of observer, bank and windows.
+"""
 
 from __future__ import annotations
 
@@ -133,7 +136,10 @@ class Stream:
         return int(self.memory["counters"][0])
 
     def way_back(self, coming: int) -> Callable[[], None]:
-        """What restores the present state after up to `coming` samples more."""
+        """Return a function that restores the present state.
+
+        It works after up to `coming` more samples.
+        """
         mem = self.memory
         kept = len(mem["ring_w"])
         place = (self.n_samples + np.arange(min(coming, kept))) % kept
@@ -150,7 +156,7 @@ class Stream:
     def advance(
         self, W: Array, Y: Array, use: NDArray[np.uint8], known: NDArray[np.uint8], *, stop: bool
     ) -> tuple[int, Array]:
-        """Take a block, or its samples up to the first that lies above a threshold.
+        """Take a block, or its samples until a threshold is exceeded.
 
         Parameters
         ----------
@@ -217,7 +223,7 @@ class Stream:
         return -1 if lost < 0 else lost + self.wait
 
     def _gaps(self) -> None:
-        """Prepare what tells how long a doubtful state matters, and how long after missing outputs.
+        """Prepare how long an uncertain state or missing outputs matter.
 
         The energy of the whitened innovations by a state error, from a sample on, bounds the relative
         increase of the variance of every statistic (Cauchy-Schwarz).
@@ -253,7 +259,10 @@ class Stream:
                 open_loop = open_loop @ open_loop
 
     def _matters(self, doubt: Array) -> int:
-        """Samples over which a state of this covariance, (n, n), would widen the statistics."""
+        """Return how many samples an uncertain state affects the statistics.
+
+        `doubt` is the covariance of the state, (n, n).
+        """
         n, samples = len(doubt), 0
         P = np.zeros_like(self._energy)
         P[:n, :n] = doubt
@@ -270,7 +279,10 @@ class Stream:
     def _calm(
         self, known: NDArray[np.uint8], use: NDArray[np.uint8]
     ) -> tuple[NDArray[np.uint8], tuple[int, int]]:
-        """Samples that count: not those after a gap, until the state is sure enough."""
+        """Return the samples that count.
+
+        Samples after a gap do not count until the state is known well enough.
+        """
         pause, gone = map(int, self.memory["pause"])
         whole = np.asarray(use.all(axis=1))
         if known.all() and whole.all() and pause == gone == 0:
@@ -313,7 +325,10 @@ class Stream:
         return (after, outputs), before, F * bank.scale, inner
 
     def recent(self, start: int) -> tuple[Array, Array, NDArray[np.uint8], Array, Array]:
-        """Samples from `start` on, as far as they are kept: inputs, outputs, flags, noise, first state."""
+        """Return the stored samples from `start` on.
+
+        They are inputs, outputs, flags, noise and the first state, as far as they are kept.
+        """
         mem = self.memory
         place = np.arange(start, self.n_samples) % len(mem["ring_w"])
         marks = mem["ring_use"][place]
@@ -336,7 +351,10 @@ class Stream:
         return max(0, self.n_samples - len(self.memory["ring_w"]))
 
     def block_sums(self) -> tuple[NDArray[np.int64], Array]:
-        """First sample of each block that is kept, in order of time, and its scores and informations."""
+        """Return first sample, scores and information of each stored block.
+
+        The blocks are in order of time.
+        """
         w = self.windows
         last = (self.n_samples - 1) // w.block
         index = np.arange(max(0, last - w.blocks + 1), last + 1)
@@ -349,7 +367,10 @@ class Stream:
             self.memory[key][:] = 0
 
     def found(self, start: int, state: Array, doubt: Array | None = None) -> None:
-        """Go on from the state that was found at sample `start`, with this covariance (none: exact)."""
+        """Continue from the state that was found at sample `start`.
+
+        `doubt` is its covariance. None means that the state is exact.
+        """
         mem = self.memory
         W, Y, use, _, _ = self.recent(start)
         begin = {"x": state, "z": mem["z"], "w": mem["w"][:0]}

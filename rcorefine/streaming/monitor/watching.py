@@ -1,4 +1,4 @@
-"""Samples of the stream one after the other: test, alarm, and the rows of the course."""
+"""Samples of the stream in sequence: test, alarm and history rows."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _CHUNK = 2048  # samples at a time
 
 
 def watch_block(stream: Stream, watch: Watch, course: Course, block: Block, position: int = 0) -> None:
-    """Take the samples of a block from `position` on, and act on what the test says.
+    """Process a block from `position` on, and act on the test result.
 
     Parameters
     ----------
@@ -57,7 +57,10 @@ def watch_block(stream: Stream, watch: Watch, course: Course, block: Block, posi
 
 
 def _row(stream: Stream, watch: Watch) -> Array:
-    """Probabilities, statistic over its threshold, coefficient and its standard deviation."""
+    """Return a history row: probabilities, statistic and coefficient.
+
+    The statistic is divided by its threshold. The standard deviation of the coefficient comes last.
+    """
     ratio, gains = standing(stream)
     if watch.gains is None:
         p, value, std = shares(float(gains.max()), gains), math.nan, math.nan
@@ -70,7 +73,9 @@ ROWS = 2048
 
 
 class Course:
-    """Rows of figures at equal steps; when full, every other row goes and the step doubles.
+    """History rows at equal steps.
+
+    When it is full, every other row is dropped and the step doubles.
 
     Parameters
     ----------

@@ -1,1 +1,4 @@
-"""Retrospective cost model refinement by the paper's equations: both stages on arrays."""
+"""Retrospective cost model refinement by the paper's equations.
+
+Both stages work on arrays.
+"""

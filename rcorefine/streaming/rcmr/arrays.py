@@ -1,4 +1,4 @@
-"""What the kernels take and leave behind, as tuples of arrays.
+"""Inputs and results of the kernels, as tuples of arrays.
 
 Signals are rows in time (time first, so that one sample is contiguous) and
 scaled to unit size; `delay` is d and `H` holds H_d ... H_(d+mu-1).
@@ -70,7 +70,10 @@ class Stage(NamedTuple):
 
 
 class Record(NamedTuple):
-    """What a block leaves behind, time first; of length 0 where it was not asked for."""
+    """History of a block, time first.
+
+    Its length is 0 where it was not requested.
+    """
 
     z1: Array
     z2: Array

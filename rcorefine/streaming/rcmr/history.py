@@ -1,4 +1,4 @@
-"""What a refiner did, sample by sample; kept only on request."""
+"""History of a refiner, sample by sample, kept only on request."""
 
 from __future__ import annotations
 
@@ -89,7 +89,9 @@ class History:
 
     @picture
     def plot(self, **options: Unpack[Options]) -> ct.ControlPlot:
-        """Plot the performance of both stages over time, the static coefficients and the refined poles.
+        """Plot the performance, static coefficients and refined poles.
+
+        The performance is shown for both stages over time.
 
         Parameters
         ----------
@@ -112,7 +114,10 @@ def pole_samples(n_samples: int) -> NDArray[np.int64]:
 
 
 def poles_of(models: Sequence[LinearModel], dt: float | None) -> NDArray[np.complex128]:
-    """Poles in rad/s, shape (n, K), each next to the nearest one before; NaN where a model has none."""
+    """Return the poles in rad/s, shape (n, K), in matching order.
+
+    Each is matched to the nearest pole of the previous model. It is NaN where a model has none.
+    """
     found: list[NDArray[np.complex128]] = []
     for model in models:
         poles = np.full(len(model.A), complex(np.nan, np.nan))

@@ -1,4 +1,6 @@
-"""Both stages of retrospective cost optimization over a block of samples: arrays in, arrays out.
+"""Kernels of both stages of retrospective cost optimization.
+
+They process a block of samples: arrays in, arrays out.
 
 One source for both ways of running: numba compiles it where it is installed
 (`rcorefine.jit`), otherwise it runs as plain Python.
@@ -21,7 +23,10 @@ DIVERGED = 1e6
 
 @compiled
 def remember(stage: Stage, order: int, x: Array, w: Array) -> Array:
-    """Shift x(k) and w(k) into the regressor, and return the correction u(k) = theta psi."""
+    """Shift x(k), w(k) into the regressor and return the correction u(k).
+
+    The correction is theta psi.
+    """
     psi = stage.psi
     n, n_w, l_u = x.size, w.size, stage.past_u.shape[1]
     recent = stage.counters[RECENT]
@@ -44,7 +49,10 @@ def remember(stage: Stage, order: int, x: Array, w: Array) -> Array:
 
 @compiled
 def reach(design: Design, past_u: Array, recent: int) -> Array:
-    """Sum of H_i u(k-i) over the Markov parameters: what the recent corrections do to y(k)."""
+    """Return the effect of the recent corrections on y(k).
+
+    It is the sum of H_i u(k-i) over the Markov parameters.
+    """
     total = np.zeros(design.H.shape[1])
     for i in range(design.H.shape[0]):
         total += product(design.H[i], past_u[(recent - design.delay - i) % past_u.shape[0]])
@@ -67,7 +75,10 @@ def filtered(design: Design, past_psi: Array, recent: int, width: int) -> Array:
 
 @compiled
 def bounded(simulated: Array, u: Array, x: Array, limit: float) -> bool:
-    """Whether output, correction and states are numbers of a sane size (NaN is not)."""
+    """Return whether output, correction and states are below the limit.
+
+    NaN is not.
+    """
     largest = max(np.abs(simulated).max(), np.abs(u).max())
     return bool(largest <= limit and np.abs(x).sum() <= DIVERGED * limit)
 
@@ -173,7 +184,10 @@ DIRECT_LIMIT = 1e11
 
 @compiled
 def refresh(stage: Stage, alpha: float) -> None:
-    """Rebuild the gain matrix from the rows: one after the other enters an empty window."""
+    """Rebuild the gain matrix from the rows of the window.
+
+    One row after the other enters an empty window.
+    """
     count, m = stage.rows.shape
     energy = 0.0
     for i in range(count):
@@ -200,7 +214,10 @@ def _reflect(column: Array, v: Array) -> None:
 
 @compiled
 def direct_step(rows: Array, residual: Array, alpha: float) -> Array:
-    """Minimize |residual + rows s|^2 + alpha |s|^2 by Householder's reflections."""
+    """Solve the regularized least-squares step by Householder reflections.
+
+    The step s minimizes |residual + rows s|^2 + alpha |s|^2.
+    """
     count, m = rows.shape
     right = np.zeros(count + m)  # -residual; 0
     columns = np.zeros((m, count + m))  # of [rows; sqrt(alpha) I]

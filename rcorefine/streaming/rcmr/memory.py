@@ -1,4 +1,7 @@
-"""All that a refiner remembers, as plain arrays, copied before a block: a failed one changes nothing."""
+"""Memory of a refiner as plain arrays.
+
+It is copied before a block, so that a failed block changes nothing.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +35,7 @@ class Settings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tuned:
-    """What follows from the scales: the scaled model and the designs of both stages."""
+    """Scaled model and designs of both stages for given scales."""
 
     scales: Scales
     plant: Plant
@@ -69,7 +72,10 @@ class Memory:
     tuned: Tuned | None
 
     def static_theta(self) -> Array:
-        """Coefficients of stage 2, averaged over the latest samples; with padding, in scaled units."""
+        """Return the coefficients of stage 2, averaged over the latest samples.
+
+        They include padding and are in scaled units.
+        """
         learned = int(self.stages[1].counters[4])
         count = min(max(learned, 1), self.recent_theta.shape[0])
         return np.asarray(self.recent_theta[:count].mean(axis=0))
@@ -128,7 +134,9 @@ def begin(
 def restored_memory(
     found: Memory, plant: Plant, delay: int, settings: tuple[Settings, Settings], average: int
 ) -> Memory:
-    """Memory from a file, held against a fresh one; what follows from the scales is made anew.
+    """Return the memory from a file after checking it.
+
+    It is checked against a fresh memory. What follows from the scales is computed again.
 
     Raises
     ------
@@ -210,7 +218,10 @@ def regressor_scale(states: Array, inputs: Array, corrections: Array, order: int
 
 
 def in_units(theta: Array, scales: Scales, order: int) -> Array:
-    """Coefficients (..., m) with padding, as (..., l_u, l_psi) in the units of the signals."""
+    """Return coefficients in the units of the signals.
+
+    `theta` has shape (..., m) with padding, the result (..., l_u, l_psi).
+    """
     units = regressor_scale(scales.states, scales.inputs, scales.corrections, order)
     l_u, q = scales.corrections.size, units.size
     plain = theta[..., : l_u * q].reshape(*theta.shape[:-1], l_u, q)

@@ -1,4 +1,4 @@
-"""Both stages by the paper's equations, behind the protocol that the refiner speaks."""
+"""Both stages by the paper's equations, as an estimator of the refiner."""
 
 from __future__ import annotations
 
@@ -61,7 +61,10 @@ class PaperStages:
         return self.memory.n_samples - len(self.memory.inputs)
 
     def take(self, block: Block, *, keep_sound: bool = False) -> None:
-        """Learn from a block: all of it or nothing, or with `keep_sound` what came before a divergence."""
+        """Learn from a block completely or not at all.
+
+        With `keep_sound`, keep what came before a divergence.
+        """
         if not block.whole:
             self.memory, records = take_over_gaps(self.setup, self.memory, block, keep=self.keep)
             self.records += records
@@ -83,7 +86,10 @@ class PaperStages:
             raise
 
     def take_sound(self, inputs: Array, outputs: Array) -> None:
-        """Learn from samples of shape (N, .) without gaps, at least from those before a divergence."""
+        """Learn from samples of shape (N, .) without gaps.
+
+        Samples before a divergence are kept.
+        """
         self._take(inputs, outputs, True, last=False)
 
     def _commit(self, taken: tuple[Memory, Record | None, Array]) -> None:
@@ -99,7 +105,10 @@ class PaperStages:
         return None if self.memory.tuned is None else self.memory.tuned.scales
 
     def theta(self, stage: int) -> Array:
-        """Coefficients of stage 0 (dynamic) or 1 (static), in the units of the signals."""
+        """Return the coefficients of a stage in the units of the signals.
+
+        Stage 0 is dynamic, stage 1 is static.
+        """
         memory = self.memory
         if memory.tuned is None:
             return np.zeros(self.setup.theta_shapes[stage])
@@ -135,7 +144,10 @@ class PaperStages:
         return self.theta(1)
 
     def standard_deviations(self) -> Array:
-        """Scatter of the static coefficients over the samples that they are averaged over."""
+        """Return the standard deviations of the static coefficients.
+
+        They are the scatter over the samples that the coefficients are averaged over.
+        """
         memory = self.memory
         learned = min(int(memory.stages[1].counters[4]), memory.recent_theta.shape[0])
         if memory.tuned is None or learned < 2:
@@ -201,7 +213,10 @@ class PaperStages:
         self.records = state["records"]
 
     def _present_state(self) -> Array:
-        """State of the refined model after the last sample, in the units of the states."""
+        """Return the state of the refined model after the last sample.
+
+        It is in the units of the states.
+        """
         memory, s = self.memory, self.setup
         order = s.settings[1].order
         n, n_w, l_u = s.initial.n_states, s.initial.n_inputs, s.plant.Bu.shape[1]
@@ -236,9 +251,10 @@ def _no(what: str) -> RCOError:
 def take_over_gaps(
     setup: Setup, memory: Memory, block: Block, *, keep: bool = False
 ) -> tuple[Memory, list[tuple[Record, Array]]]:
-    """Take stretch after stretch; in a gap stage 1's own output stands in for the measured one.
+    """Take one stretch of samples after another, gaps included.
 
-    So its performance is zero there, which asks for no change.
+    In a gap the output of stage 1 replaces the measured one. So its performance is zero there
+    and nothing changes.
     """
     records: list[tuple[Record, Array]] = []
     complete = np.asarray(block.use.all(axis=1))
@@ -304,7 +320,10 @@ def refined(model: LinearModel, plant: Plant, theta: Array, order: int, name: st
 
 
 def with_lags(model: LinearModel, plant: Plant, theta: Array, order: int, name: str) -> LinearModel:
-    """Close a loop that remembers: the states are x and the past n_c samples of x, w and u."""
+    """Close the loop with a correction that has memory.
+
+    The states are x and the past n_c samples of x, w and u.
+    """
     n, n_w = plant.B.shape
     l_u = plant.Bu.shape[1]
     first_w, first_u = (order + 1) * n, (order + 1) * (n + n_w)

@@ -1,4 +1,7 @@
-"""The path from the correction to the outputs: discrete arrays, Markov parameters, zeros."""
+"""Path from the correction to the outputs.
+
+It is described by discrete arrays, Markov parameters and zeros.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,10 @@ def markov_parameters(plant: Plant, count: int) -> Array:
 
 
 def _nonzero(plant: Plant) -> tuple[Array, NDArray[np.bool_]]:
-    """First n + 1 Markov parameters after H_0, and which entries are more than rounding."""
+    """Return n + 1 Markov parameters after H_0, and the nonzero entries.
+
+    An entry counts as nonzero if it exceeds the rounding error.
+    """
     count = plant.A.shape[0] + 2
     values = markov_parameters(plant, count)
     bound = np.abs(plant.Du)
@@ -41,7 +47,9 @@ def _nonzero(plant: Plant) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def relative_degree(plant: Plant) -> int:
-    """Index d of the first Markov parameter that is not zero; d = 0 with feedthrough.
+    """Return the index d of the first nonzero Markov parameter.
+
+    With feedthrough, d = 0.
 
     Raises
     ------
@@ -59,7 +67,9 @@ def relative_degree(plant: Plant) -> int:
 
 
 def column_delays(plant: Plant) -> Array:
-    """First Markov parameter that is not zero of each correction, shape (n_y, l_u).
+    """Return the first nonzero Markov parameter of each correction.
+
+    The shape is (n_y, l_u).
 
     Raises
     ------
@@ -79,7 +89,10 @@ def column_delays(plant: Plant) -> Array:
 
 
 def path_zeros(plant: Plant) -> NDArray[np.complex128]:
-    """Finite zeros of the path u -> y: invariant zeros if square, else of every single path."""
+    """Return the finite zeros of the path u -> y.
+
+    They are invariant zeros if the path is square, otherwise the zeros of every single path.
+    """
     n_y, l_u = plant.Du.shape
     if n_y == l_u:
         pairs = [(slice(None), slice(None))]

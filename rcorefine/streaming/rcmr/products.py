@@ -17,7 +17,10 @@ __all__ = ["add_scaled", "affine", "half_gradient", "product", "slide"]
 
 @compiled
 def _product_loops(matrix: Array, vector: Array) -> Array:
-    """Matrix times vector without the call into BLAS, which costs more than a small product."""
+    """Multiply a matrix by a vector without a call into BLAS.
+
+    The call costs more than a small product.
+    """
     count, m = matrix.shape
     out = np.empty(count)
     for i in range(count):
@@ -50,13 +53,19 @@ def _affine_loops(A: Array, x: Array, B: Array, w: Array, E: Array, u: Array) ->
 
 
 def _gradient_arrays(rows: Array, offsets: Array, theta: Array) -> Array:
-    """Phi'(f + Phi theta), half the gradient of the retrospective cost at theta."""
+    """Return half the gradient of the retrospective cost at theta.
+
+    It is Phi'(f + Phi theta).
+    """
     return (rows @ theta + offsets) @ rows
 
 
 @compiled
 def _gradient_loops(rows: Array, offsets: Array, theta: Array) -> Array:
-    """Like `_gradient_arrays`, as one pass over the window, four rows at a time."""
+    """Return the result of `_gradient_arrays` in one pass over the window.
+
+    The pass takes four rows at a time.
+    """
     count, m = rows.shape
     gradient = np.zeros(m)
     whole = count - count % 4
@@ -86,7 +95,9 @@ def _gradient_loops(rows: Array, offsets: Array, theta: Array) -> Array:
 
 
 def _slide_arrays(gain: Array, pending: Array, new: Array, old: Array, gradient: Array, step: Array) -> float:
-    """Let `new` enter the window and `old` leave it: a rank-2 change of the gain.
+    """Update the gain when one row enters the window and another leaves.
+
+    `new` enters and `old` leaves, which is a rank-2 change.
 
     The change is left in `pending`, to be applied on the next pass over the
     gain: gain - pending[0] pending[0]' + pending[1] pending[1]'. `step`
@@ -113,7 +124,10 @@ def _slide_arrays(gain: Array, pending: Array, new: Array, old: Array, gradient:
 
 @compiled
 def _slide_loops(gain: Array, pending: Array, new: Array, old: Array, gradient: Array, step: Array) -> float:
-    """Like `_slide_arrays`, as one fused pass over the gain matrix, two rows at a time."""
+    """Do the work of `_slide_arrays` in one fused pass over the gain.
+
+    The pass takes two rows at a time.
+    """
     m = new.size
     a = np.empty(m)
     b = np.empty(m)

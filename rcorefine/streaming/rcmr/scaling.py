@@ -27,7 +27,9 @@ GROWTH = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scales:
-    """Size of each signal in its own unit; a signal divided by it has unit size.
+    """Size of each signal in its own unit.
+
+    A signal divided by it has unit size.
 
     Parameters
     ----------
@@ -55,7 +57,10 @@ def scaled_plant(plant: Plant, scales: Scales) -> Plant:
 
 
 def is_settled(signals: Array) -> bool:
-    """Whether every signal varies, and no longer grows, over a stretch (n, N)."""
+    """Return whether every signal varies and no longer grows.
+
+    `signals` is a stretch of shape (n, N).
+    """
     if (np.ptp(signals, axis=1) == 0.0).any():
         return False
     half = signals.shape[1] // 2
@@ -67,7 +72,9 @@ def is_settled(signals: Array) -> bool:
 def measured_scales(
     plant: Plant, w: Array, y: Array, labels: tuple[tuple[str, ...], tuple[str, ...]]
 ) -> Scales:
-    """Scales from the first samples (n_w, N), (n_y, N): rms of inputs, outputs and model states.
+    """Return the scales from the first samples, (n_w, N) and (n_y, N).
+
+    They are the rms of inputs, outputs and model states.
 
     Raises
     ------
@@ -103,7 +110,9 @@ def measured_scales(
 
 
 def declared_scales(plant: Plant, scale: Mapping[str, Any], n_samples: int) -> Scales:
-    """Scales that the user declares; those of states and corrections may be left out.
+    """Return the scales that the user declares.
+
+    Those of states and corrections may be left out.
 
     Raises
     ------
@@ -149,7 +158,9 @@ def _positive(name: str, value: Any, size: int) -> Array:
 
 
 def _correction_scales(plant: Plant, outputs: Array) -> Array:
-    """Correction of unit size moves the outputs by their unit size when it first shows.
+    """Return the scales of the corrections.
+
+    A correction of unit size moves the outputs by their unit size at its first response.
 
     So alpha means the same whatever the unit of the correction and however
     fast the sampling.
@@ -158,7 +169,10 @@ def _correction_scales(plant: Plant, outputs: Array) -> Array:
 
 
 def _power(a: Array, b: Array, n_samples: int) -> Array:
-    """Mean square of the states, from rest, under white inputs of unit size through b."""
+    """Return the mean square of the states under white inputs.
+
+    The states start from rest. Inputs of unit size act through b.
+    """
     total = np.zeros(a.shape[0])
     step = b
     with np.errstate(over="ignore", invalid="ignore"):
@@ -178,7 +192,10 @@ def _finite(total: Array, n_samples: int) -> Array:
 
 
 def _filled(states: Array, plant: Plant, corrections: Array, n_samples: int) -> Array:
-    """Scales of the states, those that the inputs do not move taken from the correction."""
+    """Return the scales of the states with missing ones filled in.
+
+    States that the inputs do not move get their scale from the correction.
+    """
     still = states == 0.0
     if still.any():
         moved = np.sqrt(_power(plant.A, plant.Bu * corrections, n_samples))

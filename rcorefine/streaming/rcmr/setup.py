@@ -1,4 +1,7 @@
-"""Settings checked and the model made ready: discretized, with B_u, D_u and the delay of the path."""
+"""Checked settings and prepared model of the paper's stages.
+
+The model is discretized, with B_u, D_u and the delay of the path.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +47,7 @@ class Sampled:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Setup(Sampled):
-    """What the paper's stages know before the first sample.
+    """Setup of the paper's stages before the first sample.
 
     Parameters
     ----------
@@ -84,7 +87,10 @@ class Setup(Sampled):
 
 
 def warm_up(settings: tuple[Settings, Settings]) -> int:
-    """Samples that tell the scales: a window, but neither very few nor very many."""
+    """Return the number of samples that determine the scales.
+
+    It is the length of a window, within a lower and an upper limit.
+    """
     return min(max(settings[0].window, LEAST_WARM_UP), MOST_WARM_UP)
 
 
@@ -97,7 +103,10 @@ def make_setup(
     average: int,
     scale: Any,
 ) -> Setup:
-    """Check what `RCORefiner` was given for the paper's stages and make the model ready."""
+    """Check the arguments of the paper's stages and prepare the model.
+
+    The arguments are those of `RCORefiner`.
+    """
     initial, discrete, step = model.initial, model.discrete, model.step
     b_u, d_u = correction_path(initial, correction_input, correction_feedthrough)
     if initial.is_continuous and step is not None:
@@ -120,7 +129,10 @@ def as_settings(
     static_markov: Any,
     static_learning_rate: Any,
 ) -> tuple[Settings, Settings]:
-    """n_c, p, mu and alpha of both stages, checked; those of stage 2 default to stage 1's."""
+    """Return the checked settings n_c, p, mu and alpha of both stages.
+
+    Those of stage 2 default to those of stage 1.
+    """
     first = Settings(
         as_size(order, "order", 0, "n_c"),
         as_size(window, "window", 1, "p"),
@@ -139,7 +151,10 @@ def as_settings(
 
 
 def correction_path(model: LinearModel, given: Any, feedthrough: Any) -> tuple[Array, Array]:
-    """B_u and D_u in the timebase of the model; by default those of its inputs."""
+    """Return B_u and D_u in the timebase of the model.
+
+    By default they are those of its inputs.
+    """
     n, n_y = model.n_states, model.n_outputs
     b_u = model.B.copy() if given is None else as_matrix(given, "correction_input (B_u)", n, None, "state")
     l_u = b_u.shape[1]

@@ -1,4 +1,7 @@
-"""Samples in, memory out: held back until the scales are known, then learned from."""
+"""Learning from a stream of samples.
+
+Samples are held back until the scales are known.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,10 @@ LONGEST_WARM_UP = 16
 
 
 class Diverged(DivergenceError):
-    """Divergence after `done` sound samples (those held back included), in these scales."""
+    """Divergence after `done` sound samples.
+
+    Samples that were held back are included. `found` holds the scales.
+    """
 
     def __init__(self, message: str, done: int = 0, found: Tuned | None = None) -> None:
         super().__init__(message)
@@ -87,7 +93,10 @@ def take_until(
 
 
 def found_scales(setup: Setup, inputs: Array, outputs: Array, before: int, last: bool) -> Scales | None:
-    """Scales, as soon as the samples tell them; the same for every way to cut the stream."""
+    """Return the scales as soon as the samples determine them.
+
+    They do not depend on how the stream is cut into blocks.
+    """
     labels = (setup.initial.input_labels, setup.initial.output_labels)
     count = setup.warm_up
     longest = count * LONGEST_WARM_UP
@@ -103,7 +112,10 @@ def found_scales(setup: Setup, inputs: Array, outputs: Array, before: int, last:
 def _advanced(
     setup: Setup, memory: Memory, inputs: Array, outputs: Array, first: int, keep: bool
 ) -> Record | None:
-    """Run both stages over the block, in place; with `keep` the course of every sample."""
+    """Run both stages over the block in place.
+
+    With `keep`, return the history of every sample.
+    """
     assert memory.tuned is not None
     scales, plant, designs = memory.tuned.scales, memory.tuned.plant, memory.tuned.designs
     stages = memory.stages
