@@ -168,7 +168,7 @@ class Progress:
 
 
 def _is_watched() -> bool:
-    """Return whether somebody watches standard error: a terminal or a notebook."""
+    """Return whether standard error is a terminal or a notebook."""
     if os.environ.get("RCOREFINE_PROGRESS") == "0":
         return False
     stream = sys.stderr

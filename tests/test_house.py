@@ -35,8 +35,8 @@ ORDER = (
 #: Lines of code (no docstring, comment, blank) of each top-level folder, and of the files beside them.
 #: A commit may lower a figure; one that raises it says in its message what went out in exchange.
 BUDGET = {
-    ".": 874, "arguments": 306, "commands": 1313, "comparison": 2892, "data": 2890, "diagnosis": 5738,
-    "effects": 3264, "engine": 3302, "examples": 263, "exercises": 565, "explorer": 1107, "export": 511,
+    ".": 874, "arguments": 306, "commands": 1367, "comparison": 2892, "data": 2891, "diagnosis": 5738,
+    "effects": 3264, "engine": 3302, "examples": 263, "exercises": 565, "explorer": 1110, "export": 511,
     "fleet": 1043, "inference": 2862, "localization": 1330, "models": 4153, "refinement": 196,
     "streaming": 7514, "systems": 654, "views": 4334,
 }  # fmt: skip
@@ -155,6 +155,19 @@ def test_no_kind_of_effect_is_named_where_laws_do_not_live():
             words.remove(word)
         named += [f"{file}: {word}" for word in words]
     assert named == []
+
+
+def test_first_lines_of_docstrings_are_short_and_plain():
+    """At most 72 characters; what a function returns, or what it does, not a question."""
+    wrong = []
+    for file, (_, tree) in files().items():
+        for node in ast.walk(tree):
+            if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
+                continue
+            first = (ast.get_docstring(node) or "").split("\n")[0]
+            if len(first) > 72 or re.match(r"(What|Whether|Where|Why|How|The same)\b", first):
+                wrong.append(f"{file}: {first}")
+    assert wrong == []
 
 
 def code_lines(node: ast.AST, text: str) -> int:

@@ -1,1 +1,1 @@
-"""What the command `rcorefine` does, one file per task."""
+"""Tasks of the command `rcorefine`, one file per task."""

@@ -1,4 +1,7 @@
-"""`rcorefine check`, `compare`, `diagnose` and `improve`: read, compute, print, draw, report."""
+"""Commands `rcorefine check`, `compare`, `diagnose` and `improve`.
+
+Each command reads the files, computes, prints, draws, and writes the report.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +18,12 @@ from ..comparison.adequacy import best_of, failures_of
 from ..comparison.compare import compare
 from ..data.measurement import Measurement
 from ..diagnosis.checks.check import check
+from ..diagnosis.checks.result import Check
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.improve import improve
+from ..diagnosis.improvement import Improvement
+from ..diagnosis.result import Diagnosis
+from ..diagnosis.words import next_step
 from ..effects.effect import Effect
 from ..effects.law import KINDS
 from ..exceptions import ModelError
@@ -45,6 +52,13 @@ __all__ = [
 ]
 
 
+#: Options that the next command does not take over, and whether a value follows.
+_OWN = dict.fromkeys(
+    ("--picture", "--report", "--csv", "--candidates", "--effects", "--significance", "--max-effects", "--x0",
+     "--free", "--validation", "--split"), True
+) | {"--json": False, "--overwrite": False}  # fmt: skip
+
+
 def run_compare(arguments: Namespace) -> int:
     """Compare one or several models with a record.
 
@@ -70,7 +84,10 @@ def run_compare(arguments: Namespace) -> int:
 
 
 def run_check(arguments: Namespace) -> int:
-    """Look over a record and a model beside it; 1 where something must be mended first."""
+    """Check a record and a model beside it.
+
+    Return 1 if something must be corrected first.
+    """
     model, data, _ = opened(arguments)
     found = check(model, data)
     title = [f"{row.status.upper()}: {row.sentence}" for row in found.looks[:3]] or ["Nothing odd"]
@@ -79,7 +96,10 @@ def run_check(arguments: Namespace) -> int:
 
 
 def run_diagnose(arguments: Namespace) -> int:
-    """Find the effect that a model lacks; arguments and codes as `run_compare`."""
+    """Find the effect that a model lacks.
+
+    Arguments and exit codes are those of `run_compare`.
+    """
     model, data, validation = opened(arguments)
     found = diagnose(model, data, validation=validation, **_options(arguments, model))
     sentences, fine = diagnosis_answer(found)
@@ -97,7 +117,10 @@ def run_improve(arguments: Namespace) -> int:
 
 
 def opened(arguments: Namespace) -> tuple[Any, Measurement, Measurement | None]:
-    """The model, the record to work on and the one to judge by, if any; what is to be written can be."""
+    """Return the model, the record to fit, and the held-out record, if any.
+
+    The files to be written are checked first.
+    """
     check_targets(arguments)
     model = read_model(arguments.model)
     return model, *fitted_and_held_out(model, arguments)
@@ -159,7 +182,10 @@ def _options(arguments: Namespace, model: Any) -> dict[str, Any]:
 
 
 def fit_options(arguments: Namespace) -> dict[str, Any]:
-    """What of the model may move, and what is known of the record, as `refine` takes it."""
+    """Return the options of the fit as `refine` takes them.
+
+    They state which parameters are free and what is known of the record.
+    """
     free, noise = arguments.free or (), arguments.noise
     return {
         "free": "linear" if list(free) == ["linear"] else free,
@@ -171,14 +197,20 @@ def fit_options(arguments: Namespace) -> dict[str, Any]:
 
 
 def check_targets(arguments: Namespace) -> None:
-    """Whether report, picture and table can be written is known before the work, not after it."""
+    """Check that report, picture and table can be written.
+
+    This is known before the work, not after it.
+    """
     if arguments.report is not None:
         check_target(arguments.report, overwrite=arguments.overwrite)
     check_folders(arguments)
 
 
 def check_folders(arguments: Namespace) -> None:
-    """Whether the folders of picture and table are there is known before the work."""
+    """Check that the folders of picture and table exist.
+
+    This is known before the work, not after it.
+    """
     for path in (arguments.picture, arguments.csv):
         if path is not None and not path.absolute().parent.is_dir():
             raise FileNotFoundError(f"the folder {path.absolute().parent} does not exist; make it first")
@@ -234,7 +266,7 @@ def finish(
         head |= result.to_dict() if content is None else content
         said = json_text(head | {"report": None if report is None else str(report)})
     else:
-        said = str(result) if text is None else text
+        said = _for_terminal(str(result) if text is None else text, arguments, result)
         written = {"Report": report, "Picture": arguments.picture}
         said += "".join(f"\n{what}: {path}" for what, path in written.items() if path is not None)
     try:
@@ -244,6 +276,44 @@ def finish(
         # the reader left (rcorefine compare ... | head); what was found is still in the exit code
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return int(code)
+
+
+def _for_terminal(said: str, arguments: Namespace, result: Any) -> str:
+    """Return the text with the next step as a terminal command."""
+    if isinstance(result, Diagnosis | Improvement):
+        python = "\n".join(wrapped([f"Next: {next_step(result)}"]))
+        said = said.replace(f"\n{python}", "")
+    words = _next_words(arguments, result)
+    return f"{said}\nNext: rcorefine {shlex.join(words)}" if words else said
+
+
+def _next_words(arguments: Namespace, result: Any) -> list[str]:
+    """Return the words of the next command.
+
+    They include the files and the record options that were given.
+    """
+    verb = "diagnose" if arguments.command in ("check", "compare") else ""
+    more: list[str] = []
+    if (isinstance(result, Check) and result.stops) or len(getattr(arguments, "models", [0])) > 1:
+        return []
+    if isinstance(result, Diagnosis):
+        named = ",".join(f"{e.kind}@{e.place}" for e in result.effects)
+        verb, more = {
+            "adequate": ("compare", ["--picture", "compare.png"]),
+            "parameters": ("refine", ["--free", "linear"]),
+            "unexplained": ("improve", []),
+        }.get(result.verdict, ("refine", ["--effects", named]))
+    if not verb:
+        return []
+    kept, words = [], iter(arguments.words[1:])
+    for word in words:
+        option = word.partition("=")[0]
+        if option in _OWN:
+            if _OWN[option] and "=" not in word:
+                next(words, None)
+        else:
+            kept.append(word)
+    return [verb, *kept, *more]
 
 
 def _write_picture(draw: Callable[[], Any], path: Path) -> None:

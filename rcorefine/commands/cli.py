@@ -70,7 +70,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _expected() -> tuple[type[Exception], ...]:
-    """What a wrong file, record or model raises; anything else is a fault of the program and shows where."""
+    """Return the exceptions that a wrong file, record or model raises.
+
+    Any other exception is a fault of the program and shows its traceback.
+    """
     import control as ct
 
     from ..exceptions import RCOError
@@ -109,7 +112,10 @@ def _run(arguments: Namespace) -> int:
 
 
 def _message(error: Exception) -> str:
-    """What went wrong, on one line: also where the system says it with a number."""
+    """Return the error message on one line.
+
+    The error number of the operating system is left out.
+    """
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return " ".join(str(error).split())

@@ -36,7 +36,7 @@ _SHARP = 1e-3  # of the simulated truth: a sharper sign(v) than the estimator's
 
 
 def run_demo(output: Path | str, *, seed: int = 1, progress: bool = True) -> None:
-    """Compare, diagnose, refine, compare again, and improve; tell the story and draw it.
+    """Compare, diagnose, refine, compare again, improve; print and draw it.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def run_demo(output: Path | str, *, seed: int = 1, progress: bool = True) -> Non
 def _record(
     model: PhysicalModel, hidden: dict[Effect, float], rng: np.random.Generator, name: str
 ) -> Measurement:
-    """What the sensor reads where the effects in `hidden` act."""
+    """Return a noisy record of a model with the `hidden` effects."""
     force = 20 * np.convolve(rng.standard_normal(N_SAMPLES + 4), np.ones(5) / 5, "valid")
     blank = record_of(model, force, dt=DT)
     friction_first = {effect: [value] for effect, value in hidden.items()}

@@ -1,4 +1,7 @@
-"""`rcorefine example`: a model file and a record that work when they are fed back."""
+"""Command `rcorefine example`: write a model file and a record.
+
+The other commands accept both files as they are.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""`rcorefine explore`: the interactive page, served until it is interrupted."""
+"""Command `rcorefine explore`: serve the interactive page.
+
+The page is served until it is interrupted.
+"""
 
 from __future__ import annotations
 

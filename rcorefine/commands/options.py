@@ -1,4 +1,4 @@
-"""Options that several commands share, and the words and numbers that they take."""
+"""Options that several commands share, and parsers of their values."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ __all__ = [
 
 
 def record_options(parser: argparse.ArgumentParser) -> None:
-    """What the columns of the record are, and what is held out."""
+    """Add the options for the columns of the record and held-out data."""
     apart = columns_options(parser).add_mutually_exclusive_group()
     apart.add_argument("--validation", type=Path, metavar="DATA2", help="another record to judge by")
     apart.add_argument(
@@ -46,7 +46,7 @@ def record_options(parser: argparse.ArgumentParser) -> None:
 
 
 def columns_options(parser: argparse.ArgumentParser) -> Any:
-    """What the columns of a record are."""
+    """Add the options for the columns of a record."""
     group = parser.add_argument_group("the record")
     group.add_argument(
         "--input",
@@ -76,7 +76,7 @@ def columns_options(parser: argparse.ArgumentParser) -> Any:
 
 
 def horizon_option(parser: Any) -> None:
-    """How long the free runs are."""
+    """Add the option for the length of the free runs."""
     parser.add_argument(
         "--horizon",
         type=_positive,
@@ -86,7 +86,7 @@ def horizon_option(parser: Any) -> None:
 
 
 def search_options(parser: argparse.ArgumentParser, *, places: bool = False) -> None:
-    """What may be missing, and what of the model may move."""
+    """Add the options for candidate effects and free parameters."""
     group = parser.add_argument_group("what may be missing")
     words = "names of links" if places else "kinds (coulomb_friction), places (link2), or kind@place"
     group.add_argument(
@@ -109,7 +109,7 @@ def search_options(parser: argparse.ArgumentParser, *, places: bool = False) -> 
 
 
 def free_option(group: Any) -> None:
-    """What of the model floats."""
+    """Add the option that names the parameters to re-estimate."""
     group.add_argument(
         "--free",
         action=Names,
@@ -119,7 +119,7 @@ def free_option(group: Any) -> None:
 
 
 def fit_options(group: Any) -> None:
-    """How a model is fitted to a record."""
+    """Add the options for the fit of a model to a record."""
     group.add_argument(
         "--tolerance",
         type=_not_negative,
@@ -155,14 +155,14 @@ def output_options(parser: argparse.ArgumentParser, *, report: bool = True) -> A
 
 
 def picture_option(parser: Any) -> None:
-    """Where what was found is drawn."""
+    """Add the option for the file of the picture."""
     parser.add_argument(
         "--picture", type=_picture, metavar="FILE", help="draw what was found (.png, .svg or .pdf)"
     )
 
 
 def json_option(parser: Any) -> None:
-    """Whether the answer is for programs."""
+    """Add the option to print the result as JSON."""
     parser.add_argument("--json", action="store_true", help="print one JSON object in place of the tables")
 
 

@@ -1,4 +1,7 @@
-"""`rcorefine bode`, `refine` and `localize`: models drawn, refined, and looked over for damage."""
+"""Commands `rcorefine bode`, `refine` and `localize`.
+
+They draw models, refine them, and search them for damage.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +58,9 @@ def run_localize(arguments: Namespace) -> int:
 
 
 def run_bode(arguments: Namespace) -> int:
-    """Draw models, and a record where the last file is one, as a Bode diagram, and write its data.
+    """Draw models, and a record if there is one, as a Bode diagram.
+
+    The last file may be the record. The data of the diagram are written on request.
 
     Parameters
     ----------
@@ -107,7 +112,10 @@ def _is_record(path: Path) -> bool:
 def _curves(
     systems: list[tuple[str, LinearModel]], measured: FrequencyResponse | None
 ) -> list[dict[str, Any]]:
-    """Each model from each input to each output, as the record sees it, and the measured response."""
+    """Return the responses of all models and the measured response.
+
+    Each model is sampled as the record is. There is one curve for each input and output.
+    """
     found = []
     for name, model in systems:
         seen = model if measured is None else as_sampled(model, measured.dt, measured.hold)

@@ -1,4 +1,7 @@
-"""The record that the command line names: read by its suffix, named after the model, split."""
+"""Records named on the command line, read and split.
+
+The suffix selects the format. The signals have the names of the model by default.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +51,10 @@ def read_record(path: Path, model: Any, arguments: Namespace) -> Measurement:
 
 
 def reading(arguments: Namespace) -> dict[str, Any]:
-    """What the command line says about the columns, as `rcorefine.data.files.read_record` takes it."""
+    """Return the options for the columns as `read_record` takes them.
+
+    See `rcorefine.data.files.read_record`.
+    """
     return {
         "inputs": arguments.input,
         "outputs": arguments.output,

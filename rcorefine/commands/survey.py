@@ -1,4 +1,7 @@
-"""`rcorefine survey`: a folder of records, here or on a cluster, printed, reported, held to conditions."""
+"""Command `rcorefine survey`: examine a folder of records.
+
+The survey runs here or on a cluster. Its result is printed, reported, and held to conditions.
+"""
 
 from __future__ import annotations
 
@@ -106,7 +109,10 @@ def _workers(arguments: Namespace) -> Iterator[Any]:
 
 
 class _Worker(SpawnProcess):
-    """A process that Ctrl-C does not reach, though it goes to all of a terminal: who started it ends it."""
+    """Worker process that Ctrl-C does not interrupt.
+
+    A terminal sends Ctrl-C to all its processes; the process that started the worker ends it.
+    """
 
     def start(self) -> None:
         if not hasattr(signal, "pthread_sigmask"):

@@ -1,4 +1,7 @@
-"""What a fit took up before nothing was missing: offsets and parameters, in words."""
+"""Description of the offsets and parameters that the base fit changed.
+
+The base fit comes before any effect is added.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,9 @@ _POWER = 0.05  # of a parameter in a product, below which it takes no part
 
 
 def what_was_absorbed(base: Refinement) -> str:
-    """What lies between the model as it was given and one from which nothing is missing.
+    """Describe the changes of offsets and parameters in the base fit.
+
+    With these changes, no effect is missing from the model.
 
     Parameters
     ----------
@@ -75,7 +80,7 @@ def numbers_that_moved(rows: Sequence[EstimatedParameter]) -> str:
 
 
 def determined(model: Refinement) -> list[EstimatedParameter]:
-    """Return the parameters of a model, or their products and quotients, that the data determine.
+    """Return the parameters, or their products, that the data determine.
 
     Parameters
     ----------
@@ -122,7 +127,10 @@ def determined(model: Refinement) -> list[EstimatedParameter]:
 
 
 def far_numbers(rows: Sequence[EstimatedParameter]) -> list[str]:
-    """Names of numbers that moved, for certain, further than people are off who know their plant."""
+    """Return the names of parameters that changed implausibly much.
+
+    Such a change is certain, and larger than the error of somebody who knows the plant.
+    """
     sure, far = levels().moved, levels().moved_far
     return [row.name for row in rows if abs(row.coefficient) - sure * row.std > far * abs(row.initial)]
 

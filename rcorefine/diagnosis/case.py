@@ -1,4 +1,4 @@
-"""What a diagnosis is asked: a fitted model, its records, and the candidates."""
+"""Inputs of a diagnosis: fitted model, records and candidate effects."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ class Case:
 
     @property
     def about(self) -> dict[str, Any]:
-        """What every diagnosis of this case carries."""
+        """Return the fields that every diagnosis of this case holds."""
         return {
             "base": self.base,
             "records": self.records,
@@ -128,7 +128,10 @@ class Case:
 
     @property
     def in_time(self) -> bool:
-        """Whether the records are signals in time, and no frequency responses."""
+        """Return whether the records are time series.
+
+        If not, they are frequency responses.
+        """
         return self.fitted.problem.in_time
 
     @property
@@ -144,7 +147,10 @@ class Case:
         return float(np.sqrt(np.mean(residual**2, axis=1)).max())
 
     def passes(self, tests: Sequence[FTest], fitted: FittedModel) -> bool:
-        """Whether the residual of a model is noise, or no larger than the error of solving for a response."""
+        """Return whether the residual of a model is noise.
+
+        A residual of frequency responses passes, too, if it is no larger than their numerical error.
+        """
         left, records = np.concatenate(fitted.residuals(), axis=1), fitted.problem.records
         whole = fitted.problem.weights[:, None] * np.concatenate([r.outputs for r in records], axis=1)
         if not self.in_time and (np.sum(left**2, axis=1) <= _SOLVED**2 * np.sum(whole**2, axis=1)).all():
@@ -153,14 +159,20 @@ class Case:
 
 
 def candidates_of(physical: PhysicalModel) -> list[Effect]:
-    """What could be missing from a model, and what may be wrong with a record as a whole."""
+    """Return the candidate effects and the possible faults of a record.
+
+    Such a fault concerns a record as a whole.
+    """
     inputs = physical.linear.input_labels[:1]  # such a fault is the same at all of them
     faults = [Effect(law.name, place) for law in KINDS.values() if law.of_record for place in inputs]
     return [*effect_library(physical), *faults]
 
 
 def not_held(candidates: Sequence[Effect], held: Sequence[Effect]) -> list[Effect]:
-    """Candidates of another kind, or at another place, than what a model holds."""
+    """Return the candidates that the model does not contain.
+
+    Candidates are the same if kind and place agree.
+    """
     names = {(effect.kind, effect.place) for effect in held}
     return [effect for effect in candidates if (effect.kind, effect.place) not in names]
 
@@ -183,7 +195,9 @@ def seen_in(
 def _seen_in_responses(
     physical: PhysicalModel, candidates: Sequence[Effect], records: Sequence[ResponseRecord], asked: bool
 ) -> list[Effect]:
-    """Candidates that a frequency response shows: no constants, nonlinear ones only at a known amplitude.
+    """Return the candidates that a frequency response can show.
+
+    Constants are not among them, and nonlinear effects only if the amplitude is known.
 
     Raises
     ------
@@ -233,7 +247,9 @@ def _seen_at_rest(physical: PhysicalModel, candidates: Sequence[Effect], asked: 
 
 
 def no_motion(records: Sequence[Measurement]) -> str:
-    """Why nothing can be told from these records, empty where they show motion.
+    """Return the reason why records without motion allow no diagnosis.
+
+    The string is empty where they show motion.
 
     Parameters
     ----------
@@ -261,7 +277,9 @@ def no_motion(records: Sequence[Measurement]) -> str:
 
 
 def not_excited(base: Refinement, records: Sequence[Measurement]) -> str:
-    """Why nothing was excited, empty where an input moves or the outputs settle as the model does.
+    """Return a message if nothing was excited, or an empty string.
+
+    It is empty where an input moves or the outputs settle as the model does.
 
     Parameters
     ----------

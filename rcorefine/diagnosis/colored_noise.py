@@ -1,4 +1,7 @@
-"""Whether an effect takes away what else would have to be noise of a color that suits it."""
+"""Residuals that pass the tests only as colored noise.
+
+A missing effect may explain what otherwise has to be noise of a suitable color.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,9 @@ __all__ = ["is_drowned", "left_to_noise"]
 
 
 def left_to_noise(battery: TestedResidual, levels: Levels) -> str:
-    """Where much of a residual passes for noise with a memory: the error of a model may look like that.
+    """Describe a large residual that passes for colored noise.
+
+    The error of a model may look like that.
 
     Parameters
     ----------
@@ -56,13 +61,19 @@ def left_to_noise(battery: TestedResidual, levels: Levels) -> str:
 
 
 def is_drowned(battery: TestedResidual, levels: Levels) -> bool:
-    """Whether a residual that passes for noise with a memory leaves too little of the record explained."""
+    """Return whether colored noise leaves too little of the fit.
+
+    The residual passes the tests as colored noise, but the fit is low.
+    """
     fit, memory = _fit_and_memory(battery)
     return fit < levels.drowned and memory >= levels.colored_size
 
 
 def _fit_and_memory(battery: TestedResidual) -> tuple[float, float]:
-    """The worst fit in percent, and a residual with a memory over what is new in it, 0 where none has one."""
+    """Return the worst fit in percent and the color of the residual.
+
+    The color is the size of the residual relative to its innovation, 0 where no output has colored noise.
+    """
     refined, orders = battery.fitted.refinement, np.array(battery.whitener.orders)
     whole = np.hstack(battery.fitted.residuals(battery.ratio)).std(axis=1)
     memory = float(np.max(whole / battery.whitener.scales, where=orders > 0, initial=0.0))

@@ -1,4 +1,7 @@
-"""Whether further records, best at another amplitude, agree with what one record taught."""
+"""Confirmation of a model on further records.
+
+They are best taken at another amplitude.
+"""
 
 from __future__ import annotations
 
@@ -54,10 +57,10 @@ def confirm(
     significance: float = 0.005,
     scales_with: Mapping[str, str | Sequence[float]] | None = None,
 ) -> Confirmation:
-    """Test a refined model on further records, best taken at another amplitude.
+    """Test a refined model on further records.
 
-    The model is fitted to each record alone. A law that only mimics the true one on one
-    record needs other coefficients on another, or leaves a residual there.
+    They are best taken at another amplitude. The model is fitted to each record alone. An effect that only
+    mimics the true one on one record needs other coefficients on another, or leaves a residual there.
 
     Parameters
     ----------
@@ -159,7 +162,10 @@ def _others(model: Refinement, candidates: Sequence[Effect] | None) -> list[Effe
 def _conditions(
     model: Refinement, records: Sequence[Measurement], asked: Mapping[str, Any]
 ) -> dict[str, tuple[float, ...]]:
-    """Return the condition of each effect that changes with one, record by record."""
+    """Return the condition of each effect in each record.
+
+    Only effects that change with a condition are included.
+    """
     held = {
         f"{e.kind}@{e.place}" for e, role in zip(model.effects, model.roles, strict=True) if role == "effect"
     }
@@ -195,7 +201,10 @@ def _mean_of(record: Measurement, label: str) -> float:
 def _factors(
     model: Refinement, own: Sequence[int], conditions: Mapping[str, Sequence[float]], count: int
 ) -> Array:
-    """Return how much each coefficient (columns) changes from the first record to each (rows)."""
+    """Return the factor of each coefficient in each record.
+
+    It is relative to the first record. Rows are records, columns are coefficients.
+    """
     factors = np.ones((count, len(own)))
     structure = model.simulation_structure()[0]
     for k, i in enumerate(own):
@@ -272,7 +281,10 @@ def _message(
 def _alone(
     model: Refinement, record: Measurement, tolerance: float, noise: Any, ratio: float
 ) -> tuple[FittedModel, Array]:
-    """The model at its minimum on one record, and the covariance of its coefficients."""
+    """Fit the model to one record alone.
+
+    Return the fitted model and the covariance of its coefficients.
+    """
     structure, theta, steps = model.simulation_structure()
     segments, _ = windows(model.physical_model, [record], None)
     mean, sd = priors(structure, model.roles, tolerance)

@@ -1,4 +1,7 @@
-"""Whether the same effects explain every record: what `confirm` returns."""
+"""Result of `confirm`.
+
+It holds the verdict whether the same effects explain every record.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +51,7 @@ class RecordEstimate(Row):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Confirmation(Result):
-    """Whether the same effects, with the same coefficients, explain every record.
+    """Agreement of the effects and their coefficients over all records.
 
     Attributes
     ----------
@@ -82,7 +85,7 @@ class Confirmation(Result):
     conditions: dict[str, tuple[float, ...]] = field(default_factory=dict)
 
     def sentences(self) -> list[str]:
-        """What was found, one sentence each.
+        """Return the findings, one sentence each.
 
         Returns
         -------

@@ -1,4 +1,7 @@
-"""Outputs that show nothing of the motion: a verdict rests on the others, and says so."""
+"""Outputs that show nothing of the motion.
+
+The verdict then rests on the other outputs, and a note names the dead ones.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,9 @@ _SPREAD = 4.0  # standard deviations of a sum of so many squared correlations
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """A model without the outputs that show nothing, and what belongs to it of what a user gives.
+    """Model without the outputs that show nothing.
+
+    It also selects the kept outputs in the records and settings of the user.
 
     Attributes
     ----------
@@ -56,7 +61,10 @@ class Watched:
         return _with_outputs(self.whole, list(self.kept))
 
     def record(self, data: Measurement) -> Measurement:
-        """A record of any order of channels, with the outputs that are kept in that of the model."""
+        """Return a record with the kept outputs in the model's order.
+
+        Its channels may come in any order.
+        """
         return with_outputs(record_for(data, match_channels(self.whole.linear, data)), self.kept)
 
     def noise(self, noise: Any) -> Any:
@@ -76,11 +84,12 @@ class Watched:
 
 
 def without_dead_sensors(model: Any, records: Sequence[Measurement]) -> Watched | None:
-    """What is left of a model where outputs show nothing in any record; None where nothing is left out.
+    """Return the model without its dead outputs, or None.
 
-    Leaving a signal out can cost power, but makes no claim about the others. A sensor in a control loop, or
-    of a nonlinear or refined model, is left in: more than its record hangs on it. So is one that is at
-    fault in some of the records only.
+    A dead output shows nothing in any record. None is returned where nothing is left out. Leaving a signal
+    out can cost power, but makes no claim about the others. A sensor in a control loop, or of a nonlinear or
+    refined model, is left in, because more depends on it than its record. So is one that is at fault in some
+    of the records only.
 
     Parameters
     ----------
@@ -125,7 +134,7 @@ def without_dead_sensors(model: Any, records: Sequence[Measurement]) -> Watched 
 
 
 def _fault(model: PhysicalModel, data: Measurement, index: int) -> str:
-    """Why an output shows nothing; "" where it does."""
+    """Return the reason why an output shows nothing, or an empty string."""
     y = data.outputs[index]
     if np.ptp(y) == 0:
         return "it never changes"
@@ -150,7 +159,10 @@ def _fault(model: PhysicalModel, data: Measurement, index: int) -> str:
 
 
 def _unrelated(y: Array, w: Array) -> bool:
-    """Whether what is new in an output has nothing of what is new in an input, up to 100 samples before."""
+    """Return whether the innovations of output and input are uncorrelated.
+
+    The input is compared at up to 100 samples before the output.
+    """
     one, other = (innovations(autoregression(row)[0], row - row.mean()) for row in (y, w))
     n = y.size
     r = correlate(one, other, mode="full", method="fft")[n - 1 : n - 1 + _LAGS]
@@ -159,7 +171,10 @@ def _unrelated(y: Array, w: Array) -> bool:
 
 
 def _foreseen(model: PhysicalModel, data: Measurement, index: int) -> bool:
-    """Whether the output goes along with what the model says, also where that has no bounds."""
+    """Return whether the output is correlated with the simulation.
+
+    A diverging simulation counts as correlated.
+    """
     try:
         run = simulate(model, data, "zero").outputs[index]
     except DivergenceError:

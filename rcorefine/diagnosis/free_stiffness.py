@@ -1,4 +1,7 @@
-"""A stiffness of no law beside the winner: a force there in any smooth, complex proportion to the motion."""
+"""Free complex stiffness in addition to the best candidate.
+
+Its force is the motion there times any smooth complex function of frequency, without a force law.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,9 @@ __all__ = ["FreeStiffness"]
 
 
 class FreeStiffness:
-    """Free complex stiffnesses at the place of a law, beside it; a free factor in a signal path.
+    """Free complex stiffness at the place of an effect.
+
+    It is added to the effect. In a signal path, it is a free factor.
 
     Parameters
     ----------
@@ -42,7 +47,10 @@ class FreeStiffness:
 
     @cached_property
     def _columns(self) -> Array | None:
-        """What they would do to the white residual, of mean square 1 together; None where nothing moves."""
+        """Return the columns of the free stiffness in the white residual.
+
+        Together they have mean square 1. None is returned where nothing moves.
+        """
         fitted, battery = self._battery.fitted, self._battery
         blocks = []
         for engine in fitted.problem.engines:
@@ -60,7 +68,10 @@ class FreeStiffness:
         return project(white / size, battery.basis)
 
     def tests(self) -> list[FTest]:
-        """Whether a free stiffness explains what the model leaves there; empty where nothing moves."""
+        """Test whether a free stiffness explains the remaining residual.
+
+        The list is empty where nothing moves.
+        """
         return (
             []
             if self._columns is None

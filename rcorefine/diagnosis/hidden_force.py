@@ -19,7 +19,9 @@ __all__ = ["HiddenForce", "hidden_force"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HiddenForce(Result):
-    """The force that a model lacks at a port, from the record and the model, without any law.
+    """Unknown force at a place, estimated without a force law.
+
+    The estimate comes from the record and the model.
 
     Attributes
     ----------
@@ -48,7 +50,9 @@ class HiddenForce(Result):
 
     @picture
     def plot(self, **options: Unpack[Look]) -> ct.ControlPlot:
-        """Force over time with two standard deviations, and against displacement and velocity.
+        """Plot the force over time, and over displacement and velocity.
+
+        The plot over time shows two standard deviations.
 
         Returns
         -------

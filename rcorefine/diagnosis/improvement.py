@@ -1,4 +1,4 @@
-"""What `improve` did, step by step, in figures, words and one picture."""
+"""Result of `improve`: its steps in figures, words and one picture."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Step(Row):
 
     @property
     def name(self) -> str:
-        """What was done, in words."""
+        """Action of the step, in words."""
         if self.effect is None:
             return "initial model" if self.action == "start" else self.action
         return f"{self.action} {self.effect.label}"
@@ -91,7 +91,10 @@ class Improvement(ReportedModel):
 
     @property
     def refinement(self) -> Refinement:
-        """The model after the last step; its `hold` is the one that was found to suit the inputs."""
+        """Model after the last step.
+
+        Its `hold` is the one that was found to suit the inputs.
+        """
         return self.steps[-1].refinement
 
     @property
@@ -101,7 +104,7 @@ class Improvement(ReportedModel):
         return tuple(e for e, role in zip(last.effects, last.roles, strict=True) if role == "effect")
 
     def sentences(self) -> list[str]:
-        """What happened, one sentence each.
+        """Return the steps and the outcome, one sentence each.
 
         Returns
         -------
@@ -123,7 +126,10 @@ class Improvement(ReportedModel):
         return [*lines, *self._estimates(), *self.notes]
 
     def _estimates(self) -> list[str]:
-        """What was estimated in the last model, where the table does not hold all of it."""
+        """Return a sentence on the estimates of the last model.
+
+        The list is empty where the table holds all of them.
+        """
         rows = [row for row in self.refinement.parameters if row.role != "offset"]
         if len(rows) < 2 and not any(row.role == "linear" for row in rows):
             return []

@@ -1,4 +1,4 @@
-"""The records of a ladder in three parts: to fit on, to choose on, and one that judges."""
+"""Split of records for stepwise improvement: fit, choice, validation."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _SHORTEST, _MOST_RECORDS = 1000, 16  # samples of such a piece, records that it 
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What a ladder climbs on.
+    """Parts of the records for a stepwise improvement.
 
     Attributes
     ----------
@@ -141,10 +141,11 @@ def split_in_parts(records: Sequence[Measurement], validation: Measurement | Non
 
 
 def moving(record: Measurement) -> Measurement:
-    """Return a free decay up to where its motion has died; any other record as it is.
+    """Return a free decay up to where its motion has died out.
 
-    A part without motion decides nothing. Motion counts as long as an output still moves by `_DEAD` standard
-    deviations of its noise (of second differences) within a fiftieth of the record.
+    Any other record is returned as it is. A part without motion decides nothing. Motion counts as long as an
+    output still moves by `_DEAD` standard deviations of its noise (of second differences) within a fiftieth
+    of the record.
     """
     if not at_rest([record]) or record.n_samples < SHORTEST:
         return record
@@ -157,7 +158,11 @@ def moving(record: Measurement) -> Measurement:
 
 
 def _lines_in_parts(responses: Sequence[Any], validation: Any) -> Parts:
-    """Of five frequencies in turn three to fit, one to choose, one to judge: each sees the whole band."""
+    """Split the frequencies of responses into three parts.
+
+    Of five frequencies in turn, three are for the fit, one is for the choice and one is for validation. Each
+    part covers the whole band.
+    """
     turns = {"fit": (0, 2, 3), "choose": (1,), "judge": (4,), "learn": (0, 1, 2, 3)}
     if validation is not None:
         turns |= {"fit": (0, 2, 3, 4), "learn": (0, 1, 2, 3, 4)}
@@ -184,7 +189,10 @@ def _lines_in_parts(responses: Sequence[Any], validation: Any) -> Parts:
 
 
 def excerpt(records: list[Measurement]) -> list[Measurement]:
-    """Pieces spread over records that are too long to climb on; the records themselves where they are not."""
+    """Return pieces of records that are too long for the improvement.
+
+    Shorter records are returned as they are.
+    """
     if sum(record.n_samples for record in records) <= _EXCERPT:
         return records
     spread = np.unique(np.linspace(0, len(records) - 1, min(len(records), _MOST_RECORDS)).astype(int))

@@ -37,7 +37,9 @@ _TOGETHER = 16  # candidates whose columns are white at a time: they take the mo
 
 
 class TestedResidual:
-    """Whitened residual of a fitted model, with what was fitted already taken out.
+    """Whitened residual of a fitted model.
+
+    The fitted parameters are already projected out.
 
     Parameters
     ----------
@@ -79,7 +81,10 @@ class TestedResidual:
         return self.of_white(name, self.whiten(blocks))
 
     def test_apart(self, name: str, blocks: Sequence[Sequence[Array]]) -> FTest:
-        """F-test of columns that each act on one output: (N, k) per output of each record."""
+        """Return the F-test of columns that each act on one output.
+
+        The columns have the shape (N, k), per output of each record.
+        """
         white = [
             np.concatenate(
                 [
@@ -107,14 +112,20 @@ class TestedResidual:
         return self._both(test, lambda w, left, basis: f_test(test.name, left, w[:, None] * white, basis))
 
     def _both(self, test: FTest, weighted: Callable[[Array, Array, Basis], FTest]) -> FTest:
-        """The test, and where samples are unequally noisy the weighted one beside it."""
+        """Combine a test with its weighted version.
+
+        The weighted version exists where the samples are unequally noisy.
+        """
         if self._weighted is None or not test.dof:
             return test
         other = weighted(*self._weighted)
         return replace(test, p_value=min(1.0, 2.0 * min(test.p_value, other.p_value)))
 
     def whiten(self, blocks: Sequence[Array]) -> Array:
-        """Columns (n_y, N, k) per record, whitened as the residual is; nothing where it is not judged."""
+        """Return columns that are whitened like the residual.
+
+        The columns have the shape (n_y, N, k) per record. They are zero where the residual is not judged.
+        """
         judged = [weight[:, :, None] * block for weight, block in zip(self._judged, blocks, strict=True)]
         return self.whitener.apply(judged)
 
@@ -141,7 +152,11 @@ class TestedResidual:
 
     @cached_property
     def generic(self) -> tuple[list[str], list[Array]]:
-        """Responses (n_y, N, k) per record to forces of laws in no library, and the place of each column."""
+        """Return the places of generic forces and the responses to them.
+
+        The forces follow no force law of the library. The responses have the shape (n_y, N, k) per record,
+        with one place per column.
+        """
         gain, names, blocks = self.fitted.gain(self.ratio), [], []
         for i in range(len(self.fitted.problem.records)):
             forces = generic_forces(self.fitted, self.ratio, i)
@@ -191,7 +206,10 @@ def run_tests(
 def passed_without_library(
     battery: TestedResidual, motions: Sequence[Motion], significance: float
 ) -> list[FTest] | None:
-    """The tests that need no candidates where they pass together; no more of them than needed where not."""
+    """Return the tests without candidates if they pass, otherwise None.
+
+    The tests must pass together. They end at the first one that fails for certain.
+    """
     tests = []
     for test in _others(battery, motions):
         if test.dof and test.p_value * _MOST < significance:  # however many count beside it
@@ -240,10 +258,11 @@ def _parameters(battery: TestedResidual, motion: Motion) -> FTest:
 
 
 def _at_once(fitted: FittedModel) -> NDArray[np.bool_]:
-    """Whether an output can show an input in the very sample in which it is applied: (n_y, n_w).
+    """Return whether an output can show an input in the same sample.
 
-    A held input needs a direct path for that. Where there is none, the input of the same sample
-    says nothing about the model, and under feedback it is made of the noise of that sample.
+    The result has the shape (n_y, n_w). A held input needs a direct path for that. Where there is none, the
+    input of the same sample says nothing about the model, and under feedback it is made of the noise of that
+    sample.
     """
     records = [engine.data for engine in fitted.problem.engines]  # with the hold of the model
     direct = fitted.structure.matrices(fitted.theta).D[:, : records[0].n_inputs].real
@@ -289,7 +308,9 @@ def overall(tests: Sequence[FTest], equal: bool = False) -> float:
 
 
 def passes(tests: Sequence[FTest], excess: float, significance: float, levels: Levels) -> bool:
-    """Whether a residual is noise: no test fires, and it is no larger than the declared noise.
+    """Return whether a residual is noise.
+
+    No test is significant, and the residual is no larger than the declared noise.
 
     Parameters
     ----------

@@ -1,4 +1,7 @@
-"""What a residual of frequency responses must pass beside its candidates: no pattern along frequency."""
+"""Residual tests of frequency responses that need no candidates.
+
+The residual must show no pattern along the frequency.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,9 @@ _VALUES_PER_COLUMN = 5  # fewer say nothing about that many columns
 
 
 def response_tests(battery: TestedResidual) -> list[FTest]:
-    """Tests of whatever else a response could lack, each with a p-value of its own.
+    """Test the residual of frequency responses for any other pattern.
+
+    Each test has its own p-value.
 
     Parameters
     ----------
@@ -42,14 +47,20 @@ def response_tests(battery: TestedResidual) -> list[FTest]:
 
 
 def over_frequency(record: ResponseRecord) -> Array:
-    """Piecewise linear functions (n_omega, k) of the logarithm of the frequency, neighbors alike."""
+    """Return piecewise linear functions of the logarithm of frequency.
+
+    They have the shape (n_omega, k), and neighboring values are similar.
+    """
     along = np.log(record.omega)
     curve = Curve.along("", along, np.zeros(along.size))
     return np.asarray(curve.columns(along, np.zeros(along.size)) @ curve.root)
 
 
 def in_rows(record: ResponseRecord, points: Array) -> Array:
-    """Complex columns (n_y, n_w, n_omega, k) as real ones in the rows of a record (n_y, N, k)."""
+    """Convert complex columns to real columns in the rows of a record.
+
+    The shape changes from (n_y, n_w, n_omega, k) to (n_y, N, k).
+    """
     return np.stack([coded(column) / record.noise for column in np.moveaxis(points, -1, 0)], axis=-1)
 
 
@@ -90,9 +101,10 @@ def _short(battery: TestedResidual) -> list[Array]:
 
 
 def _neighbors(battery: TestedResidual) -> FTest:
-    """Whether points beside each other err alike: products of neighbors, by their own size.
+    """Test whether errors at neighboring frequencies are correlated.
 
-    One-sided: what a model lacks makes neighbors alike.
+    The statistic is the sum of the products of neighbors, relative to their size. The test is one-sided,
+    because a missing effect makes neighboring errors similar.
     """
     products = []
     first = 0

@@ -1,4 +1,4 @@
-"""What a diagnosis found, in figures and in words."""
+"""Result of a diagnosis, in figures and in words."""
 
 from __future__ import annotations
 
@@ -91,7 +91,10 @@ class RankedEffect(Row):
 
 @dataclass(frozen=True, slots=True)
 class Detectable(Row):
-    """The smallest coefficient of an effect that the record would have shown (95 % power)."""
+    """Smallest coefficient of an effect that the record would have shown.
+
+    The power of detection is 95 %.
+    """
 
     effect: Effect
     coefficient: str
@@ -170,7 +173,10 @@ class Diagnosis(Reported):
 
     @property
     def parameters(self) -> tuple[EstimatedParameter, ...]:
-        """Numbers of the model with their errors, where the verdict is "parameters"; else empty."""
+        """Re-estimated parameters of the model with their standard errors.
+
+        They are empty unless the verdict is "parameters".
+        """
         return () if self.floated is None else tuple(r for r in self.floated.parameters if r.role == "linear")
 
     none_of_these: float = np.nan
@@ -181,13 +187,19 @@ class Diagnosis(Reported):
 
     @property
     def place(self) -> str | None:
-        """Where it is missing, a port or a channel; None where nothing was ranked or no place is likely."""
+        """Place of the missing effect, or None.
+
+        It is None where nothing was ranked or no place is likely.
+        """
         place, probability = next(iter(self.places.items()), (None, 0.0))
         return place if probability >= _EXCLUDED else None
 
     @property
     def hidden_force(self) -> HiddenForce | None:
-        """Force at `place` over the first record, without any law; None where that is no port, or no time."""
+        """Unknown force at `place` over the first record.
+
+        It needs no force law. It is None for frequency responses, and where no force can act at the place.
+        """
         model = self.base.physical_model
         if self.base.of_responses:
             return None
@@ -198,7 +210,9 @@ class Diagnosis(Reported):
         return hidden_force(self.base, noise, port, self.ordered_records()[0])
 
     def law(self) -> Effect:
-        """The force that no candidate explains, tabulated, as an effect for `refine` or `compare`.
+        """Return the tabulated force that no candidate explains, as an effect.
+
+        The effect can be given to `refine` or `compare`.
 
         Returns
         -------
@@ -237,12 +251,17 @@ class Diagnosis(Reported):
 
     @property
     def effects(self) -> tuple[Effect, ...]:
-        """What is missing: the effects of the best row, the surest first; empty where none is named."""
+        """Missing effects of the best candidate, the most certain first.
+
+        They are empty where none is named.
+        """
         named = self.best is not None and self.verdict in ("effect", "ambiguous")
         return self.best.effects if named and self.best is not None else ()
 
     def refine(self) -> Refinement:
-        """The model with the best set of effects, fitted to convergence from where the ranking left it.
+        """Fit the model with the best set of effects to convergence.
+
+        The fit starts from the values of the ranking.
 
         Returns
         -------
@@ -369,7 +388,7 @@ class Diagnosis(Reported):
         return [ordered_record(self.base.physical_model, r) for r in self.records]
 
     def sentences(self) -> list[str]:
-        """What was found, one sentence each.
+        """Return the findings, one sentence each.
 
         Returns
         -------

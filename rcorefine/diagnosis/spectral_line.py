@@ -1,4 +1,7 @@
-"""A pure line in the spectrum of a residual: a disturbance of one frequency, which no noise is."""
+"""Spectral line in a residual: a disturbance at a single frequency.
+
+Noise has no such line.
+"""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ _ALIKE = (
 
 
 def sentences(found: Diagnosis) -> list[str]:
-    """What was found, one sentence each.
+    """Return the findings, one sentence each.
 
     Parameters
     ----------
@@ -118,7 +118,9 @@ def sentences(found: Diagnosis) -> list[str]:
 
 
 def next_step(found: Diagnosis | Improvement) -> str:
-    """What to do with a verdict, as a line of Python in which the result is called ``found``.
+    """Return the next step after a verdict, as a line of Python.
+
+    The line calls the result ``found``.
 
     Parameters
     ----------
@@ -146,7 +148,7 @@ def next_step(found: Diagnosis | Improvement) -> str:
 
 
 def failed_test(test: FTest) -> str:
-    """What a failed test shows, under the name by which `Diagnosis.tests` has it.
+    """Describe a failed test under its name in `Diagnosis.tests`.
 
     Parameters
     ----------
@@ -164,7 +166,10 @@ def failed_test(test: FTest) -> str:
 
 
 def no_test_fires(found: Diagnosis) -> str:
-    """The level, and how near the tests came to it: all of them together, as it is meant."""
+    """State the significance level and the smallest p-value.
+
+    The level holds for all tests together.
+    """
     said = f"No residual test is significant at the level {found.significance:g}"
     if not found.tests:
         return f"{said}."
@@ -176,7 +181,7 @@ def no_test_fires(found: Diagnosis) -> str:
 
 
 def _open_law(found: Diagnosis) -> list[str]:
-    """What is known of a force that follows none of the laws."""
+    """Describe the tabulated force that no candidate explains."""
     law = found.open_law
     if law is None:
         return []
@@ -191,14 +196,17 @@ def _open_law(found: Diagnosis) -> list[str]:
 
 
 def _force(found: Diagnosis) -> str:
-    """What acts at the place of the best candidate, in the words of its field."""
+    """Name the force at the place of the best candidate.
+
+    The words are those of its domain.
+    """
     place = found.best.effect.place if found.best is not None else ""
     ports = {port.name: port.acts_by for port in found.base.physical_model.ports}
     return f"a {ports.get(place, 'force')} at {place}"
 
 
 def _meaning(found: Diagnosis) -> list[str]:
-    """What the numbers of the best candidate say, where that is not seen at once."""
+    """Explain the coefficients of the best candidate if needed."""
     if found.best is None or (found.verdict == "unexplained" and not found.best.effect.spec.of_record):
         return []
     effect, values = found.best.effect, found.best.coefficients

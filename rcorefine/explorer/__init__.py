@@ -1,4 +1,7 @@
-"""The loop by hand: a model and a record, effects added one by one, the error watched as it falls."""
+"""Interactive exploration: add effects one by one and watch the error.
+
+It starts from a model and a record.
+"""
 
 from .exploration import Exploration, Step
 

@@ -1,4 +1,7 @@
-"""Work that takes long, off the thread that serves the page; what is being done is said meanwhile."""
+"""Background thread for long tasks of the page.
+
+The thread that serves the page stays free; the page shows what is running.
+"""
 
 from __future__ import annotations
 
@@ -94,7 +97,7 @@ class Background:
         lane.submit(run)
 
     def say(self, wrong: str = "") -> None:
-        """What is being done, and what went wrong."""
+        """Show what is running and what went wrong."""
         doing = f'<p class="busy">{escape("; ".join(self._busy))} …</p>' if self._busy else ""
         failed = f'<p class="wrong">{escape(wrong)}</p>' if wrong else ""
         self.status.object = f'<div role="status">{failed}{doing or "<p>&nbsp;</p>"}</div>'

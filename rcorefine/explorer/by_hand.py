@@ -1,4 +1,7 @@
-"""A refined model whose coefficients somebody sets: held where they are put, offsets and start settled."""
+"""Refined models whose coefficients are set by hand.
+
+These coefficients are held; offsets and initial states are estimated.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,7 @@ _MOST = 10  # evaluations to settle offset and initial state
 
 
 def key(effect: Effect) -> tuple[str, str]:
-    """What tells one effect of a model from another."""
+    """Return the kind and place that identify an effect in a model."""
     return effect.kind, effect.place
 
 
@@ -37,7 +40,7 @@ def values_of(model: Refinement, index: int) -> dict[str, float]:
 
 
 def with_held(model: Refinement, motion: Motion, effect: Effect, values: Mapping[str, float]) -> Refinement:
-    """A model with one effect at other values, or added; the others are held where they stand.
+    """Return a model with one effect changed or added, the others held.
 
     Parameters
     ----------
@@ -109,7 +112,7 @@ def free_run(model: Refinement, pieces: Sequence[Measurement]) -> Array:
 
 
 def settled(model: Refinement, pieces: Sequence[Measurement]) -> Refinement:
-    """The model with the offsets and initial states that suit its held coefficients best."""
+    """Estimate offsets and initial states with all coefficients held."""
     free_run(model, pieces)  # a divergence is said before anything is estimated
     structure, theta, substeps = model.simulation_structure()
     weights = output_weights(pieces, None)
@@ -126,8 +129,9 @@ def settled(model: Refinement, pieces: Sequence[Measurement]) -> Refinement:
 
 
 def quickly_settled(model: Refinement, pieces: Sequence[Measurement]) -> Array:
-    """Free run (n_y, N) with offsets and initial states that suit the linear part of the model best.
+    """Simulate with offsets and initial states fitted to the linear part.
 
+    The free run has shape (n_y, N).
     A constant input adds a constant to each output, and a free motion.
     """
     runs = free_run(model, pieces)

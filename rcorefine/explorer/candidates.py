@@ -1,4 +1,7 @@
-"""An effect that could stand where a model fails: its law laid over the force that is missing there."""
+"""Candidate effects for a place where a model fails.
+
+The force law of each is fitted to the force that is missing there.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +47,7 @@ class Candidate:
 def laid_over(
     effect: Effect, physical: PhysicalModel, motion: Motion, inputs: Array, force: ResidualForce | None
 ) -> Candidate:
-    """The shape and the coefficients with which a law comes nearest to a force.
+    """Fit the shape and the coefficients of an effect to a force.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What stands while somebody explores: model, record, effects added so far, and the way back."""
+"""State of an exploration: model, record, added effects, undo."""
 
 from __future__ import annotations
 
@@ -55,13 +55,16 @@ def _given(value: T | None, kind: type[T], name: str) -> T | None:
 
 
 def _at_channel(row: Failure | None) -> bool:
-    """Whether a failure lies at an input or an output, where no force acts."""
+    """Return whether a failure lies at an input or an output.
+
+    No force acts there.
+    """
     return row is not None and (row.dimension == "time" or "input" in row.values)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """Where an exploration stood.
+    """One step of an exploration.
 
     Attributes
     ----------
@@ -88,7 +91,10 @@ class Step:
 
     @property
     def error(self) -> float:
-        """Part of the outputs that the model misses in percent, 100 less the fit; the mean over outputs."""
+        """Mean of 100 minus the fit over the outputs, in percent.
+
+        It is the part of the outputs that the model does not explain.
+        """
         return 100.0 - float(np.nanmean(self.fit))
 
 
@@ -164,7 +170,10 @@ class Exploration:
 
     @property
     def comparison(self) -> Comparison:
-        """The present model beside the record, as `compare` has it; its `failures` say where it fails."""
+        """Comparison of the present model with the record, as by `compare`.
+
+        Its `failures` list where the model fails.
+        """
         now = self._steps[-1]
         if self._compared is None or self._compared[0] is not now:
             self._compared = now, compare(now.refinement, self.data, horizon=self.horizon)
@@ -180,7 +189,10 @@ class Exploration:
         return {q.name: structure.unit(q) for q in structure.parameters}
 
     def reach(self, effect: Effect, name: str) -> tuple[float, float]:
-        """Range in which a coefficient is worth moving, about its present value and inside its bounds."""
+        """Return the range in which it is useful to vary a coefficient.
+
+        The range depends on the present value and stays inside the bounds.
+        """
         structure = self._alone(effect)
         names = [q.name for q in structure.parameters]
         at = names.index(as_choice(name, "name", names))
@@ -195,19 +207,21 @@ class Exploration:
         return estimated_motion(Structure(self.physical), np.zeros(0), self.record)
 
     def force(self, row: Failure | None = None) -> ResidualForce | None:
-        """The force that the present model lacks where a row of its failure map stands.
+        """Return the force that the present model lacks at a failure.
 
-        By default, and where the row has no place, at the place that explains most of the record. None for a
-        row at an input or an output, and for a model without places.
+        The failure is a row of its failure map. By default, and where the row has no place, the force is that
+        at the place that explains most of the record. It is None for a row at an input or an output, and for
+        a model without places.
         """
         row = _given(row, Failure, "row")
         place = None if row is None else row.values.get("place")
         return None if _at_channel(row) else residual_force(self.comparison, 0, place)
 
     def candidates(self, row: Failure | None = None, force: ResidualForce | None = None) -> list[Candidate]:
-        """Effects that are not in the model yet and could stand where a row of the failure map does.
+        """Return the effects that could explain a row of the failure map.
 
-        By default all. With the force there, laws are laid over it, those that explain most of it first.
+        Effects that the model already holds are left out. By default, all others are returned. With `force`,
+        their force laws are fitted to it, and those that explain most come first.
         """
         row, force = _given(row, Failure, "row"), _given(force, ResidualForce, "force")
         library = not_held(candidates_of(self.physical), self.refinement.effects)
@@ -226,7 +240,9 @@ class Exploration:
 
     # ------------------------------------------------------------------ what can be done
     def add(self, effect: Effect, **values: float) -> Step:
-        """Add an effect, its coefficients set by hand; those left out are where it is absent, or small.
+        """Add an effect with coefficients set by hand.
+
+        Coefficients that are left out get the value at which the effect is absent, or a small one.
 
         Raises
         ------
@@ -242,8 +258,9 @@ class Exploration:
             return self._enter(self._step("add", f"add {effect.label}", (*self.effects, effect), model))
 
     def move(self, effect: Effect, **values: float) -> Step:
-        """Set coefficients of an added effect by hand; offset and initial state are estimated anew.
+        """Set coefficients of an added effect by hand.
 
+        The offset and the initial state are estimated again.
         Moves of one effect after the other are one step. Raises as `add`.
         """
         self._index(effect)
@@ -255,8 +272,9 @@ class Exploration:
         return step
 
     def preview(self, effect: Effect, **values: float) -> tuple[Array, float]:
-        """Free run (n_y, N) and error in percent with coefficients moved, fast enough to follow a slider.
+        """Return the free run and its error with coefficients changed.
 
+        The run has shape (n_y, N), the error is in percent. The call is fast enough to follow a slider.
         Nothing is changed. Offset and initial state are estimated as for the linear part of the model; `move`
         does it for the whole. Raises as `add`.
         """
@@ -266,12 +284,18 @@ class Exploration:
         return runs, 100.0 - float(np.nanmean(fit_of([self.record], [runs - self.record.outputs])[0]))
 
     def fit(self) -> Step:
-        """Estimate all effects added so far together: what ``refine(model, data, effects)`` finds."""
+        """Estimate all added effects together.
+
+        The result is that of ``refine(model, data, effects)``.
+        """
         found = refine(self.model, self.data, self.effects, horizon=self.horizon)
         return self._enter(self._step("fit", "fit", self.effects, found))
 
     def undo(self) -> Step:
-        """Take the last step back, and return the one before; the initial model stays."""
+        """Undo the last step and return the one before.
+
+        The initial model always remains.
+        """
         if len(self._steps) > 1:
             del self._steps[-1]
         return self._steps[-1]
@@ -282,11 +306,14 @@ class Exploration:
         return diagnose(self.refinement, self.data, horizon=self.horizon)
 
     def check(self) -> Check:
-        """What is odd about the record, or the initial model beside it."""
+        """Check the record, and the initial model beside it."""
         return check(self.model, self.data)
 
     def script(self) -> str:
-        """Python program that comes to the present model: what is set by hand is held, the rest is fitted."""
+        """Return a Python program that reproduces the present model.
+
+        Coefficients set by hand are held; the others are fitted.
+        """
         start = self._steps[0].refinement
         held = [e for e, role in zip(start.effects, start.roles, strict=True) if role != "offset"]
         added = [self.refinement.effects[self._index(effect)] for effect in self.effects]
@@ -299,8 +326,9 @@ class Exploration:
         return script(["# the initial model", *model_code(self.physical)], record_code([self.data]), lines)
 
     def report(self, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
-        """Write the report of the present model beside the record, with the steps and the script.
+        """Write the report of the present model beside the record.
 
+        It contains the steps and the script.
         Raises as `Refinement.report`.
         """
         ladder = [comment(f"{step.name}: error {step.error:.3g} %") for step in self._steps]
@@ -326,7 +354,7 @@ class Exploration:
         return key(effect) in map(key, self.effects)
 
     def _changed(self, effect: Effect, values: Mapping[str, float]) -> Refinement:
-        """The present model with some coefficients of an effect at other values, or with it added."""
+        """Return the present model with an effect changed or added."""
         unknown = [name for name in values if name not in effect.coefficients]
         if unknown:
             raise ModelError(f"{effect.label} has no {unknown[0]}, only {', '.join(effect.coefficients)}")

@@ -1,4 +1,4 @@
-"""The pictures of the explorer: record and models in time, Bode, lacking force, staircase.
+"""Plots of the explorer: time, Bode, missing force, error per step.
 
 Names from files stand in `PlainText` or not at all: bokeh reads formulas in other texts.
 """
@@ -34,7 +34,9 @@ _CELLS = 25
 
 
 def thinned(t: Array, y: Array, most: int = _MOST_DRAWN) -> tuple[Array, Array]:
-    """A curve of at most so many points: of each stretch its least and its largest value, where they are.
+    """Reduce a curve to a given number of points.
+
+    Each stretch keeps its least and its largest value at their positions.
 
     Examples
     --------
@@ -75,7 +77,11 @@ def _unit(name: str, unit: str) -> str:
 
 
 class TimePicture:
-    """Record, initial and present model over a stretch of time, and below what the present one leaves."""
+    """Plot of the record, both models and the residual over time.
+
+    The upper axes show the record with the initial and the present model over a stretch of time. The lower
+    axes show the residual of the present model.
+    """
 
     def __init__(self, explored: Exploration) -> None:
         self._explored, data = explored, explored.record
@@ -161,7 +167,7 @@ class BodePicture:
         self.show()
 
     def show(self) -> None:
-        """Draw the present model, and the others where another channel is asked for."""
+        """Draw the measured response, the initial and the present model."""
         if self.measured is None:
             return
         w, i, j = self.measured.omega, self.output, self.input
@@ -182,7 +188,10 @@ class BodePicture:
 
 
 def _ticks(w: Array) -> FixedTicker:
-    """Powers of ten of a logarithmic axis, with 2 and 5 between them where there are few."""
+    """Return the ticks of a logarithmic axis, at powers of ten.
+
+    If there are few powers, ticks at 2 and 5 lie between them.
+    """
     w = w[w > 0]
     first, last = int(np.floor(np.log10(w[0]))), int(np.ceil(np.log10(w[-1])))
     between = (1.0, 2.0, 5.0) if last - first <= 3 else (1.0,)
@@ -197,7 +206,11 @@ _BODE_WORDS = {"measured": "measured, 2 std", "initial": "initial model", "prese
 def _response(
     record: Measurement, step: Step, measured: FrequencyResponse, i: int, j: int
 ) -> tuple[Array, Any]:
-    """Of a linear model its own; else that of its run, estimated as that of the record is."""
+    """Return the frequency response of a model, and its frequencies.
+
+    A linear model gives its own response. The response of any other is estimated from its simulation, as that
+    of the record is.
+    """
     model: Refinement = step.refinement
     if model.simulation_structure()[0].is_linear or len(model.initial_states) > 1:
         linear = as_sampled(LinearModel.from_statespace(model.system), measured.dt, measured.hold)
@@ -208,7 +221,10 @@ def _response(
 
 
 class ForcePicture:
-    """Force that the present model lacks at a place, against the motion there, with laws laid over it."""
+    """Plot of the missing force against the motion at a place.
+
+    The force laws of candidate effects are drawn over it.
+    """
 
     def __init__(self) -> None:
         empty = {"x_range": Range1d(-1.0, 1.0), "y_range": Range1d(-1.0, 1.0)}

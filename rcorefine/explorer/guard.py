@@ -14,8 +14,9 @@ __all__ = ["Policy", "Visitors"]
 
 
 class Visitors(NullAuth):  # type: ignore[misc]
-    """Lets in who opens one of the server's own addresses, before anything is built for the request.
+    """Access control that admits only visitors of the server's addresses.
 
+    It acts before anything is built for the request.
     A page of another origin is refused, whether it fetches, embeds or loads this one as a picture; so is a
     name that leads here but is none of the server's (DNS rebinding), and a session that the address names.
 
@@ -32,7 +33,10 @@ class Visitors(NullAuth):  # type: ignore[misc]
         super().__init__()
 
     async def get_user_async(self, asking: RequestHandler) -> str:
-        """Return the name of a visitor who may come in; bokeh awaits it before it answers a request."""
+        """Return the name of a visitor who may enter.
+
+        bokeh awaits it before it answers a request.
+        """
         host, headers = asking.request.host, asking.request.headers
         origin, site = headers.get("Origin", f"http://{host}"), headers.get("Sec-Fetch-Site", "none")
         clicked = headers.get("Sec-Fetch-Mode") == "navigate" and headers.get("Sec-Fetch-User") == "?1"
@@ -45,7 +49,10 @@ class Visitors(NullAuth):  # type: ignore[misc]
 
 
 class Policy(OutputTransform):
-    """Tells the browser what a page may load and run: the server's files, and the scripts in the page."""
+    """Content security policy of the pages.
+
+    It tells the browser what a page may load and run: files of the server, and the scripts in the page.
+    """
 
     def __init__(self, request: HTTPServerRequest) -> None:
         self._host = request.host
@@ -53,7 +60,7 @@ class Policy(OutputTransform):
     def transform_first_chunk(
         self, status_code: int, headers: HTTPHeaders, chunk: bytes, finishing: bool
     ) -> tuple[int, HTTPHeaders, bytes]:
-        """Add the policy to the headers of an answer, and its number to the scripts of a page."""
+        """Add the policy to the headers, and its nonce to the page's scripts."""
         nonce = secrets.token_urlsafe(16)
         if headers.get("Content-Type", "").startswith("text/html"):
             chunk = re.sub(rb"<script\b", f'<script nonce="{nonce}"'.encode(), chunk)

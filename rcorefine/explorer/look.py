@@ -1,4 +1,7 @@
-"""The look of the explorer: light and dark; pictures are inverted in the dark, as in reports."""
+"""Style sheet of the explorer, light and dark.
+
+Pictures are inverted in the dark, as in reports.
+"""
 
 from __future__ import annotations
 

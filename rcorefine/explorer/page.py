@@ -32,7 +32,7 @@ _PAUSE = 30  # ms in which moves of a slider are taken together
 
 
 class ExplorerPage:
-    """What one visitor sees and does.
+    """Page of one visitor, with its controls.
 
     Parameters
     ----------

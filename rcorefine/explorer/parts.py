@@ -43,8 +43,9 @@ def picture(figure: Any) -> Any:
 
 
 def _plain(words: str) -> str:
-    """Words of a label in which $$ and its like begin no formula: a joiner of no width parts the marks.
+    """Return a label in which no characters begin a formula.
 
+    A word joiner, which has no width, separates marks such as $$.
     Where bokeh finds a formula in a label it makes HTML of the whole, and names come from strangers' files.
     """
     return re.sub(r"\$(?=\$)|\\(?=[\[\](){}])", "\\g<0>\N{WORD JOINER}", words)

@@ -80,7 +80,7 @@ class Explorer:
         return Exploration(model, data, horizon=horizon)
 
     def show(self, port: int = 0, *, browser: bool = True) -> str:
-        """Serve the page to this machine alone, each visitor with a state of their own.
+        """Serve the page on this machine only, with one state per visitor.
 
         It is served in the background until `close`, or until the process ends.
 

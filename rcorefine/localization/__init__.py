@@ -1,4 +1,7 @@
-"""Damage localization: which link changed, by how much, and what would have been seen."""
+"""Damage localization: changed links, their sizes and detection limits.
+
+A detection limit is the smallest change that the record would have shown.
+"""
 
 from .damage_map import DamageMap, DamageRow, HypothesisRow, NuisanceRow
 from .localize import localize_damage

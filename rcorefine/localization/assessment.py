@@ -1,4 +1,7 @@
-"""From a decision to the damage map: intervals, detection limits, and whether the record is explained."""
+"""Damage map computed from a decision.
+
+It adds confidence intervals, detection limits, and whether the changes explain the record.
+"""
 
 from __future__ import annotations
 
@@ -129,7 +132,10 @@ def _message(
 
 
 def _explained(tests: Sequence[FTest], significance: float) -> str:
-    """What the residual says about the changes, "" where it is noise."""
+    """Return a message on failed or missing tests, or an empty string.
+
+    The string is empty where the residual is noise.
+    """
     if not tests:
         return _UNTESTED
     if overall(tests) >= significance:

@@ -1,4 +1,7 @@
-"""What may have changed: links, by default every stiffness, and what counts as 100 percent."""
+"""Candidate changes of a structure, and their nominal values.
+
+By default, every stiffness is a candidate. A change in percent is relative to the nominal value.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +52,11 @@ def nominal_values(model: Any, physical: PhysicalModel) -> dict[tuple[str, str],
 
 
 def default_rule(physical: PhysicalModel, nominal: Mapping[tuple[str, str], float]) -> str:
-    """Damping at the links where the model has dampers there, else one factor on all modal ratios."""
+    """Return the damping rule that suits the model: "links" or "ratio".
+
+    With dampers in the model, each damped link has its own damping. Otherwise one factor scales all modal
+    damping ratios.
+    """
     if any(kind == Damping.name and value != 0 for (kind, _), value in nominal.items()):
         return "links"
     try:
@@ -60,7 +67,10 @@ def default_rule(physical: PhysicalModel, nominal: Mapping[tuple[str, str], floa
 
 
 def candidate_effects(physical: PhysicalModel, given: Sequence[Any] | None, rule: str) -> list[Effect]:
-    """Changes that are looked for: those given, or every stiffness, by the rule "links" every damper too."""
+    """Return the candidate changes: those given, or every stiffness.
+
+    With the rule "links", every damper is a candidate, too.
+    """
     if given is not None:
         entries = (
             [given] if isinstance(given, str | Effect) else as_list(given, "candidates", "effects or places")

@@ -1,4 +1,4 @@
-"""What `localize_damage` returns."""
+"""Result of `localize_damage`."""
 
 from __future__ import annotations
 
@@ -77,7 +77,10 @@ class DamageRow(Row):
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % interval of the change, in percent (in `unit` where the model has no value)."""
+        """Return the 95 % confidence interval of the change, in percent.
+
+        It is in `unit` where the model has no value.
+        """
         if self.nominal == 0:
             return self.change - 1.96 * self.std, self.change + 1.96 * self.std
         return self.percent - 1.96 * self.percent_std, self.percent + 1.96 * self.percent_std
@@ -140,7 +143,7 @@ class HypothesisRow(Row):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DamageMap(Result):
-    """Which places of a structure changed, by how much, and what would have been seen.
+    """Changed places of a structure, with sizes and detection limits.
 
     Attributes
     ----------
@@ -198,7 +201,10 @@ class DamageMap(Result):
 
     @property
     def explained(self) -> bool:
-        """Whether the residual passes its tests: nothing but the named changes is missing."""
+        """Return whether the residual passes its tests.
+
+        If it does, nothing but the named changes is missing.
+        """
         return bool(self.tests) and overall(self.tests) >= self.significance
 
     @property

@@ -22,10 +22,10 @@ _ITERATIONS = 60
 
 
 def square_root(X: NDArray[Any]) -> NDArray[Any]:
-    """Principal square root by the product of Newton steps (Denman and Beavers).
+    """Return the principal square root of a matrix.
 
-    Analytic in the entries of X, so that a complex step gives exact derivatives
-    (an eigenvalue routine would not).
+    It uses the product form of the Newton iteration (Denman and Beavers). The result is analytic in the
+    entries of X, so that a complex step gives exact derivatives (an eigenvalue routine would not).
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def mechanical_pairs(model: PhysicalModel) -> tuple[NDArray[np.int64], NDArray[n
 
 
 class RatioStructure(Structure):
-    """A structure whose damping is scaled as a whole, and follows the stiffness or not.
+    """Structure with scaled damping that may follow the stiffness.
 
     The damping part of the state matrix is
     ``(1 + s) [(1 - f) D0 + f D0 X0^(-1/2) X^(1/2)]``, with D0 the model's damping and X, X0
@@ -143,11 +143,17 @@ class RatioStructure(Structure):
         self.parameters.append(Parameter(index, "follows", RATIO_NAMES[1], -2.0, 3.0))
 
     def start(self) -> Array:
-        """Starting values: the model's damping, half of it following the stiffness."""
+        """Return the starting values, with the damping of the model.
+
+        Half of the damping follows the stiffness.
+        """
         return np.append(self._start, [0.0, 0.5])
 
     def adjusted_rates(self, A: NDArray[Any], theta: NDArray[Any]) -> NDArray[Any]:
-        """State matrix with the damping that these stiffnesses and this ratio imply."""
+        """Return the state matrix with the damping that `theta` implies.
+
+        The damping follows from the stiffnesses and the damping ratio in `theta`.
+        """
         if not hasattr(self, "ratio_columns"):
             return A
         scale, follows = (theta[column] for column in self.ratio_columns)

@@ -1,4 +1,7 @@
-"""Which candidates are needed: elimination with refits, then what else could explain the record."""
+"""Decision on which candidates are needed to explain the record.
+
+Backward elimination with refits comes first, then a search for other explanations.
+"""
 
 from __future__ import annotations
 
@@ -62,11 +65,11 @@ def two_sided(z: Array) -> Array:
 
 
 def decide(joint: Joint, candidates: list[Candidate], significance: float) -> Decision:
-    """Joint estimate, backward elimination with refits, then additions and swaps.
+    """Estimate all changes jointly and keep the candidates that are needed.
 
-    A candidate is dropped as long as the least significant one fails Holm's level
-    ``significance / (m - r + 1)`` (r left of m), so the survivors are significant with
-    multiplicity allowed for, and each is needed beside the others.
+    Backward elimination with refits is followed by additions and swaps. A candidate is dropped as long as the
+    least significant one fails Holm's level ``significance / (m - r + 1)`` (r left of m), so the survivors
+    are significant with multiplicity allowed for, and each is needed in addition to the others.
 
     Parameters
     ----------
@@ -125,7 +128,10 @@ def decide(joint: Joint, candidates: list[Candidate], significance: float) -> De
 
 
 class _Selection:
-    """Candidates that are kept, the others held at zero; all of them to begin with."""
+    """Kept candidates; the others are held at zero.
+
+    To begin with, all candidates are kept.
+    """
 
     def __init__(self, joint: Joint, candidates: list[Candidate], significance: float) -> None:
         self.joint, self.significance = joint, significance
@@ -163,7 +169,10 @@ class _Selection:
         return values[self.kept.index(i)], spreads[self.kept.index(i)]
 
     def beside(self, i: int) -> tuple[float, float]:
-        """What one more candidate would come to beside those that are kept: one Gauss-Newton step."""
+        """Estimate one more candidate in addition to those that are kept.
+
+        The value and its standard deviation come from one Gauss-Newton step.
+        """
         wider = self.active.copy()
         wider[self.where[i]] = True
         columns = self.joint.columns(wider)
@@ -206,7 +215,10 @@ class _Selection:
             self.joint.fit(self.active)
 
     def swap(self) -> dict[int, list[int]]:
-        """Put each similar candidate in the place of a named one: better takes over, equal is a rival."""
+        """Try each similar candidate in the place of a named one.
+
+        A better candidate replaces the named one. An equally good one is listed as its alternative.
+        """
         joint, where, kept = self.joint, self.where, self.kept
         rivals: dict[int, list[int]] = {}
         for _ in range(where.size):
@@ -261,7 +273,10 @@ _MEMBER = 0.3  # share of such a direction above which a candidate belongs to it
 
 
 def _projected(joint: Joint, where: NDArray[np.int64]) -> Array:
-    """Information of the candidates, offsets, damping ratio and initial states projected off."""
+    """Return the normalized information matrix of the candidates.
+
+    Offsets, damping ratio and initial states are projected out.
+    """
     normal = joint.information().normal
     rest = np.setdiff1d(np.arange(normal.shape[0]), where)
     inner = normal[np.ix_(where, where)]

@@ -1,4 +1,4 @@
-"""Joint estimate with some candidates held at zero, on exact sensitivities."""
+"""Joint estimate with exact sensitivities, some candidates held at zero."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _SETTLED = 1e-3  # of a standard deviation
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Information:
-    """What the record knows at a point, all candidates included.
+    """Information of the record at a point, all candidates included.
 
     Attributes
     ----------
@@ -54,7 +54,10 @@ class Information:
     middle: Array
 
     def covariance(self, columns: NDArray[np.int64]) -> Array:
-        """Covariance of an estimate of these columns; infinite where nothing is seen."""
+        """Return the covariance of an estimate of these columns.
+
+        It is infinite where the record holds no information.
+        """
         block = np.ix_(columns, columns)
         return covariance(self.normal[block], self.middle[block])
 
@@ -101,7 +104,10 @@ class Joint:
         return self.problem.unpack(self.point)[0]
 
     def columns(self, active: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """Columns of the point that move: active coefficients and all initial states."""
+        """Return the columns of the point that are estimated.
+
+        These are the active coefficients and all initial states.
+        """
         rest = np.arange(self.structure.n_parameters, self.problem.size)
         return np.concatenate([np.flatnonzero(active), rest])
 
@@ -129,7 +135,10 @@ class Joint:
         self.point = self._lengthened(trial, best[1])
 
     def _lengthened(self, trial: Problem, point: Array) -> Array:
-        """Point on the whole records: the initial states of the first ones are those of the short ones."""
+        """Extend a point on shortened records to the whole records.
+
+        The first records keep the initial states of the short ones.
+        """
         theta, known = trial.unpack(point)
         if not trial.free_start:
             return np.array(theta)
@@ -140,7 +149,10 @@ class Joint:
         return self.problem.pack(theta, known)
 
     def _starts(self, trial: Problem) -> Iterator[Array]:
-        """Coefficients to descend from, each found only when the ones before have failed."""
+        """Yield starting values for the coefficients.
+
+        Each is computed only after the previous ones have failed.
+        """
         start = self.structure.start()
         yield start
         yield from self._held(trial, start, _RATIOS)
@@ -159,7 +171,9 @@ class Joint:
                 yield held[: trial.n_theta]
 
     def sparser(self, active: NDArray[np.bool_], size: int) -> NDArray[np.bool_] | None:
-        """Look for fewer changes, far from the present point, that explain the record as well.
+        """Search for fewer changes that explain the record equally well.
+
+        The search covers points far from the present one.
 
         Parameters
         ----------
@@ -228,7 +242,10 @@ class Joint:
         return cost
 
     def information(self) -> Information:
-        """What the record knows at the present point about every coefficient."""
+        """Return the information of the record at the present point.
+
+        It covers every coefficient.
+        """
         if self._information is None:
             residuals, slopes, columns = zip(*self.problem.own_blocks(self.point), strict=True)
             normal, middle = colored(residuals, slopes, self.problem.precision, columns=columns)
@@ -239,7 +256,10 @@ class Joint:
 
     @property
     def residual(self) -> Array:
-        """Model minus record in units of the outputs, records joined, shape (n_y, N)."""
+        """Return model minus record in units of the outputs, shape (n_y, N).
+
+        All records are joined.
+        """
         blocks = self.problem.own_blocks(self.point)
         return np.concatenate([r for r, _, _ in blocks], axis=1) / self.problem.weights[:, None]
 
@@ -250,7 +270,9 @@ class Joint:
 
 
 def log_likelihood(residual: Array) -> tuple[float, int]:
-    """Gaussian log-likelihood of a residual, whitened by an autoregression per output.
+    """Return the Gaussian log-likelihood of a whitened residual.
+
+    An autoregression per output whitens the residual.
 
     Parameters
     ----------
@@ -306,7 +328,10 @@ def _descend(
 
 
 def _whiteness(problem: Problem, point: Array) -> float:
-    """Innovation over residual power, the least over the outputs: 1 for a white residual."""
+    """Return the smallest ratio of innovation power to residual power.
+
+    The minimum is over the outputs. It is 1 for a white residual.
+    """
     blocks = problem.own_blocks(point)
     share = 1.0
     for row in np.concatenate([r for r, _, _ in blocks], axis=1):

@@ -32,7 +32,7 @@ UNDAMAGED = "no damage"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Setting:
-    """What every hypothesis shares: model, records, nuisances."""
+    """Model, records and nuisance parameters that all hypotheses share."""
 
     physical: PhysicalModel
     base: tuple[Effect, ...]

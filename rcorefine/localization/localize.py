@@ -1,4 +1,4 @@
-"""Where a structure changed, and by how much."""
+"""Damage localization: places and sizes of changes in a structure."""
 
 from __future__ import annotations
 
@@ -197,7 +197,10 @@ def localize_damage(
 
 
 def _baseline(model: Any) -> tuple[PhysicalModel, tuple[Effect, ...], int]:
-    """The undamaged structure; effects that a Refinement found stay at their values."""
+    """Return the undamaged structure, its fixed effects and substeps.
+
+    Effects that a `Refinement` found stay at their values.
+    """
     if not isinstance(model, Refinement):
         return refuse_point(as_physical(model), "localize_damage"), (), 1
     refuse_point(model.physical_model, "localize_damage")
@@ -222,7 +225,10 @@ def _nuisances(
     offset: bool,
     record: Measurement,
 ) -> tuple[tuple[Effect, ...], tuple[float, ...]]:
-    """Offsets, sensor gains and linear parameters that are estimated along, and their prior deviations."""
+    """Return the nuisance effects and their prior standard deviations.
+
+    These are offsets, sensor gains and linear parameters, estimated together with the changes.
+    """
     chosen = assemble(physical, [], effects, (), tolerance, offset_variants(physical, record, offset)[-1])
     roles = [
         (e, role)

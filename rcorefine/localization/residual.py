@@ -1,4 +1,7 @@
-"""Whether the changes explain the record: the residual through the tests of `diagnose`."""
+"""Residual tests of an estimate of changes.
+
+The tests of `diagnose` decide whether the changes explain the record.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,7 @@ _SHORTEST = 200  # samples of a record that can be tested
 
 @dataclass(frozen=True, slots=True)
 class _Held:
-    """What `FittedModel` asks of a refinement."""
+    """Attributes of a refinement that `FittedModel` needs."""
 
     physical_model: PhysicalModel
     effects: tuple[Effect, ...]
@@ -38,7 +41,9 @@ class _Held:
 
 
 def residual_tests(joint: Joint) -> tuple[FTest, ...]:
-    """Tests of what is left where the estimate stands, all candidates and nuisances projected off.
+    """Test the residual at the estimate.
+
+    All candidates and nuisance parameters are projected out.
 
     Parameters
     ----------
@@ -70,7 +75,10 @@ def residual_tests(joint: Joint) -> tuple[FTest, ...]:
 
 
 def _plain(structure: Structure, theta: Array) -> tuple[PhysicalModel, tuple[Effect, ...], Array]:
-    """The same model without the rule of damping, which goes into its state matrix as it stands."""
+    """Return the model, effects and coefficients without the damping rule.
+
+    The state matrix holds the damping that the rule gave.
+    """
     if not isinstance(structure, RatioStructure):
         return structure.model, tuple(structure.effects), theta
     changes = [structure.effects[q.effect].spec.is_element for q in structure.parameters]

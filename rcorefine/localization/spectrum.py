@@ -1,4 +1,7 @@
-"""Far-off starts from the measured frequency response, where a free run slips by whole periods."""
+"""Starting values from the measured frequency response.
+
+They are needed far from the solution, where a simulation is wrong by whole periods.
+"""
 
 from __future__ import annotations
 
@@ -72,10 +75,10 @@ class _Spectrum:
 
 
 def spectral_starts(structure: Structure, theta: Array, record: Measurement, most: int = 3) -> list[Array]:
-    """Stiffness changes whose smoothed frequency response comes near the measured one.
+    """Return stiffness changes whose smoothed response fits the measured one.
 
-    A grid over single and double losses, then descents on log magnitudes with less and
-    less smoothing: a resonance that moved far pulls from far away.
+    The search is a grid over single and double losses, then descents on log magnitudes with less and less
+    smoothing, so that a resonance that moved far is found, too.
 
     Parameters
     ----------
@@ -128,11 +131,11 @@ def spectral_starts(structure: Structure, theta: Array, record: Measurement, mos
 def sparse_starts(
     structure: Structure, theta: Array, record: Measurement, largest: int, most: int = 4
 ) -> list[tuple[tuple[int, ...], Array]]:
-    """Few stiffness changes that explain the measured frequency response, fewest first.
+    """Return few stiffness changes that explain the frequency response.
 
-    With few sensors several structures can have the same response (all the natural
-    frequencies of a chain determine its stiffnesses only up to a finite choice);
-    among them the one with the fewest changes is the natural reading.
+    The sets with the fewest changes come first. With few sensors several structures can have the same
+    response (all the natural frequencies of a chain determine its stiffnesses only up to a finite choice);
+    among them the one with the fewest changes is the most plausible.
 
     Parameters
     ----------
@@ -200,7 +203,10 @@ def _descent(spectrum: _Spectrum, u: Array, added: int, group: tuple[int, ...]) 
 
 
 def _spectrum(structure: Structure, theta: Array, record: Measurement) -> _Spectrum | None:
-    """Spectra of the record and the model, None where the record or the model has none."""
+    """Return the spectra of record and model, or None.
+
+    None is returned where the record or the model has no spectrum.
+    """
     nominal = {(q.kind, q.place): q.value for q in structure.model.parameters}
     columns = []
     for i, parameter in enumerate(structure.parameters):

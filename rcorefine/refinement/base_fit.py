@@ -1,4 +1,4 @@
-"""The model fitted as far as it is declared to be free, before anything is tested."""
+"""Fit of the free parameters of a model before any test."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Batch estimation of effects, linear parameters, offsets and initial states."""
+"""Batch fit of effects, linear parameters, offsets and initial states."""
 
 from __future__ import annotations
 
@@ -200,7 +200,9 @@ def refit(
     noise: float | Sequence[float] | None = None,
     horizon: float | None = None,
 ) -> Refinement:
-    """Fit a refinement again from where it stands, on these records, with no search.
+    """Fit a refinement again, starting from its present values.
+
+    The fit uses these records and makes no search.
 
     Parameters
     ----------
@@ -248,7 +250,7 @@ def refit(
 def _other_offsets(
     kept: list[tuple[Effect, str]], physical: PhysicalModel, record: Measurement, offset: bool
 ) -> list[list[tuple[Effect, str]]]:
-    """The same effects with the constant offset at another place."""
+    """Return the effects with the constant offset at another place."""
     mine = {(e.kind, e.place) for e, role in kept if role == "offset"}
     rest = [(e, role) for e, role in kept if role != "offset"]
     found = []

@@ -1,6 +1,7 @@
-"""`control.StateSpace` in and out: arrays, conversion between timebases, canonical form, response.
+"""Linear systems: arrays, conversion, canonical form and response.
 
-The only part of the package that knows the inside of a `StateSpace`.
+`control.StateSpace` models go in and come out. The conversion is between timebases. No other part of the
+package reads the fields of a `StateSpace`.
 """
 
 from .canonical import characteristic_polynomial, observable_form

@@ -1,4 +1,4 @@
-"""Units of states in which the rows and columns of a matrix are of one size."""
+"""State scaling that gives matrix rows and columns similar norms."""
 
 from __future__ import annotations
 

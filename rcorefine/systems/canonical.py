@@ -17,13 +17,12 @@ _EPS = float(np.finfo(float).eps)
 
 
 def observable_form(model: LinearModel) -> tuple[LinearModel, Array]:
-    """Transform a SISO model to the observable canonical form (10), (11) of the paper.
+    """Transform a SISO model to the observable canonical form.
 
-    The first column of A holds the negative coefficients of the
-    characteristic polynomial, ones stand above the diagonal, and
-    ``C = [1, 0, ..., 0]``: whatever is uncertain about the transfer
-    function is then in A and B alone. Holds in continuous and in discrete
-    time; the direct feedthrough D stays as it is.
+    The form is that of equations (10) and (11) of the paper. The first column of A holds the negative
+    coefficients of the characteristic polynomial, ones stand above the diagonal, and ``C = [1, 0, ..., 0]``:
+    whatever is uncertain about the transfer function is then in A and B alone. Holds in continuous and in
+    discrete time; the direct feedthrough D stays as it is.
 
     Parameters
     ----------
@@ -124,7 +123,7 @@ def characteristic_polynomial(A: Array) -> Array:
 
 
 def _check_observable(model: LinearModel) -> None:
-    """Refuse a model with an eigenvector that the output does not see (Hautus test)."""
+    """Raise an error if the model is not observable (Hautus test)."""
     n = model.n_states
     if n == 0:
         return

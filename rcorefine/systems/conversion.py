@@ -26,7 +26,7 @@ _EPS = float(np.finfo(float).eps)
 
 
 def to_discrete(model: LinearModel, dt: float, hold: str = "zoh") -> LinearModel:
-    """Give the discrete model that a record sampled every `dt` seconds calls for.
+    """Return the discrete model for a record sampled every `dt` seconds.
 
     Parameters
     ----------
@@ -212,7 +212,10 @@ def _logarithm(matrix: Array) -> NDArray[np.complex128]:
 
 
 def _check_poles(phi: Array, step: float, where: str) -> None:
-    """Refuse poles without a real logarithm; warn where the branch of it is in doubt."""
+    """Reject poles without a real logarithm.
+
+    Warn where the branch of the logarithm is in doubt.
+    """
     poles = linalg.eigvals(phi)
     sizes = linalg.svdvals(phi)
     if sizes[-1] <= len(poles) * _EPS * sizes[0]:

@@ -1,4 +1,4 @@
-"""Exact discretization of linear models, the input held or interpolated between samples."""
+"""Exact discretization with inputs held or interpolated between samples."""
 
 from __future__ import annotations
 
@@ -131,12 +131,18 @@ def _checked(A: ArrayLike, B: ArrayLike) -> tuple[Array, Array]:
 
 
 def _balanced(a: Array) -> tuple[Array, Array]:
-    """Scale the states so that rows and columns of A have like norms: A = S A_bal S^-1."""
+    """Scale the states so that rows and columns of A have similar norms.
+
+    The result satisfies ``A = S A_bal S^-1``.
+    """
     scale = balance(a)
     return a * scale / scale[:, None], scale
 
 
 def power_of_two(size: Array) -> Array:
-    """Nearest power of two below each size, 1 for zero: scaling that rounds nothing."""
+    """Return the largest power of two up to each size, and 1 for zero.
+
+    Scaling by powers of two causes no rounding errors.
+    """
     safe = np.where(size > 0, size, 1.0)
     return np.asarray(np.exp2(np.floor(np.log2(safe))), dtype=float)

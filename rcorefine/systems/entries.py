@@ -13,7 +13,9 @@ __all__ = ["entry_of"]
 
 
 def entry_of(linear: LinearModel, place: str) -> tuple[int, int]:
-    """Row and column in [A B; C D] of an entry such as ``"A[1,0]"`` or ``"B[v1,force]"``.
+    """Return row and column of a matrix entry such as ``"A[1,0]"``.
+
+    They refer to the matrix [A B; C D]. Labels are accepted, too, as in ``"B[v1,force]"``.
 
     Parameters
     ----------

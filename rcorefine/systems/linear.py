@@ -69,7 +69,7 @@ class LinearModel:
 
     @property
     def is_continuous(self) -> bool:
-        """Whether the model is in continuous time (dt = 0)."""
+        """Return whether the model is in continuous time (dt = 0)."""
         return self.dt is not None and self.dt is not True and self.dt == 0
 
     @classmethod
@@ -150,5 +150,8 @@ class LinearModel:
         )
 
     def with_arrays(self, **changes: Any) -> LinearModel:
-        """Copy with some fields replaced (`A=`, `B=`, `C=`, `D=`, `dt=`, `name=`, labels)."""
+        """Return a copy with some fields replaced.
+
+        The fields are `A`, `B`, `C`, `D`, `dt`, `name` and the labels.
+        """
         return replace(self, **changes)

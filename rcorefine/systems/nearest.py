@@ -1,4 +1,7 @@
-"""The continuous model of the same order that is nearest to a discrete one that has none of its own."""
+"""Nearest continuous model of the same order.
+
+It stands in for a discrete model that has no exact continuous one.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +21,11 @@ _ZERO = 1e-4  # size below which a pole counts as zero
 
 
 def nearest_continuous(model: LinearModel) -> LinearModel:
-    """Continuous model with the samples of a discrete one, or the nearest of the same order.
+    """Return the exact or the nearest continuous model of a discrete one.
 
-    Real poles that are negative or zero have no real logarithm. They are moved to z = 0.02,
-    where the mode dies out as fast as sampling shows, and the static gain is kept.
+    The exact one has the same samples. Where there is none, the nearest of the same order is returned. Real
+    poles that are negative or zero have no real logarithm. They are moved to z = 0.02, where the mode dies
+    out as fast as sampling shows, and the static gain is kept.
 
     Parameters
     ----------

@@ -61,7 +61,10 @@ def realized(transfer: ct.TransferFunction) -> ct.StateSpace:
 
 
 def _companion(transfer: ct.TransferFunction) -> ct.StateSpace:
-    """Controllable canonical form of all its coefficients; `scipy.signal.tf2ss` drops small leading ones."""
+    """Return the controllable canonical form with all coefficients.
+
+    `scipy.signal.tf2ss` drops small leading ones.
+    """
     (num,), (den,) = (np.trim_zeros(np.ravel(part), "f")[None] for part in ct.tfdata(transfer))
     n = den.size - 1
     if num.size > n + 1:

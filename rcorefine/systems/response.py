@@ -1,4 +1,7 @@
-"""Frequency response of arrays in one batch, and the distance between two of them."""
+"""Frequency responses of arrays and the distance between two of them.
+
+All frequencies are computed in one batch.
+"""
 
 from __future__ import annotations
 
@@ -77,11 +80,10 @@ def bode_error(
     *,
     dt: float | None = None,
 ) -> float:
-    """Measure how far the frequency response of an estimate is from the true one.
+    """Return the relative error of an estimated frequency response.
 
-    The figure is ``||G_hat - G|| / ||G||``, the norm taken over all
-    channels and frequencies: 0 is a perfect estimate, 1 is no better than
-    an estimate of zero.
+    The error is ``||G_hat - G|| / ||G||``, the norm taken over all channels and frequencies: 0 is a perfect
+    estimate, 1 is no better than an estimate of zero.
 
     Parameters
     ----------
@@ -134,7 +136,7 @@ def bode_error(
 
 
 def default_omega(dt: float) -> Array:
-    """Spread frequencies evenly on the logarithmic axis up to the Nyquist frequency.
+    """Return logarithmically spaced frequencies up to the Nyquist frequency.
 
     Parameters
     ----------
@@ -220,7 +222,7 @@ def as_sampled(model: LinearModel, dt: float, hold: str) -> LinearModel:
 
 
 def hold_factor(omega: Array, dt: float, hold: str) -> NDArray[np.complex128]:
-    """What a hold makes of a sine's fundamental.
+    """Return the complex gain of a hold at the fundamental of a sine.
 
     Parameters
     ----------

@@ -12,7 +12,11 @@ __all__ = ["growth", "stabilized"]
 
 
 def growth(model: LinearModel) -> float:
-    """Largest real part of the poles, of a discrete model the largest logarithm of their size."""
+    """Return the largest growth rate of the modes.
+
+    It is the largest real part of the poles. For a discrete model it is the largest logarithm of their
+    magnitude.
+    """
     if model.n_states == 0:
         return -np.inf
     poles = linalg.eigvals(model.A)
@@ -23,9 +27,10 @@ def growth(model: LinearModel) -> float:
 
 
 def stabilized(model: LinearModel, limit: float) -> LinearModel:
-    """Model whose modes that grow faster than `limit` are slowed down alike, the fastest to it.
+    """Return a model whose modes grow no faster than `limit`.
 
-    The others stay, unless rounding cannot tell on which side of the limit a mode is: then all slow down.
+    Modes that grow faster are slowed down by the same amount, the fastest one to the limit. The others stay,
+    unless rounding errors hide on which side of the limit a mode is. Then all slow down.
 
     Parameters
     ----------

@@ -1,4 +1,7 @@
-"""Tables, pictures and reports of results; each enters itself for the class that it shows."""
+"""Tables, pictures and reports of results.
+
+Each view registers itself for the class that it shows.
+"""
 
 from . import (
     amplitude_response,

@@ -1,4 +1,4 @@
-"""Bode plots of several systems, with a measured response and an error row."""
+"""Bode plots of several systems, a measured response and their errors."""
 
 from __future__ import annotations
 
@@ -112,7 +112,10 @@ def bode(
 
 
 def bode_grid(model: LinearModel, measured: FrequencyResponse | None, omega: Array | None) -> Array:
-    """Frequencies in rad/s to draw a model at, dense around its lightly damped modes."""
+    """Return the frequencies in rad/s at which to draw a model.
+
+    The grid is dense around the lightly damped modes.
+    """
     if omega is not None:
         return omega
     roots = np.linalg.eigvals(model.A) if model.n_states else np.zeros(0)

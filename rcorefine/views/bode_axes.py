@@ -1,4 +1,7 @@
-"""Units, labels and measured dots of Bode pictures; they follow `control.defaults`."""
+"""Units, labels and measured points of Bode plots.
+
+The units follow `control.defaults`.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ __all__ = ["BodeUnits", "bode_rows", "broken_phase", "draw_measured", "magnitude
 
 @dataclass(frozen=True, slots=True)
 class BodeUnits:
-    """Units of a Bode picture, as python-control's `freqplot` defaults set them."""
+    """Units of a Bode plot, from the `freqplot` defaults of python-control."""
 
     dB: bool
     deg: bool
@@ -54,7 +57,10 @@ class BodeUnits:
 
 
 def bode_rows(axes: Any, outputs: Sequence[str], inputs: Sequence[str], *, extra: str | None) -> BodeUnits:
-    """Scale and label the axes: magnitude, phase and, if any, one row more per output."""
+    """Scale and label the magnitude and phase axes of a Bode plot.
+
+    If `extra` is given, each output has one more row of axes.
+    """
     units = BodeUnits.from_defaults()
     per_output = 2 if extra is None else 3
     many = len(outputs) > 1
@@ -148,7 +154,10 @@ def broken_phase(omega: Array, response: NDArray[np.complex128]) -> tuple[Array,
 
 
 def magnitude_limits(axis: Any, lines: Sequence[Any], units: BodeUnits) -> None:
-    """Limits that show the curves, not the far ends of a band or the bottom of a notch."""
+    """Set magnitude limits that show the curves.
+
+    The far ends of a band and the bottom of a notch may be cut off.
+    """
     values = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in lines])
     values = values[np.isfinite(values)] if units.dB else values[np.isfinite(values) & (values > 0)]
     if not values.size:

@@ -1,4 +1,7 @@
-"""Table of a `Check`, and of what it found odd in the report of a result that rests on the same record."""
+"""Table of a `Check`, and of its warnings in the report of a result.
+
+The report shows them if its result rests on the same record.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ _HEADERS = ["", "looked at", "where", "found"]
 
 @tells(Check)
 def check_told(found: Check) -> Told:
-    """What asks for attention in words, above the table of all that was looked at."""
+    """Return the warnings of a check and the table of all its findings."""
     looks = [f"{row.status.upper()}: {row.sentence}" for row in found.looks]
     head = looks or ["Nothing odd: the record and the model can be laid beside each other."]
     quiet = [row.sentence for row in found.rows if row.what == "information" and row not in found.looks]

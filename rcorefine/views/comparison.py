@@ -114,7 +114,10 @@ def plot_comparison(
 
 
 def plot_time(result: Comparison, frame: Frame) -> ct.ControlPlot:
-    """Measured and simulated outputs, and the residuals; see `Comparison.plot`."""
+    """Draw measured and simulated outputs and the residuals.
+
+    See `Comparison.plot`.
+    """
     data = result.data
     names = frame.labels(result.names)
     fits = np.atleast_2d(result.fit)
@@ -153,7 +156,10 @@ def plot_time(result: Comparison, frame: Frame) -> ct.ControlPlot:
 
 
 def _percent(fit: float) -> str:
-    """Fit with one decimal, more where it is close to 100, none where it is far off."""
+    """Format a fit in percent.
+
+    It has one decimal, two if it is close to 100, and four significant digits if it is far below zero.
+    """
     if abs(fit) < 99.5:
         return f"{fit:.1f}"
     return f"{fit:.4g}" if fit < 0 else f"{fit:.2f}"

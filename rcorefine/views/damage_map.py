@@ -141,7 +141,7 @@ def damage_text(result: DamageMap) -> str:
 
 @shows(DamageMap, "html")
 def damage_html(result: DamageMap) -> str:
-    """The same in HTML."""
+    """Return the damage map as HTML."""
     headers, rows = _change_cells(result)
     first = html_table(headers, rows, title=_title(result), notes=_sentences(result), left=2)
     if not result.ranking:

@@ -1,4 +1,4 @@
-"""Results as data: a dict of plain objects for strict JSON, a table for pandas.
+"""Results as data: plain dicts for strict JSON, tables for pandas.
 
 By the fields of a result, but for those whose fields hold more than what was found.
 """
@@ -39,7 +39,10 @@ _MAIN = ("rows", "ranking", "steps", "parameters", "estimates", "options")
 
 
 def plain(value: Any) -> Any:
-    """Lists, dicts, numbers and text; what is not finite becomes None, complex numbers "re" and "im".
+    """Convert a value to plain objects for strict JSON.
+
+    The result holds lists, dicts, numbers and text. Values that are not finite become None. A complex number
+    becomes a dict with "re" and "im".
 
     Examples
     --------
@@ -68,7 +71,7 @@ def plain(value: Any) -> Any:
 
 
 def _object(value: Any) -> Any:
-    """What has a name of its own, or fields."""
+    """Convert an object to its name or to a dict of its fields."""
     if isinstance(value, Effect):
         return {"kind": value.kind, "place": value.place}
     if isinstance(value, Measurement):
@@ -115,7 +118,10 @@ def _response(measured: FrequencyResponse) -> dict[str, Any]:
 
 
 def _shown(kind: type, *names: str) -> None:
-    """Enter the fields that rows of this class show: the others hold more than what was found."""
+    """Register the fields that rows of this class show.
+
+    The other fields hold more than the findings.
+    """
     shows(kind, "to_dict")(lambda row: plain(_fields(row, *names)))
 
 
@@ -211,7 +217,10 @@ def _frame(columns: Any, index: Any = None, name: str | None = None) -> Any:
 
 
 def _flat(row: Mapping[str, Any], above: str = "") -> dict[str, Any]:
-    """A row without rows in it: an effect gives kind and place, coefficients a column each."""
+    """Flatten a row to one level, without the lists in it.
+
+    An effect gives kind and place; each coefficient gets a column.
+    """
     found: dict[str, Any] = {}
     for key, value in row.items():
         if isinstance(value, Mapping):
@@ -223,7 +232,10 @@ def _flat(row: Mapping[str, Any], above: str = "") -> dict[str, Any]:
 
 @shows(Data, "to_dataframe")
 def _table(result: Data) -> Any:
-    """The rows that the result is about; else its columns; else one row of its figures."""
+    """Return the main content of a result as a pandas table.
+
+    The table holds the rows that the result is about, else its columns, else one row of its values.
+    """
     content = result.to_dict()
     order = (*(name for name in _MAIN if name in content), *content)
     rows = next((content[name] for name in order if _are_rows(content[name])), None)

@@ -1,4 +1,4 @@
-"""Picture of a free decay: amplitude and period, damping ratio and frequency."""
+"""Plot of a free decay: amplitude, period, damping ratio, frequency."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ __all__ = ["plot_decay"]
 
 
 def plot_decay(result: Comparison, frame: Frame) -> ct.ControlPlot:
-    """Amplitude, period, damping ratio and frequency of each output; see `Comparison.plot`."""
+    """Draw amplitude, period, damping ratio and frequency of each output.
+
+    See `Comparison.plot`.
+    """
     data, names = result.data, frame.labels(result.names)
     with frame.axes([2.2, 2.2] * data.n_outputs, 2) as (axes, lines):
         for i in range(data.n_outputs):

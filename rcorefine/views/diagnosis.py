@@ -1,4 +1,7 @@
-"""A diagnosis as text and as a picture: ranking, hidden force against motion, residual before and after."""
+"""Text and picture of a diagnosis.
+
+The picture shows the ranking, the hidden force against the motion, and the residual before and after.
+"""
 
 from __future__ import annotations
 
@@ -60,10 +63,11 @@ def diagnosis_told(found: Diagnosis) -> Told:
 
 @draws(Diagnosis)
 def plot_diagnosis(found: Diagnosis, frame: Frame) -> ct.ControlPlot:
-    """What a diagnosis rests on; see `Diagnosis.plot`.
+    """Draw the evidence of a diagnosis.
 
+    See `Diagnosis.plot`.
     Axes: ranking (or tests, where nothing is missing), hidden force estimated without
-    any law with the law's curve through it, residual in time, residual in frequency.
+    any formula with the curve of the effect through it, residual in time, residual in frequency.
     """
     if found.base.of_responses:
         return plot_of_responses(found, frame)
@@ -123,7 +127,10 @@ def _force(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
 def _law(
     found: Diagnosis, hidden: HiddenForce, motion: Array, w: Array
 ) -> tuple[tuple[Array, Array] | None, str]:
-    """Force of the law along the motion, in the order of the motion, and its name."""
+    """Return the force of the effect along the motion, and its label.
+
+    The points are sorted by the motion, unless the effect has memory or needs several signals.
+    """
     assert found.best is not None
     effect, values = found.best.effect, dict(found.best.coefficients)
     if found.open_law is not None:

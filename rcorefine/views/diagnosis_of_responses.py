@@ -1,4 +1,7 @@
-"""The picture of a diagnosis of frequency responses: candidates, residual over noise, magnitude, phase."""
+"""Picture of a diagnosis of frequency responses.
+
+It shows the candidates, the residual relative to the noise, the magnitude and the phase.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,10 @@ __all__ = ["plot_of_responses"]
 
 
 def plot_of_responses(found: Diagnosis, frame: Frame) -> ct.ControlPlot:
-    """What a diagnosis of frequency responses rests on, for its first response; see `Diagnosis.plot`."""
+    """Draw the evidence of a diagnosis of frequency responses.
+
+    It shows the first response; see `Diagnosis.plot`.
+    """
     models: list[Any] = [found.base]
     names = ["as it is"]
     if found.floated is not None:

@@ -1,4 +1,4 @@
-"""What an exercise asks, and the page of a class."""
+"""Text of an exercise, and the page of a class."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["exercise_told", "grades_table", "report_grades"]
 
 @tells(Exercise)
 def exercise_told(exercise: Exercise) -> Told:
-    """What is given and what is asked."""
+    """Return the text of an exercise: what is given and what is asked."""
     head = [
         f"Exercise {exercise.ident}: {exercise.plant}, level {exercise.level}",
         "The plant does one thing that the model does not. Which, where, and how strongly?",

@@ -1,4 +1,7 @@
-"""What to measure next, and what a further record says: tables and pictures."""
+"""Tables and plots of experiment advice and of confirmations.
+
+They show what to measure next and what a further record confirms.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +45,10 @@ def advice_told(advice: ExperimentAdvice) -> Told:
 
 @draws(ExperimentAdvice)
 def plot_advice(advice: ExperimentAdvice, frame: Frame) -> ct.ControlPlot:
-    """Bars: probability with which each option separates the rivals, the cheapest on top."""
+    """Draw the probability that each option separates the candidates.
+
+    Each option is a bar, the cheapest on top.
+    """
     options = advice.options
     (name,) = frame.labels(["then separated"])
     with frame.axes([1.0], 1, figsize=(7.0, 1.6 + 0.32 * max(len(options), 1))) as (axes, lines):
@@ -116,7 +122,10 @@ def confirmation_told(found: Confirmation) -> Told:
 
 @draws(Confirmation)
 def plot_confirmation(confirmation: Confirmation, frame: Frame) -> ct.ControlPlot:
-    """Coefficients of each record alone, with 95 % intervals, one panel per coefficient."""
+    """Draw the coefficients of each record with 95 % intervals.
+
+    They are estimated from each record alone. Each coefficient has its own panel.
+    """
     count = len(confirmation.names)
     (name,) = frame.labels(["95 % interval"])
     if frame.ax is not None and (given := np.asarray(frame.ax, dtype=object).size) != count:

@@ -27,7 +27,10 @@ ROLES = {"first": "1", "besides": "+", "instead": "="}
 
 @tabulates(FailureMap)
 def failure_table(found: FailureMap) -> Table:
-    """One row per failure; where there is none, the title and the notes say so."""
+    """Return a table with one row per failure.
+
+    If there is no failure, the title and the notes say so.
+    """
     rows = [
         [
             ROLES[row.role],
@@ -69,7 +72,10 @@ _MARK = "#e8c9b8"
 
 
 def plot_map(result: Comparison, frame: Frame) -> ct.ControlPlot:
-    """Four rows per model: shares, residual over time, error over frequency, force over motion."""
+    """Draw the failure map of each model in four rows.
+
+    The rows show shares, residual over time, error over frequency, and force over motion.
+    """
     maps = result.failures if result.several else (result.failures,)
     names = frame.labels(result.names)
     size = (max(7.0, 4.0 * len(maps)), 8.2)
@@ -128,7 +134,10 @@ def _times(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[Any
 
 
 def _frequencies(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[Any]:
-    """Relative error of the model against its simultaneous band, found bands shaded."""
+    """Draw the relative error of the model over frequency.
+
+    The simultaneous band is drawn with it, and the frequency bands that were found are shaded.
+    """
     units = BodeUnits.from_defaults()
     factor = units.frequency_factor
     axis.set_xlabel(f"Frequency [{units.frequency}]")
@@ -171,7 +180,10 @@ def _frequencies(axis: Any, result: Comparison, m: int, found: FailureMap) -> li
 
 
 def _motions(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[Any]:
-    """Residual force over displacement or velocity, at the place that matters most."""
+    """Draw the residual force over displacement or velocity.
+
+    The place is the one that matters most.
+    """
     lead = next((r for r in found.rows if r.dimension == "state"), None) or next(
         (r for r in found.rows if r.dimension == "place"), None
     )

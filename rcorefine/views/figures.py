@@ -1,4 +1,7 @@
-"""What all pictures share: settings, axes, line styles, legend, `ControlPlot`."""
+"""Shared parts of all plots: settings, axes, line styles, legend.
+
+Every plot returns a `ControlPlot`.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,10 @@ _Draw = TypeVar("_Draw", bound=Callable[..., ct.ControlPlot])
 
 
 class Style(NamedTuple):
-    """Color, dashes and width; the dashes alone tell curves apart in grayscale."""
+    """Color, dashes and width of a line.
+
+    The dashes alone distinguish the curves in grayscale.
+    """
 
     color: str
     linestyle: Any
@@ -55,7 +61,9 @@ def style(index: int) -> Style:
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
-    """Axes, labels, settings and legends of one picture, from the options that all pictures share.
+    """Axes, labels, settings and legends of one plot.
+
+    They come from the options that all plots share.
 
     Parameters
     ----------
@@ -89,7 +97,7 @@ class Frame:
 
     @property
     def legends(self) -> bool:
-        """Whether there are legends at all."""
+        """Return whether legends are drawn."""
         return bool(self.show_legend or (self.show_legend is None and self.legend_loc is not False))
 
     @contextmanager
@@ -101,7 +109,9 @@ class Frame:
 
     @contextmanager
     def axes(self, ratios: Sequence[float], n_columns: int, **layout: Any) -> Iterator[tuple[Any, Any]]:
-        """Axes (rows, columns), new or those given, and as many empty lists of lines.
+        """Yield the axes, new or given, and an empty list of lines for each.
+
+        Both are arrays of shape (rows, columns).
 
         Parameters
         ----------
@@ -174,7 +184,10 @@ class Frame:
 
 
 def draws(kind: type, what: str = "plot") -> Callable[[_Draw], _Draw]:
-    """Enter a picture: the function gets the result, the frame, and the options that are its own."""
+    """Register a plot function for results of a class.
+
+    The function gets the result, the frame, and its own options.
+    """
 
     def enter(draw: _Draw) -> _Draw:
         @functools.wraps(draw)
@@ -198,12 +211,18 @@ class _Short(LogFormatter):
 
 
 def log_labels(axis: Any) -> None:
-    """Short labels between the decades of a logarithmic x or y axis: 0.02 and not 2 x 10^-2."""
+    """Set short labels between the decades of a logarithmic axis.
+
+    They read 0.02 and not 2 x 10^-2.
+    """
     axis.set_minor_formatter(_Short())
 
 
 def _spell_out(figure: Any) -> None:
-    """Names that are no mathtext, or hold control characters, as they are written: else nothing is drawn."""
+    """Show texts literally that are not valid mathtext.
+
+    Texts with control characters are escaped too. Matplotlib would fail to draw the figure otherwise.
+    """
     for text in figure.findobj(Text):
         words = str(text.get_text())
         if "$" in words and not _is_mathtext(words):

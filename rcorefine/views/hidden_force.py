@@ -1,4 +1,4 @@
-"""A hidden force as text and as a picture: over time, and against the motion."""
+"""Text and plot of a hidden force, over time and against the motion."""
 
 from __future__ import annotations
 
@@ -34,7 +34,10 @@ def hidden_force_table(found: HiddenForce) -> Table:
 
 @draws(HiddenForce)
 def plot_hidden_force(found: HiddenForce, frame: Frame) -> ct.ControlPlot:
-    """Force over time, and against displacement and velocity; see `HiddenForce.plot`."""
+    """Draw the force over time, displacement and velocity.
+
+    See `HiddenForce.plot`.
+    """
     label = unit_text("resisting force", found.force_unit)
     with frame.axes([1.0], 3, figsize=(11.0, 3.4), sharex=False, sharey=True) as (axes, lines):
         over_time, over_d, over_v = axes[0]

@@ -1,4 +1,7 @@
-"""An improvement as a table and as a staircase: held-out error after each effect."""
+"""Table of an improvement, and plot of its error after each step.
+
+The error is that on held-out data.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,10 @@ def improvement_told(found: Improvement) -> Told:
 
 @draws(Improvement)
 def plot_staircase(improvement: Improvement, frame: Frame) -> ct.ControlPlot:
-    """Error after each step on the three parts of the record; see `Improvement.plot`."""
+    """Draw the error after each step on the three parts of the record.
+
+    See `Improvement.plot`.
+    """
     (held_out,) = frame.labels(["held out"])
     with frame.axes([1.0], 1, figsize=(7.0, 4.2)) as (axes, lines):
         ax = axes[0, 0]

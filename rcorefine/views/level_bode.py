@@ -1,4 +1,7 @@
-"""Bode plot at several input amplitudes, beside the measured response at the record's levels."""
+"""Bode plot of a model at several input amplitudes.
+
+The measured response is drawn at the amplitudes of the record.
+"""
 
 from __future__ import annotations
 
@@ -104,7 +107,10 @@ _Group = tuple[float, FrequencyResponse, FrequencyResponse | None]
 
 
 def _measured_groups(refinement: Any, linear: LinearModel, measured: Any) -> list[_Group]:
-    """Level, measured response, and the model's on the same input, per stretch."""
+    """Return level, measured and model response of each stretch.
+
+    The model response is that to the measured input.
+    """
     if measured is None:
         return []
     if isinstance(measured, ct.FrequencyResponseData):
@@ -128,7 +134,10 @@ def _measured_groups(refinement: Any, linear: LinearModel, measured: Any) -> lis
 
 
 def _grid(model: LinearModel, groups: Sequence[_Group], omega: ArrayLike | None) -> Array:
-    """Frequencies for the sines: fewer than for a linear curve, dense near the modes."""
+    """Return the frequencies of the sines, dense near the modes.
+
+    There are fewer than for the curve of a linear model.
+    """
     if omega is not None:
         return np.sort(omega)
     full = bode_grid(model, groups[0][1] if groups else None, None)

@@ -1,4 +1,7 @@
-"""The course of a monitor: how close to an alarm, what it takes the change for, how large it is."""
+"""Table and plot of a monitor.
+
+They show how close it is to an alarm, the probable effects, and the size of the change.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +77,11 @@ def _duration(seconds: float) -> str:
 
 @draws(Monitor)
 def plot_monitor(monitor: Monitor, frame: Frame) -> ct.ControlPlot:
-    """Statistic over its threshold, probabilities, the named coefficient; see `Monitor.plot`."""
+    """Draw statistic, probabilities and coefficient over time.
+
+    The statistic is divided by its threshold. The coefficient is that of the named effect. See
+    `Monitor.plot`.
+    """
     t, p = monitor.timepts, monitor.probability
     if t.size == 0:
         raise DataError(

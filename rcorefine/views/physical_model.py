@@ -56,7 +56,10 @@ def model_text(model: PhysicalModel) -> str:
 
 
 def _called(model: PhysicalModel, item: NominalParameter) -> str:
-    """What changes it, in the words of its place and as the kind that `Effect` takes."""
+    """Return the effect that changes a parameter, as label and kind.
+
+    The label uses the words of its place; `Effect` takes the kind.
+    """
     plain = f"{item.kind} at {item.place}"
     label = model.check(Effect(item.kind, item.place)).label
     return plain if label == plain else f"{label} ({item.kind})"

@@ -1,4 +1,4 @@
-"""The part of a diagnosis that is drawn alike for all data: candidates and tests as bars."""
+"""Bars of candidates and tests, shared by all pictures of diagnoses."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ def title_of(found: Diagnosis) -> str:
 
 
 def ranking_bars(ax: Any, found: Diagnosis) -> list[Any]:
-    """What each refitted candidate misses."""
+    """Draw the misfit of each refitted candidate as a bar.
+
+    The misfit is 100 minus the fit in percent.
+    """
     rows = found.ranking[:_SHOWN][::-1]
     where = np.arange(len(rows))
     colors = [style(1).color if row.alike or row is found.best else "0.75" for row in rows]

@@ -44,7 +44,10 @@ def plot_bode(
     *,
     levels: Sequence[float] | None = None,
 ) -> ct.ControlPlot:
-    """Initial and refined model beside the measured response; see `Refinement.bode_plot`."""
+    """Draw the initial and refined model beside the measured response.
+
+    See `Refinement.bode_plot`.
+    """
     if levels is not None:
         return level_bode(found, levels, measured, omega, frame)
     if isinstance(measured, Measurement):

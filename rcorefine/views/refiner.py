@@ -32,14 +32,20 @@ def refiner_table(refiner: RCORefiner) -> Table:
 def plot_bode(
     refiner: RCORefiner, frame: Frame, measured: Any = None, omega: ArrayLike | None = None
 ) -> ct.ControlPlot:
-    """Initial and refined model beside the measured response; see `RCORefiner.bode_plot`."""
+    """Draw the initial and refined model beside the measured response.
+
+    See `RCORefiner.bode_plot`.
+    """
     systems = [("initial", refiner._sampled.initial), ("refined", refiner.system)]
     return bode(systems, measured, omega, frame, refiner._estimator.deviation())
 
 
 @draws(History)
 def plot_stages(history: History, frame: Frame) -> ct.ControlPlot:
-    """Performance of both stages, static coefficients, poles; see `History.plot`."""
+    """Draw the performance of both stages, static coefficients and poles.
+
+    See `History.plot`.
+    """
     names = frame.labels(["stage 1", "stage 2"])
     n_y = history.z1.shape[0]
     with frame.axes([1.6] * (n_y + 2), 1) as (axes, lines):

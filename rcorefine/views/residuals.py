@@ -1,4 +1,7 @@
-"""Tests and pictures of residuals: their correlations, and their size against the prediction horizon."""
+"""Tests and plots of residuals.
+
+The plots show their correlations and their size against the prediction horizon.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,10 @@ def tests_table(tests: TestTable) -> Table:
 
 
 def plot_residual(result: Comparison, frame: Frame) -> ct.ControlPlot:
-    """Autocorrelation of residuals and their correlation with the inputs; see `Comparison.plot`."""
+    """Draw the correlations of residuals with themselves and the inputs.
+
+    See `Comparison.plot`.
+    """
     data = result.data
     names = frame.labels(result.names)
     residual = data.outputs[None] - result.runs

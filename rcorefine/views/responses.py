@@ -92,7 +92,10 @@ def plot_responses(result: FrequencyComparison, frame: Frame, *, omega: Any = No
 
 @draws(LevelComparison)
 def plot_levels(result: LevelComparison, frame: Frame) -> ct.ControlPlot:
-    """Measured points and models at each amplitude; see `LevelComparison.plot`."""
+    """Draw measured points and models at each amplitude.
+
+    See `LevelComparison.plot`.
+    """
     curves = [(level.measured, level.responses) for level in result.levels]
     return draw_points(curves, result.levels[0].names, frame, "Models and responses at several amplitudes")
 
@@ -100,7 +103,10 @@ def plot_levels(result: LevelComparison, frame: Frame) -> ct.ControlPlot:
 def draw_points(
     curves: Sequence[tuple[FrequencyResponse, Any]], names: Sequence[str], frame: Frame, title: str
 ) -> ct.ControlPlot:
-    """Measured responses as dots, models (n_models, n_y, n_w, n_omega) as lines at the same frequencies."""
+    """Draw measured responses as dots and models as lines.
+
+    The models have shape (n_models, n_y, n_w, n_omega) and the frequencies of the measured responses.
+    """
     first = curves[0][0]
     said = frame.labels([level_name(measured) for measured, _ in curves])
     with frame.axes([1.8, 1.4] * first.noutputs, first.ninputs) as (axes, lines):

@@ -1,4 +1,4 @@
-"""A survey as a table, and its coefficients as a picture: every machine beside the fleet."""
+"""Table of a survey, and plot of its coefficients over all machines."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ _NAMED = 40  # machines up to which each has its name on the axis
 
 
 def row_cells(row: SurveyRow) -> list[str]:
-    """Cells of one row: machine, record, verdict, effect, coefficient, probability, seconds."""
+    """Return the cells of one row.
+
+    They are machine, record, verdict, effect, coefficient, probability and seconds.
+    """
     if row.error is not None:
         return [row.machine, row.record, "failed", row.error, "", "", f"{row.seconds:.2g}"]
     size = "" if row.coefficient is None or row.std is None else with_error(row.coefficient, row.std)
@@ -31,7 +34,10 @@ def row_cells(row: SurveyRow) -> list[str]:
 
 @tells(Survey)
 def survey_told(found: Survey) -> Told:
-    """The rows that say most first: what failed, what stands out, what was found."""
+    """Return the text of a survey, the most important rows first.
+
+    Failed rows come first, then machines that stand out, then rows with effects.
+    """
     out = {machine.machine for _, machine in found.standing_out} | {t.machine for t in found.growing}
     order = sorted(found.rows, key=lambda row: (row.error is None, row.machine not in out, not row.effects))
     said = found.sentences()

@@ -53,7 +53,10 @@ def root_mean_square(values: Any) -> float:
 
 
 def clip(text: str, width: int) -> str:
-    """Text of at most `width` characters, on one line, the cut marked by "..."."""
+    """Return a text on one line, cut to at most `width` characters.
+
+    A cut is marked by three dots.
+    """
     text = " ".join(text.split())
     return text if len(text) <= width else text[: max(width - 3, 0)] + "..."
 
@@ -132,7 +135,10 @@ def text_table(
 
 
 def _lines(cell: str, size: int) -> list[str]:
-    """A cell as lines of at most `size` characters: names are whole, a word too long is broken."""
+    """Wrap a cell to lines of at most `size` characters.
+
+    Names stay whole; a word that is too long is broken.
+    """
     return textwrap.wrap(" ".join(cell.split()), max(size, 1), break_on_hyphens=False) or [""]
 
 
@@ -180,7 +186,10 @@ def html_table(
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Cells as text, with what they mean below; the fields are the arguments of `text_table`."""
+    """Table of text cells, with notes on their meaning below.
+
+    The fields are the arguments of `text_table`.
+    """
 
     headers: Sequence[str]
     rows: Sequence[Sequence[str]]
@@ -189,13 +198,16 @@ class Table:
     left: int = 1
 
     def text(self) -> str:
-        """Plain text of at most 80 columns; the title and the notes where there are no rows."""
+        """Return plain text of at most 80 columns.
+
+        Without rows, it holds only the title and the notes.
+        """
         if not self.rows:
             return "\n".join(wrapped([*([self.title] if self.title else []), *self.notes]))
         return text_table(self.headers, self.rows, title=self.title, notes=self.notes, left=self.left)
 
     def html(self) -> str:
-        """The same in HTML."""
+        """Return the table as HTML."""
         return html_table(self.headers, self.rows, title=self.title, notes=self.notes, left=self.left)
 
 
@@ -215,8 +227,9 @@ Told = tuple[Sequence[str], Table, Sequence[str]]
 
 
 def tells(kind: type) -> Callable[[_Cells], _Cells]:
-    """Enter sentences above, a `Table`, and sentences below: the text of results of this class.
+    """Register the text of results of a class.
 
+    The text has sentences above, a `Table`, and sentences below.
     In HTML it is the table, which has a title and notes for that.
     """
 

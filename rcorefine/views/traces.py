@@ -1,4 +1,7 @@
-"""Signals over time that can be read: a line, a band in place of a hairball, a stretch of a long record."""
+"""Readable plots of signals over time.
+
+A dense signal is drawn as a band, and of a long record only a stretch is drawn.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,9 @@ _SHOWN = 50  # crossings in a stretch
 
 
 def trace(axis: Any, times: Array, values: Array, **look: Any) -> list[Any]:
-    """Draw a signal: a line, and where that would be a hairball the band between its extremes.
+    """Draw a signal as a line, or as a band if it is too dense.
+
+    The band lies between the extremes of the signal.
 
     Parameters
     ----------
@@ -48,7 +53,9 @@ def trace(axis: Any, times: Array, values: Array, **look: Any) -> list[Any]:
 
 
 def busiest_stretch(times: Array, outputs: Array, residuals: ArrayLike) -> tuple[float, float] | None:
-    """The part of a record that a picture has room for, where models and record differ most.
+    """Return the stretch of a record where it differs most from the models.
+
+    The stretch is as long as a picture has room for.
 
     Parameters
     ----------
@@ -82,6 +89,6 @@ def busiest_stretch(times: Array, outputs: Array, residuals: ArrayLike) -> tuple
 
 
 def _crossings(values: Array) -> int:
-    """How often a signal crosses its middle."""
+    """Count how often a signal crosses its median."""
     known = values[np.isfinite(values)]
     return int(np.count_nonzero(np.diff(known > np.median(known)))) if known.size else 0

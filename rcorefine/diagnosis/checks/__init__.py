@@ -1,1 +1,1 @@
-"""The door before every other question: what is odd about a record, or about a model beside it."""
+"""Checks of a record and a model before any other analysis."""

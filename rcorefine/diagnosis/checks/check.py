@@ -54,7 +54,7 @@ def check(
     controller: ct.StateSpace | None = None,
     effects: Sequence[Effect] | None = None,
 ) -> Check:
-    """Look over a record, and a model beside it, before anything is concluded from them.
+    """Check a record and a model before anything is concluded from them.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def check(
 
 
 def looks(model: Any, records: Sequence[Measurement], horizon: float | None) -> tuple[CheckRow, ...]:
-    """What asks for attention, for a result that rests on these records.
+    """Return the check rows that need attention for these records.
 
     Parameters
     ----------
@@ -143,7 +143,10 @@ def looks(model: Any, records: Sequence[Measurement], horizon: float | None) -> 
 
 
 def _looked_over(model: Any, data: Measurement, horizon: float | None) -> tuple[Measurement, list[CheckRow]]:
-    """The record in the order of the model's channels, and its rows without those on information."""
+    """Return the record in the model's channel order, and its check rows.
+
+    The rows on information are not included.
+    """
     physical = known_physical(model)
     point = None if physical is None else physical.operating_point
     straight = point is None or point.field is None
@@ -197,7 +200,10 @@ def _compared(model: Any, data: Measurement, horizon: float | None) -> Compariso
 
 
 def _own(model: Any, data: Measurement, effects: Sequence[Effect]) -> list[tuple[Effect, Detectable | None]]:
-    """Return effects, each with its smallest size that the record would show; None if it shows none."""
+    """Return effects, each with the smallest size that the record shows.
+
+    The size is None if the record shows none.
+    """
     bare = []
     for effect in effects:
         sizes = [name for name in effect.coefficients if name not in effect.spec.shaping]
@@ -245,7 +251,10 @@ def _shown(model: Any, data: Measurement, effects: Sequence[Effect] | None = Non
 
 
 def _information_rows(shown: tuple[Detectable, ...], model: PhysicalModel | None) -> list[CheckRow]:
-    """Which parameters the record could show to change by how much of their value."""
+    """Return check rows on the changes that the record could show.
+
+    A parameter counts as not seen if the record would not even show that it doubles.
+    """
     if model is None:
         return []
     nominal = {(q.kind, q.place): abs(q.value) for q in model.parameters}

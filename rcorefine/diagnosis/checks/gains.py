@@ -1,4 +1,7 @@
-"""The free run beside each output: sign, units and gain, delay, drift, spikes, rectification, stops."""
+"""Checks of each output against the simulation.
+
+They cover sign, units, gain, delay, drift, spikes, rectification and stops.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,11 @@ _END, _MUCH_THERE, _OFTENER = 0.02, 0.05, 3.0  # of the range; of the samples; t
 
 
 class _Gain(NamedTuple):
-    """Record over free run: value, its error, correlation there and undelayed, delay in samples, rest."""
+    """Gain of the record relative to the simulation, with its details.
+
+    The fields are the value, its standard error, the correlations with and without the delay, the delay in
+    samples, and the remainder.
+    """
 
     value: float
     std: float
@@ -101,10 +108,11 @@ def settling(linear: LinearModel, dt: float, edges: list[int]) -> list[Array]:
 
 
 def _gain(y: Array, run: Array, nuisances: list[Array], least: float) -> _Gain | None:
-    """Least squares beside free responses; its spread over blocks, so noise may have a color.
+    """Fit the gain of the record relative to the simulation.
 
-    None where the inputs move the run by less than `least`. A delay may not turn the sign that
-    the record has without it, where it has one.
+    This is a least-squares fit together with the free responses. The standard error comes from the spread
+    over blocks, so the noise may be colored. None where the inputs move the run by less than `least`. A delay
+    may not turn the sign that the record has without it, where it has one.
     """
     n = y.size
     ends = np.cumsum([len(part) for part in nuisances])[:-1]
@@ -136,9 +144,10 @@ def _gain(y: Array, run: Array, nuisances: list[Array], least: float) -> _Gain |
 
 
 def _bent_row(label: str, y: Array, run: Array, inputs: Array, begun: Array) -> CheckRow | None:
-    """A record without the sign of its model, or that rests at both ends of its range: no gain is that.
+    """Return a row on a rectified output or one at its limits, or None.
 
-    Where a model integrates, the level of its output, and with it the sign, is that of its initial state.
+    Such an output never changes sign, or rests at both ends of its range. No gain explains that. Where a
+    model integrates, the level of its output, and with it the sign, is that of its initial state.
     """
     spread = np.ptp(y)
     shapes = np.array([run, abs(run), run.clip(0), run.clip(None, 0), y])
@@ -173,7 +182,10 @@ def _both_signs(row: Array) -> bool:
 
 
 def _at_ends(row: Array, band: float) -> tuple[float, float]:
-    """Shares of the samples within a share of the range from its bottom, and from its top."""
+    """Return the shares of samples near the bottom and top of the range.
+
+    A sample is near an end within the share `band` of the range.
+    """
     place = (row - row.min()) / max(float(np.ptp(row)), 1e-300)
     return float(np.mean(place <= band)), float(np.mean(place >= 1.0 - band))
 
@@ -193,7 +205,10 @@ def _delay_row(label: str, found: _Gain, dt: float) -> Iterator[CheckRow]:
 
 
 def _unit_row(found: _Gain, data: Measurement, i: int, model: str) -> Iterator[CheckRow]:
-    """What the declared units say of the size: there nothing has to be guessed."""
+    """Yield a row on declared units that differ.
+
+    Where units are declared, no guess is needed.
+    """
     label, record = data.output_labels[i], data.output_units[i]
     factor = between(record, model)
     if factor is None or abs(np.log(factor)) < _LEAST:

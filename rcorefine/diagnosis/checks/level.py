@@ -1,4 +1,7 @@
-"""Where the outputs stand: at zero, where the model puts them, or about a point that it does not know."""
+"""Checks of the mean levels of the outputs.
+
+An output is around zero, around the level of the model, or around an unknown operating point.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,7 @@ _SEEN = 0.05  # of the spread of an output: a level that is worth a word
 def level_rows(
     data: Measurement, point: OperatingPoint | None, compared: Comparison | None
 ) -> Iterator[CheckRow]:
-    """Where the outputs stand, and whether that goes with the model.
+    """Check the output levels and compare them with the model.
 
     Parameters
     ----------
@@ -91,15 +94,16 @@ def level_rows(
 
 
 def _stands(level: float, error: float, spread: float) -> bool:
-    """Whether a level is there, and large enough to be worth a word."""
+    """Return whether a level is significant and large enough to report."""
     return abs(level) > max(_SURE * error, _SEEN * spread)
 
 
 def _unexplained(compared: Comparison) -> Iterator[tuple[str, tuple[float, float, float] | None]]:
-    """Level that the free run, whatever its gain, leaves of each output, its error, and the spread.
+    """Yield the level of each output that the simulation does not explain.
 
-    The error has no bound where gain and level act alike, or an output stands still; None where an
-    initial state can hold any level.
+    With each level come its standard error and the spread. The gain of the simulation is free. The error has
+    no bound where gain and level have the same effect, or an output stands still; None where an initial state
+    can hold any level.
     """
     data = compared.data
     (free,) = settling(compared.models[0], data.dt, [0, data.n_samples])
@@ -118,6 +122,9 @@ def _unexplained(compared: Comparison) -> Iterator[tuple[str, tuple[float, float
 
 
 def _error(left: Array, seen: float) -> float:
-    """Standard error of a mean over so many samples, where what is left of them has a memory."""
+    """Return the standard error of a mean under colored noise.
+
+    The mean is over `seen` samples, and `left` is the remainder.
+    """
     a, variance = autoregression(left)
     return float(np.sqrt(variance / seen) / max(abs(float(np.sum(a))), 1e-12))

@@ -1,4 +1,4 @@
-"""What `check` returns."""
+"""Result of `check`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["Check"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Check(Result):
-    """A record, and a model beside it, looked over before anything is concluded.
+    """Check of a record and a model before anything is concluded.
 
     Attributes
     ----------
@@ -34,5 +34,5 @@ class Check(Result):
 
     @property
     def stops(self) -> bool:
-        """Whether something must be mended first."""
+        """Return whether something must be corrected first."""
         return any(row.status == STOP for row in self.rows)

@@ -39,7 +39,7 @@ class CheckRow(Row):
 
 
 def warned(rows: Sequence[CheckRow], explained: bool = False, places: Collection[str] = ()) -> list[str]:
-    """What to say beside a result that rests on a record with these rows.
+    """Return the warnings for a result that rests on these rows.
 
     Parameters
     ----------

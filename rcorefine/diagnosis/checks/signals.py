@@ -1,4 +1,7 @@
-"""What a record says without any model: constant, repeated, clipped, coarse, lost samples."""
+"""Checks of a record without a model.
+
+They find constant, repeated, clipped, coarse and lost samples.
+"""
 
 from __future__ import annotations
 

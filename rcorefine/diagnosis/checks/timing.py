@@ -1,4 +1,7 @@
-"""Sampling against the model's modes, the hold, and whether the inputs answer the outputs."""
+"""Checks of sampling, hold and feedback.
+
+They compare the sampling with the modes of the model, and test whether the inputs respond to the outputs.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ _RETURNS = 0.98  # correlation of an input with itself later, from which it is p
 
 
 def sampling_rows(linear: LinearModel, data: Measurement, looped: bool = False) -> Iterator[CheckRow]:
-    """Rows on the sampling time and the length of the record beside the model's modes.
+    """Check sampling time and record length against the model's modes.
 
     Parameters
     ----------
@@ -74,7 +77,9 @@ def sampling_rows(linear: LinearModel, data: Measurement, looped: bool = False) 
 
 
 def controller_rows(controller: Controller, model: LinearModel, data: Measurement) -> Iterator[CheckRow]:
-    """Whether the controller, fed with the record, gives the inputs that were recorded.
+    """Check whether the controller reproduces the recorded inputs.
+
+    The controller is fed with the record.
 
     Parameters
     ----------
@@ -117,7 +122,7 @@ def controller_rows(controller: Controller, model: LinearModel, data: Measuremen
 
 
 def feedback_rows(compared: Comparison) -> Iterator[CheckRow]:
-    """Whether an input follows what the outputs did before: the record of a closed loop.
+    """Check whether an input depends on past outputs (closed loop).
 
     Parameters
     ----------
@@ -167,9 +172,10 @@ def _periodic(w: Array) -> bool:
 
 
 def _follows(new: Array, past: Array, first: int) -> tuple[float, float]:
-    """p-value that an input's innovation is independent of past residuals, and the largest correlation.
+    """Return the p-value of independence and the largest correlation.
 
-    Each product is weighed by its own size: an input that seldom steps tells as much as it has steps.
+    The test asks whether the innovation of an input is independent of past residuals. Each product is weighed
+    by its own size: an input that seldom steps counts as much as it has steps.
     """
     n = min(new.size, past.size)
     new, past = new[-n:], past[-n:]

@@ -1,4 +1,7 @@
-"""Which units a signal can be in, and which of them a factor between record and model looks like."""
+"""Units of signals, and unit conversions between record and model.
+
+A factor between record and model may look like such a conversion.
+"""
 
 from __future__ import annotations
 
@@ -60,14 +63,20 @@ _MOST = 3  # units that a sentence lists
 
 
 class Likely(NamedTuple):
-    """What a factor looks like: words, empty where it is no unit, and whether it is that within its error."""
+    """Unit conversion that a factor looks like.
+
+    The words are empty where it is no conversion. It is certain if the factor agrees within its error.
+    """
 
     words: str
     certain: bool
 
 
 class _Known(NamedTuple):
-    """A unit that somebody declared: its quantity ("?" where this package knows none), size and name."""
+    """Declared unit: its quantity, size and name.
+
+    The quantity is "?" where this package does not know the unit.
+    """
 
     quantity: str
     size: float
@@ -75,7 +84,10 @@ class _Known(NamedTuple):
 
 
 def between(record: str, model: str) -> float | None:
-    """Size of a record over that of its model as their declared units have it, None where they do not say."""
+    """Return the factor between record and model from declared units.
+
+    None is returned where the units do not determine it.
+    """
     one, other = _known(record), _known(model)
     if one is None or other is None or one.quantity != other.quantity or one.quantity == "?":
         return None
@@ -83,7 +95,7 @@ def between(record: str, model: str) -> float | None:
 
 
 def likely(value: float, std: float, label: str, record: str, model: str) -> Likely:
-    """What unit a record looks like beside its model.
+    """Guess the unit of a record from its size relative to the model.
 
     Parameters
     ----------
@@ -137,7 +149,10 @@ def _known(unit: str) -> _Known | None:
 
 
 def _rank(quantity: str, label: str, declared: _Known | None) -> int | None:
-    """0 for what suits the signal, 1 for what it may be, None for what it is not."""
+    """Rank how well a quantity suits a signal.
+
+    The rank is 0 for what suits it, 1 for what it may be, and None for what it is not.
+    """
     if quantity in _ANY:
         return 1
     if declared is not None:

@@ -1,1 +1,4 @@
-"""What to measure next, to tell apart what the present record cannot."""
+"""Experiment design: measurements that distinguish the candidates.
+
+The present record cannot distinguish them.
+"""

@@ -1,4 +1,7 @@
-"""Records that could be taken next: repeat, other amplitude, other band, longer, one more sensor."""
+"""Plans of possible next records.
+
+A plan repeats the record, or changes its amplitude, band, length or sensors.
+"""
 
 from __future__ import annotations
 
@@ -111,7 +114,10 @@ def _record(like: Measurement, inputs: Array) -> Measurement:
 
 
 def in_band(w: Array, dt: float, low: float, high: float) -> Array:
-    """Multisine with random phases between two frequencies (rad/s), mean and rms of the input kept."""
+    """Return a random-phase multisine between two frequencies (rad/s).
+
+    Mean and rms of the input are kept.
+    """
     n = w.shape[1]
     omega = 2 * np.pi * np.fft.rfftfreq(n, dt)
     lines = np.flatnonzero((omega >= low) & (omega <= high) & (omega > 0))
@@ -125,7 +131,10 @@ def in_band(w: Array, dt: float, low: float, high: float) -> Array:
 
 
 def default_bands(model: PhysicalModel, record: Measurement) -> list[tuple[float, float]]:
-    """Lower and upper half of the band where the model lives, and the lowest modes (rad/s)."""
+    """Return frequency bands (rad/s) for the modes of the model.
+
+    They are the lower and the upper half of the band of the model, and bands around its lowest modes.
+    """
     poles = np.linalg.eigvals(model.linear.A)
     nyquist, line = np.pi / record.dt, 2 * np.pi / record.duration
     modes = np.unique(np.round(np.abs(poles[np.imag(poles) > 0.3 * np.abs(poles)]), 12))

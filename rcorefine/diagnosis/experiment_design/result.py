@@ -1,4 +1,7 @@
-"""What to measure next: every experiment that was judged, and the one to make."""
+"""Result of the experiment design.
+
+It holds every experiment that was judged, and the recommended one.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +61,7 @@ class ExperimentOption(Row):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExperimentAdvice(Result):
-    """What to measure next.
+    """Recommended next experiment and its alternatives.
 
     Attributes
     ----------

@@ -85,7 +85,10 @@ def sensor_rows(model: PhysicalModel, names: Sequence[str] | None = None) -> lis
 
 
 def _unread(model: PhysicalModel) -> list[str]:
-    """States worth a sensor: those that no output reads, of the sort that the sensors have now."""
+    """Return the states that are worth a sensor.
+
+    No output reads them yet, and they are of the kind that the present sensors measure.
+    """
     mechanical = [port for port in model.ports if port.kind == "mechanical"]
     n = model.linear.n_states
     places, rates = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)

@@ -1,4 +1,7 @@
-"""How far a record that is not yet taken would separate effects that explain the present one alike."""
+"""Expected separation of candidate effects by a future record.
+
+The present record explains these effects equally well.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +58,10 @@ class Contender:
 
     @property
     def surplus(self) -> int:
-        """Coefficients beyond the first, which `diagnose` makes pay for themselves."""
+        """Number of coefficients beyond the first.
+
+        `diagnose` penalizes each of them.
+        """
         if self.effect is None:
             return 0
         return len([n for n in self.effect.coefficients if n not in self.effect.fixed]) - 1
@@ -96,7 +102,7 @@ class Plan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Separation:
-    """What a plan would achieve.
+    """Expected separation that a plan achieves.
 
     Attributes
     ----------
@@ -119,7 +125,10 @@ class Separation:
 
 @dataclass(eq=False)
 class _Side:
-    """One contender on one plan: structure, coefficients, what is known of them, starts."""
+    """Contender on a plan.
+
+    It holds the structure, the coefficients with the information on them, and the starting values.
+    """
 
     structure: Structure
     theta: Array
@@ -130,7 +139,9 @@ class _Side:
 
 
 def separation(contenders: Sequence[Contender], plan: Plan, ratio: float = 0.0) -> Separation:
-    """Simulate every contender on a plan, refit every other one to it, and compare.
+    """Compute how well a plan separates the contenders.
+
+    Every contender is simulated on the plan. Every other one is refitted to it and compared.
 
     Parameters
     ----------
@@ -194,7 +205,10 @@ def _side(refinement: Refinement, plan: Plan, ratio: float) -> _Side:
 
 
 def _information_root(covariance: Array) -> Array:
-    """R with R'R the inverse of a covariance; nothing where the record saw nothing."""
+    """Return R with R'R equal to the inverse of a covariance.
+
+    It is zero where the record holds no information.
+    """
     seen = np.isfinite(np.diag(covariance)) & (np.diag(covariance) > 0)
     sd = np.sqrt(np.diag(covariance)[seen])
     values, vectors = np.linalg.eigh(covariance[np.ix_(seen, seen)] / np.outer(sd, sd))
@@ -223,7 +237,10 @@ def _record(shell: Measurement, outputs: Array, structure: Structure) -> Measure
 
 
 class _Fit:
-    """A contender fitted to a noise-free record, the old record's knowledge as its prior."""
+    """Contender fitted to a noise-free record.
+
+    The information from the present record is its prior.
+    """
 
     def __init__(self, side: _Side, record: Measurement, plan: Plan, steps: int) -> None:
         self.side, self.whitener = side, plan.whitener
@@ -293,10 +310,11 @@ class _Fit:
 
 
 def _margins(own: _Fit, fits: Sequence[_Fit]) -> Array:
-    """Draws of twice the log-likelihood of the truth over each rival, shape (draws, rivals).
+    """Draw the log-likelihood ratio of the truth over each contender.
 
-    The data are u = noise + what the spread of the true coefficients does. Each fit
-    leaves of its residual a what it cannot absorb: |a|^2 + 2 a'u + |u|^2 - |Q'u|^2.
+    Twice the ratio is returned, shape (draws, contenders). The data are u = noise + effect of the spread of
+    the true coefficients. Each fit leaves the part of its residual a that it cannot explain: |a|^2 + 2 a'u +
+    |u|^2 - |Q'u|^2.
     """
     n, side = own.n_data, own.side
     spread = np.zeros((n, 0))

@@ -1,4 +1,7 @@
-"""The cheapest experiment that would tell apart what the present record cannot."""
+"""Cheapest experiment that distinguishes the remaining candidates.
+
+The present record cannot distinguish them.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +60,7 @@ def suggest(
     costs: Mapping[str, float] | None = None,
     largest_input: ArrayLike | None = None,
 ) -> ExperimentAdvice:
-    """The work behind `Diagnosis.suggest_experiment`, which has the documentation."""
+    """Implement `Diagnosis.suggest_experiment`, which is documented there."""
     prices = _checked(amplitudes, lengths, bands, costs)
     as_flag(repeat, "repeat")
     probability = as_share(probability, "probability")
@@ -106,7 +109,10 @@ def _checked(
 
 
 def _contenders(found: Diagnosis, records: Sequence[Measurement]) -> tuple[list[Contender], FittedModel, str]:
-    """Explanations that the record leaves standing, and the fitted model of the best."""
+    """Return the remaining explanations and the fitted best model.
+
+    A message gives the reason if there is nothing to separate.
+    """
     settings = found.settings
     options = {"tolerance": settings["tolerance"], "noise": settings["noise"]}
     segments, _ = windows(found.base.physical_model, list(records), settings["horizon"])
@@ -152,7 +158,10 @@ def _contenders(found: Diagnosis, records: Sequence[Measurement]) -> tuple[list[
 
 
 def _near(found: Diagnosis, fitted: FittedModel) -> tuple[list[Contender], FittedModel, str]:
-    """What nearly stands out of an adequate model, with "nothing missing" as its rival."""
+    """Return the nearly significant effects of an adequate model.
+
+    The alternative to them is that nothing is missing.
+    """
     nothing = "Nothing to separate: no test fires, and no candidate comes near."
     effects = [d.effect for d in found.detectable]
     alone = [Contender(None, found.base, 0.0, 0.0)]
@@ -311,13 +320,19 @@ def _advice(
 
 
 def _cheapest(possible: Sequence[ExperimentOption], probability: float) -> ExperimentOption | None:
-    """The cheapest option that is probable enough, of equals the most probable; None where there is none."""
+    """Return the cheapest option with the required probability, or None.
+
+    Of options with equal cost, the most probable is chosen.
+    """
     enough = [option for option in possible if option.probability >= probability]
     return min(enough, key=lambda o: (o.cost, -o.probability), default=None)
 
 
 def _who(contenders: Sequence[Contender], option: ExperimentOption, missed: float | None) -> str:
-    """What an option would tell, with the probability that was asked for where it misses that."""
+    """Describe an option and the probability that it decides.
+
+    `missed` is the required probability if no option reaches it, otherwise None.
+    """
     names = [c.label for c in contenders]
     who = (
         f"{names[0]} and {names[1]} then separate"

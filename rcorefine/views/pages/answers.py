@@ -29,7 +29,7 @@ __all__ = [
 
 
 def comparison_answer(result: Comparison) -> tuple[list[str], bool]:
-    """How well it fits, where it fails, what to do.
+    """Answer how well the models fit, where they fail, and what to do.
 
     Returns
     -------
@@ -79,7 +79,10 @@ def comparison_answer(result: Comparison) -> tuple[list[str], bool]:
 
 
 def response_answer(result: FrequencyComparison) -> tuple[list[str], bool]:
-    """How well a measured response is met, and where it is not; shape as `comparison_answer`."""
+    """Answer how well the models meet a measured response, and where not.
+
+    The return values are those of `comparison_answer`.
+    """
     measured = result.measured
     fits = result.fit if result.several else result.fit[None]
     means = np.nan_to_num(fits, nan=-np.inf).reshape(len(result.names), -1).mean(axis=1)
@@ -100,7 +103,10 @@ def response_answer(result: FrequencyComparison) -> tuple[list[str], bool]:
 
 
 def diagnosis_answer(found: Diagnosis) -> tuple[list[str], bool]:
-    """What is missing, how sure that is, what to do; shape as `comparison_answer`."""
+    """Answer which effect is missing, how sure that is, and what to do.
+
+    The return values are those of `comparison_answer`.
+    """
     first = found.sentences()[0]
     worst = min(found.tests, key=lambda t: t.p_value) if found.tests else None
     if worst is None:
@@ -133,7 +139,10 @@ def diagnosis_answer(found: Diagnosis) -> tuple[list[str], bool]:
 
 
 def improvement_answer(ladder: Improvement) -> tuple[list[str], bool]:
-    """How far the error fell, by what, and why it ended; shape as `comparison_answer`."""
+    """Answer how far the error fell, by which effects, and why it stopped.
+
+    The return values are those of `comparison_answer`.
+    """
     first, last = ladder.steps[0], ladder.steps[-1]
     before, after = (root_mean_square(s.validation_rmse) for s in (first, last))
     unit = f" {ladder.output_units[0]}" if len(ladder.output_units) == 1 and ladder.output_units[0] else ""
@@ -148,7 +157,10 @@ def improvement_answer(ladder: Improvement) -> tuple[list[str], bool]:
 
 
 def refinement_answer(refinement: Refinement) -> tuple[list[str], bool]:
-    """How far the fit rose, what moved most, how well it is known; shape as `comparison_answer`."""
+    """Answer how far the fit rose and which parameter changed most.
+
+    It also states how well that parameter is known. The return values are those of `comparison_answer`.
+    """
     before, after = float(np.mean(refinement.initial_fit)), float(np.mean(refinement.fit))
     first = f"The refined model explains {after:.4g} % of the record, the initial one {before:.4g} %."
     moved = [r for r in refinement.parameters if r.role != "offset" and r.std > 0]

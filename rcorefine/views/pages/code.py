@@ -1,4 +1,7 @@
-"""Python code that does once more what a report shows: models, records and calls as text."""
+"""Python code that reproduces the content of a report.
+
+Models, records and calls are written as text.
+"""
 
 from __future__ import annotations
 
@@ -92,7 +95,9 @@ def _sequence(value: list[Any] | tuple[Any, ...], indent: int) -> str:
 
 
 def comment(text: str) -> str:
-    r"""A line of comment, whatever the text holds: a line break in a name must not begin a line of code.
+    r"""Return a text as one line of comment.
+
+    A line break in a name must not begin a line of code.
 
     Parameters
     ----------
@@ -174,7 +179,7 @@ def model_code(model: Any, name: str = "model") -> list[str]:
 
 
 def _plain(model: PhysicalModel) -> bool:
-    """Whether the same places follow from the matrices alone."""
+    """Return whether the matrices alone define the same places."""
     again = as_physical(model.system)
     return (
         model.hold is None
@@ -184,7 +189,10 @@ def _plain(model: PhysicalModel) -> bool:
 
 
 def effects_code(effects: Sequence[Effect]) -> str:
-    """List of effects as code; a comment in the place of a law that only the user has."""
+    """Return a list of effects as code.
+
+    An effect whose force law only the user has becomes a comment.
+    """
     lines = []
     for effect in effects:
         try:
@@ -195,7 +203,7 @@ def effects_code(effects: Sequence[Effect]) -> str:
 
 
 def record_code(records: Sequence[Any]) -> list[str]:
-    """Lines that read the records from files and check that they are the same ones.
+    """Return code that reads the records from files and verifies them.
 
     Parameters
     ----------
@@ -238,7 +246,10 @@ def record_code(records: Sequence[Any]) -> list[str]:
 
 
 def response_code(measured: FrequencyResponse, name: str = "measured") -> list[str]:
-    """Lines that define a measured response, its points in full up to a few thousand."""
+    """Return code that defines a measured response.
+
+    It lists all points of a response that has at most a few thousand.
+    """
     if measured.response.size > _MOST_POINTS:
         facts = [comment(f"{what}: {value}") for what, value in response_facts(measured)]
         return ["# the measured response is too long to be listed here", *facts, f"{name} = ..."]

@@ -46,7 +46,10 @@ def report_comparison(result: Comparison, *, title: str | None, code: str | None
 
 @reports(FrequencyComparison)
 def report_responses(result: FrequencyComparison, *, title: str | None, code: str | None) -> Page:
-    """The report of a comparison with a measured response; see `FrequencyComparison.report`."""
+    """Build the report of a comparison with a measured response.
+
+    See `FrequencyComparison.report`.
+    """
     measured = result.measured
     answer, fine = response_answer(result)
     magnitudes = ", ".join(result.names)
@@ -118,7 +121,7 @@ _WORDS = {
 
 
 def picture_words(result: Comparison, kind: str) -> tuple[str, str]:
-    """What a picture shows, and what it means."""
+    """Return what a picture shows and what it means."""
     shown, meant = _WORDS[kind]
     return shown.format(record=f"record {result.data.name}", fits=fits_in_words(result)), meant
 
@@ -160,7 +163,10 @@ def _failure_row(row: Failure) -> list[str]:
 
 
 def _comparison_code(result: Comparison) -> str:
-    """Models and record as code; nonlinear effects are not in a comparison, and it says so."""
+    """Return the models and the record of a comparison as code.
+
+    A comparison holds no nonlinear effects; a comment says so.
+    """
     blocks: list[Sequence[str]] = []
     for index, model in enumerate(result.models):
         name = "model" if len(result.models) == 1 else f"model{index + 1}"
@@ -193,7 +199,7 @@ def _comparison_code(result: Comparison) -> str:
 
 
 def _reproduces(model: LinearModel, result: Comparison, index: int) -> bool:
-    """Whether the linear model alone gives the run that was compared."""
+    """Return whether the linear model alone gives the compared run."""
     start = result.initial_states[index][0][: model.n_states]
     run = simulated(model.to_statespace(), result.data, start, led=True).outputs
     scale = float(np.abs(result.runs[index]).max()) or 1.0

@@ -146,7 +146,10 @@ def _ranking_rows(found: Diagnosis) -> list[list[str]]:
 
 
 def _start_code(base: Refinement) -> tuple[list[str], str]:
-    """The model that a diagnosis started from, and its name: a refinement where effects were in it."""
+    """Return code for the initial model of a diagnosis, and its name.
+
+    If effects were in that model, it is a refinement.
+    """
     lines = model_code(base.physical_model)
     if "effect" not in base.roles:
         return lines, "model"

@@ -118,7 +118,10 @@ def _report_model(
     data: Any,
     code: str | None,
 ) -> Page:
-    """A refined model beside the one it came from, and beside a record where there is one."""
+    """Build the report of a refined model beside the initial one.
+
+    If there is a record, the report compares both with it.
+    """
     first, last = models
     linear = last.physical_model.linear
     about = (

@@ -1,4 +1,4 @@
-"""Where a report comes from: the record's fingerprint and the versions that made it."""
+"""Origin of a report: fingerprint of its record, software versions."""
 
 from __future__ import annotations
 

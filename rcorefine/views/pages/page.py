@@ -1,4 +1,7 @@
-"""A report as one HTML file: no script, nothing that is fetched, everything escaped."""
+"""Report as one HTML file without scripts or external resources.
+
+All text in it is escaped.
+"""
 
 from __future__ import annotations
 
@@ -101,7 +104,7 @@ class Section:
 
 
 def _boxed(table: Table) -> str:
-    """A table in a box of its own, which scrolls where the window is too narrow."""
+    """Return a table in a box that scrolls in narrow windows."""
     inner = html_table(table.headers, table.rows, title=table.title, left=table.left)
     notes = "".join(f"<p>{escape(note)}</p>" for note in table.notes)
     label = escape(table.title or "Table", quote=True)
@@ -113,7 +116,7 @@ def _boxed(table: Table) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """What a report says, in the order in which it says it.
+    """Content of a report, in the order of the page.
 
     Parameters
     ----------
@@ -251,7 +254,10 @@ def _home(path: Path) -> Path:
 
 
 def reports(kind: type) -> Callable[[_Make], _Make]:
-    """Enter the page that results of this class are; it is written where the file may be written."""
+    """Register the function that builds the report of a result class.
+
+    The report is written only if the file may be written.
+    """
 
     def enter(make: _Make) -> _Make:
         def report(

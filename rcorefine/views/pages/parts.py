@@ -1,4 +1,4 @@
-"""What several reports have in common: pictures, parameters, code, origin."""
+"""Parts that several reports share: pictures, parameters, code, origin."""
 
 from __future__ import annotations
 
@@ -32,7 +32,10 @@ Parts = list[Table | Paragraphs | Listing | Facts | Picture]
 
 
 def pictures(wanted: Sequence[Wanted]) -> Parts:
-    """Pictures; in the place of one that the record does not allow, the reason."""
+    """Return the pictures of a report.
+
+    If the record does not allow a picture, the reason takes its place.
+    """
     parts: Parts = []
     for kind, plot, alt, caption in wanted:
         drawn = draw(plot, alt, caption)
@@ -66,7 +69,10 @@ def parameter_table(refinement: Refinement, title: str) -> Table:
 
 
 def estimates(refinement: Refinement) -> list[EstimatedParameter]:
-    """Parameters that mean something; a nuisance offset has no scale to be drawn on."""
+    """Return the estimated parameters without nuisance offsets.
+
+    An offset has no scale on which to draw it.
+    """
     return [row for row in refinement.parameters if row.role != "offset" and np.isfinite(row.std)]
 
 

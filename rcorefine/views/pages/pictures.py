@@ -1,4 +1,4 @@
-"""Figures as pictures inside the page: one for wide windows, one for narrow ones."""
+"""Pictures embedded in a page, for wide and for narrow windows."""
 
 from __future__ import annotations
 
@@ -94,7 +94,9 @@ def _png(figure: Any) -> tuple[bytes, tuple[int, int]]:
 
 
 def write_png(figure: Any, stream: BinaryIO, dpi: float) -> None:
-    """Draw a figure on white, once: its own `savefig` lays it out in a drawing that nobody sees.
+    """Draw a figure on white and write it as PNG.
+
+    `savefig` would draw the figure a second time to lay it out.
 
     Parameters
     ----------
@@ -112,7 +114,10 @@ def write_png(figure: Any, stream: BinaryIO, dpi: float) -> None:
 
 
 def _make_narrow(figure: Any) -> None:
-    """Set the figure for a narrow window: letters keep their size, columns of axes go below each other."""
+    """Resize a figure for a narrow window.
+
+    Letters keep their size; columns of axes are placed below each other.
+    """
     width, height = figure.get_size_inches()
     if width <= _NARROW:
         return
@@ -130,7 +135,10 @@ def _make_narrow(figure: Any) -> None:
 
 
 def _stack(figure: Any) -> float | None:
-    """Put axes that stand side by side below each other; the new height in inches, or None."""
+    """Stack axes that are side by side, and return the new height.
+
+    The height is in inches; None if nothing was stacked.
+    """
     places = [axis.get_subplotspec() for axis in figure.axes]
     if any(place is None for place in places) or all(place.get_gridspec().ncols == 1 for place in places):
         return None

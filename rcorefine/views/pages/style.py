@@ -1,4 +1,7 @@
-"""The look of a report: one style sheet, light and dark, wide and narrow, on screen and on paper."""
+"""Style sheet of reports.
+
+It covers light and dark, wide and narrow, screen and paper.
+"""
 
 from __future__ import annotations
 

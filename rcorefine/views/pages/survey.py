@@ -45,7 +45,10 @@ def report_survey(
 
 
 def _files(machines: tuple[str, ...]) -> dict[str, str]:
-    """File of each machine: its name as far as a file may have it, and what tells equal ones apart."""
+    """Return the file name of each machine.
+
+    Characters that a file name may not have are replaced; a hash then keeps the names distinct.
+    """
     found = {}
     for machine in machines:
         word = re.sub(r"[^A-Za-z0-9_.-]+", "_", machine)[:60]
