@@ -450,6 +450,18 @@ CALLS: dict[str, Call] = {
         },
         more=tuple(key for key in UNITS if key != "hold"),
     ),
+    "Measurement.free_decay": Call(
+        lambda: MEASURE.free_decay,
+        lambda: {"outputs": np.cos(np.arange(50.0)), "dt": DT},
+        {
+            **{key: OPTIONAL[key] for key in ("output_labels", "output_units", "name") if key in OPTIONAL},
+            "outputs": is_signal,
+            "dt": is_positive,
+            "timepts": or_none(is_state),
+            "release": or_none(is_number),
+        },
+        more=tuple(key for key in ("output_labels", "output_units", "name") if key in UNITS),
+    ),
     "Measurement.frequency_response": Call(
         _method(record, "frequency_response"),
         lambda: {"segment_length": 60},

@@ -160,4 +160,4 @@ def test_a_law_whose_size_the_record_does_not_tell_is_not_named(seed):
     laws = [rco.Effect(kind, "thl") for kind in ("hidden_mode", "damping", "coulomb_friction")]
     found = rco.diagnose(model, data, candidates=laws)  # the truth is none of them
     assert found.verdict == "unexplained"
-    assert any("does not determine it" in note for note in found.notes)
+    assert any("do not determine it" in note for note in found.notes)

@@ -35,8 +35,8 @@ ORDER = (
 #: Lines of code (no docstring, comment, blank) of each top-level folder, and of the files beside them.
 #: A commit may lower a figure; one that raises it says in its message what went out in exchange.
 BUDGET = {
-    ".": 874, "arguments": 306, "commands": 1367, "comparison": 2892, "data": 2891, "diagnosis": 5738,
-    "effects": 3264, "engine": 3302, "examples": 263, "exercises": 565, "explorer": 1110, "export": 511,
+    ".": 874, "arguments": 306, "commands": 1367, "comparison": 2893, "data": 2894, "diagnosis": 5746,
+    "effects": 3267, "engine": 3302, "examples": 263, "exercises": 565, "explorer": 1110, "export": 511,
     "fleet": 1043, "inference": 2862, "localization": 1330, "models": 4153, "refinement": 196,
     "streaming": 7514, "systems": 654, "views": 4334,
 }  # fmt: skip

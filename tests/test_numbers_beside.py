@@ -217,7 +217,7 @@ def test_numbers_that_do_not_suffice_are_told_before_laws_that_do_less() -> None
     found = diagnosed(steer, skidding(60e3, steer, 0.1), rng, 0.01)
     assert found.verdict == "unexplained"
     assert found.base.fit.min() > 85 > 60 > found.base.initial_fit.max()
-    assert "The parameters alone take the fit from" in str(found).replace("\n", " ")
+    assert "The parameters alone increase the fit from" in str(found).replace("\n", " ")
     assert found.open_law is None
     assert (
         found.place is None or found.places[found.place] <= 0.5

@@ -152,7 +152,7 @@ def _on_record(
     several: bool,
 ) -> Comparison:
     """The models run freely on one record."""
-    data.check_excitation("compare")
+    given = data
     data = resting_inputs(data, list(dict.fromkeys(label for each in linear for label in each.input_labels)))
     channels = [match_channels(each, data) for each in linear]
     holds = [_hold(each) or data.hold for each in models]
@@ -167,6 +167,7 @@ def _on_record(
         for name, hold in zip(names, holds, strict=True)
         if hold != data.hold
     ]
+    given.check_excitation("compare")
     hidden = _hidden(models, channels, data, x0, windows[0].stop)
     made = []
     for each, flat, places, name in zip(models, linear, channels, names, strict=True):

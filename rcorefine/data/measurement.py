@@ -14,7 +14,7 @@ from ..exceptions import DataError, ExcitationWarning, warn
 from ..results import Options, Result, picture, show
 from ..systems.linear import Array
 from ..words import counted
-from .parts import FIELDS, RecordParts
+from .parts import FIELDS, UNDRIVEN, RecordParts
 from .reading import RecordReaders
 from .signals import HOLDS, as_signals, as_time_grid, check_finite, check_sizes, default_labels
 
@@ -36,8 +36,8 @@ class Measurement(Result, RecordReaders, RecordParts):
 
     Parameters
     ----------
-    inputs : array_like of shape (N,) or (n_w, N), or None
-        What drove the system; one row per signal, time last. None if nothing drove it (`free_decay`).
+    inputs : array_like of shape (N,) or (n_w, N)
+        What drove the system; one row per signal, time last. `free_decay` makes a record without inputs.
     outputs : array_like of shape (N,) or (n_y, N)
         What was measured.
     dt : float, optional
@@ -134,8 +134,7 @@ class Measurement(Result, RecordReaders, RecordParts):
     ) -> None:
         y = as_signals(outputs, "outputs")
         n_samples = y.shape[1]
-        undriven = inputs is None or (isinstance(inputs, np.ndarray) and inputs.shape == (0, n_samples))
-        w = np.zeros((0, n_samples)) if undriven else as_signals(inputs, "inputs")
+        w = np.zeros((0, n_samples)) if inputs is UNDRIVEN else as_signals(inputs, "inputs")
         if w.shape[1] != n_samples:
             raise ct.ControlDimension(
                 f"inputs have {w.shape[1]} samples and outputs {n_samples}; give both over the same time "
@@ -217,7 +216,7 @@ class Measurement(Result, RecordReaders, RecordParts):
         0
         """
         whole = cls(
-            None, outputs, dt=dt, timepts=timepts, output_labels=output_labels, output_units=output_units,
+            UNDRIVEN, outputs, dt=dt, timepts=timepts, output_labels=output_labels, output_units=output_units,
             name=name,
         )  # fmt: skip
         if release is None:

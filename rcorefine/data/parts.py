@@ -12,12 +12,15 @@ from ..systems.linear import Array
 from .resampling import decimated
 from .signals import HOLDS
 
-__all__ = ["FIELDS", "RecordParts"]
+__all__ = ["FIELDS", "UNDRIVEN", "RecordParts"]
 
 FIELDS = (
     "inputs", "outputs", "dt", "timepts", "hold", "input_labels", "output_labels",
     "input_units", "output_units", "name", "notes", "origin", "elapsed",
 )  # fmt: skip
+
+
+UNDRIVEN = object()  #: In place of inputs: nothing drives the system.
 
 
 class RecordParts:
@@ -216,4 +219,7 @@ class RecordParts:
 
     def _changed(self, **changes: Any) -> Self:
         """The record with some of its fields otherwise."""
-        return type(self)(**{name: getattr(self, name) for name in FIELDS} | changes)
+        values = {name: getattr(self, name) for name in FIELDS} | changes
+        if np.shape(values["inputs"])[0] == 0:
+            values["inputs"] = UNDRIVEN
+        return type(self)(**values)

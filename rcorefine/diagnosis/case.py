@@ -189,7 +189,15 @@ def seen_in(
     """
     if in_frequency(records):
         return _seen_in_responses(physical, candidates, records, asked)
-    return _seen_at_rest(physical, candidates, asked) if at_rest(records) else list(candidates)
+    if at_rest(records):
+        return _seen_at_rest(physical, candidates, asked)
+    if asked:
+        return list(candidates)
+    # a power of a command that changes its sign is a saturation or a dead zone by another name
+    inputs = np.concatenate([record.inputs for record in records], axis=1)
+    turns = (inputs.min(axis=1) < 0) & (inputs.max(axis=1) > 0)
+    turning = {label for label, turn in zip(physical.linear.input_labels, turns, strict=True) if turn}
+    return [e for e in candidates if not (e.spec.one_signed and e.place in turning)]
 
 
 def _seen_in_responses(

@@ -134,7 +134,7 @@ def confirm(
     own = [i for i, row in enumerate(model.parameters) if row.role == "effect"]
     if not own:
         raise ct.ControlArgument("the model holds no effect that was asked for, so nothing can be confirmed")
-    conditions = _conditions(model, records, scales_with or {})
+    conditions = _conditions(model, records, {} if scales_with is None else scales_with)
     factors = _factors(model, own, conditions, len(records))
     estimates = _estimates(
         model, records, ordered, own, _others(model, candidates), (tolerance, noise), force_ratio, factors

@@ -374,15 +374,16 @@ def _listed(search: Search, rows: Sequence[TableRow], found: Answer, base: Refin
     """Return the trials of the ranking, at most `_LISTED`.
 
     The order is: the answer, the rows of the table, and then single effects that are not determined. For the
-    verdict "unexplained" only trials of the base are listed, by their fit in free run. The evidence would not
-    do there: a noise filter fitted to model errors makes them cheap.
+    verdict "unexplained" only the most probable trial and those of the base are listed, by their fit in free
+    run. The evidence would not do there: a noise filter fitted to model errors makes them cheap.
     """
     trials = [row.trials[0] for row in rows if row.effects]
     if found.trial.effects:
         trials = [found.trial, *trials]
     trials += [trial for trial in search.ranked() if len(trial.effects) == 1]
     if found.verdict == "unexplained":
-        here = [trial for trial in trials if trial.base.refinement is base]
+        best = search.best  # a set beside re-estimated parameters may be the best that is known
+        here = [trial for trial in trials if trial.base.refinement is base or trial is best]
         trials = [search.fitter.in_free_run(trial) for trial in dict.fromkeys(here or trials)]
         trials.sort(key=lambda trial: -float(np.mean(trial.model.refinement.fit)))
     first: dict[frozenset[Effect], Trial] = {}
@@ -413,13 +414,11 @@ def _shares(
 def open_force(search: Search) -> tuple[FreeForces | None, FittedModel]:
     """Return free forces for an unexplained record, and their base model.
 
-    The base is that of the most probable trial, or the model as given if its parameters are held there. It
-    has re-estimated parameters also if these alone fit better than any free force or single effect. The
-    forces are None if no single candidate effect was fitted at the chosen base.
+    The base is the model as given, unless its re-estimated parameters alone fit better than any free force or
+    single effect. The forces are None if no single candidate effect was fitted at the chosen base.
     """
     empty = {trial.hypothesis.key: trial for trial in search.trials if not trial.effects}
-    held = () if search.best.hypothesis.floated else (frozenset[Nuisance](),)
-    for nuisances in dict.fromkeys((*held, search.opened)):
+    for nuisances in dict.fromkeys((frozenset[Nuisance](), search.opened)):
         base = search.base(nuisances)
         offered = [
             x for x in search.ranked() if x.base is base and set(x.effects) <= set(search.case.library)

@@ -291,7 +291,8 @@ class Search:
     def _singles(self, screens: Sequence[Screen], far: bool) -> None:
         """Fit the likeliest single effects, and others at the best place.
 
-        With `far`, the best ones are also searched for in another local minimum if none passes its tests.
+        With `far`, the best ones are also searched for in another local minimum, unless one
+        passes its tests.
         """
         likely = [screen.beam(1, False, self.price)[: _SINGLES + 1] for screen in screens]
         effects = [groups[0].effect for ranked in likely for _, groups in ranked if groups]
@@ -299,7 +300,7 @@ class Search:
         places = {e.place for e in self.best.effects}
         self._each(self._relatives(screens[0], places), screens)
         # the fit without the effect may be in another local minimum
-        if far and not self.passed(self.best):
+        if far and not (self.best.effects and self.passed(self.best)):
             nearest = [x.effects[0] for x in self.ranked() if len(x.effects) == 1][:_SOUGHT]
             nearest += [groups[0].effect for _, groups in likely[-1] if groups][:_SOUGHT]
             for trial in self.case.progress.map(
@@ -371,7 +372,8 @@ class Search:
         """Refit the best trial with the parameters held, from its point."""
         best, n = self.best, self.fitted.problem.n_theta
         held = best.hypothesis.nuisances - self.opened
-        if best.hypothesis.floated and self.first_time("held", frozenset(best.effects), held):
+        floated = best.effects and best.hypothesis.floated
+        if floated and self.first_time("held", frozenset(best.effects), held):
             start = replace(best.start, theta=best.start.theta[:n])
             self.try_(best.effects, held, [start], noise=best.noise)
             self.polish()

@@ -214,6 +214,7 @@ class InputPower(InputLaw):
     )
     formula = "w -> sgn(w) level |w/level|^p"
     explanation = "The input {place} acts by a power of its size: the thrust of a fan, the flow of a valve."
+    one_signed = True
 
     @staticmethod
     def law(w, power, level):  # type: ignore[no-untyped-def]

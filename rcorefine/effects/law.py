@@ -137,6 +137,8 @@ class Law:
         Coefficients that are shares by which the inputs' clock runs ahead of the record's.
     of_record : bool
         Whether it is a fault of the record as a whole, which `diagnose` asks for itself.
+    one_signed : bool
+        Whether it is looked for only at an input that never changes its sign.
     signal : str
         What its coefficient multiplies, where the law is linear in it: ``"displacement"``,
         ``"velocity"``, ``"acceleration"``, ``"value"``, ``"constant"``, ``"rate"``; or what it takes from
@@ -179,6 +181,7 @@ class Law:
     delays: ClassVar[bool] = False
     drifts: ClassVar[tuple[str, ...]] = ()
     of_record: ClassVar[bool] = False
+    one_signed: ClassVar[bool] = False
     signal: ClassVar[str] = ""
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
