@@ -166,11 +166,92 @@ def emps(folder: Path) -> Case:
     return Case(model, train, test, figure, "2.64 mm over the whole record")
 
 
+def _held_out(model: ct.StateSpace, data: rco.Measurement, printed: str, unit: str) -> Case:
+    """The last fifth of a record judges."""
+    train, test = data.split(0.8)
+
+    def figure(refined: rco.Refinement) -> str:
+        found = rco.compare(refined, test)
+        return " / ".join(f"{value:.4g}" for value in found.rmse) + f" {unit} held out"
+
+    return Case(model, train, test, figure, printed)
+
+
+def flexlink(folder: Path) -> Case:
+    """Rotary flexible link in closed loop: Coulomb friction of the servo, by its authors."""
+    rows = np.genfromtxt(folder / "flexlink.csv", delimiter=",", names=True)
+    turns = np.vstack([rows["theta_deg"], rows["alpha_deg"]])
+    data = rco.Measurement(
+        rows["voltage_V"], turns, dt=2e-3, input_labels="voltage", output_labels=["theta", "alpha"],
+        output_units=["deg", "deg"], name="flexlink",
+    )  # fmt: skip
+    J, B, K, link = 0.00208, 0.025, 1.3, 0.065 * 0.419**2 / 3
+    gain = 0.9 * 70 * 0.69 * 0.00768 / 2.6
+    loss, deg = B + gain * 70 * 0.00768, 180 / np.pi
+    A = np.array([
+        [0, 0, 1, 0], [0, 0, 0, 1], [0, K / J, -loss / J, 0], [0, -K / J - K / link, loss / J, 0],
+    ])  # fmt: skip
+    model = ct.ss(
+        A, [[0], [0], [gain / J], [-gain / J]], [[deg, 0, 0, 0], [0, deg, 0, 0]], 0, inputs="voltage",
+        outputs=["theta", "alpha"], states=["theta", "alpha", "dtheta", "dalpha"], name="flexlink",
+    )  # fmt: skip
+    return _held_out(model, data, "Coulomb friction at the servo", "deg")
+
+
+def tclab(folder: Path) -> Case:
+    """Heater and sensor of a temperature laboratory: little is missing."""
+    warm, power = np.loadtxt(folder / "tclab_step.csv", delimiter=",", skiprows=1)[:, [4, 6]].T
+    data = rco.Measurement(
+        power, warm - warm[0], dt=1.0, input_labels="heater", output_labels="sensor",
+        output_units="K", name="tclab",
+    )  # fmt: skip
+    heat, sense, room, between = 5.0, 1.0, 0.05, 0.05  # J/K, J/K, W/K, W/K
+    model = ct.ss(
+        [[-(room + between) / heat, between / heat], [between / sense, -between / sense]],
+        [[0.04 / heat], [0]], [[0, 1]], 0, inputs="heater", outputs="sensor", states=["heater_T", "sensor_T"], name="tclab",
+    )  # fmt: skip
+    return _held_out(model, data, "linear with two nodes 0.23 K", "K")
+
+
+def undcmotor(folder: Path) -> Case:
+    """Motor kit: a dead zone of 0.30 V and a saturating gain; the input has two levels (0.35, 0.44 V)."""
+    rows = np.genfromtxt(folder / "undcmotor_prbs.csv", delimiter=",", names=True)
+    data = rco.Measurement(
+        rows["u"],
+        rows["y"],
+        dt=0.02,
+        input_labels="u",
+        output_labels="y",
+        output_units="deg/s",
+        name="undcmotor",
+    )
+    model = ct.ss(
+        [[-10.0]], [[1530.0]], [[1]], 0, inputs="u", outputs="y", states=["speed"], name="undcmotor"
+    )
+    return _held_out(model, data, "static curve measured apart", "deg/s")
+
+
+def roll(folder: Path) -> Case:
+    """Ship model released in roll: damping that grows with the amplitude."""
+    t, phi = np.loadtxt(folder / "rolldecay.csv", delimiter=",", skiprows=1).T
+    data = rco.Measurement.free_decay(phi, timepts=t, output_labels="phi", output_units="rad", name="roll")
+    w, ratio = 2 * np.pi / 2.54, 0.007
+    model = ct.ss(
+        [[0, 1], [-(w**2), -2 * ratio * w]], [[0], [1]], [[1, 0]], 0, inputs="moment", outputs="phi",
+        states=["phi", "rate"], name="roll",
+    )  # fmt: skip
+    return _held_out(model, data.decimate(5), "quadratic damping", "rad")
+
+
 CASES: dict[str, tuple[str, Callable[[Path], Case]]] = {
     "tanks": ("dataBenchmark.csv", tanks),
     "motor": ("dcmotor.csv", motor),
     "silverbox": ("SNLS80mV.mat", silverbox),
     "emps": ("DATA_EMPS.mat", emps),
+    "flexlink": ("flexlink.csv", flexlink),
+    "tclab": ("tclab_step.csv", tclab),
+    "undcmotor": ("undcmotor_prbs.csv", undcmotor),
+    "roll": ("rolldecay.csv", roll),
 }
 
 
