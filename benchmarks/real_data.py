@@ -208,7 +208,8 @@ def tclab(folder: Path) -> Case:
     heat, sense, room, between = 5.0, 1.0, 0.05, 0.05  # J/K, J/K, W/K, W/K
     model = ct.ss(
         [[-(room + between) / heat, between / heat], [between / sense, -between / sense]],
-        [[0.04 / heat], [0]], [[0, 1]], 0, inputs="heater", outputs="sensor", states=["heater_T", "sensor_T"], name="tclab",
+        [[0.04 / heat], [0]], [[0, 1]], 0, inputs="heater", outputs="sensor",
+        states=["heater_T", "sensor_T"], name="tclab",
     )  # fmt: skip
     return _held_out(model, data, "linear with two nodes 0.23 K", "K")
 
