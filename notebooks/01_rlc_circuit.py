@@ -12,20 +12,19 @@
 # ---
 
 # %% [markdown]
-# # 1. A circuit: inductance and capacitance from a wildly wrong start
+# # 1. A circuit: inductance and capacitance from a very wrong initial model
 #
-# A series RLC circuit is driven by a noisy voltage, and the voltage across the resistor is measured. The
-# resistance is known. The model starts from $L = 2\,\mathrm{\mu H}$ and $C = 1\,\mathrm{F}$; the circuit on
-# the bench has $L = 55\,\mathrm{mH}$ and $C = 23.5\,\mathrm{\mu F}$. Retrospective cost optimization (RCO)
-# finds both in two stages that run side by side:
+# A noisy voltage drives a series RLC circuit, and the voltage across the resistor is measured. The resistance
+# is known. The model starts from $L = 2\,\mathrm{\mu H}$ and $C = 1\,\mathrm{F}$; the true circuit has $L =
+# 55\,\mathrm{mH}$ and $C = 23.5\,\mathrm{\mu F}$. Retrospective cost optimization (RCO) finds both in two
+# stages that run in parallel:
 #
-# 1. **State estimation.** A *dynamic* correction makes the model's output follow the measured one. It is no
-#    model of anything physical, but as a by-product the model's states become those of the circuit.
-# 2. **Parameter estimation.** A *static* correction, fitted to those states, can be absorbed into $A$ and
-#    $B$: the refined model.
+# 1. **State estimation.** A *dynamic* correction makes the output of the model follow the measured one. It
+#    models nothing physical, but it makes the states of the model approach those of the circuit.
+# 2. **Parameter estimation.** A *static* correction is fitted to those states. Added to $A$ and $B$, it gives
+#    the refined model.
 #
-# This is the example of section VII of the paper (figures 15 to 18), with simulated data in place of the
-# bench.
+# This is the example of section VII of the paper (figures 15 to 18), with simulated instead of measured data.
 
 # %%
 import control as ct
@@ -43,11 +42,11 @@ example = examples.rlc()
 print(example)
 
 # %% [markdown]
-# ## The record, and how wrong the model is
+# ## The record and the initial error
 #
-# 4000 samples, 0.1 ms apart, of white Gaussian voltage held between the samples. No measurement noise yet.
-# With its tiny inductance and huge capacitance the initial model takes the circuit for a mere resistor: its
-# output is the input.
+# 4000 samples of white Gaussian voltage, 0.1 ms apart, held between the samples. There is no measurement
+# noise yet. The inductance of the initial model is tiny and its capacitance huge, so it acts as a mere
+# resistor: its output is the input.
 
 # %%
 data = example.record(n_samples=4000, rng=0)
@@ -69,10 +68,10 @@ plt.show()
 # %% [markdown]
 # ## Refine
 #
-# The paper's settings: order $n_c = 5$, window $p = 100$, one Markov parameter, learning rate $\alpha=100$.
-# The paper does not give $\alpha$ of the second stage; 1 is used here. Both are in *scaled* units: the
-# refiner brings all signals to unit size, else $\alpha$ would mean something different for volts and for
-# coulombs.
+# The settings of the paper: order $n_c = 5$, window $p = 100$, one Markov parameter, learning rate
+# $\alpha=100$. The paper does not give $\alpha$ of the second stage; 1 is used here. Both refer to *scaled*
+# units: the refiner scales all signals to unit size. Otherwise $\alpha$ would mean something different for
+# volts and for coulombs.
 
 # %%
 refiner = rco.RCORefiner(example.initial, dt=example.dt, history=True, **example.settings).run(data)
@@ -81,9 +80,9 @@ history = refiner.history
 # %% [markdown]
 # ## Both stages converge (figures 15 and 17)
 #
-# The performance is the difference between simulated and measured output, here over the standard deviation
-# of the measured one and on a logarithmic axis, for it falls over twelve decades. Drawn is its root mean
-# square over 50 samples.
+# The performance is the difference between simulated and measured output. The plot shows its root mean square
+# over 50 samples, divided by the standard deviation of the measured output. The axis is logarithmic, because
+# the performance falls over twelve decades.
 
 
 # %%
@@ -112,14 +111,13 @@ def level(z):
 print(f"last quarter, over std(y): stage 1 {level(history.z1):.1e}, stage 2 {level(history.z2):.1e}")
 
 # %% [markdown]
-# ## The hidden states come along (figure 16)
+# ## The states that are not measured (figure 16)
 #
-# Charge and current were never measured. With the dynamic correction in feedback, the error of the current
-# falls to rounding (the measured voltage *is* the current, but for a factor). The error of the charge falls
-# by a factor of about fifty and stays there. The reason is sampling: a correction that is held over a
-# sample pushes current and charge in one fixed proportion, which is not quite the proportion that the true
-# circuit would need. What it costs is seen further down: nothing, as long as the parameters are read off
-# the transfer function.
+# Charge and current are not measured. With the dynamic correction in feedback, the error of the current falls
+# to rounding, because the measured voltage is proportional to the current. The error of the charge falls by a
+# factor of about fifty and stays there. The reason is sampling. A correction that is held over a sample
+# changes current and charge in one fixed proportion, and the true circuit needs a slightly different one.
+# This does not affect the parameters, if they are computed from the transfer function (see below).
 
 # %%
 fig, axes = plt.subplots(2, 1, figsize=(8, 4.8), sharex=True, layout="constrained")
@@ -142,8 +140,8 @@ plt.show()
 # %% [markdown]
 # ## Inductance and capacitance
 #
-# The refined model is a `control.StateSpace` in continuous time. From the transfer function
-# $\frac{(R/L)\,s}{s^2 + (R/L)\,s + 1/(LC)}$ the two parameters are read off.
+# The refined model is a `control.StateSpace` in continuous time. Both parameters follow from its transfer
+# function $\frac{(R/L)\,s}{s^2 + (R/L)\,s + 1/(LC)}$.
 
 # %%
 found = examples.rlc_parameters(refiner.system)
@@ -155,8 +153,8 @@ for key, unit, factor in (("inductance", "mH", 1e3), ("capacitance", "uF", 1e6))
 # %% [markdown]
 # ## Frequency response in discrete and in continuous time (figure 18)
 #
-# Left as the refiner sees it, sampled; right after `rcorefine.d2c`. The refined model lies on the true one
-# in both.
+# Left: the sampled model, as the refiner uses it. Right: after `rcorefine.d2c`. The refined model agrees with
+# the true one in both.
 
 # %%
 
@@ -202,10 +200,10 @@ print(f"Bode error, discrete: {before:.3f} before, {after:.1e} after")
 # %% [markdown]
 # ## With measurement noise
 #
-# Two percent noise on the voltage, twenty records. Stage 2 forgets everything older than its window: with
-# the paper's $p = 100$, which is 10 ms here, the capacitance scatters by several percent, for its time
-# constant $RC$ of 6 ms fits into the window hardly twice. Nothing forbids stage 2 a longer window than
-# stage 1 (`static_window`): with 1000 samples the estimates are within about two percent.
+# Two percent noise on the voltage, twenty records. Stage 2 forgets everything older than its window. With the
+# paper's $p = 100$, which is 10 ms here, the capacitance scatters by several percent: its time constant $RC$
+# of 6 ms fits into the window less than twice. Stage 2 may use a longer window than stage 1
+# (`static_window`). With 1000 samples the estimates are within about two percent.
 
 # %%
 windows = {100: SHORT, 1000: REFINED}
@@ -238,18 +236,18 @@ for window, values in estimates.items():
         print(f"window {window:4}: {name:11} mean {100 * mean:+.1f} %, worst {100 * worst:.1f} %")
 
 # %% [markdown]
-# ## Where the claim holds, and where it would not
+# ## Where the claim holds, and where it does not
 #
-# - **Matched uncertainty.** All that is unknown about the circuit enters where the input voltage enters:
+# - **Matched uncertainty.** Everything unknown about the circuit enters where the input voltage enters, so
 #   $\Delta A = B\,\Delta_x$ and $\Delta B = B\,(\Delta_w - I)$ can be satisfied exactly. In other words: a
-#   static correction through $B$ moves the poles anywhere and changes the gain, but leaves the *zeros* of
-#   the initial model where they are. The only zero of this circuit is at frequency zero, whatever $L$ and
-#   $C$. The next two notebooks show systems whose zeros move with the unknown parameters; there the refined
-#   model is better, and not exact.
-# - **Sampling.** The discrete transfer function is met exactly, the charge is not (above). Therefore the
-#   parameters are read off the transfer function and not off single entries of $A$. And at 0.1 ms, the time
-#   constant $L/R = 0.22\,\mathrm{ms}$ is two samples long: sampled much more slowly, the current would
-#   settle between two samples, and $L$ would be gone with it.
-# - **Noise.** The paper measured on a bench, with noise of unknown size, and gives no errors of $L$ and
-#   $C$. Simulated, exactness can be told from luck: without noise the result is exact, with 2 % it is not,
-#   and the capacitance suffers first.
+#   static correction through $B$ moves the poles anywhere and changes the gain, but it does not move the
+#   *zeros* of the initial model. The only zero of this circuit is at frequency zero, for every $L$ and $C$.
+#   In the next two notebooks the zeros depend on the unknown parameters. There the refined model is better,
+#   but not exact.
+# - **Sampling.** The discrete transfer function is exact, the charge is not (see above). Therefore compute
+#   the parameters from the transfer function, not from single entries of $A$. At 0.1 ms the time constant
+#   $L/R = 0.22\,\mathrm{ms}$ is two samples long. With much slower sampling the current would settle between
+#   two samples, and $L$ could not be estimated.
+# - **Noise.** The paper measured a real circuit with noise of unknown size, and gives no errors of $L$ and
+#   $C$. A simulation shows them: the result is exact without noise, but not with 2 %. The capacitance is
+#   affected first.

@@ -14,13 +14,13 @@
 # %% [markdown]
 # # 2. A mass on a shaken base: why the states are estimated first
 #
-# A mass stands on a spring and a damper; the base is shaken, and accelerometers measure the base (input)
-# and the mass (output). The model takes the mass for 200 kg and the damper for 15000 N s/m; in truth they
-# are 803 kg and 7000 N s/m.
+# A mass stands on a spring and a damper, and the base is shaken. Accelerometers measure the base (input) and
+# the mass (output). The model has a mass of 200 kg and a damper of 15000 N s/m; the true values are 803 kg
+# and 7000 N s/m.
 #
-# This is section V of the paper (figures 4 to 8). Its question: what does the first stage, the estimation
-# of the states, do for the second one, the estimation of constant parameters? The answer is in the picture
-# "figure 6 and figure 7" below.
+# This is section V of the paper (figures 4 to 8). It asks whether the first stage, the estimation of the
+# states, improves the second one, the estimation of constant parameters. The picture "figure 6 and figure 7"
+# below shows the answer.
 
 # %%
 import control as ct
@@ -40,10 +40,10 @@ print(examples.one_dof())
 # ## Two ways to write the same model
 #
 # *As given* (48), the states are displacement and velocity relative to the base. The output, the absolute
-# acceleration of the mass, is then $-\frac{K}{M} x - \frac{C_d}{M} \dot x$: it depends on the unknown mass
-# and damping itself, which a correction of $A$ and $B$ cannot mend (the paper does not say so). In the
+# acceleration of the mass, is then $-\frac{K}{M} x - \frac{C_d}{M} \dot x$. It depends on the unknown mass
+# and damping itself, and a correction of $A$ and $B$ cannot change that (the paper does not say so). In the
 # *observable canonical form* (10), (11), which the paper prescribes, the output is the first state, and all
-# that is unknown sits in $A$ and $B$. Both are run here, on the same record.
+# unknowns are in $A$ and $B$. Both forms are run here on the same record.
 
 # %%
 forms = {"observable": examples.one_dof(form="observable"), "given": examples.one_dof(form="given")}
@@ -67,9 +67,9 @@ plt.show()
 # %% [markdown]
 # ## Refine, with and without the first stage
 #
-# Settings as in the paper: $n_c = 30$, $p = 100$, $\mu = 1$, $\alpha = 1000$, then $n_c = 0$ with the same
-# $p$, $\mu$ and $\alpha$. With `use_estimated_states=False` the second stage works with the states of its
-# own model instead of those that the first stage estimates.
+# The settings of the paper: $n_c = 30$, $p = 100$, $\mu = 1$, $\alpha = 1000$, then $n_c = 0$ with the same
+# $p$, $\mu$ and $\alpha$. With `use_estimated_states=False` the second stage uses the states of its own model
+# instead of those that the first stage estimates.
 
 # %%
 refined, blind = {}, {}
@@ -90,7 +90,7 @@ def level(z):
 
 
 # %% [markdown]
-# ## Stage 1: the output is matched (figure 4)
+# ## Stage 1 matches the output (figure 4)
 
 # %%
 fig, ax = plt.subplots(figsize=(8, 3), layout="constrained")
@@ -111,13 +111,13 @@ print(
 )
 
 # %% [markdown]
-# ## But are its states those of the structure? (figure 5)
+# ## Are its states those of the structure? (figure 5)
 #
-# Matching the output is not the same as matching the state. In the observable form the first state *is* the
-# output, so its error vanishes; that of the second one is about halved. In the form given, the map from
-# states to output is wrong, so that the right output takes wrong states: **the first stage does not reduce
-# the state error at all**. The paper's sentence "the state estimation error is reduced for both states"
-# holds for the observable form only.
+# A matching output does not imply matching states. In the observable form the first state *is* the output, so
+# its error vanishes; the error of the second one is about halved. In the form as given, the map from states
+# to output is wrong, so the right output requires wrong states: **the first stage does not reduce the state
+# error at all**. The paper's sentence "the state estimation error is reduced for both states" holds for the
+# observable form only.
 
 # %%
 fig, axes = plt.subplots(2, 2, figsize=(10, 4.8), sharex=True, layout="constrained")
@@ -142,8 +142,8 @@ plt.show()
 # %% [markdown]
 # ## Stage 2 without and with these states (figures 6 and 7)
 #
-# On the left the parameter stage has only its own model's motion to work with: the wrong motion, from the
-# wrong model. It does not converge, whatever the form. On the right it has the states of stage 1.
+# Left: the parameter stage uses the motion of its own wrong model. It does not converge in either form.
+# Right: it uses the states of stage 1.
 
 # %%
 fig, axes = plt.subplots(2, 2, figsize=(10, 5), sharex=True, sharey=True, layout="constrained")
@@ -215,22 +215,20 @@ for form in forms:
 # %% [markdown]
 # ## Where the claim holds only approximately
 #
-# - **The uncertainty is not matched.** Mass and damping change *two* coefficients of the denominator and
-#   two of the numerator of $\frac{C_d s + K}{M s^2 + C_d s + K}$. A static correction through the input map
-#   moves the poles and the gain, but not the zero at $-K / C_d$: it stays at $-4.2$ rad/s where it should
-#   be at $-9.1$ rad/s. The refined model is the best compromise for this record and no exact model, in
-#   either form.
-# - **So its entries are not mass and damping.** $K/M$ and $C_d/M$ can be read off the refined denominator,
-#   as below; they are what the compromise needs, and not what is on the scales. The static gain tells it at
-#   once: a mass on a slowly moved base moves with the base, so that the gain is 1 for every mass, spring
-#   and damper, but not for the refined model. To get the parameters themselves, the correction must be
-#   parametrized by them: as physical effects at their places (`rcorefine.effect_library`), in continuous
-#   time.
-# - **It varies from record to record**, because an inexact model has no constant error: the correction
-#   follows what the last $p = 100$ samples, one second, happened to contain. The last cell tries other
-#   records, and a stage 2 with a longer window.
-# - **The claim of this section holds:** without estimated states the parameter stage fails altogether, with
-#   them it works.
+# - **The uncertainty is not matched.** Mass and damping change *two* coefficients of the denominator and two
+#   of the numerator of $\frac{C_d s + K}{M s^2 + C_d s + K}$. A static correction through the input map moves
+#   the poles and the gain, but not the zero at $-K / C_d$. The zero stays at $-4.2$ rad/s instead of $-9.1$
+#   rad/s. In either form, the refined model is the best compromise for this record, not an exact model.
+# - **Its entries are therefore not mass and damping.** $K/M$ and $C_d/M$ can be computed from the refined
+#   denominator, as below. These values belong to the compromise, not to the true mass and damper. The static
+#   gain shows this. A mass on a slowly moved base moves with the base, so the gain is 1 for every mass,
+#   spring and damper; for the refined model it is not. To estimate the parameters themselves, parametrize the
+#   correction by physical effects at their places (`rcorefine.effect_library`), in continuous time.
+# - **The result varies from record to record**, because an inexact model has no constant error. The
+#   correction depends on what the last $p = 100$ samples, one second, happened to contain. The last cell
+#   shows other records, and a stage 2 with a longer window.
+# - **The claim of this section holds:** the parameter stage fails without estimated states, and works with
+#   them.
 
 # %%
 print(f"{'':28} {'Cd/M [1/s]':>12} {'K/M [1/s²]':>12} {'static gain':>12}")

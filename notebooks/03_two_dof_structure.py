@@ -12,15 +12,15 @@
 # ---
 
 # %% [markdown]
-# # 3. Two masses, two damaged springs: how far the refined model goes
+# # 3. Two masses, two damaged springs: how accurate the refined model is
 #
 # Two masses hang between two walls on three springs and dampers. A force drives the first mass, and its
 # velocity is measured. Springs 2 and 3 have lost most of their stiffness: 25000 N/m in the model, 1500 and
 # 2000 N/m in truth.
 #
-# This is section VI of the paper (figures 10 to 13). Two questions: does the refined model behave like the
-# damaged structure, and does its stiffness matrix tell *where* the damage is? The first answer is yes, very
-# nearly. The second is no, and the reason is instructive.
+# This is section VI of the paper (figures 10 to 13). Does the refined model behave like the damaged
+# structure? Almost. Does its stiffness matrix show *where* the damage is? No, and the last section explains
+# why.
 
 # %%
 import control as ct
@@ -40,7 +40,7 @@ print(example)
 # %% [markdown]
 # ## The record
 #
-# 6000 samples, 1 ms apart. The paper's $f_1 = 1000$ is a factor on the input, which is therefore in kN.
+# 6000 samples, 1 ms apart. The paper's $f_1 = 1000$ is a factor on the input, so the input is in kN.
 
 # %%
 data = example.record(n_samples=6000, rng=0)
@@ -62,7 +62,7 @@ plt.show()
 # %% [markdown]
 # ## Refine
 #
-# Settings of the paper: $n_c = 5$, $p = 100$, $\mu = 1$, $\alpha = 100$ in stage 1 and $1000$ in stage 2.
+# The settings of the paper: $n_c = 5$, $p = 100$, $\mu = 1$, $\alpha = 100$ in stage 1 and $1000$ in stage 2.
 
 # %%
 
@@ -84,9 +84,9 @@ blind = rco.RCORefiner(example.initial, use_estimated_states=False, **common).ru
 # %% [markdown]
 # ## Both stages settle (figures 10 and 12)
 #
-# Stage 1 follows the measured output within a percent, stage 2 nearly as well. On the right the parameter
-# stage without the states of stage 1 (for the previous example, the paper's figure 6): it converges too,
-# but several times worse.
+# Stage 1 follows the measured output within a percent, stage 2 nearly as well. The right picture shows the
+# parameter stage without the states of stage 1 (the paper's figure 6, for the previous example). It converges
+# too, but its error is several times larger.
 
 # %%
 fig, axes = plt.subplots(1, 3, figsize=(11, 3.2), sharex=True, sharey=True, layout="constrained")
@@ -105,10 +105,10 @@ axes[0].set_ylabel("performance / std(y), rms of 50")
 plt.show()
 
 # %% [markdown]
-# ## All four states come closer (figure 11)
+# ## The errors of all four states decrease (figure 11)
 #
-# The paper's claim holds here: only $v_1$ is measured, and the errors of all four states fall, most for
-# mass 1, least for mass 2.
+# The paper's claim holds here: only $v_1$ is measured, and the errors of all four states fall, most for mass
+# 1, least for mass 2.
 
 # %%
 fig, axes = plt.subplots(2, 2, figsize=(10, 4.8), sharex=True, layout="constrained")
@@ -168,21 +168,21 @@ before, after = (bode_error(true_discrete, system) for system in (initial_discre
 print(f"Bode error {before:.3f} before, {after:.3f} after")
 
 # %% [markdown]
-# ## Sampling time and state form decide more than the second stage's input
+# ## Sampling time and state form matter more than the input of stage 2
 #
-# The paper gives neither the sampling time nor which of its two state forms it used here. The table runs
+# The paper gives neither the sampling time nor which of its two state forms it used here. The table compares
 # both forms at 1 ms and at 5 ms, the parameter stage with and without the states of stage 1.
 #
 # - At 1 ms the states of stage 1 help: the performance is several times smaller with them.
-# - **At 5 ms they make no difference** to the refined model, and hardly any to the performance. Mass 1 is
-#   so strongly damped that its velocity settles within a sample or two; the model's own motion is then good
+# - **At 5 ms they make no difference** to the refined model, and hardly any to the performance. Mass 1 is so
+#   strongly damped that its velocity settles within a sample or two. The model's own motion is then accurate
 #   enough.
-# - In the observable form, which the paper prescribes, stage 1 finds the first state, which is the output,
-#   and to some extent the second; the third and fourth, mixtures of derivatives with uncertain
-#   coefficients, come out worse than without it (last two lines). The refined model is good all the same,
-#   but not better than in physical states.
-# - One record each. Others give Bode errors from about 0.01 to 0.05 at 1 ms, and always about 0.013 at 5
-#   ms.
+# - In the observable form, which the paper prescribes, stage 1 estimates the first state, which is the
+#   output, and to some extent the second. The third and fourth are mixtures of derivatives with uncertain
+#   coefficients. Their errors are larger than without stage 1 (last two lines). The refined model is still
+#   good, but not better than in physical states.
+# - The table shows one record each. Others give Bode errors from about 0.01 to 0.05 at 1 ms, and always about
+#   0.013 at 5 ms.
 
 # %%
 print(f"{'form':11} {'dt':>5} | {'z / std(y), stage 2':^21} | {'Bode error':^28}")
@@ -243,9 +243,9 @@ plt.show()
 # %% [markdown]
 # ## Does the refined stiffness matrix show where the damage is?
 #
-# From the refined $A$ the stiffness matrix is $K = -M A_{21}$. The paper concludes that it "provides
-# quantification of the change in stiffness as well as the location". Look at it, for the correction through
-# $B$ as above and for one that may act on both masses, as in the paper's (53):
+# The refined $A$ gives the stiffness matrix $K = -M A_{21}$. The paper concludes that it "provides
+# quantification of the change in stiffness as well as the location". The cell computes it for the correction
+# through $B$ as above, and for one that may act on both masses, as in the paper's (53):
 
 # %%
 m1, m2 = example.true_parameters["m1"], example.true_parameters["m2"]
@@ -279,14 +279,14 @@ print(f"Bode error with the correction on both masses: {bode_error(true_discrete
 # %% [markdown]
 # ## Where the claim holds only approximately
 #
-# - **The model is refined, the damage is not located.** Through $B$ the correction acts on mass 1 only: it
-#   can change the first row of the stiffness matrix and hardly the second, while the damage is in both.
-#   That the transfer function comes out right within two percent all the same is because a static
-#   correction can move all four poles, and the zeros, which it cannot move, matter less here.
-# - **Nor is it a matter of the place alone.** With a correction on both masses the uncertainty is matched,
-#   and the frequency response is as good as before; but one measured velocity does not tell the eight
-#   coefficients of $\Delta K$ and $\Delta C_d$ apart: many of them explain the same output, and the one
-#   found is not even symmetric.
-# - **What locates damage** is a correction with one coefficient for each spring, in physical coordinates
-#   and in continuous time: three unknown numbers instead of eight (`rcorefine.ports` and
-#   `rcorefine.effect_library` list the places and the effects).
+# - **The model is refined, but the damage is not located.** Through $B$ the correction acts on mass 1 only.
+#   It can change the first row of the stiffness matrix and hardly the second, while the damage is in both.
+#   The transfer function is still right within two percent: a static correction can move all four poles, and
+#   the zeros, which it cannot move, matter less here.
+# - **The place of the correction is not the only reason.** With a correction on both masses the uncertainty
+#   is matched. The frequency response is as good as before, but one measured velocity cannot determine the
+#   eight coefficients of $\Delta K$ and $\Delta C_d$. Many sets of them explain the same output, and the
+#   estimated one is not even symmetric.
+# - **To locate damage**, use a correction with one coefficient for each spring, in physical coordinates and
+#   in continuous time: three unknown parameters instead of eight. `rcorefine.ports` and
+#   `rcorefine.effect_library` list the places and the effects.

@@ -12,15 +12,16 @@
 # ---
 
 # %% [markdown]
-# # 4. Damage localization: which link, how much, and what would have been seen
+# # 4. Damage localization: which link, how much, and what would have been detected
 #
 # Damage is a changed stiffness (or damping) somewhere in a structure. `localize_damage` estimates all links
-# jointly from one record, drops those that the record does not need, and says what it could not have seen.
+# jointly from one record. It drops the changes that the record does not need, and reports the smallest change
+# that the record would have shown.
 #
-# 1. The paper's two masses, where the refined transfer function alone could not tell the springs apart.
+# 1. The paper's two masses, where the refined transfer function alone could not distinguish the springs.
 # 2. A building of six storeys with two damaged ones and a single accelerometer on the roof.
-# 3. What the estimated motion (stage 1) buys.
-# 4. Damage that grows while it is watched.
+# 3. The benefit of the estimated motion (stage 1).
+# 4. Damage that grows during the measurement.
 
 # %%
 import matplotlib.pyplot as plt
@@ -46,8 +47,8 @@ def measured(true, inputs, dt, noise, rng):
 # ## 1. The paper's two masses (section VI)
 #
 # Springs 2 and 3 fell from 25000 N/m to 1500 and 2000 N/m; one velocity is measured, with 1 % noise. In the
-# previous notebook the refined model behaved like the damaged structure, but its matrices did not show where
-# the damage is, because one input cannot correct both springs. Here each link has a parameter of its own.
+# previous notebook the refined model behaved like the damaged structure. But its matrices did not show where
+# the damage is, because one input cannot correct both springs. Here each link has its own parameter.
 
 # %%
 example = examples.two_dof()
@@ -61,8 +62,8 @@ plt.show()
 
 # %% [markdown]
 # `q1-q2` is spring 2, `q2` spring 3 and `q1` spring 1. Both losses are right to a tenth of a percent. The
-# dotted lines are the detection limits: this record would have shown a loss of a quarter of a percent in
-# spring 2 but not of 15 % in the soft spring 1.
+# dotted lines are the detection limits. This record would have shown a loss of a quarter of a percent in
+# spring 2. It would not have shown one of 15 % in the soft spring 1.
 
 # %% [markdown]
 # ## 2. Six storeys, one accelerometer on the roof
@@ -103,10 +104,10 @@ plt.show()
 # The lower table ranks the paper's "collection of hypothesized damage scenarios", each refitted to the
 # record.
 #
-# Two things to know. First, a neighbor always absorbs a part of the damage: fitted alone, a wrong storey
-# "loses" a lot too. Second, when the *ground* shakes instead and only the roof is measured, several stiffness
-# distributions have exactly the same response. Of these the one with the fewest changes is given; the
-# message says so where another one was met.
+# Note two things. First, a neighbor always takes up a part of the damage: if a wrong storey is fitted alone,
+# it also "loses" a lot. Second, if the *ground* shakes and only the roof is measured, several stiffness
+# distributions have exactly the same response. `localize_damage` returns the one with the fewest changes, and
+# reports if it found another one.
 
 # %%
 shaken = {"force_map": None, "excitation": "base"}
@@ -118,14 +119,14 @@ for row in quake.named:
 print(quake.message)
 
 # %% [markdown]
-# ## 3. What the estimated motion buys
+# ## 3. The benefit of the estimated motion
 #
-# Before any refit, candidates can be ranked by regression: the force $f_j = -\Delta k_j d_j$ that a lost
-# stiffness at link j would exert is sent through the initial model and compared with the residual. That
-# needs the elongations $d_j$. Taking them from the *initial model* is wrong, since the damaged structure
-# moves differently. The paper's remedy is to estimate the true motion first (its stage 1).
+# Before any refit, a regression can rank the candidates. It sends the force $f_j = -\Delta k_j d_j$ of a lost
+# stiffness at link j through the initial model and compares the result with the residual. This requires the
+# elongations $d_j$. Those of the *initial model* are wrong, because the damaged structure moves differently.
+# The paper therefore estimates the true motion first (its stage 1).
 #
-# A lightly damped chain of three masses, one velocity sensor, loss in one spring at a time, 2 % noise, two
+# A lightly damped chain of three masses, one velocity sensor, a loss in one spring at a time, 2 % noise, two
 # records each.
 
 # %%
@@ -197,17 +198,17 @@ fig.suptitle("30 % loss in spring 2: only a good estimate of the motion tells th
 plt.show()
 
 # %% [markdown]
-# With the initial model's motion the ranking is no better than chance. With the motion that an observer
-# estimates from the record it is right each time. The paper's own stage 1 (its default settings) does not get
-# there on so lightly damped a chain: it inverts the path from force to sensor. That is why the estimates
-# here start from an observer, and refit the structure with the candidate inside.
+# With the motion of the initial model the ranking is no better than chance. With the motion that an observer
+# estimates from the record it is right each time. The paper's own stage 1 (its default settings) fails on so
+# lightly damped a chain, because it inverts the path from force to sensor. The estimates here therefore start
+# from an observer, and refit the structure with the candidate inside.
 
 # %% [markdown]
-# ## 4. Damage that grows while it is watched
+# ## 4. Damage that grows during the measurement
 #
-# The same building, its roof sensor alone, 3 % noise. From the first minute on storey 2 loses stiffness,
-# up to 20 % at the end of the third. `RCORefiner` with effects takes one sample after the other;
-# forgetting lets it follow, some ten seconds behind: longer memory would be smoother and later.
+# The same building with the roof sensor alone, 3 % noise. After the first minute storey 2 loses stiffness, up
+# to 20 % at the end of the third. `RCORefiner` with effects takes one sample after the other. With forgetting
+# it follows the change, some ten seconds late; a longer memory would be smoother and later.
 
 # %%
 rate, block = 200, 100
@@ -254,7 +255,7 @@ print(
 )
 
 # %% [markdown]
-# A block of the same record, judged with all care:
+# `localize_damage` on a block of the same record:
 
 # %%
 print(rco.localize_damage(healthy, stream.segment(200, 240)))

@@ -14,16 +14,16 @@
 # %% [markdown]
 # # 5. From a wrong model to physical parameters with error bars
 #
-# Notebook 3 ended with a model that behaves like the damaged structure but does not say which spring is
+# Notebook 3 ended with a model that behaves like the damaged structure but does not show which spring is
 # damaged. Here the same structure and the same kind of record give the two stiffnesses in N/m, each with an
-# error bar. What makes the difference: we name *what* may have changed (an effect) and *where* (a place).
+# error bar. The difference: we specify *what* may have changed (an effect) and *where* (a place).
 #
 # Four questions:
 #
 # 1. What are the stiffnesses?
 # 2. What does the error bar mean?
 # 3. What does it *not* mean?
-# 4. What can a record not see, however long it is?
+# 4. What can a record not show, however long it is?
 
 # %%
 import warnings
@@ -68,9 +68,9 @@ result = rco.refine(initial, data, suspects)
 result
 
 # %% [markdown]
-# In truth 1500 and 2000 N/m. The model started a factor of 15 away from it; both estimates lie within two
-# standard deviations. The refined model is an ordinary `StateSpace`; its frequency response runs through the
-# measured one, the initial one does not.
+# The true values are 1500 and 2000 N/m. The initial values were wrong by a factor of 15, and both estimates
+# are right within two standard deviations. The refined model is an ordinary `StateSpace`. Its frequency
+# response agrees with the measured one; that of the initial model does not.
 
 # %%
 cplt = result.bode_plot(data, title="The refined model runs through the measured points")
@@ -121,14 +121,15 @@ plt.show()
 print(f"95 % intervals that hold the truth: k2 {inside[0]:.0%}, k3 {inside[1]:.0%}")
 
 # %% [markdown]
-# The line was drawn from the error bars alone, without looking at the scatter. The two agree, and about 95 of
-# 100 intervals `row.interval` hold the truth. The errors of the two springs go together (right): a record
-# that makes one look too stiff makes the other look too soft. `result.covariance` knows that.
+# The line was computed from the error bars alone, without the scatter. The two agree, and about 95 of 100
+# intervals `row.interval` contain the true value. The errors of the two springs are correlated (right): a
+# record that makes one look too stiff makes the other look too soft. `result.covariance` contains this
+# correlation.
 #
 # ## 3. What does it not mean?
 #
-# The error bar says how far *another record* would move the estimate. It does not say that the model is
-# right. A cart with dry friction, refined with a model that knows viscous friction only:
+# The error bar shows how much *another record* would change the estimate. It does not show that the model is
+# right. Example: a cart with Coulomb (dry) friction, refined with a model that has viscous friction only:
 
 # %%
 dt = 0.02
@@ -173,13 +174,13 @@ print(f"viscous only:      c = {row.value:.2f} +- {row.std:.2f} N s/m")
 print(f"with dry friction: c = {home.value:.3f} +- {home.std:.3f} N s/m (truth: 2)")
 
 # %% [markdown]
-# Many standard deviations off, and nothing in the error bar says so: the *fit* and the residual do. With the
-# right effect the damping **comes home** to its true value. That is worth remembering: linear parameters that
-# return to what the drawing says, when an effect is added, speak for that effect.
+# The estimate is wrong by many standard deviations. The error bar does not show it, but the *fit* and the
+# residual do. With the right effect the damping **returns to its true value**. If adding an effect brings
+# linear parameters back to their design values, this supports the effect.
 #
-# ## 4. What can a record not see?
+# ## 4. What can a record not show?
 #
-# One mass between two springs. Soften the second one and measure the displacement.
+# One mass between two springs. We soften the second one and measure the displacement.
 
 # %%
 dt = 0.05
@@ -196,9 +197,9 @@ print()
 print(blind)
 
 # %% [markdown]
-# Both springs pull the mass in the same way: only their sum is in the record. `refine` says which combination
-# it cannot see, gives it an infinite error bar, and the fit is perfect all the same. No amount of data helps.
-# *Knowledge* does: if spring 1 is known to 1 N/m, say so with a prior.
+# Both springs pull the mass in the same way, so the record determines only their sum. `refine` names the
+# combination that it cannot estimate and gives it an infinite error bar. The fit is still perfect. More data
+# does not help, but prior *knowledge* does: if spring 1 is known to 1 N/m, pass it as a prior.
 
 # %%
 known = rco.Effect("stiffness", "link1", start={"stiffness": 0.0}, prior={"stiffness": 1.0})
@@ -235,10 +236,10 @@ ax.legend(loc="lower left", fontsize=8)
 plt.show()
 
 # %% [markdown]
-# ## What to take home
+# ## Summary
 #
-# * Name what may have changed and where: `refine` returns physical numbers in physical units.
-# * `std` is the scatter over repeated records, with coloured residuals allowed for.
-# * It is not a judgement of the model. Look at the fit and at the residual (`rco.compare`) first.
-# * An `IdentifiabilityWarning` names the combination that the record cannot see. More data of the same kind
-#   does not help; a prior, another sensor or another place of the force does.
+# * Specify what may have changed and where: `refine` returns physical parameters in physical units.
+# * `std` is the scatter over repeated records, with colored residuals allowed for.
+# * It does not validate the model. Look at the fit and at the residual (`rco.compare`) first.
+# * An `IdentifiabilityWarning` names the combination that the record cannot determine. More data of the same
+#   kind does not help. A prior, another sensor or another place of the force does.

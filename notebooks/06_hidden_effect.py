@@ -15,10 +15,10 @@
 # # 6. A hidden effect: which one, where, and how sure
 #
 # Three masses hang between two walls on four springs and dampers. A random force drives the first mass, and
-# one sensor reads its velocity. The model is right but for one thing, somewhere. The record below was made
-# with it, and the cell that made it is the only one that knows.
+# one sensor measures its velocity. The model lacks exactly one effect, somewhere. The cell below that
+# simulates the record contains it.
 #
-# The way: look at what the model misses, ask what could be missing, add it, and look again.
+# The steps: measure the misfit of the model, diagnose what is missing, add it, and validate.
 
 # %%
 import matplotlib.pyplot as plt
@@ -35,7 +35,7 @@ print(model)
 # %% [markdown]
 # ## The record
 #
-# 3000 samples at 100 Hz, with 3 % sensor noise. The equations are integrated by scipy, not by rcorefine.
+# 3000 samples at 100 Hz, with 3 % sensor noise. scipy integrates the equations, not rcorefine.
 
 
 # %%
@@ -63,13 +63,13 @@ before = rco.compare(model, data)
 print(before)
 
 # %% [markdown]
-# The model misses a part of the motion. Is that noise, or something in the structure?
+# The model does not explain a part of the motion. Is it noise, or an effect in the structure?
 #
 # ## What is missing?
 #
-# Eight laws at each of four links: 32 candidates. `diagnose` tests the residual, scores every candidate on
-# the motion that the record itself shows, refits the best of them in free run, and lets the winner pass the
-# same tests that the model failed.
+# Eight effects at each of four links: 32 candidates. `diagnose` first tests the residual. It then compares
+# all candidates on the motion estimated from the record, and refits the most probable ones. The best
+# candidate must pass the residual tests that the model failed.
 
 # %%
 laws = ["stiffness", "damping", "cubic_stiffness", "quadratic_stiffness"]
@@ -81,19 +81,20 @@ print(found)
 # %% [markdown]
 # ## The evidence
 #
-# Top left: how much each rival still misses after its own refit. Top right: the force at the winning place,
-# estimated by a smoother that was told *no* law, against the motion there. The line is the law that won;
-# the points did not have to lie on it. Bottom: what is left, in time and in frequency.
+# Top left: the error that remains after each candidate is refitted. Top right: the force at the place of the
+# best candidate against the motion there. A smoother estimated the points *without* a force law; the line is
+# the force law of the best candidate. The points need not agree with it. Bottom: the remaining residual, in
+# time and in frequency.
 
 # %%
 found.plot()
 plt.show()
 
 # %% [markdown]
-# ## Refine, and look again
+# ## Refine and validate
 #
-# The refined model holds the effect. On a second record, half as strong again and used for nothing so far,
-# it must be better than the model that we began with.
+# The refined model contains the effect. On a second, unused record with 1.5 times the force, it must be
+# better than the initial model.
 
 # %%
 better = found.refine()
@@ -103,8 +104,8 @@ after = rco.compare([model, better], fresh)
 print(after)
 
 # %% [markdown]
-# One question is left: is it *this* law, or one that only looks like it at this amplitude? Two records of
-# different strength answer that: a law that merely mimics the true one would need another coefficient.
+# One question remains: is it *this* force law, or one that is only similar at this amplitude? Two records of
+# different amplitude answer it: a force law that only imitates the true one would need another coefficient.
 
 # %%
 both = rco.diagnose(model, [data, fresh], candidates=candidates)
@@ -117,4 +118,5 @@ assert (both.best.effect.kind, both.best.effect.place) == secret
 assert abs(both.best.coefficients["cubic_stiffness"] - 2000.0) < 4 * both.best.std["cubic_stiffness"]
 
 # %% [markdown]
-# The secret was a hardening spring between masses 1 and 2, with 2000 N/m^3. The sensor never saw mass 2.
+# The hidden effect was a hardening spring between masses 1 and 2, with 2000 N/m^3. The motion of mass 2 was
+# not measured.

@@ -14,13 +14,13 @@
 # %% [markdown]
 # # 7. Measured records: a circuit and a positioning drive
 #
-# Nobody hid anything in these two records, and nobody knows the truth. Both are public benchmarks
-# (nonlinearbenchmark.org): the *Silverbox*, a circuit that behaves like a mass on a hardening spring, and
-# *EMPS*, a positioning drive with dry friction. Each starts from a linear model that a physicist would write
-# down; `improve` finds out what is missing, and judges itself on data that took part in nothing.
+# The true systems behind these two records are unknown. Both are public benchmarks (nonlinearbenchmark.org):
+# the *Silverbox*, a circuit that behaves like a mass on a hardening spring, and *EMPS*, a positioning drive
+# with Coulomb (dry) friction. Each starts from a linear model that follows from physics. `improve` finds what
+# is missing, and validates the result on held-out data.
 #
 # Put `SNLS80mV.mat` and `DATA_EMPS.mat` into a folder and name it in the environment variable
-# `RCOREFINE_DATA`. Where a file is absent its part is skipped, and says so.
+# `RCOREFINE_DATA`. If a file is absent, its part is skipped with a message.
 
 # %%
 import os
@@ -60,7 +60,8 @@ def climb(model, train, test, **options):
 # %% [markdown]
 # ## What happens between the samples?
 #
-# A record holds the input at its samples only. The same samples, read in the three ways that rcorefine knows:
+# A record contains the input at its samples only. The picture shows the same samples with the three holds of
+# rcorefine:
 
 # %%
 t = np.arange(24)
@@ -77,13 +78,14 @@ plt.show()
 # %% [markdown]
 # ## The Silverbox
 #
-# $\ddot y + 41.8\,\dot y + 1.84\cdot 10^5 y = 1.94\cdot 10^5 u$, a circuit; here we believe its numbers to be
-# 20 % larger than they are. How the input runs between the samples is not told either. It is part of the
-# model: with the wrong answer the hardening spring hides behind half a sample of delay. `improve` tries the
-# three holds before it ranks anything.
+# $\ddot y + 41.8\,\dot y + 1.84\cdot 10^5 y = 1.94\cdot 10^5 u$ describes the circuit. The initial model here
+# has these parameters 20 % too large. The hold of the input between the samples is also unknown. It is part
+# of the model: with a wrong hold, half a sample of delay masks the hardening spring. `improve` tries the
+# three holds before it ranks any effect.
 #
-# The multisine part of the record has 87 000 samples. To keep this short, 2500 are learned from and 2000
-# later ones judge, and springs and dampers are offered; `benchmarks/real_ladders.py` uses all of both.
+# The multisine part of the record has 87 000 samples. To save time, 2500 are used for the fit and 2000 later
+# ones for validation, and only springs and dampers are candidates. `benchmarks/real_ladders.py` uses all
+# samples and all effects.
 
 # %%
 silverbox = records("SNLS80mV.mat")
@@ -116,8 +118,8 @@ if silverbox is not None:
     plt.show()
 
 # %% [markdown]
-# The two models fitted under each hold, on the samples that were kept apart and on the *arrow*, another
-# experiment of the same authors, whose amplitude grows beyond everything above.
+# The errors of both models under each hold: on the held-out samples, and on the *arrow*, another experiment
+# of the same authors. Its amplitude grows beyond that of all data above.
 
 # %%
 if silverbox is not None:
@@ -134,14 +136,15 @@ if silverbox is not None:
         print(line)
 
 # %% [markdown]
-# In print, with models of many more parameters: 0.30 to 0.36 mV on the multisine, 0.26 mV on the arrow.
+# Published results, from models with many more parameters: 0.30 to 0.36 mV on the multisine, 0.26 mV on the
+# arrow.
 #
 # ## The positioning drive
 #
-# $M\ddot q + F_v\dot q = \tau$ with the published mass and viscous friction. An integrator: a free run over
-# the whole record drifts with the smallest error of the force, so parts of the record are judged in short
-# windows. The first 60 % teach, the rest judges. To keep this short: 100 samples per second, friction and
-# dampers offered, one effect added.
+# $M\ddot q + F_v\dot q = \tau$ with the published mass and viscous friction. The drive integrates, so a
+# simulation of the whole record drifts with the smallest error of the force. Validation therefore uses short
+# windows. The first 60 % are used for the fit, the rest for validation. To save time: 100 samples per second,
+# friction and dampers as candidates, one added effect.
 
 # %%
 emps = records("DATA_EMPS.mat")
@@ -180,10 +183,10 @@ if emps is not None:
     plt.show()
 
 # %% [markdown]
-# Each step in windows of one second, started at the measured position and speed, on the part kept apart, and
-# as a free run over the whole record, for which 2.64 mm are in print. A row "tied with" names what the record
-# cannot tell from the effect that was added: here friction that differs by direction is plain friction beside
-# a constant force, which every fit has.
+# The errors of each step: in windows of one second on the held-out data, started at the measured position and
+# speed, and in one simulation of the whole record. The published error of the latter is 2.64 mm. A row "tied
+# with" lists the effects that the data cannot distinguish from the added one. Here, friction that differs by
+# direction equals Coulomb friction plus a constant force, and every fit includes a constant force.
 
 # %%
 if emps is not None:
@@ -206,10 +209,10 @@ if emps is not None:
             print("    tied with " + ", ".join(effect.label for effect in step.rivals))
 
 # %% [markdown]
-# ## What to keep in mind
+# ## Summary
 #
-# * The hold comes first. It costs nothing to test, and a wrong one looks like physics.
-# * A linear fit imitates what is missing: the sentence "linear parameters, model | alone -> with the effects"
-#   shows them on their way home.
-# * On real records a verdict of *unexplained* is the rule: with thousands of clean samples the residual still
-#   says something. The error on data kept apart tells whether that matters.
+# * Determine the hold first. The test is cheap, and a wrong hold looks like a physical effect.
+# * A linear fit imitates what is missing: with the effects added, the linear parameters return toward their
+#   physical values.
+# * On measured records *unexplained* is the usual verdict: with thousands of samples of low noise, some
+#   residual test is significant. The error on held-out data shows whether it matters.

@@ -12,13 +12,13 @@
 # ---
 
 # %% [markdown]
-# # 8. The plants of a control course, before and after: why it works, and when not
+# # 8. The plants of a control course: before and after, why it works, and when not
 #
-# Thirteen models that every control course uses, their parameters 10 to 50 % off, one noisy record each.
-# `RCORefiner(model, dt=dt)` gets nothing else. Then the reasons, each with a picture:
+# Thirteen models that every control course uses, with parameters wrong by 10 to 50 %, and one noisy record
+# each. `RCORefiner(model, dt=dt)` gets nothing else. The sections explain the results with a picture each:
 #
 # 1. What do the two stages do?
-# 2. What do zeros and the window have to do with it?
+# 2. How do zeros and the window affect the result?
 # 3. What is a *matched* uncertainty?
 # 4. What if the structure itself is wrong?
 # 5. When does it not work?
@@ -150,7 +150,7 @@ def fit(model, data):
 # %% [markdown]
 # ## Thirteen plants
 #
-# 70 % of each record is learned, the rest predicted in a free run.
+# 70 % of each record is used for the fit. The rest is simulated from its initial state.
 
 # %%
 rows = []
@@ -173,14 +173,14 @@ fig.legend(loc="outside lower center", ncols=3)
 plt.show()
 
 # %% [markdown]
-# The refined models predict as well as the true ones: what is left is sensor noise.
+# The refined models predict as well as the true ones: the remaining error is sensor noise.
 #
 # ## 1. The two stages
 #
-# Stage 1 puts a dynamic correction in feedback with the *initial* model, so that the simulated output
-# follows the measured one. The static stage learns constants: here entries of A and B, each sample with the
-# response of the model *as it is refined so far*. Its error falls to the noise within some hundred samples,
-# and its poles arrive at those of the plant.
+# Stage 1 puts a dynamic correction in feedback with the *initial* model, so that the simulated output follows
+# the measured one. The static stage estimates constants, here entries of A and B. At each sample it uses the
+# response of the model *as refined so far*. Its error falls to the noise within some hundred samples, and its
+# poles converge to those of the plant.
 
 # %%
 true, start, dt = pair("motor, all off")
@@ -197,11 +197,10 @@ print(refiner)
 # %% [markdown]
 # ## 2. Zeros and the window
 #
-# The paper's form knows the path from the correction to the output by a few Markov parameters of the
-# initial model, $\mu$ of them, and its least squares by a sliding window of $p$ samples. Minimizing the
-# retrospective cost inverts that truncated path. Where the path has zeros near the unit circle its inverse
-# hardly decays: a few Markov parameters then stand for another system, and a short window sees too little
-# of the answer.
+# The paper's form describes the path from the correction to the output by the first $\mu$ Markov parameters
+# of the initial model. Its least squares use a sliding window of $p$ samples. Minimizing the retrospective
+# cost inverts the truncated path. If the path has zeros near the unit circle, its inverse hardly decays. A
+# few Markov parameters then describe another system, and a short window contains too little of the response.
 
 # %%
 settings = {"1, 100": (1, 100, 100.0), "40, 400": (40, 400, 1e4), "20, 800": (20, 800, 1e5)}
@@ -227,16 +226,16 @@ for name in names:
     print(line + f" {fit(joint, test):9.1f}")
 
 # %% [markdown]
-# (mu, p in the head; nan: diverged; -100: the refined model runs away.) Without a zero any setting works.
-# With one near the circle a long window and a slow rate help; on lightly damped structures and integrators
-# nothing does. The joint filter needs neither: in the place of Markov parameters it has the exact response
-# of the present refined model, and in the place of the window a covariance that remembers all samples.
+# The columns give mu and p; nan means diverged, and -100 that the refined model is unstable. Without a zero
+# any setting works. With one near the circle a long window and a slow rate help; on lightly damped structures
+# and integrators nothing does. The joint filter needs neither. Instead of Markov parameters it uses the exact
+# response of the present refined model. Instead of the window it uses a covariance that includes all samples.
 #
 # ## 3. Matched and unmatched
 #
-# A correction $u = \theta [x; w]$ through B reaches what stands in the columns of B: one row of A for a
-# single force. The mass has all its parameters there (*matched*). In the quarter car the force of the road
-# acts on the wheel, and the body's row of A is out of its reach (*unmatched*).
+# A correction $u = \theta [x; w]$ through B changes only the rows of A that the columns of B reach: one row
+# for a single force. All parameters of the mass are in that row (*matched*). In the quarter car the force of
+# the road acts on the wheel, so the correction cannot change the body's row of A (*unmatched*).
 
 # %%
 fig, axes = plt.subplots(1, 2, figsize=(8, 3.2), layout="constrained")
@@ -257,13 +256,13 @@ axes[0].set_ylabel("magnitude")
 plt.show()
 
 # %% [markdown]
-# ## 4. A wrong structure, and the race
+# ## 4. A wrong structure, and the choice of the form
 #
-# A mass behind a slow sensor, whose lag the model does not have: no value of mass, damping and stiffness is
-# right. The entries "nonzero" can do no more than compromise; all entries of the discrete model
-# ("discrete") get nearer, since they also change how the sensor reads the states. Each form is frozen, runs
-# free over the next stretch, and the one that predicts best is `.system`. The initial model takes part:
-# where nothing predicts better, it stays.
+# A mass is measured by a slow sensor, whose lag the model does not have. No value of mass, damping and
+# stiffness is right. The entries "nonzero" allow only a compromise. All entries of the discrete model
+# ("discrete") fit better, since they also change how the sensor reads the states. Each form is frozen and
+# simulated over the next stretch of data, and the best one becomes `.system`. The initial model is compared,
+# too: it stays if no form predicts better.
 
 # %%
 true, start, dt = pair("mass, position")
@@ -279,16 +278,16 @@ print(f"initial           fit {fit(start, test):5.1f} %")
 print({name: round(score, 1) for name, score in refiner.scores.items()})
 
 # %% [markdown]
-# What is missing, a refinement of the same order cannot say; `rcorefine.diagnose` can (notebook 6).
+# A refinement of the same order cannot show what is missing; `rcorefine.diagnose` can (notebook 6).
 #
 # ## 5. When it does not work
 #
-# * **Nothing moves.** What the input does not excite keeps its initial value, and its standard deviation
-#   says so.
-# * **The record means something else at first.** A motor that rests in its dead zone says that voltage has
-#   no effect, and says it with certainty. Once it turns, the innovations are far beyond what the filter was
-#   sure of, and it begins anew. The linear model is then that of the turning motor; the dead zone itself is
-#   an effect (`input_deadzone`), which no linear model holds.
+# * **No excitation.** What the input does not excite keeps its initial value, and its standard deviation
+#   shows it.
+# * **The record misleads at first.** While a motor rests in its dead zone, the voltage has no effect. The
+#   estimated gain is near zero, with a small standard deviation. Once the motor turns, the innovations are
+#   much larger than the filter expects, and the filter restarts. The linear model then describes the turning
+#   motor. The dead zone itself is an effect (`input_deadzone`), which no linear model contains.
 
 # %%
 true, start, dt = pair("motor, all off")
@@ -312,10 +311,11 @@ axes[1].legend()
 plt.show()
 
 # %% [markdown]
-# ## What to remember
+# ## Summary
 #
-# * Leave the settings alone: a model, `dt`, a record in which the input moves.
-# * `print(refiner)` says which form was taken, by which figures, and what the samples cannot tell.
-# * `refiner.bode_plot(data)` shows initial, refined and measured response, with the band in which the
-#   refined one is known.
-# * By the paper's own equations (`window`, `markov`, ...) the path's zeros, the window and matching decide.
+# * Keep the default settings: pass a model, `dt`, and a record in which the input moves.
+# * `print(refiner)` shows the chosen form, the fits that decided, and what the samples cannot determine.
+# * `refiner.bode_plot(data)` shows initial, refined and measured response, with the uncertainty band of the
+#   refined one.
+# * With the paper's own equations (`window`, `markov`, ...), the result depends on the zeros of the path, the
+#   window and matching.

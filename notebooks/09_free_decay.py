@@ -14,12 +14,11 @@
 # %% [markdown]
 # # 9. Free decays: a pendulum and a ship
 #
-# Many laboratories release a system and watch it come to rest. Such a record has no input. This notebook
-# finds what a linear model of a pendulum lacks, and then looks at a ship model that was released in roll.
+# Many laboratories release a system and record its decay. Such a record has no input. This notebook finds
+# what a linear model of a pendulum lacks. It then analyzes a ship model that was released in roll.
 #
-# The ship record is public (MIT license, Martin Alexandersson; model tests by SSPA). Put `rolldecay.csv`
-# into a folder and name the folder in the environment variable `RCOREFINE_DATA`; without it that part is
-# skipped.
+# The ship record is public (MIT license, Martin Alexandersson; model tests by SSPA). Put `rolldecay.csv` into
+# a folder and name the folder in the environment variable `RCOREFINE_DATA`. Without it this part is skipped.
 
 # %%
 import os
@@ -38,8 +37,8 @@ plt.rcParams.update({"figure.dpi": 80})
 # %% [markdown]
 # ## The pendulum
 #
-# The linear model holds for small angles, and its bearing has viscous friction only. The true pendulum
-# swings to 50 degrees, and its bearing has dry friction, too.
+# The linear model holds for small angles, and its bearing has viscous friction only. The true pendulum swings
+# to 50 degrees, and its bearing also has Coulomb (dry) friction.
 
 # %%
 model = ct.ss(
@@ -66,18 +65,18 @@ print(compared)
 shown = compared.plot("decay")
 
 # %% [markdown]
-# The picture says two things. Measured amplitudes fall along a curve that bends down on the logarithmic
-# axis: dry friction takes the same from each half cycle, so the damping ratio grows as the amplitude
-# falls. And the frequency falls with the amplitude: the restoring torque grows less than the angle.
+# The picture shows two things. First, the measured amplitudes bend down on the logarithmic axis. Coulomb
+# friction takes the same amount from each half cycle, so the damping ratio grows as the amplitude falls.
+# Second, the frequency depends on the amplitude: the restoring torque grows less than the angle.
 
 # %%
 found = rco.diagnose(model, data)
 print(found)
 
 # %% [markdown]
-# Both are named: Coulomb friction and gravity, whose torque follows the sine of the angle. `improve` adds
-# them one by one and judges them on the last part of the motion. A second release from another angle must
-# give the same coefficients.
+# `diagnose` names both effects: Coulomb friction, and gravity, whose torque follows the sine of the angle.
+# `improve` adds them one by one and validates them on the last part of the motion. A second release from
+# another angle must give the same coefficients.
 
 # %%
 steps = rco.improve(model, data)
@@ -89,8 +88,8 @@ shown = rco.compare([model, better], data).plot("decay")
 # %% [markdown]
 # ## The ship
 #
-# The model is a mass on a spring with linear damping. Ship hydrodynamics predicts a part of the damping
-# that grows with the amplitude.
+# The model is a mass on a spring with linear damping. Ship hydrodynamics predicts a part of the damping that
+# grows with the amplitude.
 
 # %%
 path = Path(os.environ.get("RCOREFINE_DATA", ".")) / "rolldecay.csv"
@@ -113,7 +112,7 @@ else:
     print("skipped: rolldecay.csv is not in the folder that RCOREFINE_DATA names")
 
 # %% [markdown]
-# The damping ratio rises with the amplitude, and the frequency, too: the righting moment of this hull
-# grows more than the angle. `diagnose` calls the full record *unexplained*, for a reason: below 6 degrees
-# the damping ratio no longer falls, and a power of the speed fits the rest better than its square. What it
-# lists are pairs of a nonlinear damping and a stiffening spring.
+# The damping ratio rises with the amplitude. The frequency rises, too: the righting moment of this hull grows
+# more than the angle. `diagnose` calls the full record *unexplained*, for two reasons. Below 6 degrees the
+# damping ratio no longer falls, and a power of the speed fits the rest better than its square. The candidates
+# that it lists are pairs of a nonlinear damping and a stiffening spring.

@@ -88,7 +88,7 @@ def unit_rows(w, y, model=ROTOR, **units):
 def test_a_gain_near_a_unit_is_no_unit_for_certain(gain, seed):
     (row,) = unit_rows(*spun(gain, seed=seed))
     assert row.status == "look"
-    assert "a gain, or numbers that are off" in row.sentence
+    assert "a wrong gain or parameter value" in row.sentence
     assert "m/s^2" not in row.sentence
 
 
@@ -116,7 +116,7 @@ def test_declared_units_are_certain_and_are_converted_in_one_line():
     w, y = spun()
     (row,) = unit_rows(w, y, model, output_units="rpm")
     assert row.status == "look"
-    assert "either is declared wrong" in row.sentence
+    assert "one unit is declared wrong" in row.sentence
     # and where the same unit is declared twice, nothing is to be converted
     assert unit_rows(w, y, model, output_units="rad/s") == []
     (row,) = unit_rows(w, y * 1e3, rco.physical(ROTOR, units={"speed": "V"}), output_units="mV")
@@ -242,7 +242,7 @@ def test_information_says_what_would_be_seen():
     std = 0.02 * run.std() / np.linalg.norm(run - run.mean())
     assert 4 * std < smallest < 8 * std
     assert found.to_dict()["rows"][0]["status"] == "ok"
-    assert "Would show" in str(found)
+    assert "that it would show" in str(found)
 
 
 def test_what_is_odd_takes_three_lines_above_an_answer():

@@ -118,7 +118,7 @@ def test_a_record_may_begin_in_motion():
         result = rco.compare(MAGNET, late, controller=PID)
         assert result.looped, kept
         assert result.rmse[0] < 1e-8, kept  # the integrator held something, which is found
-        assert "in the loop" in str(result)
+        assert "in closed loop" in str(result)
 
 
 def test_refine_finds_the_numbers_and_keeps_the_controller():
@@ -127,7 +127,7 @@ def test_refine_finds_the_numbers_and_keeps_the_controller():
     row = better.parameters[0]
     assert abs(row.value - 0.8) < 4 * row.std < 0.05
     assert better.led
-    assert "one sample ahead (compare and simulate run the loop)" in better.message
+    assert "one sample ahead; compare and simulate run the closed loop" in better.message
     assert better.system.nstates == better.nonlinear.nstates == 2  # the plant alone
     assert rco.compare(better, test).rmse[0] < 0.015 < rco.compare(MAGNET, test, controller=PID).rmse[0]
     assert better.simulate(test).states.shape == (2, test.n_samples)

@@ -209,7 +209,7 @@ def test_verdict_and_files(served, visitor):
     visitor.press("Diagnose the present model")
     said = visitor.until("text('p').find(t => ['PARAMETERS', 'EFFECT', 'AMBIGUOUS'].includes(t))")
     assert said == rco.diagnose(chain(), record()).verdict.upper()
-    assert visitor.js("text('summary').includes('All that was looked at')")
+    assert visitor.js("text('summary').includes('All checks')")
     visitor.press("Make the report")
     visitor.until("all('a').some(a => shown(a) && a.innerText.includes('report of step 0'))", "the report")
     visitor.settled()
@@ -456,7 +456,7 @@ def test_warnings_of_a_fit_stand_under_the_steps(monkeypatch):
 
 def test_shows_itself_in_a_notebook():
     page = rco.explore(chain(), record(200))
-    assert "missed after 0 steps" in repr(page)
+    assert "error after 0 steps" in repr(page)
 
 
 def test_the_extra_is_named_where_it_is_missing(monkeypatch):

@@ -131,7 +131,7 @@ def test_an_input_of_one_sign_has_no_sides(power):
     made = response(1.3 * w**power)
     found = rco.compare(SPRING, Measurement(w, made.outputs, dt=STEP)).failures
     said = " ".join(row.sentence for row in found)
-    assert "two sides" not in said
+    assert "positive and negative" not in said
     assert "both signs" not in said
     assert "both sides" not in said
     assert found[0].measure == ("gain" if power == 1.0 else "curvature")

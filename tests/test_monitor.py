@@ -259,7 +259,7 @@ def test_refined_model_with_friction_inside_is_healthy():
     # without the friction the model is wrong from the start, and that is said
     bare = rco.Monitor(model, candidates, dt=dt, learn=1500, disturbance=0.0)
     bare.update(w[:3000], y[:3000])
-    assert "at link1 or the like is missing" in bare.remarks[0]
+    assert "at link1 or a similar effect is missing" in bare.remarks[0]
     assert "refine" in str(bare)
     assert monitor.remarks == ()
 

@@ -185,7 +185,7 @@ def test_check_says_which_of_the_two_a_record_looks_like():
     assert level(car(F_DRAG), data)[0] == "ok"
     assert level(car(F_DRAG), bare)[0] == "look"
     assert "as it was measured" in level(car(F_DRAG), bare)[1]
-    assert "looks absolute" in level(rco.physical(car(F_DRAG).system), data)[1]
+    assert "look like absolute values" in level(rco.physical(car(F_DRAG).system), data)[1]
     assert "deviations" in level(rco.physical(car(F_DRAG).system), bare)[1]
 
 

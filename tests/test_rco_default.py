@@ -402,7 +402,7 @@ def test_what_was_chosen_and_why_is_said():
     refiner.update(w, y)
     text = " ".join(str(refiner).split())
     assert f"form {refiner.form!r}" in text
-    assert "had not seen" in text
+    assert "held-out samples" in text
     for name in ("nonzero", "input", "discrete", "initial"):
         assert f"{name} " in text
         assert name in refiner.scores

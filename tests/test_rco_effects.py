@@ -400,7 +400,7 @@ def test_what_is_not_excited_is_said():
     refiner = only_effects(model, 0.02, [Effect("input_gain", label) for label in model.system.input_labels])
     refiner.update(w, held(model, w, 0.02))
     assert (
-        f"Not excited: the samples say next to nothing about input_gain at {model.system.input_labels[1]}"
+        f"Not excited: the samples hardly determine input_gain at {model.system.input_labels[1]}"
         in " ".join(str(refiner).split())
     )
 

@@ -90,7 +90,7 @@ def run_check(arguments: Namespace) -> int:
     """
     model, data, _ = opened(arguments)
     found = check(model, data)
-    title = [f"{row.status.upper()}: {row.sentence}" for row in found.looks[:3]] or ["Nothing odd"]
+    title = [f"{row.status.upper()}: {row.sentence}" for row in found.looks[:3]] or ["No problem found"]
     draw = partial(data.plot, title="\n".join(wrapped(title)))
     return finish(arguments, found.stops, [row.sentence for row in found.looks], found, data, draw=draw)
 

@@ -70,13 +70,13 @@ def run_demo(output: Path | str, *, seed: int = 1, progress: bool = True) -> Non
     candidates = [Effect(law, f"link{i}") for i in (1, 2, 3) for law in LAWS]
     data = _record(model, {friction: FRICTION}, rng, "first test")
     train, test = data.split(TRAINING)
-    _title("A structure, a record of it, and a model that lacks something")
+    _title("A structure, its record, and a model in which an effect is missing")
     _say(
-        "Two masses hang between two walls on three springs and dampers. A random force drives the "
-        f"first mass, and one sensor reads its velocity: {N_SAMPLES} samples, {1e3 * DT:g}~ms apart, "
-        f"with {100 * NOISE:g}~% of noise. Masses, springs and dampers of the model are right, but the "
-        f"structure does something that the model does not. The first {100 * TRAINING:g}~% of the record "
-        "are to learn from, the rest to judge by."
+        "Two masses hang between two walls on three springs and dampers. A random force drives the first "
+        f"mass, and one sensor reads its velocity: {N_SAMPLES} samples, {1e3 * DT:g}~ms apart, with "
+        f"{100 * NOISE:g}~% of noise. Masses, springs and dampers of the model are right, but one effect of "
+        f"the structure is missing. The first {100 * TRAINING:g}~% of the record are for fitting, the rest "
+        "for validation."
     )
 
     _title("1. Compare the model with the measurement")
@@ -85,7 +85,9 @@ def run_demo(output: Path | str, *, seed: int = 1, progress: bool = True) -> Non
     _say(_where_it_fails(before))
 
     _title("2. What is missing?")
-    _say(f"{len(LAWS)} laws at 3 links are {len(candidates)} answers. Which one does the record support?\n")
+    _say(
+        f"{len(LAWS)} effects at 3 links give {len(candidates)} candidates. Which one explains the record?\n"
+    )
     found = diagnose(model, train, candidates=candidates, progress=progress)
     _write(str(found))
 
@@ -98,9 +100,9 @@ def run_demo(output: Path | str, *, seed: int = 1, progress: bool = True) -> Non
     _write(str(after))
     first, last = (float(fit) for fit in np.ravel(after.fit))
     _say(
-        f"The fit rises from {first:.1f}~% to {last:.1f}~%. With {100 * NOISE:g}~% of noise "
-        f"even the true model would stop at about {100 * (1 - NOISE):.0f}~%. The secret: {FRICTION:g}~N "
-        "of dry friction at link2, between the two masses, where there is no sensor."
+        f"The fit rises from {first:.1f}~% to {last:.1f}~%. With {100 * NOISE:g}~% of noise even the true "
+        f"model would reach only about {100 * (1 - NOISE):.0f}~%. The true effect is {FRICTION:g}~N of dry "
+        "friction at link2, between the two masses, where there is no sensor."
     )
 
     _title("5. Two things at once: improve, step by step")
@@ -112,10 +114,11 @@ def run_demo(output: Path | str, *, seed: int = 1, progress: bool = True) -> Non
     ladder = improve(model, later, candidates=candidates, progress=progress)
     _write(str(ladder))
 
-    _title("6. Take it along")
+    _title("6. Use the refined model")
     _say(
         "The linear part of each refined model is a control.StateSpace with the signal names and the "
-        "timebase of the first one. It goes on into control.bode_plot, control.feedback, and the rest:"
+        "timebase of the first one. Use it with control.bode_plot, control.feedback and the rest of "
+        "python-control:"
     )
     _write(f"\n{better.system}\n")
     for name, words in _draw([model, better], test, before, found, ladder, folder).items():
@@ -137,7 +140,7 @@ def _where_it_fails(comparison: Comparison) -> str:
     """The most telling row of the failure map, in words."""
     rows = comparison.failures.rows
     if not rows:
-        return "Where does it fail? Nowhere that this record could show."
+        return "Where does it fail? The record shows no significant failure."
     return f"Where does it fail? {rows[0].sentence}"
 
 
@@ -155,8 +158,8 @@ def _draw(
     axes = left.subplots(2, 1, sharex=True, squeeze=False, height_ratios=(2, 1))
     stretch = test.segment(test.timepts[0], test.timepts[0] + STRETCH)
     compare(models, stretch).plot(ax=axes)
-    left.suptitle("One effect missing: held-out record, both models, what is left over")
-    right.suptitle("Two changes at once: each step takes its part of the error")
+    left.suptitle("One effect missing: held-out record, both models, residuals")
+    right.suptitle("Two changes at once: error after each step")
     ladder.plot(ax=right.subplots(), title="")
     pictures = {
         "overview.png": (overview, 100),
@@ -170,13 +173,13 @@ def _draw(
     found.report(folder / "report.html")
     plt.close("all")
     return {
-        "overview.png": f"{STRETCH:g} s of the held-out record, both models, what is left over; beside it "
-        "the staircase",
+        "overview.png": f"{STRETCH:g} s of the held-out record, both models and their residuals; beside "
+        "them the error after each step",
         "map.png": "where the model fails, over time, frequency, state and place",
-        "diagnosis.png": "the rivals; the hidden force against the motion, estimated without any law; what "
-        "is left over",
-        "report.html": "the diagnosis on one page: to read, to send, to print",
-        "staircase.png": "the error on data that took part in nothing, after each effect that was added",
+        "diagnosis.png": "the candidates; the hidden force against the motion, estimated without any "
+        "formula; the residuals",
+        "report.html": "the diagnosis on one page",
+        "staircase.png": "the error on held-out data after each added effect",
     }
 
 

@@ -36,12 +36,12 @@ __all__ = [
 def record_options(parser: argparse.ArgumentParser) -> None:
     """Add the options for the columns of the record and held-out data."""
     apart = columns_options(parser).add_mutually_exclusive_group()
-    apart.add_argument("--validation", type=Path, metavar="DATA2", help="another record to judge by")
+    apart.add_argument("--validation", type=Path, metavar="DATA2", help="another record for validation")
     apart.add_argument(
         "--split",
         type=_share,
         metavar="SHARE",
-        help="fit this share of the record, judge by the rest (compare: only the rest is compared)",
+        help="fit this share of the record and validate on the rest (compare: only the rest is compared)",
     )
 
 
@@ -52,14 +52,16 @@ def columns_options(parser: argparse.ArgumentParser) -> Any:
         "--input",
         action=Names,
         metavar="NAME",
-        help="columns of the inputs: by the model's names, or by others in the model's order; repeat it, or "
-        "separate names by commas (default: the model's names)",
+        help="columns of the inputs: the model's names, or other names in the model's order; repeat the "
+        "option, or separate names by commas (default: the model's names)",
     )
     group.add_argument("--output", action=Names, metavar="NAME", help="columns of the outputs, likewise")
     group.add_argument(
         "--time", metavar="NAME", help="column of times in s (default: time, unless --dt is given)"
     )
-    group.add_argument("--dt", type=_positive, metavar="SECONDS", help="sampling time, in place of --time")
+    group.add_argument(
+        "--dt", type=_positive, metavar="SECONDS", help="sampling time in s, in place of --time"
+    )
     group.add_argument(
         "--decimal",
         choices=(".", ","),
@@ -69,7 +71,7 @@ def columns_options(parser: argparse.ArgumentParser) -> Any:
         "--hold",
         choices=HOLDS,
         default="zoh",
-        help="how the input runs between samples: constant, in straight lines, or smoothly (default: "
+        help="course of the input between samples: constant, straight lines, or smooth (default: "
         "%(default)s)",
     )
     return group
@@ -81,13 +83,14 @@ def horizon_option(parser: Any) -> None:
         "--horizon",
         type=_positive,
         metavar="SECONDS",
-        help="start anew every so many seconds (default: a tenth of the record where the model integrates)",
+        help="restart the simulation every so many seconds (default: a tenth of the record if the model "
+        "integrates)",
     )
 
 
 def search_options(parser: argparse.ArgumentParser, *, places: bool = False) -> None:
     """Add the options for candidate effects and free parameters."""
-    group = parser.add_argument_group("what may be missing")
+    group = parser.add_argument_group("candidate effects")
     words = "names of links" if places else "kinds (coulomb_friction), places (link2), or kind@place"
     group.add_argument(
         "--candidates",
@@ -104,7 +107,7 @@ def search_options(parser: argparse.ArgumentParser, *, places: bool = False) -> 
         type=_share,
         default=0.01,
         metavar="LEVEL",
-        help="rate of false alarms where nothing is missing (default: %(default)s)",
+        help="rate of false alarms if nothing is missing (default: %(default)s)",
     )
 
 
@@ -114,7 +117,7 @@ def free_option(group: Any) -> None:
         "--free",
         action=Names,
         metavar="NAME",
-        help="parameters to estimate along: linear for all of them, or their names",
+        help="parameters to re-estimate together with the effect: linear for all of them, or their names",
     )
 
 
@@ -131,7 +134,7 @@ def fit_options(group: Any) -> None:
         "--no-offset",
         dest="offset",
         action="store_false",
-        help="the sensors have no constant offset to be estimated",
+        help="do not estimate constant sensor offsets",
     )
     group.add_argument(
         "--noise",
@@ -145,19 +148,19 @@ def fit_options(group: Any) -> None:
 
 def output_options(parser: argparse.ArgumentParser, *, report: bool = True) -> Any:
     """Report, picture and JSON."""
-    group = parser.add_argument_group("what comes out")
+    group = parser.add_argument_group("output")
     picture_option(group)
     json_option(group)
     if report:
         group.add_argument("--report", type=Path, metavar="FILE", help="write an HTML report")
-        group.add_argument("--overwrite", action="store_true", help="replace FILE even where it is no report")
+        group.add_argument("--overwrite", action="store_true", help="replace FILE even if it is not a report")
     return group
 
 
 def picture_option(parser: Any) -> None:
     """Add the option for the file of the picture."""
     parser.add_argument(
-        "--picture", type=_picture, metavar="FILE", help="draw what was found (.png, .svg or .pdf)"
+        "--picture", type=_picture, metavar="FILE", help="draw the result (.png, .svg or .pdf)"
     )
 
 

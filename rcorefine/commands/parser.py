@@ -28,7 +28,7 @@ __all__ = ["build_parser"]
 
 _EXIT_CODES = (
     "exit codes: 0 adequate, nothing found; 1 something found; 2 wrong usage, or a file that cannot be used "
-    "(the message is on standard error); 3 a fault of the program"
+    "(the message is on standard error); 3 an internal error"
 )
 _DEMO_CODES = "exit codes: 0 all went well, 1 the work failed (the message says why), 2 wrong usage"
 _MODEL = (
@@ -91,7 +91,7 @@ def build_parser() -> argparse.ArgumentParser:
     """
     parser = argparse.ArgumentParser(
         prog="rcorefine",
-        description="Find out why a linear model and a measured record disagree, and mend the model.",
+        description="Find out why a linear model and a measured record disagree, and correct the model.",
         epilog=_EXIT_CODES,
     )
     parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
@@ -113,11 +113,11 @@ def build_parser() -> argparse.ArgumentParser:
 def _demo(commands: Any) -> None:
     demo = commands.add_parser(
         "demo",
-        help="run the loop on an example: compare, diagnose, refine, improve",
+        help="run the workflow on an example: compare, diagnose, refine, improve",
         description=(
-            "Run the loop on a structure with friction that its model lacks: compare the model with a noisy "
-            "record, diagnose, refine, and compare again on data that the refinement has not seen; then the "
-            "same with two effects, step by step. Takes up to a minute."
+            "Run the workflow on a structure whose model lacks friction: compare the model with a noisy "
+            "record, diagnose, refine, and compare again on held-out data. Then do the same with two "
+            "effects, step by step. Takes up to a minute."
         ),
         epilog=_DEMO_CODES,
     )
@@ -126,7 +126,7 @@ def _demo(commands: Any) -> None:
         type=Path,
         default=Path("rcorefine-demo"),
         metavar="FOLDER",
-        help="folder for the pictures, made if it is absent (default: %(default)s)",
+        help="folder for the pictures, created if absent (default: %(default)s)",
     )
     seed_option(demo, "the excitation and the noise, 0 or larger")
     demo.add_argument("--quiet", action="store_true", help="no progress bar")
@@ -137,8 +137,8 @@ def _compare(commands: Any) -> None:
         commands,
         "compare",
         "how well one or several models explain a record, and where they fail",
-        "Free run of each model over the record, its initial state estimated: fit in percent, typical "
-        "error, and where the best of the models fails.",
+        "Simulate each model over the record from its estimated initial state (free run). Print the fit in "
+        "percent, the typical error, and where the best model fails.",
         several=True,
     )
     parser.add_argument(
@@ -152,10 +152,10 @@ def _check(commands: Any) -> None:
     parser = _reading(
         commands,
         "check",
-        "what is odd about a record, before anything else",
-        "Look over the record and the model beside it: units, sign and gain, delay, offset, drift, "
-        "clipping, sampling, closed loop, and the smallest effects that the record could show. The "
-        "picture shows its signals.",
+        "inspect data and model before anything else",
+        "Check the record and the model: units, sign and gain, delay, offset, drift, clipping, sampling "
+        "and closed loop. Print the smallest effects that the record could show. The picture shows the "
+        "signals of the record.",
     )
     output_options(parser, report=False)
 
@@ -165,7 +165,7 @@ def _diagnose(commands: Any) -> None:
         commands,
         "diagnose",
         "which physical effect is missing",
-        "Rank the physical effects that the model may lack, and say how sure that is.",
+        "Rank the physical effects that may be missing in the model, with their probabilities.",
     )
     search_options(parser)
     output_options(parser)
@@ -175,13 +175,17 @@ def _improve(commands: Any) -> None:
     parser = _reading(
         commands,
         "improve",
-        "add one effect after the other and watch the error fall",
-        "Diagnose, add the effect, fit all together, test again, until nothing earns its place; the "
-        "error is judged on a part of the record that took part in nothing.",
+        "add one effect after the other until no further one is significant",
+        "Diagnose, add the effect, fit all parameters together and test again, until no further effect is "
+        "significant. The error is computed on held-out data.",
     )
     search_options(parser)
     parser.add_argument(
-        "--max-effects", type=count, default=4, metavar="N", help="effects at most (default: %(default)s)"
+        "--max-effects",
+        type=count,
+        default=4,
+        metavar="N",
+        help="maximum number of effects (default: %(default)s)",
     )
     output_options(parser)
 
@@ -190,9 +194,9 @@ def _refine(commands: Any) -> None:
     parser = _reading(
         commands,
         "refine",
-        "add effects that you name, and estimate them with what floats",
+        "add the effects that you name, and estimate them together with free parameters",
         "Estimate the effects of --effects and the parameters of --free together from the record, with "
-        "their standard deviations. Judged by --validation or --split where given.",
+        "their standard deviations. Validated by --validation or --split if given.",
     )
     group = parser.add_argument_group("what is estimated")
     group.add_argument(
@@ -209,7 +213,7 @@ def _localize(commands: Any) -> None:
         commands,
         "localize",
         "which link of a structure has lost or gained stiffness or damping",
-        "Estimate the change of every link, and name those that have changed beyond doubt.",
+        "Estimate the change of every link, and name those with a significant change.",
     )
     search_options(parser, places=True)
     output_options(parser, report=False)
@@ -219,10 +223,10 @@ def _bode(commands: Any) -> None:
     parser = _command(
         commands,
         "bode",
-        "frequency responses of models, beside that of a record",
+        "frequency responses of models, compared with that of a record",
         "Draw one model or several as a Bode diagram with --picture, and write the points with --csv "
-        "(curve, output, input, omega [rad/s], magnitude, phase [deg]). Beside a record, which comes "
-        "last, models are drawn as it sees them: sampled, and with its hold.",
+        "(curve, output, input, omega [rad/s], magnitude, phase [deg]). The last file may be a record; the "
+        "models are then sampled like the record, with its hold.",
     )
     parser.add_argument(
         "files", nargs="+", type=Path, metavar="MODEL", help=f"{_MODEL}; a record may be the last"
@@ -233,7 +237,7 @@ def _bode(commands: Any) -> None:
         "--csv",
         type=Path,
         metavar="FILE",
-        help="write the points (with --decimal , and semicolons for a comma)",
+        help="write the points (semicolons separate them with --decimal ,)",
     )
 
 
@@ -242,9 +246,9 @@ def _survey(commands: Any) -> None:
         commands,
         "survey",
         "many records of many machines: one row each, and what they have in common",
-        "Examine every record of a folder, here, on several processes or on a cluster, and compare the "
+        "Examine every record of a folder, on one or several processes or on a cluster. Compare the "
         "machines: which effects are common, which belong to one machine, which grow with time. A record "
-        "that fails stops nothing.",
+        "that fails does not stop the survey.",
     )
     parser.add_argument(
         "folder",
@@ -264,13 +268,13 @@ def _survey(commands: Any) -> None:
         "--task",
         choices=("diagnose", "improve", "localize", "refine"),
         default="diagnose",
-        help="what is asked of each record; refine asks for --candidates (default: %(default)s)",
+        help="task for each record; refine needs --candidates (default: %(default)s)",
     )
     parser.add_argument(
         "--compare",
         choices=("common", "own"),
         default="common",
-        help="common: each effect that any record names is estimated in all (default: %(default)s)",
+        help="common: each effect that is found in any record is estimated in all (default: %(default)s)",
     )
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--scheduler", metavar="ADDRESS", help="dask scheduler, such as tcp://10.0.0.1:8786")
@@ -278,13 +282,16 @@ def _survey(commands: Any) -> None:
         "--jobs", type=count, default=1, metavar="N", help="processes on this machine (default: %(default)s)"
     )
     parser.add_argument(
-        "--conditions", type=Path, metavar="FILE", help="TOML: what must be kept; the exit code tells"
+        "--conditions",
+        type=Path,
+        metavar="FILE",
+        help="TOML: conditions to keep; the exit code is 1 if one is not kept",
     )
     columns_options(parser)
     search_options(parser)
-    group = parser.add_argument_group("what comes out")
+    group = parser.add_argument_group("output")
     group.add_argument("--report", type=Path, metavar="DIR", help="write an index page and one per machine")
-    group.add_argument("--overwrite", action="store_true", help="replace files in DIR that are no reports")
+    group.add_argument("--overwrite", action="store_true", help="replace files in DIR that are not reports")
     picture_option(group)
     json_option(group)
 
@@ -306,7 +313,7 @@ def _command(commands: Any, name: str, summary: str, description: str) -> argpar
 def _explore(commands: Any) -> None:
     parser = commands.add_parser(
         "explore",
-        help="try effects by hand on an interactive page, and watch the error fall",
+        help="try effects by hand on an interactive page that shows the error",
         description=textwrap.fill(
             "Serve an interactive page of a model and a record at 127.0.0.1, to this machine alone, until "
             "Ctrl-C. Needs the extra explore.",
@@ -344,8 +351,9 @@ def _example(commands: Any) -> None:
         "example",
         help="examples of the two files that the other commands read",
         description=(
-            "Print an example of a model file and of a record; --write makes both files, whole. The record "
-            "hides an effect that the model lacks, so compare and diagnose end with 1."
+            "Print an example of a model file and of a record; --write writes both complete files. The "
+            "record contains an effect that is missing in the model, so compare and diagnose end with exit "
+            "code 1."
         ),
         epilog="exit codes: 0 printed or written; 2 wrong usage, or a file that cannot be written",
     )
@@ -358,5 +366,7 @@ def _example(commands: Any) -> None:
     )
     seed_option(parser, "the record")
     parser.add_argument(
-        "--exact", action="store_true", help="a record that hides nothing, so that the model is adequate"
+        "--exact",
+        action="store_true",
+        help="a record without a missing effect, so that the model is adequate",
     )

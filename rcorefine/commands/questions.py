@@ -159,7 +159,10 @@ def _said(curve: dict[str, Any], curves: list[dict[str, Any]]) -> str:
     ratio = np.interp(measured["omega"], curve["omega"], curve["magnitude"]) / measured["magnitude"]
     there = ratio[int(np.argmax(measured["magnitude"]))]
     off = 100 * np.median(np.abs(ratio - 1))
-    return f"{text}; off by {off:.3g} % of the measured (median), {there:.3g} times it at its peak"
+    return (
+        f"{text}; differs by {off:.3g} % from the measured response (median), {there:.3g} times it at its "
+        "peak"
+    )
 
 
 def _write_csv(path: Path, curves: list[dict[str, Any]], decimal: str | None) -> None:

@@ -163,7 +163,7 @@ def _on_record(
     windows, note = _windows(data, horizon, x0, runs_of(models, linear, data), len(outputs))
     notes += [note] if note else []
     notes += [
-        f"{name!r} takes the inputs with hold={hold!r} as it was fitted; the record declares {data.hold!r}"
+        f"{name!r} uses hold={hold!r}, as it was fitted; the record declares {data.hold!r}"
         for name, hold in zip(names, holds, strict=True)
         if hold != data.hold
     ]
@@ -177,8 +177,8 @@ def _on_record(
     runs, starts, states = zip(*made, strict=True)
     if hidden:
         notes.append(
-            f"the first {hidden} sample(s) are not compared: by a delay of the model they hang on what was "
-            "before the record"
+            f"the first {hidden} sample(s) are not compared: because of a delay in the model they depend on "
+            "values before the record"
         )
         data = data.segment(float(data.timepts[hidden]))
     straight = tuple(
@@ -306,8 +306,8 @@ def _beyond_tables(model: Any, name: str, states: Array, inputs: Array) -> list[
             share = share_beyond(effect.law, d, port.velocity @ states + port.velocity_input @ inputs)
             if share > 0.0:
                 said.append(
-                    f"{name!r} moves beyond the knots of {effect.label} in {100 * share:.2g} % of the "
-                    "samples: there its force goes on straight, which no record has shown"
+                    f"the motion of {name!r} leaves the table of {effect.label} in {100 * share:.2g} % of "
+                    "the samples; there the force is extrapolated linearly"
                 )
     return said
 

@@ -67,10 +67,10 @@ class LineLevels(Row):
         for kind in ("even", "odd"):
             if (self.kind == kind).any():
                 parts.append(f"{kind} distortion {self.level(kind):.0f} dB")
-        hidden = "" if len(parts) == 3 else "; where no such line is left out of the input, distortion hides"
+        hidden = "" if len(parts) == 3 else "; distortion is visible only at lines that the input leaves out"
         return (
-            f"Lines of {self.n_periods} periods, rms over that of the lines sent: {', '.join(parts)}{hidden} "
-            "(line_levels)"
+            f"Rms at the frequency lines of {self.n_periods} periods, relative to the excited lines: "
+            f"{', '.join(parts)}{hidden} (line_levels)"
         )
 
 

@@ -174,8 +174,8 @@ def whiteness(
         found.append(ResidualTest("whiteness", name, q, dof, float(stats.chi2.sf(q, dof))))
     return TestTable(
         tuple(found),
-        "A residual that is not white can be predicted from its past. Of one-step predictions that is a "
-        "failure; of a free run it may be the color of the noise.",
+        "A residual that is not white can be predicted from its past. For one-step predictions this is a "
+        "failure; for a simulation it may be colored noise.",
     )
 
 
@@ -237,8 +237,8 @@ def input_correlation(
             rows.append(portmanteau("feedback", f"{out} -> {source}", drive, row, range(-count, first)))
     return TestTable(
         tuple(rows),
-        "input: the residual follows the input, so the model leaves out linear dynamics. feedback: the input "
-        "follows the residual, so the record was taken in closed loop.",
+        "input: the residual depends on the input, so linear dynamics are missing in the model. feedback: "
+        "the input depends on the residual, so the record was taken in closed loop.",
     )
 
 
@@ -305,8 +305,8 @@ def free_run_tests(
                 rows.append(portmanteau(name, f"{source} -> {out}", shape(standardized(drive)), row, every))
     return TestTable(
         tuple(rows),
-        "mean: an offset. input, its size or its cube: the model leaves out what follows from the input. "
-        "steadiness: the error is larger at some times. The color of the noise is not judged.",
+        "mean: the residual has an offset. input, its size or its cube: the residual depends on the input. "
+        "steadiness: the error is larger at some times. Colored noise passes these tests.",
     )
 
 

@@ -143,7 +143,7 @@ class Comparison(Reported):
         return (
             "fit = 100 (1 - |y - yh| / |y - mean(y)|): 100 % is perfect, 0 % is no better than the mean of "
             "the output. RMSE: root mean square of the residual (measured minus simulated), in the unit of "
-            "the output; bias: its mean; largest: its largest value, and when."
+            "the output. bias: mean of the residual. largest: its largest value, with the time."
         )
 
     @property

@@ -508,12 +508,15 @@ class Search:
                 self._without(trial, np.delete(np.arange(len(sure)), i))
 
     def _prune(self) -> None:
-        """Refit the best set without each of its two weakest effects."""
+        """Refit the best set without each of its effects.
+
+        All are tried: a limit at the end of the record is far from zero, and still limits nothing.
+        """
         for _ in range(MOST):
             best = self.best
             if len(best.effects) < 2:
                 return
-            for i in np.argsort(best.surest)[:2]:
+            for i in np.argsort(best.surest):
                 self._without(best, [k for k in range(len(best.effects)) if k != i])
             if self.best is best:
                 return
@@ -565,6 +568,9 @@ class Search:
             return []
         d, v, w, force = along[0]
         force = force + sum(one[-1] for one in along[1:])
+        # re-estimated parameters take the linear part
+        linear = np.array([d, v]) if trial.hypothesis.floated else np.zeros((0, d.size))
+        whole = float(np.sum((force - linear.T @ np.linalg.lstsq(linear.T, force, rcond=1e-10)[0]) ** 2))
         structure, place = trial.problem.structure, trial.effects[which[0]].place
         held, options = [e.kind for e in trial.effects if e.place == place], []
         for other in self.case.library:
@@ -584,11 +590,11 @@ class Search:
                 free = [n for n in other.free if n not in shape]
                 columns = unit_forces(other, d, v, [shape], w, resting(structure, place))
                 if columns and len(columns) == len(free):
-                    F = np.array(columns).T
+                    F = np.column_stack([*columns, *linear])
                     sizes = np.linalg.lstsq(F, force, rcond=1e-10)[0]
-                    left = float(np.sum((force - F @ sizes) ** 2) / np.sum(force**2))
+                    left = float(np.sum((force - F @ sizes) ** 2) / whole)
                     options.append(
-                        (left, other, {**shape, **dict(zip(free, map(float, sizes), strict=True))})
+                        (left, other, {**shape, **dict(zip(free, map(float, sizes), strict=False))})
                     )
         best: dict[Effect, dict[str, float]] = {}
         for left, other, values in sorted(options, key=lambda one: one[0]):

@@ -63,8 +63,8 @@ class Mark(Row):
     def __str__(self) -> str:
         said = {
             "right": "Right: this effect, at this place.",
-            "tied": "This counts: the record cannot tell it from the effect that is hidden.",
-            "place": "The place is right; the law is another one.",
+            "tied": "This counts as right: the record cannot distinguish it from the hidden effect.",
+            "place": "The place is right, but the effect is another one.",
             "wrong": "Neither this effect nor this place.",
         }[self.effect]
         if self.coefficient is None:

@@ -121,7 +121,7 @@ class TimePicture:
         self.output, data = output, self._explored.record
         name, unit = data.output_labels[output], data.output_units[output]
         self.upper.yaxis.axis_label = PlainText(text=_unit(name, unit))
-        self.lower.yaxis.axis_label = PlainText(text=_unit("left over", unit))
+        self.lower.yaxis.axis_label = PlainText(text=_unit("residual", unit))
         self._put("record", data.outputs[output])
         self._put("initial", self._explored.steps[0].runs[output])
         self.show(self._explored.steps[-1].runs)
@@ -200,7 +200,7 @@ def _ticks(w: Array) -> FixedTicker:
     return FixedTicker(ticks=[m * power for power in powers for m in between], minor_ticks=minor)
 
 
-_BODE_WORDS = {"measured": "measured, 2 std", "initial": "initial model", "present": "present model"}
+_BODE_WORDS = {"measured": "measured, ± 2 std", "initial": "initial model", "present": "present model"}
 
 
 def _response(
@@ -228,7 +228,7 @@ class ForcePicture:
 
     def __init__(self) -> None:
         empty = {"x_range": Range1d(-1.0, 1.0), "y_range": Range1d(-1.0, 1.0)}
-        self.figure = _figure(300, "", "force that the model lacks", **empty)
+        self.figure = _figure(300, "", "missing force", **empty)
         self.dots = ColumnDataSource({"x": [], "f": []})
         self.means = ColumnDataSource({"x": [], "f": []})
         self.laws = [ColumnDataSource({"x": [], "f": []}) for _ in _LAWS]
@@ -249,7 +249,7 @@ class ForcePicture:
         what = ("displacement" if over_d else "velocity") if force.mechanical else "state"
         units = force.position_unit if over_d else force.velocity_unit
         self.figure.xaxis.axis_label = PlainText(text=_unit(f"{what} at {force.place}", units))
-        self.figure.yaxis.axis_label = PlainText(text=_unit("force that the model lacks", unit))
+        self.figure.yaxis.axis_label = PlainText(text=_unit("missing force", unit))
         edge = x.size // 50
         order = edge + np.argsort(x[edge : x.size - edge], kind="stable")
         few = order[:: max(order.size // _DOTS, 1)]

@@ -62,7 +62,7 @@ class ExplorerPage:
         def show(found: Check) -> None:
             odd = [f"{row.status.upper()}: {row.sentence}" for row in found.looks]
             said = paragraphs(odd or ["Nothing odd was found."])
-            self._checked.object = said + folded("All that was looked at", found._repr_html_())
+            self._checked.object = said + folded("All checks", found._repr_html_())
 
         self._work.begin(begin)
 
@@ -73,7 +73,7 @@ class ExplorerPage:
         self._force, self._stairs = ForcePicture(), Staircase()
         size = f"{data.n_samples} samples, {number(data.duration, 3)} s, dt = {number(data.dt, 4)} s"
         heading = text(
-            f"<h1>Model {escape(explored.physical.name)} beside record {escape(data.name)}</h1>"
+            f"<h1>Model {escape(explored.physical.name)} and record {escape(data.name)}</h1>"
             f'<p class="soft">{size}. {escape(explored.note)}</p>'
         )
         self._error = text("")
@@ -81,7 +81,7 @@ class ExplorerPage:
         self._fit = button("Fit all added effects", fit, wide=False)
         self._undo = button("Undo", partial(self._change, "undo", explored.undo), wide=False)
         self._effects, self._steps = column(), text("")
-        self._rows, self._about_row = column(), text('<p class="soft">is being searched …</p>')
+        self._rows, self._about_row = column(), text('<p class="soft">Search in progress …</p>')
         self._found = column()
         self._verdict, self._checked, self._files = text(""), text(""), column()
         styles = (("curves", self._curves()), ("causes", self._causes()), ("answers", self._answers()))
@@ -96,7 +96,7 @@ class ExplorerPage:
     def _curves(self) -> Any:
         data, time, bode = self.explored.record, self._time, self._bode
         first, last = float(data.timepts[0]), float(data.timepts[-1])
-        begin = slider("shown from [s]", first, max(last - time.stretch, first + data.dt), first)
+        begin = slider("show from [s]", first, max(last - time.stretch, first + data.dt), first)
         begin.param.watch(lambda event: time.begin_at(event.new), "value")
 
         def choose(channel: str, index: int) -> None:
@@ -124,8 +124,8 @@ class ExplorerPage:
             title("Error after each step"), picture(self._stairs.figure), self._steps,
             title("Where the model fails"), self._about_row, self._rows,
             button("Search again with the present model", self._search, wide=False),
-            title("Force that is missing there, and laws laid over it"), picture(self._force.figure),
-            self._found,
+            title("Missing force at this place, and candidate effects fitted to it"),
+            picture(self._force.figure), self._found,
         )  # fmt: skip
 
     def _answers(self) -> Any:
@@ -147,7 +147,7 @@ class ExplorerPage:
         self._stairs.show(steps)
         self._say_error(steps[-1].error)
         names = [[str(k), step.name, f"{step.error:.3g} %"] for k, step in enumerate(steps)]
-        table = html_table(["step", "what", "error"], names, left=2)
+        table = html_table(["step", "change", "error"], names, left=2)
         said = paragraphs(steps[-1].refinement.warnings)
         self._steps.object = f'<div class="scroll">{table}</div>{said}'
         self._fit.disabled, self._undo.disabled = not self.explored.effects, len(steps) == 1
@@ -191,7 +191,7 @@ class ExplorerPage:
             self._work.say(str(wrong))
             return
         self._time.show(runs)
-        self._say_error(error, f"{self.explored.error:.3g} % before; moved there, the error is")
+        self._say_error(error, f"The error was {self.explored.error:.3g} %. With this value it is")
 
     def _let_go(self, effect: Effect, name: str, made: Any, event: Any) -> None:
         value = float(event.new)
@@ -203,7 +203,7 @@ class ExplorerPage:
             made.start, made.end = self.explored.reach(effect, name)
             self._stepped(rebuild=False)
 
-        self._work.later(self._work.doing, "settling offset and initial state", move, then)
+        self._work.later(self._work.doing, "estimating offset and initial state", move, then)
 
     def _stepped(self, rebuild: bool = True) -> None:
         self._show_step(rebuild)
@@ -238,9 +238,11 @@ class ExplorerPage:
             )
             for row in rows
         ]
-        said = self._row.sentence if self._row is not None else "Nothing stands out beside noise."
+        said = (
+            self._row.sentence if self._row is not None else "No significant failure of the model was found."
+        )
         stale = self._searched is not self.explored.steps[-1]
-        older = ["Found before the last step; the force below is that of the present model."] if stale else []
+        older = ["This list is from before the last step. The force below is up to date."] if stale else []
         self._about_row.object = paragraphs([said, *older])
 
     def _look_at(self, row: Failure | None) -> None:
@@ -253,7 +255,9 @@ class ExplorerPage:
             force = self.explored.force(row)
             return force, self.explored.candidates(row, force), self.explored.candidates()
 
-        self._work.later(self._work.doing, "laying laws over the missing force", look, self._show_candidates)
+        self._work.later(
+            self._work.doing, "fitting effects to the missing force", look, self._show_candidates
+        )
 
     def _show_candidates(self, found: tuple[Any, Sequence[Candidate], Sequence[Candidate]]) -> None:
         force, here, every = found
@@ -262,7 +266,7 @@ class ExplorerPage:
         said = _CHANNEL_NOTE if force is None else _FORCE_NOTE
         buttons = []
         for k, one in enumerate(here[:_BUTTONS]):
-            share = "" if one.curve is None else f": {100 * one.share:.0f} % of this force"
+            share = "" if one.curve is None else f": explains {100 * one.share:.0f} % of this force"
             where = "" if one.curve is None or k > 2 else f" ({_COLORS[k]} line)"
             units = {name: unit.removeprefix("1") for name, unit in self.explored.units(one.effect).items()}
             values = [f"{n} {number(v, 3)} {units[n]}".rstrip() for n, v in one.coefficients.items()]
@@ -295,16 +299,17 @@ class ExplorerPage:
 
 
 _ERROR_NOTE = (
-    "Of the free run, over the spread of the outputs: 100 % less the fit. Offset and initial state "
-    "are estimated."
+    "Error of the simulation from the initial state (free run), relative to the spread of the outputs: "
+    "100 % minus the fit. Offset and initial state are estimated."
 )
 _COLORS = ("orange", "green", "violet")
-_CHANNEL_NOTE = "At an input or an output no force acts: no picture, but these effects could be there."
+_CHANNEL_NOTE = "No force acts at an input or an output, so none is plotted. These effects are possible:"
 _FORCE_NOTE = (
-    "Small dots: force estimated from the record, smoothed by what sensors can tell; large: its median. "
-    "The share is part of what is drawn: diagnose, not this picture, names the law."
+    "Small dots: force estimated from the record, smoothed because of the sensor noise. Large dots: its "
+    "median. The percentage refers to the plotted force. Use the diagnosis to identify the effect, not this "
+    "plot."
 )
 _BODE_NOTE = (
-    "With effects that are not linear the present model's response is estimated from its run, as that of the "
-    "record is."
+    "If the present model has nonlinear effects, its response is estimated from its simulation, like that of "
+    "the record."
 )

@@ -155,7 +155,7 @@ class Explorer:
 
     def __repr__(self) -> str:
         steps = counted(len(self.exploration.steps) - 1, "step")
-        return f"<Explorer: {self.exploration.error:.3g} % missed after {steps}; .show() opens the page>"
+        return f"<Explorer: {self.exploration.error:.3g} % error after {steps}; .show() opens the page>"
 
 
 def _free(port: int) -> int:

@@ -114,7 +114,8 @@ def _verdict(survey: Survey, table: Mapping[str, Any], words: str | list[str]) -
     share = float(table.get("share", 0.0))
     if len(hit) > share * len(rows):
         for row in hit:
-            yield row.machine, f"{row.record} is {row.verdict}" + (f" ({row.label})" if row.effect else "")
+            name = f" ({row.label})" if row.effect else ""
+            yield row.machine, f"{row.record}: verdict {row.verdict}{name}"
 
 
 def _errors(survey: Survey, table: Mapping[str, Any], most: float) -> _Said:

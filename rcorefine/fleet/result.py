@@ -135,7 +135,7 @@ class Survey(Result):
         if self.failed:
             first = self.failed[0]
             said.append(
-                f"{len(self.failed)} failed, the first {first.machine}, {first.record}: {first.error}"
+                f"{len(self.failed)} failed; the first is {first.record} of {first.machine}: {first.error}"
             )
         said += [_words(effect) for effect in self.effects if effect.sort != "unclear"]
         for effect, machine in self.standing_out:
@@ -151,7 +151,7 @@ class Survey(Result):
             p_value = chance(trend.p_value, "p")
             said.append(f"{trend.label} of {trend.machine} changes with time: {slope} ({p_value}).")
         if self.effects and not self.growing and self.trends:
-            said.append("Nothing changes with time as far as these records tell.")
+            said.append("No coefficient changes significantly with time.")
         return said + list(self.notes)
 
     def breaches(self, conditions: str | PathLike[str] | Mapping[str, Any]) -> tuple[Breach, ...]:
@@ -232,12 +232,12 @@ def _words(effect: FleetEffect) -> str:
     """Return a sentence about one coefficient of the fleet."""
     held = len(effect.machines)
     if effect.sort == "common":
-        differs = f"differs by {effect.spread:.3g} between them, beyond the errors"
-        alike = differs if effect.spread > 0 else "is the same in all, within the errors"
+        differs = f"varies by {effect.spread:.3g} between machines, more than the estimation errors"
+        alike = differs if effect.spread > 0 else "is equal in all machines within the estimation errors"
         return (
-            f"Common: {effect.label}, {with_error(effect.mean, effect.std, effect.unit)} over {held} of "
+            f"Common: {effect.label}, {with_error(effect.mean, effect.std, effect.unit)} in {held} of "
             f"{counted(effect.n_machines, 'machine')}; it {alike} ({chance(effect.p_alike, 'p')})."
         )
     some = effect.standing_out or effect.machines
     names = ", ".join(machine.machine for machine in some[:5]) + (", ..." if len(some) > 5 else "")
-    return f"Not common: {effect.label} belongs to {names}."
+    return f"Not common: {effect.label} is specific to {names}."

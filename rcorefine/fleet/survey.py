@@ -151,14 +151,14 @@ def survey(
                 wanted, notes = _of_the_fleet([rows[i] for i in sorted(rows)])
                 lacking = {i: (pieces[i], rows[i], wanted) for i in _lacking(rows, wanted)}
                 compared: dict[int, SurveyRow] = {}
-                with bar.counted(len(lacking), "the same effects") as done:
+                with bar.counted(len(lacking), "comparing the same effects") as done:
                     work_off(again, list(lacking.values()), submitter, compared, _not_compared, done)
                 rows |= {i: compared[k] for k, i in enumerate(lacking)}
         return so_far(notes)
     except KeyboardInterrupt as stop:
         left = f"Interrupted: {len(pieces) - len(rows)} of {len(pieces)} record(s) were not examined."
         stop.survey = so_far([left])  # type: ignore[attr-defined]
-        stop.add_note(f"{left} What was done is in the attribute `survey` of this exception.")
+        stop.add_note(f"{left} The results so far are in the attribute `survey` of this exception.")
         raise
 
 
@@ -187,7 +187,7 @@ def _of_the_fleet(rows: Sequence[SurveyRow]) -> tuple[tuple[Effect, ...], list[s
             counts[first.setdefault((effect.kind, effect.place), effect)] += 1
     named = [effect for effect, _ in counts.most_common()]
     rest = ", ".join(effect.label for effect in named[_MOST:])
-    notes = [f"Compared in the records that name it only: {rest}."] if rest else []
+    notes = [f"Compared only in the records in which they were found: {rest}."] if rest else []
     return tuple(named[:_MOST]), notes
 
 

@@ -271,11 +271,9 @@ def unseen_combinations(
         part = part / part[largest]
         terms = [f"{part[i]:+.3g} x {names[int(i)]}" for i in np.flatnonzero(np.abs(part) > 1e-3)]
         if len(terms) == 1:
-            found.append(f"the record does not see {names[largest]} at all")
+            found.append(f"the record contains no information about {names[largest]}")
         elif terms:
-            found.append(
-                f"the record does not see the combination {' '.join(terms)}: only the rest is determined"
-            )
+            found.append(f"the record does not determine the combination {' '.join(terms)}, only the rest")
     C = uncertainty.covariance[:p, :p]
     sd = standard_deviations(C)
     for i in range(p):
@@ -289,7 +287,7 @@ def unseen_combinations(
             if abs(rho) > 0.995 and loose:
                 slope = C[i, j] / C[j, j]
                 found.append(
-                    f"{names[j]} and {names[i]} cannot be told apart (correlation {rho:+.4f}): the record "
+                    f"{names[j]} and {names[i]} cannot be distinguished (correlation {rho:+.4f}): the record "
                     f"determines {names[i]} {'-' if slope > 0 else '+'} {abs(slope):.3g} x {names[j]}"
                 )
     return found

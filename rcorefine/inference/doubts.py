@@ -68,15 +68,15 @@ def doubted(found: Refinement, fit: Any, again: Callable[[list[Measurement]], An
     still = stands_still(outputs)
     said, worthless = [], False
     if still.all():
-        said.append(f"{', '.join(labels)} does not move in this record: it says nothing about any parameter")
+        said.append(f"{', '.join(labels)} does not move in this record, so it determines no parameter")
         worthless = True
     elif found.parameters:
         idle = explains_nothing(found.fit, outputs.shape[1], fit.problem.size)
         said += _turned(found, fit, again, labels)
         if idle and not said:
             said.append(
-                f"the free run explains nothing of the record (fit {np.nanmax(found.fit):.2g} %): a constant "
-                "would do as well"
+                "the simulation (free run) explains nothing of the record "
+                f"(fit {np.nanmax(found.fit):.2g} %): a constant would fit as well"
             )
         worthless |= idle or bool(said)
         if (fast := _too_fast(found, fit, idle)) and not (worthless and not idle):
@@ -114,8 +114,8 @@ def _turned(
         if other.cost < fit.cost + 2.0 * np.log(levels().turned_over):
             names = ", ".join(label for label, one in zip(labels, which, strict=True) if one)
             return [
-                f"with the sign of {names} turned over the same fit comes much closer: look at the wiring, "
-                "or at the sign convention of the model"
+                f"with the sign of {names} reversed the model fits much better: check the wiring "
+                "or the sign convention of the model"
             ]
     return []
 
@@ -145,8 +145,8 @@ def _too_fast(found: Refinement, fit: Any, idle: bool) -> str:
         return ""
     named, half = frequency_text(*sorted(fast)[:4]), frequency_text(limit)
     return (
-        f"modes at {named} lie above half the sampling frequency ({half}) and show in the outputs: "
-        "what the input does between the samples decides what they do; sample faster"
+        f"modes at {named} are above half the sampling frequency ({half}) and contribute to the outputs: "
+        "they depend on the input between the samples; sample faster"
     )
 
 
@@ -201,6 +201,6 @@ def _undetermined(found: Refinement, fit: Any) -> str:
     if not bent:
         return ""
     return (
-        f"the record leaves undetermined: {', '.join(bent)} (two standard deviations away the error differs "
-        "several times from what the error bars promise, so they do not hold)"
+        f"the record does not determine {', '.join(bent)} (two standard deviations away the error differs "
+        "severalfold from its prediction, so the standard deviations are not valid)"
     )

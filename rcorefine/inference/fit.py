@@ -57,7 +57,7 @@ class Fit:
         unknowns = structure.n_parameters + structure.n_states * len(segments)
         if values <= unknowns:
             raise DataError(
-                f"the record has {values} output values and {unknowns} numbers are to be estimated; "
+                f"the record has {values} output values for {unknowns} unknown parameters and states; "
                 "give a longer record or fewer effects"
             )
 

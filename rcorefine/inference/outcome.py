@@ -68,7 +68,7 @@ def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
     fit_percent, rmse = fit_of(problem.records, [r / problem.weights[:, None] for r in residuals])
     message = str(result.message) if result.status <= 0 else "Converged."
     if result.status == 0:
-        message = "Stopped at the largest number of evaluations; the minimum may not be reached."
+        message = "Stopped at the largest number of evaluations, perhaps before the minimum."
     at_bound = problem.at_bound(point, problem.evaluate(point).condensed[1])
     if at_bound:
         message += f" At its bound: {', '.join(at_bound)}."

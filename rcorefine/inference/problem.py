@@ -337,7 +337,7 @@ class Problem:
         self.gain, self._cache = gain, None
         if not self.size:  # a response of a model in which nothing is free
             there = {"x": point, "cost": self.cost(point), "jac": self.evaluate(point).jacobian}
-            return OptimizeResult(status=1, message="Nothing is free.", **there)
+            return OptimizeResult(status=1, message="No parameter is free.", **there)
         scale = self._scales(point)
         at: Callable[[Array], Evaluation] = lambda q: self.evaluate(self.coordinates.point(q * scale))  # noqa: E731
         fun: Callable[[Array], Array] = lambda q: at(q).condensed[0]  # noqa: E731

@@ -325,7 +325,7 @@ class Refinement(ReportedModel, CodeExports):
     # ------------------------------------------------------------------ in words
     @property
     def _what(self) -> str:
-        return "frequency response" if self.of_responses else "prediction" if self.led else "free run"
+        return "frequency response" if self.of_responses else "prediction" if self.led else "simulation"
 
     def sentences(self) -> list[str]:
         """Return the meaning of the results, one sentence per entry.
@@ -338,16 +338,16 @@ class Refinement(ReportedModel, CodeExports):
             f"The {self._what} explains {_percent(self.fit)} of the "
             f"{'measured one' if self.of_responses else 'record'} "
             f"(initial model {_percent(self.initial_fit)}).",
-            "std is the standard deviation that another record like this one would show"
+            "std is the standard deviation over repeated records"
             + (
                 ", for white residuals."
                 if not any(self.residual_orders)
-                else f"; residuals are coloured (AR order {max(self.residual_orders)}), which is allowed for."
+                else f". It allows for the colored residuals (AR order {max(self.residual_orders)})."
             ),
             self.message,
         ]
         if self.hold is not None:
-            lines.append(f"The inputs are taken with hold={self.hold!r}, whatever a record declares.")
+            lines.append(f"All inputs use hold={self.hold!r}, whatever a record declares.")
         # what an estimate means nothing for stands in its message
         return lines + [f"Warning: {said}." for said in self.warnings if said not in self.message]
 

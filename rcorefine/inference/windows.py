@@ -20,10 +20,10 @@ from ..models.physical_model import PhysicalModel
 
 __all__ = ["about_noise", "as_data", "check_validation", "spread_lines", "windows"]
 
-_LOOPED = "Fitted by what it predicts one sample ahead (compare and simulate run the loop)."
+_LOOPED = "The model was fitted to predictions one sample ahead; compare and simulate run the closed loop."
 _PREDICTED = (
-    "The motion is chaotic and has no free run: it is judged by what the model predicts one sample ahead, "
-    "led by an observer (horizon= gives short free runs)."
+    "The motion is chaotic and cannot be simulated from the initial state (no free run). It is judged "
+    "by predictions one sample ahead, with process noise (horizon= gives short simulations)."
 )
 
 _MOST_LINES, _FEWEST_LINES = 200, 40  # frequencies that nonlinear effects are sought at, in all and of each
@@ -33,7 +33,7 @@ def check_validation(model: Any, record: Any) -> None:
     """Check that a record can validate the model, before the fit begins."""
     if not isinstance(record, (Measurement, FrequencyResponse)):
         raise ct.ControlArgument(
-            f"validation must be a Measurement that took no part in the fit, not {type(record).__name__}"
+            f"validation must be a Measurement that the fit does not use, not {type(record).__name__}"
         )
     ordered_record(as_physical(model), record)
 
@@ -86,9 +86,7 @@ def about_noise(physical: PhysicalModel, data: list[Any], given: list[Any]) -> l
         return []
     said = windows(physical, [ResponseRecord.of(one, physical.linear) for one in data], None)[1]
     taken, of = (sum(one.omega.size for one in some) for some in (data, given))
-    fewer = (
-        f"Nonlinear effects were sought at {taken} of {of} frequencies, spread evenly; refine() takes all."
-    )
+    fewer = f"The search for nonlinear effects used {taken} of {of} frequencies; refine() uses all of them."
     return [sentence for sentence in (said, fewer if taken < of else "") if sentence]
 
 

@@ -27,12 +27,12 @@ from .residual import overall
 __all__ = ["assessed"]
 
 _OTHER_VALLEY = (
-    "Another set of changes, at more places, would explain the record about as well (few sensors); the "
-    "sparser one is given."
+    "Another set of changes, at more places, would explain the record about as well, because there are few "
+    "sensors. The result is the set with fewer places."
 )
 _UNEXPLAINED = (
-    "The changes do not explain the record: the residual fails {test}. Something else is missing in the "
-    "model, and may have been taken for a change; diagnose() says what."
+    "The changes do not explain the record: {test}. An effect is missing in the model, and a reported "
+    "change may be caused by it. Run diagnose() to find the effect."
 )
 _UNTESTED = "The record is too short to test whether the changes explain it."
 
@@ -123,7 +123,7 @@ def _message(
     joint: Joint, decision: Decision, tests: tuple[FTest, ...], significance: float, note: str
 ) -> str:
     parts = (
-        "Converged." if joint.converged else "Not converged; the figures may be off.",
+        "Converged." if joint.converged else "Not converged; the values may be inaccurate.",
         _explained(tests, significance),
         _OTHER_VALLEY if decision.other_valley else "",
         note,
@@ -160,9 +160,9 @@ def _nuisances(joint: Joint, candidates: Sequence[Candidate]) -> tuple[NuisanceR
         std = float(spread[int(np.flatnonzero(columns == i)[0])])
         value = float(joint.theta[i])
         if parameter.label == RATIO_NAMES[0]:
-            rows.append(NuisanceRow("damping, times the model's", 1.0 + value, std, ""))
+            rows.append(NuisanceRow("damping relative to the model", 1.0 + value, std, ""))
         elif parameter.label == RATIO_NAMES[1]:
-            rows.append(NuisanceRow("share of it that follows the stiffness", value, std, ""))
+            rows.append(NuisanceRow("share of the damping proportional to stiffness", value, std, ""))
         else:
             rows.append(NuisanceRow(parameter.label, value, std, structure.unit(parameter)))
     return tuple(rows)

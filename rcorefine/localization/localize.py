@@ -192,7 +192,7 @@ def localize_damage(
         note = " ".join(filter(None, [said, note]))
         result = assessed(joint, rows, decision, tests, rule, significance, power, ranking, note)
     for group in result.groups:
-        warn(f"the record sees only together: {', '.join(group)}", IdentifiabilityWarning)
+        warn(f"the record cannot distinguish these changes: {', '.join(group)}", IdentifiabilityWarning)
     return result
 
 

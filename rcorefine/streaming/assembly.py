@@ -130,7 +130,7 @@ def _stage_one(given: dict[str, Any], sampled: Sampled, keep: bool) -> tuple[Pap
         shown = np.maximum(shown, np.abs(model.C @ power).max(axis=0, initial=0.0))
         power = model.A @ power
     if all(part is None for part in path) and not (shown > 0).all():
-        return None, "Stage 1 does not run: an input reaches no output, so no correction can go through it."
+        return None, "Stage 1 does not run: an input affects no output, so it cannot correct any."
     return PaperStages(make_setup(sampled, settings, *path, True, 1, given["scale"]), keep), ""
 
 

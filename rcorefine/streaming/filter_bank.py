@@ -202,12 +202,12 @@ class FilterBank:
             )
             for name, times in behind.items():
                 if times >= 2:
-                    self._stop(name, f"far behind after {self.n_samples} samples")
+                    self._stop(name, f"fitted much worse after {self.n_samples} samples")
         frozen = []
         for name in self.running:
             model = self.filters[name].discrete_system(name)
             if not np.isfinite(model.A).all():
-                self._stop(name, f"no finite model after {self.n_samples} samples")
+                self._stop(name, f"had no finite model after {self.n_samples} samples")
                 continue
             calm = stabilized(model, self._limit)
             frozen.append(Frozen(name, calm, False))
@@ -320,7 +320,9 @@ class FilterBank:
         told_of = {memory.chosen[0], *scored, *judged, *memory.behind, *memory.stopped}
         calm = not judged or INITIAL in {one.name for one in memory.frozen if not one.raw}
         if not (names >= told_of and set(state["filters"]) == names and calm):
-            raise DataError(f"the race is of other forms than {', '.join(names)}: the file is damaged")
+            raise DataError(
+                f"the saved comparison is of other forms than {', '.join(names)}: the file is damaged"
+            )
         for name, part in state["filters"].items():
             self.filters[name].restore(part)
         self.memory = memory

@@ -221,7 +221,7 @@ class Learned(Result):
         if not self._keep:
             raise RCOError(
                 "no history was kept: build the refiner with RCORefiner(..., history=True) and run it again "
-                "(it is off by default so that a stream of any length takes constant memory)"
+                "(by default none is kept, so that a stream of any length takes constant memory)"
             )
         found: History | CoefficientHistory = self._estimator.history()
         return found

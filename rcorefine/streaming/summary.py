@@ -101,19 +101,19 @@ def _notes(
     if memory.tuned is None:
         held = memory.inputs.shape[0]
         return [
-            f"{memory.n_samples} samples taken, {held} held back until they tell the size of the signals; "
-            "the refined model is still the initial one."
+            f"{memory.n_samples} samples taken, {held} held back until the size of the signals is known. "
+            "The refined model is still the initial one."
         ]
     notes = [f"{learned} samples learned."]
     if learned:
         notes.append(
             f"Performance: rms of simulated minus measured output over about the last {settings[0].window} "
-            "samples, 0 is perfect. "
+            "samples (0 is perfect). "
             + (
-                "Stage 1 follows the output by a dynamic correction, which estimates the states; stage 2 "
-                "predicts it from them with the refined model."
+                "Stage 1 follows the output with a dynamic correction and so estimates the states. Stage 2 "
+                "predicts the output from these states with the refined model."
                 if estimated
-                else "Stage 1 is off: its column is the initial model's; stage 2 runs on its own states."
+                else "Stage 1 does not run: its column shows the initial model. Stage 2 uses its own states."
             )
         )
     scales = memory.tuned.scales
@@ -127,8 +127,8 @@ def _notes(
     notes.append(f"Scaled units: signals are divided by their size ({shown}), so alpha has no unit.")
     if memory.peak[0] > 30.0:
         notes.append(
-            f"Caution: an output has reached {memory.peak[0]:.3g} times its scale, so alpha weighs less than "
-            "it says; declare scale={...} if that is no outlier."
+            f"Caution: an output has reached {memory.peak[0]:.3g} times its scale, so alpha has less weight "
+            "than intended. Declare scale={...} if this is not an outlier."
         )
     return notes
 
@@ -159,14 +159,14 @@ def summarize_race(model: LinearModel, race: FilterBank, stopped: str) -> Summar
             for name, score in memory.scores.items()
         )
         notes.append(
-            f"Chosen by the fit of each form's free run over {memory.length} samples that it had not "
-            f"seen: {shown}."
+            f"Chosen by the fit of each form's simulation (free run) over {memory.length} held-out "
+            f"samples: {shown}."
         )
     else:
-        notes.append("No form has been judged yet: the refined model is the initial one.")
+        notes.append("No form has been compared yet: the refined model is the initial one.")
     if grows:
-        notes.append("The refined model is unstable, as the data clearly say.")
-    notes += [f"{name} {why}; it is out of the race." for name, why in memory.stopped.items()]
+        notes.append("The refined model is unstable, and the data clearly support this.")
+    notes += [f"{name} {why}; it is no longer compared." for name, why in memory.stopped.items()]
     if form != "initial":
         notes += _of_coefficients(model, part)
     if stopped:
@@ -179,12 +179,12 @@ _PARAMETERS = ["parameter", "effect", "place", "initial", "value", "std", "unit"
 
 def _of_coefficients(model: LinearModel, part: CoefficientFilter) -> list[str]:
     if part.memory.rounds == 0:
-        return ["The first samples are held back until they tell the size of the signals."]
+        return ["The first samples are held back until the size of the signals is known."]
     levels = ", ".join(
         f"{label} {level:.3g}" for label, level in zip(model.output_labels, part.noise, strict=True)
     )
     return [
         "std is the standard deviation of the value at this sample, for white innovations. "
-        f"Missed one sample ahead (rms): {levels}.",
+        f"Prediction error one sample ahead (rms): {levels}.",
         *part.cautions(),
     ]

@@ -10,8 +10,8 @@ from .tables import Table, tabulates
 __all__ = ["amplitude_table"]
 
 _NOTES = (
-    "|G|: fundamental of the output over the sine at the input, largest also between the frequencies; a "
-    "linear model shows the same at every amplitude.",
+    "|G|: fundamental of the output divided by the sine at the input; its maximum is also searched between "
+    "the frequencies. A linear model has the same |G| at every amplitude.",
     "distortion: the largest share of higher harmonics over the frequencies.",
 )
 

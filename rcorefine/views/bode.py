@@ -254,9 +254,7 @@ def _draw_measured(axes: Any, lines: Any, measured: FrequencyResponse, units: Bo
         error.set_ylabel("Error |G/G$_{meas}$ - 1|" if len(axes) == 3 else "|G/G$_{meas}$ - 1|")
         if not usual.size:
             continue
-        error.fill_between(
-            x, low * 1e-3, noise, color=BAND, linewidth=0, zorder=1, label="noise alone (95 %)"
-        )
+        error.fill_between(x, low * 1e-3, noise, color=BAND, linewidth=0, zorder=1, label="noise only (95 %)")
 
 
 def _finite(values: NDArray[Any]) -> NDArray[Any]:

@@ -20,7 +20,7 @@ _HEADERS = ["", "looked at", "where", "found"]
 def check_told(found: Check) -> Told:
     """Return the warnings of a check and the table of all its findings."""
     looks = [f"{row.status.upper()}: {row.sentence}" for row in found.looks]
-    head = looks or ["Nothing odd: the record and the model can be laid beside each other."]
+    head = looks or ["No problem found: the record and the model can be compared."]
     quiet = [row.sentence for row in found.rows if row.what == "information" and row not in found.looks]
     return head, Table(_HEADERS, _rows(found.rows), "Check", [*head, *quiet], 4), quiet
 
@@ -37,7 +37,7 @@ def odd(rows: Sequence[CheckRow]) -> list[Table]:
     -------
     list of Table
     """
-    title, notes = "Odd about the record, or the model beside it", [row.sentence for row in rows]
+    title, notes = "Checks that need attention", [row.sentence for row in rows]
     return [Table(_HEADERS, _rows(rows), title, notes, 4)] if rows else []
 
 

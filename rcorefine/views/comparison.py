@@ -74,15 +74,15 @@ def comparison_table(result: Comparison) -> Table:
 
 def _how(result: Comparison) -> str:
     if result.led:
-        return f"Predicted one sample ahead, led by an observer; {_START[result.x0]}."
+        return f"Predicted one sample ahead by an observer; {_START[result.x0]}."
     if result.looped and len(result.starts) == 1:
-        return f"Free run in the loop of the controller, over the whole record; {_START[result.x0]}."
+        return f"Simulation in closed loop with the controller, over the whole record; {_START[result.x0]}."
     if len(result.starts) == 1:
-        return f"Free run over the whole record (simulation, not prediction); {_START[result.x0]}."
+        return f"Simulation over the whole record (free run, not prediction); {_START[result.x0]}."
     length = result.data.duration / len(result.starts)
     return (
-        f"Free run in {len(result.starts)} windows of {number(length, 3)} s, each started anew; "
-        f"{_START[result.x0]} in every window."
+        f"Simulation in {len(result.starts)} windows of {number(length, 3)} s; {_START[result.x0]} in every "
+        "window."
     )
 
 

@@ -77,21 +77,22 @@ def _sentences(result: DamageMap) -> list[str]:
         lines.append(
             "change, 95 % interval and limit are in percent of the model's value"
             + ("" if all(row.nominal for row in result.rows) else ", or in the unit where it has none")
-            + "; for a place that is not named the change is what it would come to beside the named ones."
+            + ". The change of a place that is not named is estimated in addition to the named ones."
         )
     lines.append(
-        f"limit: the smallest change that this record would have shown with probability {result.power:g}; "
-        "none: the record does not see it."
+        f"limit: the smallest change that this record would have shown with probability {result.power:g}. "
+        "none: the record cannot show a change there."
     )
     lines.append(
-        f"p: probability of as large a change where there is none; places are named at significance "
-        f"{result.significance:g} for all together (Holm), and only where the others cannot explain it."
+        "p: probability of such a change by chance. Places are named at significance "
+        f"{result.significance:g} for all tests together (Holm), if changes at other places cannot explain "
+        "the data."
     )
     for row in result.named:
         if row.rivals:
-            lines.append(f"{row.label} explains the record hardly better than {' or '.join(row.rivals)}.")
+            lines.append(f"The data can hardly distinguish {row.label} from {' or '.join(row.rivals)}.")
     for group in result.groups:
-        lines.append(f"The record sees only together: {', '.join(group)}.")
+        lines.append(f"The data determine only a combination of these changes: {', '.join(group)}.")
     if result.damping == "ratio":
         lines += [
             f"{row.name[0].upper()}{row.name[1:]}: {with_error(row.value, 1.96 * row.std)}."
@@ -100,14 +101,14 @@ def _sentences(result: DamageMap) -> list[str]:
     fits = ", ".join(
         f"{before:.4g} -> {after:.4g}" for before, after in zip(result.initial_fit, result.fit, strict=True)
     )
-    lines.append(f"Fit of the free run, model as it was -> with the named changes: {fits} %.")
+    lines.append(f"Fit of the initial model -> with the named changes: {fits} %.")
     lines.append(result.message)
     return lines
 
 
 def _verdict(result: DamageMap) -> str:
     if not result.named:
-        return "No place has changed as far as this record can tell."
+        return "No change is significant in this record."
     parts = []
     for row in result.named:
         word = "lost" if row.change < 0 else "gained"
@@ -168,7 +169,7 @@ def plot_damage(result: DamageMap, frame: Frame, *, kind: str | None = None) -> 
             panel.tick_params(axis="x", labelbottom=True)
             panel.set_ylabel(unit_text(f"change of {name}", "%" if relative else rows[0].unit))
             panel.set_xlim(-0.6, len(rows) - 0.4)
-        title = plain(f"Changes in {result.name}: dark bars are named")
+        title = plain(f"Changes in {result.name} (dark bars: named places)")
         return frame.finish(axes, lines, [axes[0, 0]], title)
 
 

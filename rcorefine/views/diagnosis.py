@@ -83,7 +83,11 @@ def plot_diagnosis(found: Diagnosis, frame: Frame) -> ct.ControlPlot:
 def _force(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
     best, hidden = found.best, found.hidden_force
     if best is None or hidden is None:
-        said = "no law is needed" if best is None else f"{found.place}\nis in the signal path: no force"
+        said = (
+            "no additional effect is needed"
+            if best is None
+            else f"{found.place}\nis in the signal path: no force"
+        )
         ax.text(0.5, 0.5, said, ha="center", va="center", transform=ax.transAxes)
         ax.set_axis_off()
         return []
@@ -104,7 +108,7 @@ def _force(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
         color="0.55",
         ms=2,
         alpha=0.5,
-        label="estimated from the record, no law assumed",
+        label="estimated from the record, no formula assumed",
     )
     edges = np.quantile(motion[inner], np.linspace(0.005, 0.995, 25))
     which = np.digitize(motion[inner], edges)
@@ -113,14 +117,14 @@ def _force(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
         if np.count_nonzero(which == i) > 5:
             centers.append(motion[inner][which == i].mean())
             means.append(force[inner][which == i].mean())
-    points += ax.plot(centers, means, "o", color=MEASURED, ms=4, label="its mean at each motion")
+    points += ax.plot(centers, means, "o", color=MEASURED, ms=4, label="mean over intervals of the motion")
     if law is not None:
         x, y = law
         look = style(1)
         points += ax.plot(x, y, color=look.color, ls=look.linestyle, lw=2, label=label)
     ax.set_xlabel(unit_text(f"{what} at {hidden.place}", unit))
     ax.set_ylabel(unit_text("hidden resisting force", hidden.force_unit))
-    ax.set_title("What the record says about the force")
+    ax.set_title("Force estimated from the record")
     return list(points)
 
 
@@ -149,9 +153,9 @@ def _law(
 
 
 def _residuals(axes: Any, found: Diagnosis, record: Measurement) -> tuple[list[Any], list[Any]]:
-    models = [("as it is", found.base)]
+    models = [("model as given", found.base)]
     if found.floated is not None:
-        models.append(("its numbers fitted", found.floated))
+        models.append(("parameters re-estimated", found.floated))
     if found.best is not None:
         models.append((f"with {found.best.label}", found.best.refinement))
     in_time, in_frequency = [], []

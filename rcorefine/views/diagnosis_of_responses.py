@@ -26,9 +26,9 @@ def plot_of_responses(found: Diagnosis, frame: Frame) -> ct.ControlPlot:
     It shows the first response; see `Diagnosis.plot`.
     """
     models: list[Any] = [found.base]
-    names = ["as it is"]
+    names = ["model as given"]
     if found.floated is not None:
-        models, names = [*models, found.floated], [*names, "its numbers fitted"]
+        models, names = [*models, found.floated], [*names, "parameters re-estimated"]
     if found.best is not None:
         models, names = [*models, found.best.refinement], [*names, f"with {found.best.label}"]
     first: Any = found.records[0]

@@ -15,12 +15,13 @@ def exercise_told(exercise: Exercise) -> Told:
     """Return the text of an exercise: what is given and what is asked."""
     head = [
         f"Exercise {exercise.ident}: {exercise.plant}, level {exercise.level}",
-        "The plant does one thing that the model does not. Which, where, and how strongly?",
+        "One effect of the plant is missing in the model. Which one, where, and how large is it?",
     ]
     rows = [[effect.kind, effect.place, ", ".join(effect.coefficients)] for effect in exercise.candidates]
     notes = [
-        f"Find it in .train ({exercise.train.n_samples} samples of {exercise.train.dt:g} s), judge by .test.",
-        "check(kind, place, coefficient) tells right from wrong."
+        f"Find it with .train ({exercise.train.n_samples} samples of {exercise.train.dt:g} s) and validate "
+        "it with .test.",
+        "check(kind, place, coefficient) grades an answer."
         if exercise.has_answer
         else "hand_in(path, student, kind, place, coefficient) writes your answer.",
     ]
@@ -56,8 +57,8 @@ def report_grades(found: Grades, *, title: str | None, code: str | None) -> Page
     near = sum(row.coefficient == "near enough" for row in graded)
     left = len(found.rows) - len(graded)
     answer = [
-        f"{right} of {len(graded)} answers name the effect, {near} of them with its coefficient.",
-        f"{left} could not be graded; the table says why." if left else "Every answer could be graded.",
+        f"{right} of {len(graded)} answers name the effect, {near} of them with the right coefficient.",
+        f"{left} could not be graded; the table shows why." if left else "Every answer could be graded.",
     ]
     students = len({row.student for row in graded})
     about = f"{len(found.rows)} answers of {students} students"
@@ -71,4 +72,6 @@ def report_grades(found: Grades, *, title: str | None, code: str | None) -> Page
         grades_table(found),
         Table(["plant", "answers", "right", "mean points"], by_plant, "By plant", [], 1),
     ]
-    return Page(title or "Hidden effects: the class", about, answer, not left, [Section("Tables", tables)])
+    return Page(
+        title or "Hidden effects: results of the class", about, answer, not left, [Section("Tables", tables)]
+    )

@@ -50,7 +50,7 @@ def plot_advice(advice: ExperimentAdvice, frame: Frame) -> ct.ControlPlot:
     Each option is a bar, the cheapest on top.
     """
     options = advice.options
-    (name,) = frame.labels(["then separated"])
+    (name,) = frame.labels(["candidates distinguished"])
     with frame.axes([1.0], 1, figsize=(7.0, 1.6 + 0.32 * max(len(options), 1))) as (axes, lines):
         ax = axes[0, 0]
         rows = np.arange(len(options))
@@ -72,13 +72,13 @@ def plot_advice(advice: ExperimentAdvice, frame: Frame) -> ct.ControlPlot:
                 color="white" if inside and option is advice.chosen else "black",
             )
         line = ax.axvline(
-            advice.probability, color="C3", linestyle="--", linewidth=1.2, zorder=0, label="asked for"
+            advice.probability, color="C3", linestyle="--", linewidth=1.2, zorder=0, label="required"
         )
         names = [f"{option.name} ({option.cost:.2g})" for option in options]
         ax.set_yticks(rows, names)
         ax.invert_yaxis()
         ax.set_xlim(0, 1)
-        ax.set_xlabel("probability that the true effect then stands alone")
+        ax.set_xlabel("probability that only the true effect remains")
         heading = "Next experiment (cost in record lengths)" if options else "Nothing to separate"
         ax.set_title(heading if frame.title is None else frame.title)
         ax.grid(True, axis="x", alpha=0.4)

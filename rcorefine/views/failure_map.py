@@ -44,10 +44,11 @@ def failure_table(found: FailureMap) -> Table:
     ]
     title = f"Where {found.name!r} fails: {len(rows)} row{'s' if len(rows) != 1 else ''}"
     if not rows:
-        title = f"No failure of {found.name!r} found (looked at: {', '.join(found.looked) or 'nothing'})"
+        title = f"No failure of {found.name!r} found (searched: {', '.join(found.looked) or 'nothing'})"
     if not rows and found.looked:
         notes = [
-            "Nothing stands out: what is left looks like noise that knows nothing of input, motion or time."
+            "No significant failure: the residual looks like noise that is independent of input, motion and "
+            "time."
         ]
     elif not rows:
         notes = []
@@ -55,9 +56,9 @@ def failure_table(found: FailureMap) -> Table:
         notes = [f"1. {found.rows[0].sentence}"]
         notes += [f"{k}. {row.sentence}" for k, row in enumerate(found.rows[1:4], 2)]
         notes.append(
-            "share: part of the error's energy that the row explains (rows overlap); p-value: chance of such "
-            "a row anywhere in the map if the model were right. 1: leaves least unexplained; +: besides, "
-            "what is left when the rows above are allowed for; =: instead, another view of the same error."
+            "share: part of the error energy that the row explains (rows overlap). p-value: probability of "
+            "such a row by chance if the model were right. 1: best single explanation; +: adds to the rows "
+            "above; =: alternative to row 1."
         )
     notes += [f"{note}." for note in found.notes]
     return Table(_HEADERS, rows, title, notes, left=4)
@@ -103,7 +104,7 @@ def _shares(axis: Any, found: FailureMap, name: str) -> list[Any]:
         axis.text(1.5, k, text, va="center", fontsize="x-small", zorder=4,
                   bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 0.8})  # fmt: skip
     if not rows:
-        axis.text(50, 0, "nothing stands out", ha="center", va="center")
+        axis.text(50, 0, "no significant failure", ha="center", va="center")
     axis.set_xlim(0, 100)
     axis.set_ylim(max(len(rows), 1) - 0.4, -0.6)
     axis.set_yticks(range(len(rows)), [str(k + 1) for k in range(len(rows))])
@@ -145,7 +146,7 @@ def _frequencies(axis: Any, result: Comparison, m: int, found: FailureMap) -> li
     try:
         error = model_error(result, m)
     except DataError:
-        axis.text(0.5, 0.5, "the input does not excite", ha="center", transform=axis.transAxes)
+        axis.text(0.5, 0.5, "the input has no excitation", ha="center", transform=axis.transAxes)
         return []
     size = np.abs(error.model)
     worst = np.unravel_index(
@@ -159,7 +160,7 @@ def _frequencies(axis: Any, result: Comparison, m: int, found: FailureMap) -> li
     low = max(0.3 * float(np.nanquantile(np.minimum(ratio, bound), 0.02)), 1e-6)
     x = error.omega * factor
     axis.fill_between(x, low, np.maximum(bound, low), color=BAND, linewidth=0, zorder=1,
-                      label="noise alone (95 % of all together)")  # fmt: skip
+                      label="noise only (95 %, simultaneous)")  # fmt: skip
     beyond = error.differs[i, j]
     drawn = axis.plot(x, ratio, color="0.45", linewidth=0.8, zorder=2)
     drawn += axis.plot(
@@ -189,7 +190,7 @@ def _motions(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[A
     )
     force = residual_force(result, m, None if lead is None else str(lead.values["place"]))
     if force is None:
-        axis.text(0.5, 0.5, "no place to look at", ha="center", transform=axis.transAxes)
+        axis.text(0.5, 0.5, "no place to show", ha="center", transform=axis.transAxes)
         return []
     over_d = np.ptp(force.position) > 0 and (lead is None or lead.values.get("axis", "d") == "d")
     motion, unit = (force.position, force.position_unit) if over_d else (force.velocity, force.velocity_unit)
@@ -217,6 +218,6 @@ def _motions(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[A
         axis.set_xlim(edges[0] - 0.05 * np.ptp(edges), edges[-1] + 0.05 * np.ptp(edges))
     axis.axhline(0.0, color=MEASURED, linewidth=0.7, zorder=2)
     axis.set_xlabel(unit_text(f"{name} at {force.place}", unit))
-    axis.set_ylabel(unit_text("Force the\nmodel lacks", force.force_unit))
+    axis.set_ylabel(unit_text("Missing\nforce", force.force_unit))
     axis.grid(True, alpha=0.3)
     return list(drawn)

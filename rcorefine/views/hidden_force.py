@@ -25,8 +25,8 @@ def hidden_force_table(found: HiddenForce) -> Table:
         rms = float(np.sqrt(np.mean(x**2)))
         rows.append([name, number(rms), number(x.min()), number(x.max()), unit])
     note = (
-        f"Standard deviation of the force: {number(float(np.mean(found.std)))}. Its mean passes for the "
-        "offset and is no part of the estimate."
+        f"Standard deviation of the force: {number(float(np.mean(found.std)))}. Its mean cannot be "
+        "distinguished from the offset and is not estimated."
     )
     title = f"Hidden force at {found.place}, {found.force.size} samples"
     return Table(["signal", "rms", "least", "largest", "unit"], rows, title, notes=[note])

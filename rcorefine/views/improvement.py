@@ -81,7 +81,8 @@ def plot_staircase(improvement: Improvement, frame: Frame) -> ct.ControlPlot:
         unit = improvement.output_units[0] if len(improvement.output_units) == 1 else ""
         ax.set_ylabel(f"RMS error [{unit}]" if unit else "RMS error")
         ax.set_title(
-            frame.title or f"The error falls: {improvement.verdict} after {counted(len(steps) - 1, 'step')}"
+            frame.title
+            or f"Error after each step: {improvement.verdict} after {counted(len(steps) - 1, 'step')}"
         )
         ax.grid(True, axis="y", alpha=0.4)
         place = frame.legend_loc if isinstance(frame.legend_loc, str) else "upper right"

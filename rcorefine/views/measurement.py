@@ -43,9 +43,7 @@ def measurement_table(data: Measurement) -> Table:
     notes = [f"hold {data.hold!r}: the inputs are taken as {_HOLD_TEXT[data.hold]}."]
     still = [row[0] for row in rows if row[2] == "input" and row[3] == row[5]]
     if still:
-        notes.append(
-            f"Constant over the record, so it drives nothing that could be seen: {', '.join(still)}."
-        )
+        notes.append(f"Constant over the record, so without visible effect: {', '.join(still)}.")
     notes += [f"{note}." for note in data.notes]
     return Table(headers, rows, title, notes, left=3)
 
@@ -121,11 +119,11 @@ def frequency_response_table(measured: FrequencyResponse) -> Table:
     notes = [
         f"H1 from {measured.n_averages:.1f} effective segments of {measured.segment_length} samples, "
         f"lines {frequency_text(measured.resolution)} apart (narrower peaks are flattened).",
-        "Coherence: share of the output's power that the inputs explain linearly; 'coherence > 0.9' is the "
-        "share of frequencies where that is so. std/|G|: random error of a point.",
+        "Coherence: share of the output power that the inputs explain linearly. 'coherence > 0.9': share "
+        "of the frequencies with such a coherence. std/|G|: random error of a point.",
     ]
     if measured.n_omitted:
-        notes.append(f"{measured.n_omitted} frequencies are left out: an input holds no power there.")
+        notes.append(f"{measured.n_omitted} frequencies are left out: an input has no power there.")
     return Table(headers, rows, title, notes, left=2)
 
 

@@ -33,7 +33,9 @@ def monitor_table(monitor: Monitor) -> Table:
     elif state is not None:
         head = "ALARM"
     else:
-        head = "a threshold was crossed, the name is not clear yet" if monitor._watch.busy else "no alarm"
+        head = (
+            "a threshold was crossed, the effect is not identified yet" if monitor._watch.busy else "no alarm"
+        )
     title = f"Monitor of {name!r}: {head}; {n} samples so far ({n * monitor.dt:.6g} s)"
     rows = []
     for row in monitor.ranking[:_SHOWN]:
@@ -51,18 +53,20 @@ def monitor_table(monitor: Monitor) -> Table:
         force = stream.healthy.ratio
         noise = "white" if not any(stream.healthy.orders) else f"AR({max(stream.healthy.orders)})"
         grows = stream.healthy.noise[:, 1:].sum(axis=1) * stream.healthy.power
-        noise += ", larger where the signal is" if (grows > stream.healthy.noise[:, 0]).any() else ""
+        noise += ", growing with the signal" if (grows > stream.healthy.noise[:, 0]).any() else ""
         notes.append(
-            f"The largest statistic stands at {ratio:.2f} of its threshold. Healthy noise: {noise}"
+            f"The largest statistic is {ratio:.2f} of its threshold. Noise in the healthy state: {noise}"
             + (f", unmeasured force about {100 * force:.2g} % of the input." if force else ".")
         )
         notes.append(
-            "probability: of each candidate among all and nothing, alike before; gain: log-likelihood over "
-            "the healthy model; " + ("figures fitted since the change." if state else "figures linearized.")
+            "probability: of each candidate among all candidates and no change, with "
+            "equal prior probabilities. gain: increase of the log-likelihood over the "
+            "healthy model. "
+            + ("The values are fitted since the change." if state else "The values are linearized.")
         )
     every = 1e5 / monitor.false_alarms
     notes.append(
-        f"Stated: at most {monitor.false_alarms:g} false alarms in 100 000 healthy samples, one in "
+        f"False alarms: at most {monitor.false_alarms:g} in 100 000 healthy samples, one in "
         f"{_duration(every * monitor.dt)}."
     )
     return Table(["candidate", "coefficient", "probability", "gain"], rows, title, notes)
@@ -139,5 +143,5 @@ def _title(monitor: Monitor, alarms: list[Any]) -> str:
     if not alarms:
         return f"No alarm in {monitor.n_samples} samples"
     last = alarms[-1]
-    ended = "" if last.ended is None else f", gone by {last.ended:.4g} s"
+    ended = "" if last.ended is None else f", ended by {last.ended:.4g} s"
     return f"{last.effect.label} since {last.since:.4g} s{ended}"

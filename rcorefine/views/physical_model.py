@@ -41,7 +41,7 @@ def model_text(model: PhysicalModel) -> str:
     ):
         pairs = zip(labels, units, strict=True)
         lines += _wrap(f"{what:<8}", [f"{label} [{unit}]" if unit else label for label, unit in pairs])
-    lines += _wrap("ports   ", [port.name for port in model.ports])
+    lines += _wrap("places  ", [port.name for port in model.ports])
     shown = model.parameters[:_SHOWN]
     if shown:
         width = max(len(item.name) for item in shown)

@@ -35,7 +35,7 @@ def ranking_bars(ax: Any, found: Diagnosis) -> list[Any]:
     loss = [100 - row.fit_after for row in rows]
     bars = ax.barh(where, loss, color=colors, edgecolor="0.3", height=0.65)
     before = 100 - rows[0].fit_before
-    line = ax.axvline(before, color=style(0).color, ls="--", lw=1.4, label="model as it is")
+    line = ax.axvline(before, color=style(0).color, ls="--", lw=1.4, label="model as given")
     for y, row, value in zip(where, rows, loss, strict=True):
         ax.annotate(
             "" if found.verdict == "unexplained" else f"P = {row.probability:.2f}",
@@ -47,7 +47,7 @@ def ranking_bars(ax: Any, found: Diagnosis) -> list[Any]:
         )
     ax.set_yticks(where, [_wrapped(row.label) for row in rows], fontsize=7)
     ax.set_xlim(0, 1.25 * max(before, *loss))
-    ax.set_xlabel("what the refitted model misses: 100 - fit [%]")
+    ax.set_xlabel("100 - fit of the refitted model [%]")
     ax.set_title("Candidate effects, refitted")
     return [*bars, line]
 
@@ -71,5 +71,5 @@ def test_bars(ax: Any, found: Diagnosis) -> list[Any]:
     ax.set_yticks(where, [t.name.split(" (")[0] for t in tests], fontsize=8)
     ax.set_xlim(0, max(1.2 * level, ax.get_xlim()[1]))
     ax.set_xlabel("-log10 of the p-value")
-    ax.set_title("Tests of the model")
+    ax.set_title("Residual tests of the model")
     return [*bars, line]

@@ -102,7 +102,7 @@ def plot_coefficients(history: CoefficientHistory, frame: Frame) -> ct.ControlPl
         lines[n_y, 0] = axis.plot(history.timepts, shown.T, linewidth=1.0)
         for line, text in zip(lines[n_y, 0], names, strict=True):
             line.set_label(plain(text))
-        axis.set_ylabel("coefficients\nover their largest")
+        axis.set_ylabel("coefficients /\nlargest value")
         axis.grid(True, alpha=0.35)
         lines[n_y + 1, 0] = _draw_poles(axes[n_y + 1, 0], history.pole_timepts, history.poles)
         return frame.finish(axes, lines, [axes[0, 0], axis])

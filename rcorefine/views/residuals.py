@@ -29,9 +29,9 @@ def tests_table(tests: TestTable) -> Table:
     rows = [[r.test, r.signal, number(r.statistic), str(r.dof), chance(r.p_value)] for r in tests.rows]
     bad = tests.failed()
     verdict = (
-        "No row fails at 1 %, their number allowed for."
+        "No test is significant at 1 %, corrected for the number of tests."
         if not bad
-        else f"Fails at 1 %: {', '.join(dict.fromkeys(r.test for r in bad))}."
+        else f"Significant at 1 %: {', '.join(dict.fromkeys(r.test for r in bad))}."
     )
     return Table(["test", "signal", "statistic", "dof", "p-value"], rows, notes=[verdict, tests.note], left=2)
 
@@ -62,7 +62,9 @@ def plot_residual(result: Comparison, frame: Frame) -> ct.ControlPlot:
                 if len(names) > 1 and j:  # each residual has a color of its own, and so a bound
                     for bound in (-found.bound[0], found.bound[0]):
                         axis.axhline(bound, color=style(m).color, linewidth=0.8, linestyle=":", zorder=2)
-            axis.axhspan(-wide, wide, color=BAND, linewidth=0, zorder=1, label="chance (99 % per lag)")
+            axis.axhspan(
+                -wide, wide, color=BAND, linewidth=0, zorder=1, label="no correlation (99 % per lag)"
+            )
             axis.axhline(0.0, color=MEASURED, linewidth=0.7, zorder=2)
             if j:
                 axis.axvline(0.0, color=MEASURED, linewidth=0.7, linestyle=":", zorder=2)
@@ -82,7 +84,7 @@ def plot_horizon(result: Comparison, frame: Frame) -> ct.ControlPlot:
     """Error against how far ahead is predicted; see `Comparison.plot`."""
     found = horizon_error(result)
     data = result.data
-    names, led = frame.labels(result.names), "led by the record"
+    names, led = frame.labels(result.names), "observer"
     with frame.axes([2.2] * data.n_outputs, 1) as (axes, lines):
         for i in range(data.n_outputs):
             axis = axes[i, 0]
@@ -91,12 +93,12 @@ def plot_horizon(result: Comparison, frame: Frame) -> ct.ControlPlot:
                 lines[i, 0] += axis.plot(found.seconds, found.rmse[m, i], marker=".", **look)
                 axis.axhline(
                     found.free_run[m, i], color=style(m).color, linewidth=0.8, linestyle=":", zorder=2,
-                    label=(led if result.led else "free run") if m == 0 else None,
+                    label=(led if result.led else "simulation") if m == 0 else None,
                 )  # fmt: skip
             axis.set_xscale("log")
             axis.set_yscale("log")
             axis.set_ylabel(unit_text(f"RMSE of {data.output_labels[i]}", data.output_units[i]))
             axis.grid(True, which="both", alpha=0.25)
-        axes[-1, 0].set_xlabel("Predicted ahead [s]")
+        axes[-1, 0].set_xlabel("Prediction horizon [s]")
         title = f"Error against prediction horizon, record {data.name}"
         return frame.finish(axes, lines, [axes[0, 0]], title)

@@ -20,8 +20,8 @@ __all__ = ["draw_points", "level_name", "plot_levels", "plot_responses", "respon
 
 _NOTES = (
     "fit = 100 (1 - |G - Gh| / |G - mean(G)|) of the complex responses: 100 % is perfect.",
-    "error: median of |Gh/G - 1|; worst: where |G - Gh| is largest; over std: what is left over the standard "
-    "deviation of the points, 1 where it is noise ('-': not known).",
+    "error: median of |Gh/G - 1|. worst: frequency where |G - Gh| is largest. over std: residual divided "
+    "by the standard deviation of the points, 1 if it is noise ('-': not known).",
 )
 _HEADERS = ("model", "output", "input", "fit [%]", "error", "over std", "worst")
 _GRAYS = ("0.15", "0.4", "0.6", "0.75")

@@ -71,7 +71,10 @@ def _panel(panel: Any, effect: FleetEffect) -> list[Any]:
     panel.axhspan(effect.mean - effect.spread, effect.mean + effect.spread, color=BAND, alpha=0.6, lw=0)
     drawn = [panel.axhline(effect.mean, color="0.3", linewidth=1.2, label="fleet: mean, spread")]
     out = np.array([machine.stands_out for machine in machines])
-    for chosen, color, text in ((~out, "#1f4e9c", "machine, 95 %"), (out, "#b5400a", "stands out")):
+    for chosen, color, text in (
+        (~out, "#1f4e9c", "machine, 95 %"),
+        (out, "#b5400a", "deviates from the fleet"),
+    ):
         if chosen.any():
             mine = [machine for machine, wanted in zip(machines, chosen, strict=True) if wanted]
             drawn.append(
@@ -83,7 +86,12 @@ def _panel(panel: Any, effect: FleetEffect) -> list[Any]:
                 )
             )  # fmt: skip
     drawn += panel.plot(
-        where, [m.pooled for m in machines], "_", color="0.15", markersize=9, label="drawn toward the fleet"
+        where,
+        [m.pooled for m in machines],
+        "_",
+        color="0.15",
+        markersize=9,
+        label="shrunk toward the fleet mean",
     )
     if len(machines) <= _NAMED:
         panel.set_xticks(

@@ -25,13 +25,13 @@ _LEVELS: tuple[tuple[str, Callable[[Array, float], Array], str, str], ...] = (
         "dead zone",
         lambda w, g: -np.clip(w, -g, g),
         "|{n}| < {g}",
-        "Small values of {n} (below {g}) do less than the model says: a dead zone.",
+        "Small values of {n} (below {g}) have less effect than in the model: a dead zone.",
     ),
     (
         "saturation",
         lambda w, g: np.clip(w, -g, g) - w,
         "|{n}| > {g}",
-        "Values of {n} beyond {g} do less than the model says: the actuator saturates.",
+        "Values of {n} beyond {g} have less effect than in the model: the actuator saturates.",
     ),
 )
 # The same without a level; the spread of the input keeps the unit.
@@ -40,19 +40,19 @@ _SHAPES: tuple[tuple[str, Callable[[Array, float], Array], str, str], ...] = (
         "asymmetry",
         lambda w, spread: np.abs(w),
         "the two signs of {n}",
-        "{n} acts by different factors to the two sides.",
+        "The gain of {n} differs between positive and negative values.",
     ),
     (
         "odd distortion",
         lambda w, spread: w**3 / spread**2,
         "large |{n}|",
-        "{n} acts by another factor where it is large, alike to both sides.",
+        "The gain of {n} changes at large values, equally for both signs.",
     ),
     (
         "even distortion",
         lambda w, spread: w**2 / spread,
         "large |{n}|",
-        "{n} has a part in its square: both signs push the same way.",
+        "The effect of {n} has a quadratic part: it has the same direction for both signs.",
     ),
 )
 # An input of one sign has no sides.
@@ -61,7 +61,7 @@ _ONE_SIDED: tuple[tuple[str, Callable[[Array, float], Array], str, str], ...] = 
         "curvature",
         lambda w, spread: w**2 / spread,
         "large |{n}|",
-        "{n} acts by another factor where it is large than where it is small.",
+        "The gain of {n} differs between large and small values.",
     ),
 )
 _OTHER_SIGN = 0.01  # of an input's energy: with less of it, the input has one sign
@@ -145,8 +145,8 @@ def level_dependence(scene: ModelOnRecord) -> list[Finding]:
         found.append(
             Finding(
                 "amplitude", f"{name} near {near}", "level dependence", own, dof, centers.size,
-                f"Near {near} the response of {name} changes with its level: it does not scale, so the "
-                "system is not linear there.",
+                f"Near {near} the response of {name} is not proportional to its level, so the system is "
+                "nonlinear there.",
                 {"output": name, "omega": float(centers[k]), "kind": "level"},
             )
         )  # fmt: skip

@@ -77,7 +77,7 @@ def _distortion(scene: ModelOnRecord, i: int, period: int, wanted: Array, name: 
     fit[i] = np.tile(wave, whole + 2)[period - shift : period - shift + r.size]
     output = scene.named(i)
     level = 20.0 * np.log10(max(float(wave.std() / max(scene.measured[i].std(), 1e-300)), 1e-12))
-    shape = "one side more than the other" if word == "even" else "both sides alike"
+    shape = "is asymmetric" if word == "even" else "is the same on both sides"
     return Finding(
         "amplitude",
         f"{word} harmonics at {output}",
@@ -85,7 +85,7 @@ def _distortion(scene: ModelOnRecord, i: int, period: int, wanted: Array, name: 
         Explanation(fit, scene.evidence.gain(fit), np.array([level])),
         2 * int(wanted.sum()),
         2,
-        f"{output} holds {word} harmonics that the input does not ({level:.0f} dB of its level): "
-        f"a nonlinearity that bends {shape}.",
+        f"{output} contains {word} harmonics that the input does not ({level:.0f} dB of its level): a "
+        f"nonlinearity that {shape}.",
         {"output": output, "level_dB": level, "kind": "distortion", "parity": word},
     )

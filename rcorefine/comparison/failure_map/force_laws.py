@@ -17,22 +17,23 @@ _QUANTILES = (0.3, 0.5, 0.65, 0.8, 0.9)
 _LEVELS = (0.5, 0.7, 0.85, 0.95)  # quantiles of a first-order state
 
 _MEANINGS = {
-    "dry": "jumps where the motion turns, as dry friction does",
-    "dry by direction": "jumps where the motion turns, by different steps, as worn guides do",
-    "odd velocity": "grows more than in proportion to speed, as drag does",
-    "one side of velocity": "differs with the direction of motion",
-    "root": "follows the square root, as an outflow does",
-    "beyond": "sets in beyond a limit, as a stop or a hardening spring does",
-    "beyond, one side": "sets in beyond a limit on one side only, as a stop does",
-    "odd displacement": "grows more than in proportion to displacement, as a hardening spring does",
-    "even displacement": "grows to one side, as an asymmetric spring does",
-    "one side": "differs between the two sides, as a crack or a loose contact does",
+    "dry": "jumps where the motion reverses, like dry friction",
+    "dry by direction": "jumps where the motion reverses, by a different amount in each direction, like "
+    "worn guides",
+    "odd velocity": "grows more than proportionally to speed, like drag",
+    "one side of velocity": "depends on the direction of motion",
+    "root": "follows the square root, like an outflow",
+    "beyond": "sets in beyond a limit, like a stop or a hardening spring",
+    "beyond, one side": "sets in beyond a limit on one side only, like a stop",
+    "odd displacement": "grows more than proportionally to displacement, like a hardening spring",
+    "even displacement": "is larger on one side, like an asymmetric spring",
+    "one side": "differs between the two sides, like a crack or a loose contact",
 }
 _OF_STORES = {
-    "dry": "changes its sign with the state, and hardly its size",
-    "dry by direction": "jumps where the state changes its sign, by different steps",
-    "odd velocity": "grows more than in proportion to the state, as radiation or a turbulent leak does",
-    "beyond": "sets in beyond a limit, as an overflow does",
+    "dry": "changes sign with the state and has nearly constant size",
+    "dry by direction": "jumps where the state changes sign, by a different amount on each side",
+    "odd velocity": "grows more than proportionally to the state, like radiation or a turbulent leak",
+    "beyond": "sets in beyond a limit, like an overflow",
 }
 
 
@@ -122,7 +123,7 @@ def _over_displacement(place: Port, d: Array) -> Iterator[tuple[ForceLaw, list[A
     yield ForceLaw("linear displacement", "everywhere", linear=True), [d]
     odd = ForceLaw("odd displacement", "at large |d|", code=2, size=spread, values=axis)
     yield odd, [d**3 / spread**2]
-    even = ForceLaw("even displacement", "d of one sign more", code=6, size=spread, values=axis)
+    even = ForceLaw("even displacement", "larger for one sign of d", code=6, size=spread, values=axis)
     yield even, [d * d / spread]
     for g in map(float, np.quantile(np.abs(d), _QUANTILES)):
         text, edge = _sized(g, place.position_unit), {"low": g, **axis}
@@ -132,7 +133,7 @@ def _over_displacement(place: Port, d: Array) -> Iterator[tuple[ForceLaw, list[A
         yield above, [np.maximum(d - g, 0.0)]
         below = ForceLaw("beyond, one side", f"d < -{text}", 2, code=8, size=g, values={**edge, "side": -1})
         yield below, [np.minimum(d + g, 0.0)]
-    yield ForceLaw("one side", "d > 0 apart from d < 0", code=5, values={"low": 0.0, **axis}), [np.abs(d)]
+    yield ForceLaw("one side", "d > 0 and d < 0 differ", code=5, values={"low": 0.0, **axis}), [np.abs(d)]
 
 
 def _sized(number: float, unit: str) -> str:

@@ -264,6 +264,6 @@ def _moved(row: dict[str, float], paired: bool) -> str:
     what = f"Mode {row['mode']}" if paired else "The corner"
     damping = f"its damping ratio is {row['zeta']:.2g} instead of {row['zeta_model']:.2g}, "
     return (
-        f"{what} at {there} lies at {here} in the record ({more} %), "
-        f"{damping if paired else ''}its size is {row['size']:.3g} times the model's"
+        f"{what} at {there} is at {here} in the record ({more} %), {damping if paired else ''}its amplitude "
+        f"is {row['size']:.3g} times that of the model"
     )

@@ -305,7 +305,7 @@ def model_on_record(comparison: Comparison, index: int) -> tuple[ModelOnRecord, 
         places = found_places(model, comparison.data.dt)
     if places is None or not places.places:
         places = None
-        notes.append("State space and place were not searched: no ports were found in this model")
+        notes.append("State space and place were not searched: no places were found in this model")
     scene = ModelOnRecord(
         comparison.seen_by(index), model, comparison.runs[index], comparison.states[index], comparison.starts,
         estimated=comparison.x0 == "estimate", places=places,

@@ -155,8 +155,8 @@ def failure_map(comparison: Comparison, index: int) -> FailureMap:
         return FailureMap(comparison.names[index], (), rms, (), tuple(notes))
     if comparison.led or comparison.looped:
         notes.append(
-            f"The model {'runs in a loop' if comparison.looped else 'is unstable'} and follows the record, "
-            "which shows no region; diagnose tests it"
+            f"The model {'runs in a loop' if comparison.looped else 'is unstable'} and is corrected by the "
+            "record, so failures cannot be located; use diagnose"
         )
         return FailureMap(comparison.names[index], (), rms, (), tuple(notes))
     rows = _rows(scene)

@@ -86,7 +86,7 @@ def forces_at_places(scene: ModelOnRecord) -> list[Finding]:
                 whole,
                 len(together),
                 count,
-                f"A {place.acts_by} at {place.name} that follows the {followed} there would explain "
+                f"A {place.acts_by} at {place.name} that depends on the {followed} there would explain "
                 f"{100 * scene.evidence.share_of_error(scene.evidence.whole(whole)):.3g} % of the error.",
                 {"place": place.name, "kind": "force"},
             )
@@ -101,7 +101,7 @@ def forces_at_places(scene: ModelOnRecord) -> list[Finding]:
                 linear,
                 len(straight),
                 count,
-                f"A change of the linear law at {place.name} alone would explain "
+                f"A change of the linear coefficients at {place.name} alone would explain "
                 f"{100 * scene.evidence.share_of_error(scene.evidence.whole(linear)):.3g} % of the error.",
                 {"place": place.name, "kind": "linear force"},
             )
@@ -253,6 +253,6 @@ def _finding(place: Port, law: ForceLaw, one: Explanation, tried: int) -> Findin
         one,
         law.dof,
         tried,
-        f"The {place.acts_by} that the model lacks at {place.name} {law.meaning} ({law.where}).",
+        f"The {place.acts_by} that is missing at {place.name} {law.meaning} ({law.where}).",
         {"place": place.name, "law": law.name, "kind": "state", **law.values},
     )

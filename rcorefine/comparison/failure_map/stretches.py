@@ -80,7 +80,7 @@ def _stretch(scene: ModelOnRecord, i: int, masked: NDArray[np.bool_]) -> Finding
         gain, dof, fits = stuck.gain, 4, stuck.fit
     if stuck is not None or (hangs and seen[a0:b0].std() < _STILL * np.delete(seen, slice(a0, b0)).std()):
         measure = "dropout"
-        text = "the output does not follow the model at all: the record dropped out or hung"
+        text = "the output does not follow the model at all: the record dropped out or was stuck"
     start, stop = scene.time(a0), scene.time(b0)
     times = inside_level / max(outside_level, 1e-300)
     if measure == "error level" and times < _LOUDER:

@@ -46,8 +46,8 @@ def drifts(scene: ModelOnRecord) -> list[Finding]:
                 one,
                 len(rows),
                 3,
-                f"{scene.named(i)} drifts away from the model by {height:.3g}"
-                f"{_unit(scene, i)} over the record: a sensor that creeps, or a slow disturbance.",
+                f"{scene.named(i)} drifts from the model by {height:.3g}{_unit(scene, i)} over the record: "
+                "sensor drift, or a slow disturbance.",
                 {"output": scene.named(i), "height": height, "kind": "drift"},
             )
             if best is None or finding.net(scene) > best.net(scene):
@@ -75,8 +75,8 @@ def _offset(scene: ModelOnRecord, i: int) -> Finding:
         Explanation(nothing, gain, np.array([height]), height * constant),
         1,
         1,
-        f"{scene.named(i)} lies {size:+.3g}{_unit(scene, i)} off the model throughout: zero of the sensor, "
-        "or a constant force.",
+        f"{scene.named(i)} differs from the model by a constant {size:+.3g}{_unit(scene, i)}: a sensor "
+        "offset, or a constant force.",
         {"output": scene.named(i), "offset": size, "kind": "offset"},
     )
 
@@ -143,7 +143,7 @@ def signs(scene: ModelOnRecord) -> list[Finding]:
                     one,
                     1 + len(starts),
                     1,
-                    f"{name} has the wrong sign: it is {factor:.3g} times the model's throughout.",
+                    f"{name} has the wrong sign: it is {factor:.3g} times the model output.",
                     {"output": name, "factor": factor, "kind": "sign"},
                 )
             )
@@ -156,7 +156,7 @@ def signs(scene: ModelOnRecord) -> list[Finding]:
                     one,
                     1 + len(starts),
                     1,
-                    f"{name} is {factor:.4g} times the model's at all frequencies: a gain is wrong.",
+                    f"{name} is {factor:.4g} times the model output at all frequencies: a gain is wrong.",
                     {"output": name, "factor": factor, "kind": "gain", "low": 0.0, "high": np.inf},
                 )
             )
@@ -190,8 +190,8 @@ def pinned(scene: ModelOnRecord) -> list[Finding]:
                     Explanation(fit, -2.0 * chance, np.array([limit])),
                     1,
                     2,
-                    f"{name} stands still at {limit:.4g}{unit} in {at.sum()} samples: the end of its "
-                    "range, so the record itself is cut off.",
+                    f"{name} is constant at {limit:.4g}{unit} in {at.sum()} samples: the record is clipped "
+                    "at the end of its range.",
                     {"output": name, "limit": limit, "side": side, "kind": "pinned"},
                 )
             )
@@ -226,8 +226,8 @@ def clipping(scene: ModelOnRecord) -> list[Finding]:
             found.append(
                 Finding(
                     "time", f"where {name} reaches {text}", "clipping", one, 1, 26,
-                    f"{name} is cut off at {text} ({100 * np.mean(taken != 0):.2g} % of the time): "
-                    "the range of the sensor is exceeded.",
+                    f"{name} is clipped at {text} ({100 * np.mean(taken != 0):.2g} % of the time): the "
+                    "range of the sensor is exceeded.",
                     {"output": name, "limit": limits[-1], "side": side, "kind": "clipping"},
                 )
             )  # fmt: skip

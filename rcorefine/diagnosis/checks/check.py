@@ -175,8 +175,8 @@ def _looked_over(model: Any, data: Measurement, horizon: float | None) -> tuple[
         return record, [*kept, *sampling, *gains, *feedback_rows(compared)]
     diverges = CheckRow(
         STOP, "free run", "", "diverges",
-        "The free run leaves all bounds, so the model cannot be laid beside the record: give compare a short "
-        "horizon=, or mend its poles.",
+        "The simulation diverges, so the model cannot be compared with the record. Give compare a short "
+        "horizon=, or correct the poles.",
     )  # fmt: skip
     return record, [*rows, *levels, *sampling, diverges]
 
@@ -227,11 +227,11 @@ def _against(effect: Effect, found: Detectable | None) -> CheckRow:
             "information",
             effect.place,
             f"{effect.kind}: not seen",
-            f"This record shows nothing of {effect.label}.",
+            f"This record cannot show {effect.label}.",
         )
     value = {**effect.start, **effect.fixed}.get(found.coefficient)
     least = f"{found.smallest:.3g} {found.unit}".strip()
-    sentence = f"{effect.label}: this record shows nothing below {least} (with 95 % probability)."
+    sentence = f"{effect.label}: this record cannot show less than {least} (95 % probability)."
     if value is None:
         return CheckRow(OK, "information", effect.place, f"{effect.kind}: from {least}", sentence)
     said = f"{sentence} Your model has {value:.3g} {found.unit}".strip() + "."
@@ -264,9 +264,9 @@ def _information_rows(shown: tuple[Detectable, ...], model: PhysicalModel | None
     best = ", ".join(f"{d.effect.label} {d.smallest:.3g} {d.unit}".strip() for d in shown[:3])
     seen = CheckRow(
         OK, "information", "", f"{counted(len(shown), 'effect')} tried",
-        f"Would show with 95 % probability: {best}, and others (.detectable).",
+        f"Smallest effects that it would show (95 % probability): {best}, and others (.detectable).",
     )  # fmt: skip
     if not blind:
         return [seen]
-    least = f"The record does not see these even if they double: {', '.join(blind[:4])}."
+    least = f"The record would not show these even if they doubled: {', '.join(blind[:4])}."
     return [seen, CheckRow(LOOK, "information", "", f"{len(blind)} not seen", least)]

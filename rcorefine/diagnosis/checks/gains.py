@@ -159,8 +159,8 @@ def _bent_row(label: str, y: Array, run: Array, inputs: Array, begun: Array) -> 
     if follows and not _both_signs(y) and any(map(_both_signs, inputs)) and own @ own > _TELLS * own.size:
         return CheckRow(
             LOOK, "rectified", label, f"{y.min():.3g} to {y.max():.3g}",
-            f"{label} never changes sign, though the input does, and follows the size of the model's output: "
-            "a rectified signal, or one that is cut off at zero.",
+            f"{label} never changes sign although the input does, and it follows the size of the model "
+            "output: the signal is rectified or clipped at zero.",
         )  # fmt: skip
     band = max(_END, 6.0 * coarse_noise(y) / spread, resolution(y) / spread)
     there = _at_ends(y, band)
@@ -171,8 +171,8 @@ def _bent_row(label: str, y: Array, run: Array, inputs: Array, begun: Array) -> 
     figure = f"{100 * sum(there):.2g} % of the samples"
     return CheckRow(
         LOOK, "stops", label, f"{figure} at both ends",
-        f"{label} rests near {y.min():.3g} and {y.max():.3g} in {figure}, where the model moves on: stops, "
-        "or a sensor or an actuator at its limits.",
+        f"{label} stays near {y.min():.3g} and {y.max():.3g} in {figure}, but the model does not: "
+        "mechanical stops, or a sensor or actuator at its limits.",
     )  # fmt: skip
 
 
@@ -196,11 +196,11 @@ def _delay_row(label: str, found: _Gain, dt: float) -> Iterator[CheckRow]:
     word = "behind" if found.delay > 0 else "ahead of"
     count = f"{abs(found.delay)} sample{'s' if abs(found.delay) > 1 else ''}"
     figure = f"{count}, {abs(found.delay) * dt:.3g} s"
-    cause = "a delay (output_delay, input_delay)" if found.delay > 0 else "clocks that differ"
+    cause = "a delay (output_delay, input_delay)" if found.delay > 0 else "different clocks"
     yield CheckRow(
         LOOK, "delay", label, figure,
-        f"{label} fits best {count} ({abs(found.delay) * dt:.3g} s) {word} the model: {cause}, or dynamics "
-        f"that are too {'fast' if found.delay > 0 else 'slow'}.",
+        f"{label} is best matched {count} ({abs(found.delay) * dt:.3g} s) {word} the model: {cause}, or "
+        f"model dynamics that are too {'fast' if found.delay > 0 else 'slow'}.",
     )  # fmt: skip
 
 
@@ -218,7 +218,8 @@ def _unit_row(found: _Gain, data: Measurement, i: int, model: str) -> Iterator[C
     if abs(found.correlation) >= _RELATED and abs(np.log(size)) < abs(np.log(size / factor)):
         yield CheckRow(
             LOOK, "units", label, with_error(found.value, found.std),
-            f"{said}, but its size is that of the model: either is declared wrong, or a gain hides it.",
+            f"{said}, but its size is that of the model: one unit is declared wrong, or a gain compensates "
+            "the difference.",
         )  # fmt: skip
         return
     others = range(data.n_outputs)
@@ -237,8 +238,8 @@ def _gain_row(label: str, found: _Gain, record: str, model: str) -> Iterator[Che
     if abs(found.correlation) < _RELATED:
         yield CheckRow(
             LOOK, "gain", label, f"correlation {found.correlation:.2g}",
-            f"The free run has little to do with {label}: no gain, sign or unit can be read. Look at the "
-            "wiring, the order of the channels and the time constants.",
+            f"The simulation hardly correlates with {label}, so gain, sign and unit cannot be checked. "
+            "Check the wiring, the order of the channels and the time constants.",
         )  # fmt: skip
         return
     factor = between(record, model)
@@ -246,7 +247,7 @@ def _gain_row(label: str, found: _Gain, record: str, model: str) -> Iterator[Che
         abs(value / known - 1.0) <= max(_SURE * found.std / known, _LEAST) for known in (1.0, factor or 1.0)
     ):
         if factor in (None, 1.0):
-            yield CheckRow(OK, "gain", label, figure, f"{label} has the size that the model says.")
+            yield CheckRow(OK, "gain", label, figure, f"{label} has the size that the model predicts.")
         return
     # missing dynamics turn and shrink a response too, but then little of the record goes with the model
     like = abs(found.correlation)
@@ -258,17 +259,17 @@ def _gain_row(label: str, found: _Gain, record: str, model: str) -> Iterator[Che
         more = f", and {unit}" if words else ""
         yield CheckRow(
             STOP, "sign", label, figure,
-            f"{label} goes against the model{more}: a swapped wire, or another convention of sign.",
+            f"{label} has the opposite sign of the model{more}: swapped wires, or another sign convention.",
         )  # fmt: skip
     elif certain:
         yield CheckRow(
             STOP, "units", label, figure,
-            f"{label}: {unit}; its size fits that within its error, and the rest of the record with it.",
+            f"{label}: {unit}. The size agrees within its error, and so does the rest of the record.",
         )  # fmt: skip
     else:
         yield CheckRow(
             LOOK, "units" if words else "gain", label, figure,
-            f"{label} is {figure} times what the model says: a gain, or numbers that are off"
+            f"{label} is {figure} times the model output: a wrong gain or parameter value"
             + (", or a sign" if value < 0 else "")
             + (f", or a unit ({words})." if words else ", or a unit." if factor is None else "."),
         )  # fmt: skip
@@ -287,7 +288,7 @@ def _drift_row(label: str, left: Array, y: Array, timepts: Array) -> Iterator[Ch
     if abs(moved) > max(5.0 * error, 0.05 * float(y.std())):
         yield CheckRow(
             LOOK, "drift", label, f"{moved:.3g} over the record",
-            f"{label} drifts by {with_error(moved, error)} from beginning to end where the model does not.",
+            f"{label} drifts by {with_error(moved, error)} over the record; the model does not.",
         )  # fmt: skip
 
 
@@ -303,5 +304,5 @@ def _spike_row(label: str, left: Array, step: float) -> Iterator[CheckRow]:
     if spikes > max(1, 1e-3 * left.size):
         yield CheckRow(
             LOOK, "spikes", label, f"{spikes} samples",
-            f"{label} has {spikes} samples far off between neighbors that are not: they carry the error.",
+            f"{label} has {spikes} samples that differ strongly from their neighbors and dominate the error.",
         )  # fmt: skip

@@ -58,39 +58,44 @@ def level_rows(
             odd = True
             yield CheckRow(
                 LOOK, "level", data.output_labels[i], with_error(means[i], spreads[i]),
-                f"{data.output_labels[i]} looks like what is above a point, and the model's is at "
-                f"{point.outputs[i]:.4g}: give the record as it was measured, or a model without a point.",
+                f"{data.output_labels[i]} looks like deviations from an operating point, but in the model "
+                f"this point is {point.outputs[i]:.4g}. Give the record as it was measured, or a model "
+                "without an operating point.",
             )  # fmt: skip
     # where it is led, or begins anew, its level is that of the record
     free = compared is not None and len(compared.starts) == 1 and not compared.led
-    absolute = ": declare that by physical(model, operating_point=...), or give Measurement.deviation()"
+    absolute = ": declare this by physical(model, operating_point=...), or give Measurement.deviation()"
     for label, found in levels.items() if free and not odd else ():
         if found is not None and _stands(*found):
             odd = True
             yield CheckRow(
                 LOOK, "level", label, with_error(*found[:2]),
-                f"{label} stands {with_error(*found[:2])} off where the model puts it, with a spread of "
+                f"{label} differs from the model by a constant {with_error(*found[:2])}, with a spread of "
                 f"{found[2]:.3g}: an offset, or a record about an operating point."
-                + (f" The record looks absolute{absolute}." if far.any() and point is None else ""),
+                + (f" The outputs look absolute{absolute}." if far.any() and point is None else ""),
             )  # fmt: skip
     if odd:
         return
     if point is not None and far.any():
-        yield CheckRow(OK, "level", "", "absolute", "The outputs look absolute, about the model's point.")
+        yield CheckRow(OK, "level", "", "absolute", "The outputs look like absolute values, as in the model.")
     elif far.any():
         yield CheckRow(
             OK, "level", data.output_labels[int(np.argmax(far))], "absolute",
-            "The record looks absolute. Where the model is linear about a point, declare that by "
-            "physical(model, operating_point=...), or give Measurement.deviation().",
+            "The outputs look like absolute values. If the model is linear about an operating point, "
+            "declare it by physical(model, operating_point=...), or give Measurement.deviation().",
         )  # fmt: skip
     elif not fixed.all():
-        yield CheckRow(OK, "level", "", "any", "The model integrates: its initial state holds any level.")
+        yield CheckRow(
+            OK, "level", "", "any", "The model integrates, so its initial state can explain any level."
+        )
     elif any(_stands(y.mean(), _error(y, y.size), y.std()) for y in data.outputs):
-        said = "the model explains them." if free else "no free run says whether the model explains them."
+        said = "the model explains them." if free else "no simulation shows whether the model explains them."
         figure = "by the model" if free else "not zero"
-        yield CheckRow(OK, "level", "", figure, f"The outputs have means, and {said}")
+        yield CheckRow(OK, "level", "", figure, f"The outputs have nonzero means, and {said}")
     else:
-        yield CheckRow(OK, "level", "", "about zero", "The outputs look like deviations from a point.")
+        yield CheckRow(
+            OK, "level", "", "about zero", "The outputs look like deviations from an operating point."
+        )
 
 
 def _stands(level: float, error: float, spread: float) -> bool:

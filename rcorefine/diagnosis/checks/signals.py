@@ -44,7 +44,7 @@ def signal_rows(data: Measurement) -> Iterator[CheckRow]:
         stop = label in data.output_labels or (whole and not data.outputs.std(axis=1).any())
         yield CheckRow(
             STOP if stop else LOOK, "motion", label, "constant",
-            f"{label} never changes: the record says nothing about what it drives or shows.",
+            f"{label} never changes, so the record contains no information about it.",
         )  # fmt: skip
     if not still:
         yield CheckRow(
@@ -58,7 +58,8 @@ def signal_rows(data: Measurement) -> Iterator[CheckRow]:
         if label not in still and (w.min() >= 0 or w.max() <= 0) and abs(w.mean()) > 0.2 * np.abs(w).max():
             yield CheckRow(
                 LOOK, "sign", label, f"{w.min():.3g} to {w.max():.3g}",
-                f"{label} never changes sign: laws that differ by direction may look alike.",
+                f"{label} never changes sign, so effects that differ by direction may not be "
+                "distinguishable.",
             )  # fmt: skip
 
 
@@ -70,7 +71,8 @@ def _repeated(named: list[tuple[str, Array]]) -> Iterator[CheckRow]:
             if abs(like) > _SAME:
                 yield CheckRow(
                     LOOK, "repeated", f"{one}, {other}", f"correlation {like:.3g}",
-                    f"{one} and {other} are one signal up to scale: one of them says nothing of its own.",
+                    f"{one} and {other} are the same signal up to scale, so the data cannot distinguish "
+                    "their effects.",
                 )  # fmt: skip
 
 
@@ -89,14 +91,14 @@ def _output_rows(label: str, y: Array) -> Iterator[CheckRow]:
         said = f"{step / spread:.2g} of its standard deviation" if few else "more than its noise"
         yield CheckRow(
             LOOK, "resolution", label, f"{count}steps of {step:.3g}",
-            f"{label} has {count}steps of {step:.3g} ({said}): what is smaller cannot be seen.",
+            f"{label} has {count}steps of {step:.3g} ({said}): smaller changes cannot be seen.",
         )  # fmt: skip
     lost = _lost(y)
     if lost:
         yield CheckRow(
             LOOK, "dropouts", label, f"{lost} samples read 0",
-            f"{label} jumps to exactly 0 and back in {lost} samples: the sensor or the link dropped out; "
-            "mark them as missing where they can be.",
+            f"{label} jumps to exactly 0 and back in {lost} samples: the sensor or its connection dropped "
+            "out. Mark these samples as missing if possible.",
         )  # fmt: skip
 
 

@@ -54,8 +54,8 @@ def sampling_rows(linear: LinearModel, data: Measurement, looped: bool = False) 
     if fast:
         yield CheckRow(
             LOOK, "sampling", "", figure,
-            f"Modes at {', '.join(f'{w:.4g}' for w in fast[:4])} rad/s lie above half the sampling frequency "
-            f"({limit:.4g} rad/s): what the input does between samples decides what they do.",
+            f"Modes at {', '.join(f'{w:.4g}' for w in fast[:4])} rad/s lie above half the sampling "
+            f"frequency ({limit:.4g} rad/s): their motion depends on the input between the samples.",
         )  # fmt: skip
     else:
         yield CheckRow(OK, "sampling", "", figure, "Every mode lies below half the sampling frequency.")
@@ -64,15 +64,15 @@ def sampling_rows(linear: LinearModel, data: Measurement, looped: bool = False) 
     if slow:
         yield CheckRow(
             LOOK, "length", "", f"{length:.4g} s",
-            f"The slowest mode ({min(slow):.3g} rad/s) has hardly begun to settle in {length:.4g} s: "
-            "the record says little about it.",
+            f"The slowest mode ({min(slow):.3g} rad/s) has hardly begun to settle in {length:.4g} s: the "
+            "record contains little information about it.",
         )  # fmt: skip
     unstable = [p for p in poles if p.real * length > 1.0]
     if unstable and not looped:
         yield CheckRow(
             LOOK, "stability", "", f"pole at {max(p.real for p in unstable):.3g}",
-            "The model is unstable, so it is judged by what it predicts one sample ahead (or in short free "
-            "runs, horizon=); no gain or unit can be read.",
+            "The model is unstable, so it is judged by one-step predictions (or short simulations, "
+            "horizon=). Gain and unit cannot be checked.",
         )  # fmt: skip
 
 
@@ -111,13 +111,17 @@ def controller_rows(controller: Controller, model: LinearModel, data: Measuremen
         share = float(np.linalg.norm(left)) / max(float(np.linalg.norm(u - u.mean())), 1e-300)
         if share < _OTHER:
             yield CheckRow(
-                OK, "controller", label, f"{100 * share:.2g} % off", "It gives the recorded input."
+                OK,
+                "controller",
+                label,
+                f"{100 * share:.2g} % deviation",
+                "The controller reproduces the recorded input.",
             )
         else:
             yield CheckRow(
-                LOOK, "controller", label, f"{100 * share:.2g} % off",
-                f"Fed with the record, the controller gives another {label}: another sign, sampling time or "
-                "delay, a limit of the actuator, or something that was added to it.",
+                LOOK, "controller", label, f"{100 * share:.2g} % deviation",
+                f"With the record as its input, the controller gives another {label}. Possible causes: "
+                "sign, sampling time, delay, an actuator limit, or an added signal.",
             )  # fmt: skip
 
 
@@ -151,11 +155,11 @@ def feedback_rows(compared: Comparison) -> Iterator[CheckRow]:
             if p < _FEEDBACK and most > _STRONG:
                 yield CheckRow(
                     LOOK, "closed loop", label, f"p = {p:.1g}",
-                    f"{label} follows what {name} did before (correlation up to {most:.2g}): a controller "
-                    "acts. Noise then enters the inputs, and free runs may be biased.",
+                    f"{label} depends on past values of {name} (correlation up to {most:.2g}): a controller "
+                    "acts. Noise then enters the inputs, and simulations may be biased.",
                 )  # fmt: skip
                 return
-    yield CheckRow(OK, "closed loop", "", "open", "No input is seen to follow the outputs.")
+    yield CheckRow(OK, "closed loop", "", "open", "No input was found to depend on past outputs.")
 
 
 def _white(row: Array) -> Array:

@@ -102,8 +102,8 @@ def _judge_means(
         suspect |= large & (best.cost - other.cost > _FAR**2 * wide)
     for i in np.flatnonzero(suspect & (len(best.left) >= _ENOUGH)):
         warn(
-            f"output {labels[i]!r}: the first samples hold a constant part that is not in the model and "
-            "distorts the coefficients; estimate it beside them: "
+            f"output {labels[i]!r}: the first samples have an offset that is not in the model and "
+            "distorts the coefficients; estimate it together with them: "
             f"rco.Effect({OutputOffset.name!r}, {labels[i]!r})",
             IdentifiabilityWarning,
         )

@@ -261,8 +261,8 @@ def make_effects_setup(
             )
         if effect.spec.drifts or (isinstance(effect.spec, InputLaw) and effect.spec.feels_time):
             raise ModelError(
-                f"{effect.label}: a law that feels the time between samples is not estimated on a stream; "
-                "use refine() on a record"
+                f"{effect.label}: an effect that depends on the time between samples is not estimated on a "
+                "stream; use refine() on a record"
             )
     if not effects:
         raise ModelError("effects is empty: name at least one Effect, or leave effects out")

@@ -42,9 +42,7 @@ def cautions(setup: Setup, memory: CoefficientMemory) -> list[str]:
         name for name, one, prior in zip(names, std, memory.spread, strict=True) if one > _UNLEARNED * prior
     ]
     if blind:
-        found.append(
-            f"Not excited: the samples say next to nothing about {', '.join(blind)}; excite or omit it."
-        )
+        found.append(f"Not excited: the samples hardly determine {', '.join(blind)}; excite or omit it.")
     with np.errstate(divide="ignore", invalid="ignore"):
         correlation = np.abs(P) / np.outer(std, std)
     pairs = [
@@ -54,7 +52,7 @@ def cautions(setup: Setup, memory: CoefficientMemory) -> list[str]:
         if correlation[i, j] > _ALIKE
     ]
     if pairs:
-        found.append(f"Hardly told apart by these sensors: {'; '.join(pairs[:3])}.")
+        found.append(f"Hardly distinguished by these sensors: {'; '.join(pairs[:3])}.")
     level = np.sqrt(lay.view(memory.packed, "level")[1])
     size = memory.sizes[-lay.ny :]
     for label, left, whole, declared in zip(
@@ -62,20 +60,22 @@ def cautions(setup: Setup, memory: CoefficientMemory) -> list[str]:
     ):
         if declared > 0 and left > 2.0 * declared:
             found.append(
-                f"Not explained: {label} is missed by {left:.3g}, the declared noise is {declared:.3g}; "
-                "another effect or place is at work."
+                f"Not explained: the prediction error of {label} is {left:.3g}, the declared noise "
+                f"{declared:.3g}. An effect is missing or at another place."
             )
         elif declared == 0 and left > _UNEXPLAINED * whole:
             found.append(
-                f"Not explained: {label} is missed by {100 * left / whole:.3g} % of its size; unless that is "
-                "noise, another effect or place is at work (rcorefine.diagnose ranks them)."
+                f"Not explained: the prediction error of {label} is {100 * left / whole:.3g} % of its rms. "
+                "Unless this is noise, an effect is missing or at another place (rcorefine.diagnose ranks "
+                "the candidates)."
             )
     poles = _poles(setup, memory)
     slowest = -float(np.max(poles.real, initial=-np.inf))
     if slowest > 0 and memory.n_samples * setup.settings.dt * slowest < 1.0 and memory.counters[1] > 0:
         found.append(
-            f"Not decayed: the slowest mode takes {1 / slowest:.3g} s to fade and the stream is "
-            f"{memory.n_samples * setup.settings.dt:.3g} s long; the unknown initial state still matters."
+            f"Not decayed: the slowest mode has a time constant of {1 / slowest:.3g} s and the stream is "
+            f"{memory.n_samples * setup.settings.dt:.3g} s long. The unknown initial state still affects "
+            "the coefficients."
         )
     return found
 
@@ -109,8 +109,8 @@ def _unstable(setup: Setup, memory: CoefficientMemory) -> list[str]:
     if worst.real <= max(before, 0.0) + 1e-9 * size:
         return []
     return [
-        f"Unstable: the refined model has a pole at {worst:.4g} rad/s; a wrong place, or an effect that is "
-        "missing, can drive it there."
+        f"Unstable: the refined model has a pole at {worst:.4g} rad/s. A wrong place or a missing effect "
+        "can cause it."
     ]
 
 

@@ -138,22 +138,23 @@ def _sentence(
     dt: float,
 ) -> str:
     figures = [" and ".join(f"{one:.1f} %" for one in fit) for fit in (before, after)]
-    said = f"The model explains {figures[0]} of the learning phase"
+    said = f"The model explains {figures[0]} of the learning phase."
     if moved:
         largest = sorted(moved, key=lambda name: -abs(moved[name]))[:_SHOWN]
         by = ", ".join(f"{name} by {100 * moved[name]:+.2g} %" for name in largest)
-        said += f", {figures[1]} with its numbers moved ({by}{', ...' if len(moved) > _SHOWN else ''})"
+        by += ", ..." if len(moved) > _SHOWN else ""
+        said += f" With re-estimated parameters ({by}) it explains {figures[1]}."
     if missing is None and not far:
-        return said + "; the rest passes for noise: adequate."
+        return said + " The residual cannot be distinguished from noise: the model is adequate."
     effects = "" if missing is None else f"[rco.Effect({missing.kind!r}, {missing.place!r})], "
     if missing is not None:
         said += (
-            f". {missing.label} or the like is missing ({score:.0f} standard deviations), and changes that "
-            "look like it are seen late"
+            f" {missing.label} or a similar effect is missing ({score:.0f} standard deviations). Changes "
+            "that resemble it are detected late."
         )
     else:
-        said += ". That is more than its tolerance allows"
+        said += " The changes are larger than the tolerance allows."
     return (
-        said + f"; first better = rco.refine(model, healthy_record, {effects}free='linear'), then "
+        said + f" Next: better = rco.refine(model, healthy_record, {effects}free='linear'), then "
         f"rco.Monitor(better, dt={dt:.6g})."
     )

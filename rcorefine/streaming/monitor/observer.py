@@ -118,7 +118,7 @@ class Observer:
         turning = [s.effects[i].label for i, _ in s.input_statics if s.effects[i].spec.inner_states]
         if turning:
             raise ModelError(
-                f"{turning[0]}: an input law with an inner state cannot be part of the healthy "
+                f"{turning[0]}: an input effect with an inner state cannot be part of the healthy "
                 "model of a monitor; leave it out, or name it among the candidates"
             )
         self.lag = 1 + (math.ceil(sum(delays) / dt) + 2 if delays else 0)

@@ -101,7 +101,7 @@ def restored(cls: type[Monitor], content: Any) -> Monitor:
     if content.get("layout") != _LAYOUT:
         raise DataError(
             "this monitor was saved by another version of rcorefine (one without number: before 0.2), which "
-            "learned other numbers: make it anew and let it learn, or load it with that version"
+            "learned other parameters: build it again and let it learn, or load it with that version"
         )
     settings, base = dict(content["settings"]), content["base"]
     check_like(base["substeps"], 1, "substeps of the model")
@@ -120,7 +120,7 @@ def restored(cls: type[Monitor], content: Any) -> Monitor:
         structure = Structure(
             base["physical"], tuple(learned["effects"]), constants=monitor._structure.constants
         )
-        check_like(learned["theta"], np.zeros(structure.n_parameters), "numbers of the model")
+        check_like(learned["theta"], np.zeros(structure.n_parameters), "parameters of the model")
         healthy = parts["healthy"]
         observer = Observer(
             structure, learned["theta"], monitor.dt, monitor.hold, monitor._substeps, healthy.gain

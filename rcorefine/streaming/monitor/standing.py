@@ -140,7 +140,7 @@ def idle_remarks(stream: Stream) -> tuple[str, ...]:
     """Candidates that are not watched for, in words."""
     owner, effects = stream.bank.owner, stream.bank.candidates
     idle = [e.label for i, e in enumerate(effects) if not stream.bank.scale[owner == i].any()]
-    return (f"Not watched, for nothing moves there that the law needs: {', '.join(idle)}.",) if idle else ()
+    return (f"Not monitored, because the needed motion is missing: {', '.join(idle)}.",) if idle else ()
 
 
 def segment_of(stream: Stream, start: int, free_state: bool, mean: Array) -> Segment:

@@ -44,7 +44,7 @@ def comparison_answer(result: Comparison) -> tuple[list[str], bool]:
     if fits is None:
         first = f"The measured output of {data.name} is constant, so there is nothing to explain."
     elif len(result.names) == 1:
-        first = f"The free run of {result.names[0]} explains {fits[0]:.4g} % of the record {data.name}."
+        first = f"The simulation of {result.names[0]} explains {fits[0]:.4g} % of the record {data.name}."
     else:
         others = ", ".join(f"{n} {fits[i]:.4g} %" for i, n in enumerate(result.names) if i != best)
         first = (
@@ -59,22 +59,22 @@ def comparison_answer(result: Comparison) -> tuple[list[str], bool]:
     )
     if result.led:
         return [
-            first.replace("The free run of", "Led by the record,").replace(" explains", " predicts"),
-            f"What it misses one sample ahead is typically {sizes}.",
-            "That an unstable model follows the record does not make it adequate; diagnose tests it.",
+            first.replace("The simulation of", "One sample ahead,").replace(" explains", " predicts"),
+            f"The typical one-step prediction error is {sizes}.",
+            "This does not show that an unstable model is adequate; use diagnose to test it.",
         ], True
     if not found:
         return [
             first,
-            f"What is left over (typically {sizes}) holds nothing that this record could tell from noise.",
+            f"The residual (typically {sizes}) cannot be distinguished from noise.",
             "The model is adequate for this record; a record at another amplitude could still show more.",
         ], True
     besides = sum(row.role == "besides" for row in found)
-    more = f" (and {besides} failure{'s' * (besides > 1)} besides)" if besides else ""
+    more = f" (and {besides} more failure{'s' * (besides > 1)})" if besides else ""
     return [
         first,
         f"Where it fails{more}: {found[0].sentence.rstrip('.')}.",
-        f"The typical error is {sizes}; diagnose names the physical effect that is missing.",
+        f"The typical error is {sizes}; use diagnose to find the missing physical effect.",
     ], False
 
 
@@ -96,9 +96,9 @@ def response_answer(result: FrequencyComparison) -> tuple[list[str], bool]:
     return [
         f"{result.names[best]} explains {means[best]:.4g} % of the measured response {measured.name}"
         + (f" ({others})." if others else "."),
-        f"It departs most near {worst[best, i, j]:.4g} rad/s, {path}.",
-        f"The typical relative error is {100 * typical:.3g} %; a record in time would tell whether that is "
-        "noise.",
+        f"It deviates most near {worst[best, i, j]:.4g} rad/s, {path}.",
+        f"The typical relative error is {100 * typical:.3g} %; a record over time would show whether that "
+        "is noise.",
     ], False
 
 
@@ -115,25 +115,27 @@ def diagnosis_answer(found: Diagnosis) -> tuple[list[str], bool]:
         second = no_test_fires(found)
     else:
         p = chance(worst.p_value, "p")
-        second = f"The model as it is fails its tests, most clearly this one: {worst.name}, {p}."
+        second = (
+            f"The model as given fails the residual tests, most significantly this one: {worst.name}, {p}."
+        )
     if found.verdict == "adequate":
         seen = ", ".join(
             f"{d.effect.label} {number(d.smallest, 3)} {d.unit}".strip() for d in found.detectable[:3]
         )
         third = (
-            f"With 95 % probability it would have shown: {seen}."
+            f"Smallest effects that it would show (95 % probability): {seen}."
             if seen
-            else "Adding one would only fit the noise."
+            else "Adding an effect would only fit the noise."
         )
         return [first, second, third], True
     third = {
         "parameters": numbers_that_moved(found.parameters),
-        "effect": "Add it with refine, and judge the result on data that took part in nothing.",
+        "effect": "Add it with refine, and validate the result on held-out data.",
         "ambiguous": found.sentences()[-1 - len(found.notes)],
-        "unexplained": "Do not trust the closest candidate: what is missing is not in the list; law() holds "
-        "the force as a table."
+        "unexplained": "Do not trust the closest candidate: the missing effect is not in the library. law() "
+        "returns the force as a table."
         if found.open_law is not None
-        else "Do not trust the closest candidate: what is missing is not in the list.",
+        else "Do not trust the closest candidate: the missing effect is not in the library.",
     }[found.verdict]
     return [first, second, third], False
 
@@ -148,9 +150,9 @@ def improvement_answer(ladder: Improvement) -> tuple[list[str], bool]:
     unit = f" {ladder.output_units[0]}" if len(ladder.output_units) == 1 and ladder.output_units[0] else ""
     change = f" ({100 * (after / before - 1):+.0f} %)" if before > 0 else ""
     names = [f"{e.label} ({_estimate(last.refinement, e.kind, e.place)})" for e in ladder.effects]
-    added = f"Added: {'; '.join(names)}." if names else "No effect earned its place."
+    added = f"Added: {'; '.join(names)}." if names else "No effect was added."
     return [
-        f"The error on data that took part in nothing goes from {before:.4g} to {after:.4g}{unit}{change}.",
+        f"The error on held-out data changes from {before:.4g} to {after:.4g}{unit}{change}.",
         added,
         ladder.message,
     ], ladder.verdict == "adequate" and not names
@@ -167,14 +169,17 @@ def refinement_answer(refinement: Refinement) -> tuple[list[str], bool]:
     if moved:
         row = max(moved, key=lambda r: abs(r.coefficient) / r.std)
         sure = abs(row.coefficient) / row.std
-        second = f"The surest change is {_row(row)}, {sure:.3g} standard deviations from the initial model."
+        second = (
+            f"The most significant change is {_row(row)}, {sure:.3g} standard deviations from the initial "
+            "model."
+        )
     else:
         second = "No parameter was estimated."
     labels = refinement.physical_model.linear.output_labels
     left = ", ".join(
         f"{number(size, 3)} in {label}" for size, label in zip(refinement.rmse, labels, strict=True)
     )
-    third = f"{refinement.message.rstrip('.')}; what is left over is typically {left}."
+    third = f"{refinement.message.rstrip('.')}; the typical residual is {left}."
     if refinement.warnings:
         third = refinement.warnings[0]
     return [first, second, third], refinement.success

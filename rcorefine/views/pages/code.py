@@ -121,7 +121,7 @@ def comment(text: str) -> str:
 def _effect(effect: Effect) -> str:
     path = f"rco.{effect.law!r}" if isinstance(effect.law, Table) else import_path(effect)
     if (effect.law is not None and not path) or path.startswith("__main__"):
-        raise TypeError(f"the law of {effect.label} is a function of yours")
+        raise TypeError(f"the force law of {effect.label} is a function of yours")
     given = {"start": effect.start, "fixed": effect.fixed, "prior": effect.prior, "name": effect.name}
     parts = [literal(effect.kind), literal(effect.place)]
     parts += [f"{key}={literal(value)}" for key, value in given.items() if value]
@@ -320,7 +320,7 @@ def refinement_code(refinement: Refinement) -> list[str]:
         "better = rco.refine(model, data, effects" + call_options(options) + ")",
     ]
     if floating:
-        lines.insert(0, "# the linear parameters below floated; give tolerance= too if you gave it")
+        lines.insert(0, "# the linear parameters below were re-estimated; give tolerance= too if you gave it")
     return lines
 
 

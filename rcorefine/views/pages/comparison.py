@@ -56,7 +56,7 @@ def report_responses(result: FrequencyComparison, *, title: str | None, code: st
     drawn = (
         "bode",
         lambda: result.plot(title=""),
-        f"Bode diagram of {magnitudes} beside the measured response {measured.name}.",
+        f"Bode diagram of {magnitudes} and the measured response {measured.name}.",
         "Dots: measured response. Lines: the models. Bottom row: relative error.",
     )
     models = [model_code(m, f"model{i + 1}") for i, m in enumerate(result.models)]
@@ -96,26 +96,26 @@ def fits_in_words(result: Comparison) -> str:
 _WORDS = {
     "map": (
         "Failure map of {record}: where over time, frequency, amplitude, state and place the model fails.",
-        "Where the model fails: what stands out from noise, over time, frequency, amplitude, state and "
-        "place.",
+        "Where the model fails: significant failures over time, frequency, amplitude, state and place.",
     ),
     "time": (
         "Measured and simulated outputs of {record} over time; {fits}. Residuals in the lower row.",
-        "The record (broad, pale) and the free run of each model, with the fit in the legend; below, what is "
-        "left over.",
+        "The record (broad, pale) and the simulation of each model, with the fit in the legend; below, the "
+        "residuals.",
     ),
     "bode": (
-        "Bode diagram of the models beside the measured frequency response of {record}.",
-        "Frequency responses as the record sees them; dots and band: measured, two standard deviations. "
-        "Bottom row: relative error, and what noise alone would cause.",
+        "Bode diagram of the models and the measured frequency response of {record}.",
+        "Frequency responses, sampled like the record; dots and band: measured, with two standard "
+        "deviations. Bottom row: relative error, and the error that noise alone would cause.",
     ),
     "residual": (
-        "Tests of what is left over of {record}: correlation with itself and with the inputs.",
-        "What is left over: its correlation with itself and with the inputs, and the bounds of chance.",
+        "Residuals of {record}: correlation with themselves and with the inputs.",
+        "Correlation of the residuals with themselves and with the inputs, and the bounds for no "
+        "correlation.",
     ),
     "horizon": (
         "Error against the length of the prediction for {record}.",
-        "Error against the time for which the model predicts, from one step to the free run.",
+        "Error against the prediction horizon, from one step to the simulation over the whole record.",
     ),
 }
 
@@ -142,18 +142,16 @@ def comparison_tables(result: Comparison) -> Parts:
                 )
             )
         else:
-            nowhere = f"Where {found.name} fails: nowhere that this record could show."
+            nowhere = f"Where {found.name} fails: no significant failure in this record."
             first.append(Paragraphs([nowhere, *notes]))
     return [*first, *parts]
 
 
 _FAILURE_HEADERS = ("", "dimension", "where", "in words", "statistic", "p-value", "share of the error")
 _FAILURE_NOTES = (
-    "1: leaves least unexplained; +: what is left besides when the rows before are allowed for; "
-    "=: another view of the same error.",
-    "statistic: twice the log-likelihood that allowing for it adds; p-value: the chance of such a "
-    "row anywhere if the model were right; share: the part of the error's energy that it explains "
-    "(rows overlap).",
+    "1: best single explanation; +: adds to the rows above; =: alternative to row 1.",
+    "statistic: twice the increase of the log-likelihood. p-value: probability of such a row by chance if "
+    "the model were right. share: part of the error energy that the row explains (rows overlap).",
 )
 
 
@@ -173,8 +171,7 @@ def _comparison_code(result: Comparison) -> str:
         lines = model_code(model, name)
         if len(result.starts) == 1 and not _reproduces(model, result, index):
             lines = [
-                f"# {name} holds effects that are not linear; below is its linear part only. "
-                "Put the Refinement here.",
+                f"# {name} has nonlinear effects; below is its linear part only. Put the Refinement here.",
                 *lines,
             ]
         blocks.append(lines)

@@ -35,8 +35,8 @@ def report_diagnosis(found: Diagnosis, *, title: str | None, code: str | None) -
                 lambda: found.plot(title=""),
                 f"Ranking of the candidates ({shown or 'nothing'}), the hidden force against the motion, "
                 "and the residual before and after.",
-                "The candidates, the likeliest first; the force that the record asks for at the place of "
-                "the best one, with its law; and what is left over with and without it.",
+                "The candidates, the most probable first; the force that was estimated at the place of the "
+                "best one, with its formula; and the residual with and without it.",
             )
         ]
     )
@@ -57,7 +57,7 @@ def report_diagnosis(found: Diagnosis, *, title: str | None, code: str | None) -
 
 def _tables(found: Diagnosis) -> Parts:
     tested = [
-        ["model as it is", t.name, number(t.statistic), str(t.dof), chance(t.p_value)] for t in found.tests
+        ["model as given", t.name, number(t.statistic), str(t.dof), chance(t.p_value)] for t in found.tests
     ] + [
         ["with the best effect", t.name, number(t.statistic), str(t.dof), chance(t.p_value)]
         for t in found.winner_tests
@@ -78,9 +78,9 @@ def _tables(found: Diagnosis) -> Parts:
             _ranking_rows(found),
             title="Candidates that were refitted",
             notes=[
-                "p-value: the chance of such a score if nothing were missing. probability: among the "
-                "candidates and none of them; none where no candidate passes its own tests. std: one "
-                "standard deviation of the coefficient.",
+                "p-value: probability of such a score if nothing were missing. probability: of each "
+                "candidate among all and none of them; not given if no candidate passes its own tests. "
+                "std: one standard deviation of the coefficient.",
             ],
             left=2,
         )
@@ -88,22 +88,21 @@ def _tables(found: Diagnosis) -> Parts:
         else Table(
             ["effect", "smallest coefficient", "unit"],
             [[d.effect.label, number(d.smallest, 3), d.unit] for d in found.detectable],
-            title="What the record would have shown",
-            notes=["The smallest coefficient that would have been noticed with 95 % probability."],
+            title="Smallest effects that the record would show",
+            notes=["The smallest coefficient that would have been detected with 95 % probability."],
         ),
         Table(
             ["model", "test", "F", "degrees of freedom", "p-value"],
             tested,
-            title="Tests of what is left over",
+            title="Residual tests",
             notes=[
-                f"The gate is at {found.significance:g}, divided by the number of tests. A small p-value "
-                "says "
-                "that the residual still holds what this test looks for."
+                f"The significance level is {found.significance:g}, divided by the number of tests. A small "
+                "p-value shows that the residual still depends on what this test examines."
             ],
             left=2,
         ),
-        parameter_table(found.base, "The model as it is, its free parameters fitted"),
-        *([] if found.floated is None else [parameter_table(found.floated, "All its numbers fitted")]),
+        parameter_table(found.base, "The model as given, with its free parameters fitted"),
+        *([] if found.floated is None else [parameter_table(found.floated, "All parameters re-estimated")]),
         Paragraphs(found.notes),
     ]
 

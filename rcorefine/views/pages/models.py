@@ -52,8 +52,8 @@ def report_improvement(
             "staircase",
             lambda: ladder.plot(title=" "),
             f"Staircase of the root mean square error after each step; held out: {errors}.",
-            "Error of the free run after each step: on the part that was fitted, on the part on which the "
-            "step was chosen, and on the part that took part in nothing, which is the one to trust.",
+            "Simulation error after each step on three parts of the record: the fitted part, the part for "
+            "selecting the step, and the held-out part. Judge the model by the held-out part.",
         )
     ]
     rows = []
@@ -65,10 +65,10 @@ def report_improvement(
     tables: Parts = [
         *odd(ladder.checks),
         Table(
-            ["step", "what", "coefficients", "fitted", "chosen on", "held out", "explains the same alike"],
+            ["step", "what", "coefficients", "fitted", "chosen on", "held out", "not distinguishable"],
             rows,
             title="Root mean square error after each step",
-            notes=["Effects in the last column explain the record as well as the one that was added."],
+            notes=["The data cannot distinguish the effects in the last column from the one that was added."],
             left=3,
         ),
         parameter_table(last, "Parameters of the last model"),
@@ -131,20 +131,25 @@ def _report_model(
     records = [] if data is None else [data]
     if data is None:
         tables.append(
-            Paragraphs(["The result keeps no record; report(..., data=...) shows the models beside one."])
+            Paragraphs(
+                [
+                    "The result does not contain the record; report(..., data=...) compares the "
+                    "models with one."
+                ]
+            )
         )
     else:
         before: Any = last.physical_model if first is None else first
         beside: Any = replace(compare([before, last], data), names=("initial", "refined"))
         if in_frequency(data):
-            said = "Frequency responses of the initial and of the refined model, beside the measured points."
+            said = "Frequency responses of the initial and of the refined model, with the measured points."
             wanted.append(("response", lambda: beside.plot(title=""), said, said))
             tables.append(responses_table(beside))
-            about += f"; beside response {data.name}, {data.omega.size} frequencies"
+            about += f"; compared with response {data.name}, {data.omega.size} frequencies"
         else:
             wanted.append(("time", lambda: beside.plot(title=""), *picture_words(beside, "time")))
             tables += comparison_tables(beside)
-            about += f"; beside record {data.name}, {data.n_samples} samples"
+            about += f"; compared with record {data.name}, {data.n_samples} samples"
     if not in_frequency(data):
         wanted.append(_bode_picture(last, data))
     wanted.append(
@@ -177,14 +182,14 @@ def _report_model(
 def _bode_picture(refinement: Refinement, data: Measurement | None) -> Wanted:
     """Bode diagram, at the levels of the record where the model is not linear."""
     structure, _, _ = refinement.simulation_structure()
-    beside = "" if data is None else ", beside the measured points"
+    beside = "" if data is None else ", with the measured points"
     if structure.is_linear or data is None:
         return (
             "bode",
             lambda: refinement.bode_plot(data, title=""),
             f"Bode diagram: magnitude and phase of the initial and of the refined model{beside}.",
-            "Frequency response of the initial and of the refined model; effects that are not linear are not "
-            "in it." + ("" if data is None else " Dots: measured. Bottom row: relative error."),
+            "Frequency response of the initial and of the refined model, without "
+            "nonlinear effects." + ("" if data is None else " Dots: measured. Bottom row: relative error."),
         )
     rms = [level for level, _ in stretches_by_level(data)]
     # a sine of the same power as the record, and a weaker one where the record has one level only
@@ -194,6 +199,6 @@ def _bode_picture(refinement: Refinement, data: Measurement | None) -> Wanted:
         "bode at several amplitudes",
         lambda: refinement.bode_plot(data, levels=levels, title=""),
         f"Bode diagram of the refined model for sines of amplitude {sines}{beside}.",
-        "Response to sines of several amplitudes, all effects included; it would be one curve if the system "
-        "were linear. Dots: measured, by level of the record; thin lines: the model on the same input.",
+        "Response to sines of several amplitudes, all effects included; a linear system would have one "
+        "curve. Dots: measured, by level of the record; thin lines: the model with the same input.",
     )

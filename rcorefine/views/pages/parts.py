@@ -63,7 +63,7 @@ def parameter_table(refinement: Refinement, title: str) -> Table:
         ["parameter", "effect", "place", "role", "initial", "value", "std", "95 % interval", "unit"],
         rows,
         title=title,
-        notes=["std: the standard deviation that other records like this one would show."],
+        notes=["std: standard deviation of the estimate over repeated records."],
         left=4,
     )
 
@@ -110,7 +110,7 @@ def code_section(generated: str, given: str | None) -> Section:
         Paragraphs([lines if "record.npz" in generated else "Run it with Python."]),
         Listing(code),
     ]
-    return Section("The code that does this again", parts)
+    return Section("Code to reproduce this result", parts)
 
 
 def origin_section(records: Sequence[Any]) -> Section:

@@ -65,16 +65,17 @@ def _index(found: Survey, files: dict[str, str], title: str | None, code: str | 
             (
                 "fleet",
                 lambda: found.plot(title=""),
-                "Coefficient of each machine with its 95 % interval, beside mean and spread of the fleet.",
-                "Points: each machine by its own records; dashes: drawn toward the fleet as far as the error "
-                "asks for it; gray: spread between machines. What stands out is in another color.",
+                "Coefficient of each machine with its 95 % interval, and mean and spread of the fleet.",
+                "Points: estimates from the records of each machine; dashes: estimates shrunk toward the "
+                "fleet mean according to their errors; gray: spread between machines. Machines that "
+                "deviate have another color.",
             )
         ]
         if found.effects
         else []
     )
     fleet = Table(
-        ["effect", "unit", "", "machines", "mean", "std", "spread", "p (mean 0)", "p (all alike)"],
+        ["effect", "unit", "", "machines", "mean", "std", "spread", "p (mean 0)", "p (all equal)"],
         [
             [
                 e.label,
@@ -90,7 +91,9 @@ def _index(found: Survey, files: dict[str, str], title: str | None, code: str | 
             for e in found.effects
         ],
         title="Effects over the fleet",
-        notes=["Mean and spread are those of the machines that do not stand out; p (mean 0) by Holm."],
+        notes=[
+            "Mean and spread are those of the machines that do not deviate. p (mean 0): corrected by Holm."
+        ],
         left=3,
     )
     failed = Table(
@@ -100,7 +103,7 @@ def _index(found: Survey, files: dict[str, str], title: str | None, code: str | 
         Section("Pictures", drawn),
         Section("Tables", [table for table in (fleet, failed) if table.rows]),
         Section("Machines", [Links([(_line(found, machine), file) for machine, file in files.items()])]),
-        *([] if code is None else [Section("The code that does this again", [Listing(code)])]),
+        *([] if code is None else [Section("Code to reproduce this result", [Listing(code)])]),
         Section("Versions", [Facts(version_facts())]),
     ]
     about = f"{len(found.rows)} record(s) of {len(found.machines)} machine(s), task {found.task}"
@@ -113,7 +116,7 @@ def _line(found: Survey, machine: str) -> str:
     out = [effect.label for effect, one in found.standing_out if one.machine == machine]
     grows = [trend.label for trend in found.growing if trend.machine == machine]
     verdicts = ", ".join(dict.fromkeys(row.verdict or "failed" for row in rows))
-    words = [f"stands out in {', '.join(out)}"] * bool(out) + [f"{', '.join(grows)} changes"] * bool(grows)
+    words = [f"deviates in {', '.join(out)}"] * bool(out) + [f"{', '.join(grows)} changes"] * bool(grows)
     return f"{machine}: {'; '.join([verdicts, *words])}"
 
 
@@ -124,14 +127,17 @@ def _machine_page(found: Survey, machine: str) -> Page:
     tables: Parts = [
         Table(_ROWS, [row_cells(row) for row in rows], "Records", (), 4),
         Table(
-            ["effect", "unit", "value", "std", "toward the fleet", "fleet", "deviation", "p"],
+            ["effect", "unit", "value", "std", "shrunk", "fleet", "deviation", "p"],
             [
                 [e.label, e.unit, f"{m.value:.5g}", f"{m.std:.2g}", f"{m.pooled:.5g}", f"{e.mean:.5g}"]
                 + ["-" if v is None else number(v, 3) for v in (m.deviation, m.p_value)]
                 for e, m in mine
             ],
-            title="Coefficients beside the fleet",
-            notes=["deviation: from the other machines, in standard deviations; p: times their number."],
+            title="Coefficients compared with the fleet",
+            notes=[
+                "shrunk: estimate shrunk toward the fleet mean. deviation: difference from the other "
+                "machines, in standard deviations. p: multiplied by their number."
+            ],
             left=2,
         ),
         Table(
@@ -168,7 +174,7 @@ def _machine_page(found: Survey, machine: str) -> Page:
     sections = [
         Section("Pictures", drawn),
         Section("Tables", [table for table in tables if isinstance(table, Table) and table.rows]),
-        Section("What each record says", [Paragraphs(said)] if said else []),
+        Section("Findings for each record", [Paragraphs(said)] if said else []),
         Section("The fleet", [Links([("all machines", _INDEX)])]),
     ]
     out = any(one.stands_out for _, one in mine) or any(trend.grows for trend in trends)
