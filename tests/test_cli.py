@@ -140,7 +140,7 @@ def test_demo_climbs_to_both_effects(demo):
     The stiffness is an effect or a parameter that was estimated again: both say the same of this record.
     """
     done, _, _ = demo
-    told = done.stdout.split("5. Two things at once")[1].split("6. Take it along")[0]
+    told = done.stdout.split("5. Two things at once")[1].split("6. Use the refined model")[0]
     assert ": ADEQUATE" in told
     added = re.findall(r"^\d+ (?:add|pair|swap) (\S+ at link\d)", told, flags=re.MULTILINE)
     dropped = re.findall(r"^\d+ drop (\S+ at link\d)", told, flags=re.MULTILINE)

@@ -76,7 +76,7 @@ def test_diagnose_names_the_drag(seed):
     found = rco.diagnose(
         car(F_DRAG, SLOPE), record(dragged, F_DRAG, seed=seed, noise=0.005, n=1200, size=2500.0)
     )
-    assert "laws enter without their tangent" in " ".join(str(found).split())
+    assert "used without its tangent" in " ".join(str(found).split())
     assert found.verdict in ("effect", "ambiguous")
     kinds = [effect.kind for effect in (*found.ambiguous, found.best.effect)]
     assert "quadratic_damping" in kinds

@@ -124,7 +124,7 @@ def test_opens_with_three_sentences(pages, kind):
     assert len(answer) == 3
     assert all(sentence.endswith(".") for sentence in answer)
     heads = page.inside("h2")
-    assert heads == ["Pictures", "Tables", "The code that does this again", "Record and versions"]
+    assert heads == ["Pictures", "Tables", "Code to reproduce this result", "Record and versions"]
 
 
 @pytest.mark.parametrize("kind", KINDS)

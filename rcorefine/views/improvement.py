@@ -21,7 +21,7 @@ __all__ = ["improvement_told", "plot_staircase"]
 @tells(Improvement)
 def improvement_told(found: Improvement) -> Told:
     """The steps, and what they mean."""
-    headers = ["step", "coefficient", "fitted", "chosen on", "held out"]
+    headers = ["step", "coefficient", "fitted", "selection", "held out"]
     rows = []
     for i, step in enumerate(found.steps):
         value = ""
@@ -51,7 +51,7 @@ def plot_staircase(improvement: Improvement, frame: Frame) -> ct.ControlPlot:
         position = np.arange(len(steps) + 1) - 0.5
         styles = (
             ("train_rmse", "fitted", "0.65", ":", 1.5),
-            ("choice_rmse", "chosen on", "0.45", "--", 1.5),
+            ("choice_rmse", "selection", "0.45", "--", 1.5),
             ("validation_rmse", held_out, "C0", "-", 2.5),
         )
         for attribute, name, color, line, width in styles:

@@ -73,7 +73,7 @@ def _panel(panel: Any, effect: FleetEffect) -> list[Any]:
     out = np.array([machine.stands_out for machine in machines])
     for chosen, color, text in (
         (~out, "#1f4e9c", "machine, 95 %"),
-        (out, "#b5400a", "deviates from the fleet"),
+        (out, "#b5400a", "stands out"),
     ):
         if chosen.any():
             mine = [machine for machine, wanted in zip(machines, chosen, strict=True) if wanted]

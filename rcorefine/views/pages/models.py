@@ -65,7 +65,7 @@ def report_improvement(
     tables: Parts = [
         *odd(ladder.checks),
         Table(
-            ["step", "what", "coefficients", "fitted", "chosen on", "held out", "not distinguishable"],
+            ["step", "what", "coefficients", "fitted", "selection", "held out", "not distinguishable"],
             rows,
             title="Root mean square error after each step",
             notes=["The data cannot distinguish the effects in the last column from the one that was added."],

@@ -68,7 +68,7 @@ def _index(found: Survey, files: dict[str, str], title: str | None, code: str | 
                 "Coefficient of each machine with its 95 % interval, and mean and spread of the fleet.",
                 "Points: estimates from the records of each machine; dashes: estimates shrunk toward the "
                 "fleet mean according to their errors; gray: spread between machines. Machines that "
-                "deviate have another color.",
+                "stand out have another color.",
             )
         ]
         if found.effects
@@ -92,7 +92,7 @@ def _index(found: Survey, files: dict[str, str], title: str | None, code: str | 
         ],
         title="Effects over the fleet",
         notes=[
-            "Mean and spread are those of the machines that do not deviate. p (mean 0): corrected by Holm."
+            "Mean and spread are those of the machines that do not stand out. p (mean 0): corrected by Holm."
         ],
         left=3,
     )
@@ -116,7 +116,7 @@ def _line(found: Survey, machine: str) -> str:
     out = [effect.label for effect, one in found.standing_out if one.machine == machine]
     grows = [trend.label for trend in found.growing if trend.machine == machine]
     verdicts = ", ".join(dict.fromkeys(row.verdict or "failed" for row in rows))
-    words = [f"deviates in {', '.join(out)}"] * bool(out) + [f"{', '.join(grows)} changes"] * bool(grows)
+    words = [f"stands out in {', '.join(out)}"] * bool(out) + [f"{', '.join(grows)} changes"] * bool(grows)
     return f"{machine}: {'; '.join([verdicts, *words])}"
 
 
