@@ -106,8 +106,9 @@ def split_in_parts(records: Sequence[Measurement], validation: Measurement | Non
         return _lines_in_parts(records, validation)
     fit, choose, judge, learn = [], [], [], []
     remarks: tuple[str, ...] = ()
+    decays = at_rest(records)  # a single record with a constant input shows a gain where it has settled
     for given in records:
-        record = moving(given)
+        record = moving(given) if decays else given
         if record is not given:
             remarks += (
                 f"The motion of record {given.name!r} has died at {record.timepts[-1]:.4g} s: the rest of it "
@@ -143,11 +144,10 @@ def split_in_parts(records: Sequence[Measurement], validation: Measurement | Non
 def moving(record: Measurement) -> Measurement:
     """Return a free decay up to where its motion has died out.
 
-    Any other record is returned as it is. A part without motion decides nothing. Motion counts as long as an
-    output still moves by `_DEAD` standard deviations of its noise (of second differences) within a fiftieth
-    of the record.
+    A part without motion decides nothing. Motion counts as long as an output still moves by `_DEAD` standard
+    deviations of its noise (of second differences) within a fiftieth of the record.
     """
-    if not at_rest([record]) or record.n_samples < SHORTEST:
+    if record.n_samples < SHORTEST:
         return record
     y, length = record.outputs, max(record.n_samples // 50, 4)
     noise = np.median(np.abs(np.diff(y, 2, axis=1)), axis=1) / (0.6745 * np.sqrt(6.0))
