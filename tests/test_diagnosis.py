@@ -177,7 +177,7 @@ def test_much_noise_of_a_color_is_doubted(color, share, doubted):
     data = rco.Measurement(w, y + share * y.std() * noise / noise.std(), dt=0.02)
     found = rco.diagnose(model, data, candidates=[rco.Effect("stiffness", "link1")])
     assert found.verdict == "adequate"
-    assert ("passes for noise with a memory" in str(found).replace("\n", " ")) == doubted
+    assert ("cannot be distinguished from colored noise" in str(found).replace("\n", " ")) == doubted
 
 
 def test_an_offset_of_a_sensor_beside_an_integrator_is_no_effect():

@@ -17,7 +17,14 @@ from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
 from rcorefine.inference.levels import levels
 
-LIMITS = {"displacement": 1e-6, "velocity": 1e3, "softness": 0.1, "static_ratio": 1.0}
+LIMITS = {
+    "displacement": 1e-6,
+    "velocity": 1e3,
+    "softness": 0.1,
+    "static_ratio": 1.0,
+    "lower": -0.3,
+    "upper": 0.3,
+}
 NESTED = [(law.name, inside) for law in KINDS.values() if not law.at_channel for inside in law.contains]
 # linear laws with a state of their own, and where they are one without: their coefficients, and its own
 LINEAR = {

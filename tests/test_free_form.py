@@ -227,7 +227,7 @@ def test_where_nothing_passes_the_smallest_error_stands_first():
 def test_what_lies_beyond_the_table_is_said():
     model, records, _, found = sine_spring()
     better = rco.refine(model, records[0], [found.law()])
-    beyond = "beyond the knots of unknown force, tabulated at link1"
+    beyond = "leaves the table of unknown force, tabulated at link1"
     strong = rco.Measurement(3.0 * records[1].inputs, records[1].outputs, dt=0.02, hold="zoh")
     assert any(beyond in note for note in rco.compare(better, strong, x0="zero").notes)
     gentle = rco.Measurement(0.5 * records[1].inputs, records[1].outputs, dt=0.02, hold="zoh")

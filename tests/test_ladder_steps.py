@@ -201,7 +201,7 @@ def test_friction_that_drives_is_no_name() -> None:
     model, friction = rco.dc_motor(gain=0.5, time_constant=0.5), rco.Effect("coulomb_friction", "shaft")
     alone = rco.diagnose(model, data, candidates=[friction])
     assert alone.verdict == "unexplained"
-    assert any("physics asks for a positive value" in note for note in alone.notes)
+    assert any("its value must be positive" in note for note in alone.notes)
     assert friction not in rco.improve(model, data, candidates=[friction]).effects  # a table, if anything
 
 

@@ -68,7 +68,7 @@ def test_law_is_named_beside_numbers_that_are_off(law: str, size: float) -> None
     assert set(best.effect.place.split("-")) == {"q1", "q2"}
     (name,) = best.coefficients
     assert abs(best.coefficients[name] - size) < 4 * best.std[name]
-    assert any("parameters of the model" in note and "times nominal" in note for note in found.notes)
+    assert any("parameters alone" in note and "times nominal" in note for note in found.notes)
     told = {
         "m[q1]": "m1", "m[q2]": "m2", "k[q1]": "k1", "c[q1]": "c1", "k[q1-q2]": "k2", "c[q1-q2]": "c2",
         "k[q2-q1]": "k2", "c[q2-q1]": "c2",

@@ -212,11 +212,11 @@ def test_true_law_is_confirmed_and_alike_amplitudes_are_said(rng):
     spring = rco.refine(model(), records[0], [SPRING])
     seen = rco.confirm(spring, records)
     assert seen.verdict == "confirmed"
-    assert "alike" not in seen.message
+    assert "similar" not in seen.message
     assert seen.estimates[1].level == pytest.approx(2.0, rel=0.15)
     assert abs(seen.estimates[1].coefficients[0] + 10) < 4 * seen.estimates[1].std[0]
     same = rco.confirm(spring, [records[0], record(rng, 600)])
-    assert "alike" in same.message
+    assert "similar" in same.message
 
 
 def test_agreement_is_uniform_where_the_law_is_true(rng):

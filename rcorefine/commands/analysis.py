@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from ..arguments import printable
 from ..comparison.adequacy import best_of, failures_of
 from ..comparison.compare import compare
 from ..data.measurement import Measurement
@@ -284,7 +285,7 @@ def _for_terminal(said: str, arguments: Namespace, result: Any) -> str:
         python = "\n".join(wrapped([f"Next: {next_step(result)}"]))
         said = said.replace(f"\n{python}", "")
     words = _next_words(arguments, result)
-    return f"{said}\nNext: rcorefine {shlex.join(words)}" if words else said
+    return f"{said}\nNext: rcorefine {printable(shlex.join(words))}" if words else said
 
 
 def _next_words(arguments: Namespace, result: Any) -> list[str]:

@@ -226,7 +226,7 @@ class TwoStops(PortLaw):
         ),
     )
     order = (("upper", "lower"),)
-    contains = MappingProxyType({"end_stop": {}, "clearance": {}})
+    contains = MappingProxyType({"end_stop": {"lower": -1e9}, "clearance": {}})
     formula = "f = t (d - upper) above upper, t (d - lower) below lower, else 0"
     explanation = "There are stops on both sides of {place}, each hit once the displacement passes it."
     words = (
