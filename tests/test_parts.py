@@ -37,3 +37,16 @@ def test_with_another_record_to_judge_by_all_is_split_in_two(n: int, sizes: tupl
 def test_too_short_a_record_says_what_is_needed(n: int, validation: rco.Measurement | None) -> None:
     with pytest.raises(rco.DataError, match=f"'run 3' of {n} samples .* give at least {n + 1}"):
         split_in_parts([record(n)], validation)
+
+
+@pytest.mark.parametrize("validation", [None, record(100)])
+def test_many_records_are_split_as_wholes(validation: rco.Measurement | None) -> None:
+    """The ends of five step responses are settled: they cannot choose between dynamic effects."""
+    records = [record(200 + k) for k in range(7)]
+    parts = split_in_parts(records, validation)
+    lengths = {name: [r.n_samples for r in getattr(parts, name)] for name in ("fit", "choose", "judge")}
+    if validation is None:
+        assert lengths == {"fit": [200, 202, 203, 205], "choose": [201, 206], "judge": [204]}
+    else:
+        assert lengths == {"fit": [200, 202, 203, 204, 205], "choose": [201, 206], "judge": [100]}
+    assert sorted(r.n_samples for r in parts.learn) == sorted(lengths["fit"] + lengths["choose"])

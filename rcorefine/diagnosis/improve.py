@@ -75,6 +75,8 @@ def improve(
     The record is split into three parts in time. The first part has three fifths of the samples, and at least
     200; sets of effects are compared on it as in `diagnose`. The error on the second part, the next fifth,
     decides which set is chosen. The third part is held-out data: the reported validation error comes from it.
+    Five records or more are divided as wholes: of five in turn, three belong to the first part, one to the
+    second and one to the third.
 
     Parameters
     ----------
@@ -85,7 +87,7 @@ def improve(
         five successive frequencies, three belong to the first part, one to the second and one to the third.
         Errors of frequency responses are relative to their noise.
     validation : Measurement or FrequencyResponse, optional
-        Validation data; by default the last fifth of `data`. With it, `data` is split into two parts only.
+        Validation data; by default a fifth of `data`. With it, `data` is split into two parts only.
     max_effects : int
         Maximum number of effects.
     candidates : sequence of Effect, optional

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,8 @@ from .case import SHORTEST
 
 __all__ = ["Parts", "common_horizon", "split_in_parts"]
 
+_TURNS = {"fit": (0, 2, 3), "choose": (1,), "judge": (4,), "learn": (0, 1, 2, 3)}  # of five in turn
+_BY_RECORD = 5  # least number of records that are split as wholes
 _FIT, _CHOOSE = 0.6, 0.2  # shares of the record; the rest judges
 _LEAST, _FEWEST = 30, 50  # samples of a part that chooses or judges, points of a response that can be split
 _DEAD = 8.0  # standard deviations of the noise below which nothing moves
@@ -52,10 +54,6 @@ class Parts:
     remarks: tuple[str, ...] = ()
     whole: bool = True
 
-    def pooled(self) -> Parts:
-        """Fit on all that does not judge."""
-        return replace(self, fit=self.learn)
-
 
 def common_horizon(
     physical: PhysicalModel, records: Sequence[Any], horizon: float | None
@@ -84,7 +82,11 @@ def common_horizon(
 
 
 def split_in_parts(records: Sequence[Measurement], validation: Measurement | None) -> Parts:
-    """Fit, choose, judge: in the order of time, each record for itself.
+    """Return the records in parts for the fit, the choice and validation.
+
+    Each record is split in time. Five records or more are split as wholes, since the ends of many records
+    are alike: settled steps, or decays that have died out. Of five in turn, three are for the fit, one is
+    for the choice and one is for validation.
 
     Parameters
     ----------
@@ -104,31 +106,17 @@ def split_in_parts(records: Sequence[Measurement], validation: Measurement | Non
     """
     if in_frequency(records):
         return _lines_in_parts(records, validation)
-    fit, choose, judge, learn = [], [], [], []
-    remarks: tuple[str, ...] = ()
-    decays = at_rest(records)  # a single record with a constant input shows a gain where it has settled
-    for given in records:
-        record = moving(given) if decays else given
-        if record is not given:
-            remarks += (
-                f"The motion of record {given.name!r} has died at {record.timepts[-1]:.4g} s: the rest of it "
-                "is left out.",
-            )
-        least = SHORTEST + _LEAST + (_LEAST if validation is None else 0)
-        if record.n_samples < least:
-            another = ", or another record as validation=" if validation is None else ""
-            raise DataError(
-                f"record {record.name!r} of {record.n_samples} samples is too short: {SHORTEST} are needed "
-                f"to fit, {_LEAST} to choose by, {_LEAST} to judge by; give at least {least}{another}"
-            )
-        both = record
-        if validation is None:
-            both, last = record.split(max(_FIT + _CHOOSE, 0.5 + 0.5 * SHORTEST / record.n_samples))
-            judge.append(last)
-        first, second = both.split(max(_FIT / (_FIT + _CHOOSE), SHORTEST / both.n_samples))
-        fit.append(first)
-        choose.append(second)
-        learn.append(both)
+    # a single record with a constant input shows a gain where it has settled
+    kept = [moving(record) for record in records] if at_rest(records) else list(records)
+    remarks = tuple(
+        f"The motion of record {given.name!r} has died at {record.timepts[-1]:.4g} s: the rest of it is left "
+        "out."
+        for record, given in zip(kept, records, strict=True)
+        if record is not given
+    )
+    many = len(kept) >= _BY_RECORD and min(record.n_samples for record in kept) >= SHORTEST
+    parts = _in_turn(kept, validation is not None) if many else _in_time(kept, validation is not None)
+    fit = parts["fit"]
     climbed, whole = excerpt(fit), sum(record.n_samples for record in fit)
     if climbed is not fit:
         remarks += (
@@ -136,9 +124,35 @@ def split_in_parts(records: Sequence[Measurement], validation: Measurement | Non
             f"({sum(record.n_samples for record in climbed)} of {whole} samples); the last model was fitted "
             "once more on all that does not judge.",
         )
-    return Parts(
-        climbed, choose, [validation] if validation is not None else judge, learn, remarks, climbed is fit
-    )
+    judge = parts["judge"] if validation is None else [validation]
+    return Parts(climbed, parts["choose"], judge, parts["learn"], remarks, climbed is fit)
+
+
+def _in_time(records: Sequence[Measurement], validated: bool) -> dict[str, list[Measurement]]:
+    """Return each record in parts, in the order of time."""
+    parts: dict[str, list[Measurement]] = {name: [] for name in _TURNS}
+    least = SHORTEST + _LEAST + (0 if validated else _LEAST)
+    for record in records:
+        if record.n_samples < least:
+            another = "" if validated else ", or another record as validation="
+            raise DataError(
+                f"record {record.name!r} of {record.n_samples} samples is too short: {SHORTEST} are needed "
+                f"to fit, {_LEAST} to choose by, {_LEAST} to judge by; give at least {least}{another}"
+            )
+        both = record
+        if not validated:
+            both, last = record.split(max(_FIT + _CHOOSE, 0.5 + 0.5 * SHORTEST / record.n_samples))
+            parts["judge"].append(last)
+        first, second = both.split(max(_FIT / (_FIT + _CHOOSE), SHORTEST / both.n_samples))
+        for name, part in (("fit", first), ("choose", second), ("learn", both)):
+            parts[name].append(part)
+    return parts
+
+
+def _in_turn(items: Sequence[Any], validated: bool) -> dict[str, list[Any]]:
+    """Return three of five records or frequencies, the next, and the last."""
+    turns = _TURNS | ({"fit": (0, 2, 3, 4), "judge": (), "learn": tuple(range(5))} if validated else {})
+    return {name: [item for k, item in enumerate(items) if k % 5 in which] for name, which in turns.items()}
 
 
 def moving(record: Measurement) -> Measurement:
@@ -158,34 +172,21 @@ def moving(record: Measurement) -> Measurement:
 
 
 def _lines_in_parts(responses: Sequence[Any], validation: Any) -> Parts:
-    """Split the frequencies of responses into three parts.
-
-    Of five frequencies in turn, three are for the fit, one is for the choice and one is for validation. Each
-    part covers the whole band.
-    """
-    turns = {"fit": (0, 2, 3), "choose": (1,), "judge": (4,), "learn": (0, 1, 2, 3)}
-    if validation is not None:
-        turns |= {"fit": (0, 2, 3, 4), "learn": (0, 1, 2, 3, 4)}
-    parts: dict[str, list[Any]] = {name: [] for name in turns}
+    """Return responses in three parts, each over the whole band."""
+    parts: dict[str, list[Any]] = {name: [] for name in _TURNS}
     for response in responses:
-        numbers = np.arange(response.omega.size)
-        if numbers.size < _FEWEST:
+        size = response.omega.size
+        if size < _FEWEST:
             raise DataError(
-                f"a response of {numbers.size} frequencies is too short to be split in three; give {_FEWEST}"
+                f"a response of {size} frequencies is too short to be split in three; give {_FEWEST}"
             )
-        for name, which in turns.items():
-            parts[name].append(some_lines(response, numbers[np.isin(numbers % 5, which)]))
+        for name, which in _in_turn(range(size), validation is not None).items():
+            parts[name].append(some_lines(response, np.array(which, dtype=int)))
     judge = parts["judge"] if validation is None else [validation]
     fit = spread_lines(parts["fit"])
     spread = ("Effects were sought on some of the frequencies, spread evenly.",)
-    return Parts(
-        fit,
-        parts["choose"],
-        judge,
-        parts["learn"],
-        () if fit is parts["fit"] else spread,
-        fit is parts["fit"],
-    )
+    whole = fit is parts["fit"]
+    return Parts(fit, parts["choose"], judge, parts["learn"], () if whole else spread, whole)
 
 
 def excerpt(records: list[Measurement]) -> list[Measurement]:
