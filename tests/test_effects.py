@@ -66,6 +66,7 @@ TABLE = {
     "output_gain": ("output", ("gain",)),
     "output_offset": ("output", ("offset",)),
     "output_delay": ("output", ("delay",)),
+    "output_average": ("output", ("window",)),
     "output_lag": ("output", ("time_constant",)),
     "output_saturation": ("output", ("limit",)),
     "output_range": ("output", ("low", "high")),
@@ -77,6 +78,8 @@ TABLE = {
     "model_parameter": ("parameter", ("value",)),
     "custom": ("mechanical first_order any", ("scale",)),
     "tabulated": ("mechanical first_order", ("scale",)),
+    "input_curve": ("input", ("scale",)),
+    "output_curve": ("output", ("scale",)),
 }
 
 
@@ -144,6 +147,7 @@ class TestKinds:
         assert linear == {
             "stiffness", "damping", "mass", "maxwell_element", "hidden_store", "hidden_mode", "coefficient",
             "input_gain", "input_delay", "input_lag", "output_gain", "output_delay", "output_lag", "clock",
+            "output_average",
         }  # fmt: skip
 
 
@@ -368,7 +372,8 @@ class TestCheck:
 
 
 def test_table_of_effects_fits_a_terminal():
-    given = {"custom": {"law": square}, "tabulated": {"law": Table(v=[0.0, 1.0], force=[0.0, 2.0])}}
+    curve = {"law": Table([0.0, 1.0], force=[0.0, 2.0])}
+    given = {"custom": {"law": square}, "tabulated": curve, "input_curve": curve, "output_curve": curve}
     effects = [Effect(name, "somewhere", **given.get(name, {})) for name in KINDS]
     text = describe_effects(effects)
     assert max(map(len, text.splitlines())) <= 80

@@ -437,6 +437,26 @@ def test_sensor_statics_and_delay():
     np.testing.assert_allclose(answer.outputs[1, 2:], truth[1], atol=2e-3 * np.abs(truth[1]).max())
 
 
+def test_moving_average_against_finer_integration():
+    """The mean over the last 3.4 samples, and its derivative by the window."""
+    model = chain()
+    rng = np.random.default_rng(3)
+    w = np.repeat(rng.uniform(-1, 1, 30), 10)
+    structure, window = Structure(model, [Effect("output_average", "x1")]), 3.4 * DT
+    fine = Measurement(np.repeat(w, 50), np.zeros((2, 50 * w.size)), dt=DT / 50)
+    y = run(Structure(model, []), [], fine, 1).outputs[1]
+    area = np.concatenate([[0.0], np.cumsum((y[1:] + y[:-1]) / 2)])
+    k = np.arange(w.size) * 50
+    count = round(50 * window / DT)
+    truth = (area[k] - area[np.maximum(k - count, 0)]) / count  # at rest before the record
+    held_record = record(w, "zoh")
+    answer = run(structure, [window], held_record, 4)
+    np.testing.assert_allclose(answer.outputs[1], truth, atol=5e-4 * np.abs(y).max())  # spline over kinks
+    up, low = (run(structure, [window + s], held_record, 4).outputs[1] for s in (1e-6, -1e-6))
+    tolerance = 1e-4 * np.abs(y).max() / window
+    np.testing.assert_allclose(answer.sensitivity[1, :, 0], (up - low) / 2e-6, atol=tolerance)
+
+
 def test_first_order_laws():
     model = ct.ss([[-0.1]], [[1.0]], [[1.0]], 0, inputs="q", outputs="y", states=["level"])
     rng = np.random.default_rng(3)

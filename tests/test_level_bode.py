@@ -175,6 +175,7 @@ def test_static_laws_at_the_ends_of_the_loop():
         ("input_deadzone", "u", (a * amplitude,)): (1 - clipped) * linear,
         ("input_delay", "u", (0.1,)): np.exp(-0.1j * omega) * linear,
         ("output_delay", "y", (0.1,)): np.exp(-0.1j * omega) * linear,
+        ("output_average", "y", (0.4,)): (1 - np.exp(-0.4j * omega)) / (0.4j * omega) * linear,
         ("output_saturation", "y", (a * size,)): clipped * linear,
         ("output_rectification", "y", (0.3,)): 0.7 * linear,
     }

@@ -7,15 +7,16 @@ from functools import cached_property
 
 import numpy as np
 
+from ..effects.tabulated import InputCurve, OutputCurve
 from ..inference.basis import project
 from ..inference.f_tests import FTest
 from ..inference.fitted import FittedModel
-from ..inference.free_form import Curve, averaged_evidence
+from ..inference.free_form import Curve, averaged_evidence, channel_signal, curve_responses
 from ..inference.sensitivities import force_responses
 from ..systems.linear import Array
 from .residual_tests import TestedResidual
 
-__all__ = ["Beside", "channel_curve", "curve_at", "motion_at", "nested", "stops"]
+__all__ = ["Beside", "channel_curve", "curve_at", "curve_columns", "motion_at", "nested", "stops"]
 
 _NESTED = (1, 2, 4, 8, 16)  # leading directions that are tested together
 _SEEN = 1e-10  # least eigenvalue of a direction that is kept, over the largest
@@ -80,7 +81,7 @@ class Beside:
         for name, blocks in self._forces.items():
             forces = [[(self.place, column) for column in block.T] for block in blocks]
             responses[name] = [force_responses(fitted, i, f, gain) for i, f in enumerate(forces)]
-        curve = channel_curve(fitted, self.place)
+        curve = curve_columns(fitted, self.place)
         if not responses and curve is not None and not battery.ratio:  # a predictor follows any sensor
             responses["free curve"] = curve
         for name, blocks in responses.items():
@@ -157,35 +158,25 @@ def curve_at(fitted: FittedModel, place: str, ratio: float) -> Curve | None:
     return Curve.along(place, d, v) if np.isfinite([d, v]).all() and (np.ptp(d) or np.ptp(v)) else None
 
 
-def channel_curve(fitted: FittedModel, label: str) -> list[Array] | None:
-    """Return the responses to a free curve of an input or an output.
+def channel_curve(fitted: FittedModel, label: str) -> Curve | None:
+    """Return the knots of a free curve of an input or an output.
 
-    Each record has an array (n_y, N, k). None if the label is no channel, or if its signal is constant.
+    None if the label is no channel, or if its signal is constant.
     """
-    model, records = fitted.structure.linear_model, fitted.problem.records
-    weights, held = fitted.problem.weights, fitted.blocks()
-    if label in model.input_labels:
-        j = list(model.input_labels).index(label)
-        parts = [record.inputs[j] for record in records]
-    elif label in model.output_labels:
-        j = list(model.output_labels).index(label)
-        parts = [r[j] / weights[j] + one.outputs[j] for (r, _), one in zip(held, records, strict=True)]
-    else:
+    model = fitted.structure.linear_model
+    kind = InputCurve.name if label in model.input_labels else OutputCurve.name
+    if label not in (*model.input_labels, *model.output_labels):
         return None
-    joined = np.concatenate(parts)
-    if not np.ptp(joined):
-        return None
-    curve = Curve.along(label, joined, np.zeros(joined.size))
-    if not curve.d.size:
-        return None
-    blocks = []
-    for i, x in enumerate(parts):
-        F = curve.columns(x, np.zeros(x.size)) @ curve.root
-        if label in model.input_labels:
-            blocks.append(force_responses(fitted, i, [(label, f) for f in F.T], fitted.gain(0.0)))
-        else:
-            blocks.append((weights * (np.array(model.output_labels) == label))[:, None, None] * F)
-    return blocks
+    x = np.concatenate([channel_signal(fitted, label, i) for i in range(len(fitted.problem.records))])
+    curve = Curve.along(label, x, np.zeros(x.size), kind) if np.ptp(x) else None
+    return curve if curve is not None and curve.d.size else None
+
+
+def curve_columns(fitted: FittedModel, label: str) -> list[Array] | None:
+    """Return the responses (n_y, N, k) to a free curve of a channel."""
+    curve = channel_curve(fitted, label)
+    blocks = [] if curve is None else curve_responses(fitted, fitted, curve, 0.0)
+    return None if curve is None else [block @ curve.root for block in blocks]
 
 
 def motion_at(fitted: FittedModel, place: str, ratio: float) -> tuple[Array, Array]:

@@ -9,27 +9,31 @@ import numpy as np
 
 from ..effects.along_motion import unit_forces
 from ..effects.effect import Effect
-from ..effects.tabulated import Table, Tabulated
+from ..effects.tabulated import InputCurve, OutputCurve, Table, Tabulated
 from ..inference.basis import Basis, project
 from ..inference.fitted import FittedModel
 from ..inference.free_form import FreeForm, evidence, fit_free_form
 from ..inference.whitening import Whitener
 from ..systems.linear import Array
-from .beside import channel_curve, curve_at, motion_at
+from .beside import channel_curve, curve_at, curve_columns, motion_at
 from .hypothesis import Trial
 from .places import likely_places
 from .residual_tests import TestedResidual
 
 __all__ = ["FreeForces", "OpenLaw", "Rivals", "open_law"]
 
-_NAME = "unknown force, tabulated"
+_NAMES = {
+    Tabulated.name: "unknown force",
+    InputCurve.name: "unknown curve",
+    OutputCurve.name: "unknown curve",
+}
 _PLACES = 3  # places at which a curve is fitted
 _FIRST = 2  # first descents at each place; only the best one is continued
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenLaw:
-    """Unknown force at a place, tabulated.
+    """Unknown force at a place, or unknown curve of a channel, tabulated.
 
     Attributes
     ----------
@@ -93,8 +97,8 @@ class FreeForces:
     log_likelihoods : dict
         Log-likelihood by place, penalized for the free coefficients, in the metric of the candidates.
     law : OpenLaw or None
-        Tabulated force at the likeliest place. None if that is no port, or if the table does not improve the
-        fit in free run.
+        Tabulated force, or curve of a channel, at the likeliest place. None if the table does not improve
+        the fit in free run.
     left : float
         Share of the error beyond noise that remains at the likeliest place; 0 if nothing remains. At a port
         the free force counts. Elsewhere the best candidate at the place counts, or without one the static
@@ -124,6 +128,9 @@ def open_law(race: Rivals) -> FreeForces:
     static = _static(race)
     free |= {place: value for place, (value, _) in static.items()}
     best = max([(race.log_likelihood(0), places[0]), *zip(free.values(), free, strict=True)])[1]
+    curve = channel_curve(race.fitted, best) if best in static else None
+    if curve is not None:
+        found[best] = fit_free_form(race.fitted, curve, race.whitener, race.ratio, rounds=_FIRST)
     if best in found:
         first = found[best]
         found[best] = fit_free_form(race.fitted, first.curve, first.whitener, race.ratio, start=first)
@@ -167,7 +174,7 @@ def _static(race: Rivals) -> dict[str, tuple[float, list[Array]]]:
     held, p = fitted.blocks(), fitted.problem.n_theta
     ports = [port.name for port in fitted.structure.model.ports]
     for label in (*model.input_labels, *model.output_labels):
-        blocks = None if label in ports else channel_curve(fitted, label)
+        blocks = None if label in ports else curve_columns(fitted, label)
         if blocks is None:
             continue
         seen = evidence(battery.left, project(battery.whiten(blocks), battery.basis))
@@ -196,7 +203,8 @@ def _tabulated(race: Rivals, form: FreeForm) -> OpenLaw | None:
     if "offset" in race.fitted.refinement.roles:  # the offset covers any constant: the force is 0 at rest
         rest = [np.clip(0.0, min(x, default=0.0), max(x, default=0.0)) for x in (table.d, table.v)]
         table = Table(table.d, table.v, np.array(table.force) - table(*rest))
-    effect = Effect(Tabulated.name, place, law=table, name=f"{_NAME} at {place}")
+    kind = form.curve.kind
+    effect = Effect(kind, place, law=table, name=f"{_NAMES[kind]}, tabulated at {place}")
     errors = np.concatenate([r / fitted.problem.weights[:, None] for r in fitted.residuals()], axis=1)
     measured = np.concatenate([r.outputs for r in fitted.problem.records], axis=1)
     spread = np.linalg.norm(measured - measured.mean(axis=1, keepdims=True), axis=1)
@@ -204,7 +212,8 @@ def _tabulated(race: Rivals, form: FreeForm) -> OpenLaw | None:
     if fit.mean() <= np.mean(race.fitted.refinement.fit):
         return None
     rmse = np.sqrt(np.mean(errors**2, axis=1))
-    return OpenLaw(effect, float(np.mean(fit)), _nearest(race, form), rmse)
+    near = _nearest(race, form) if kind == Tabulated.name else ()
+    return OpenLaw(effect, float(np.mean(fit)), near, rmse)
 
 
 def _nearest(race: Rivals, form: FreeForm) -> tuple[tuple[Effect, float], ...]:

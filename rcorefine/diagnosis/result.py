@@ -210,20 +210,21 @@ class Diagnosis(Reported):
         return hidden_force(self.base, noise, port, self.ordered_records()[0])
 
     def law(self) -> Effect:
-        """Return the tabulated force that no candidate explains, as an effect.
+        """Return the tabulated force or curve that no candidate explains.
 
         The effect can be given to `refine` or `compare`.
 
         Returns
         -------
         Effect
-            Of kind ``"tabulated"``, named ``"unknown force, tabulated at PLACE"``; its scale is 1.
+            Of kind ``"tabulated"``, named ``"unknown force, tabulated at PLACE"``; its scale is 1. For an
+            input or an output of kind ``"input_curve"`` or ``"output_curve"``: ``"unknown curve, ..."``.
 
         Raises
         ------
         ModelError
-            If there is none: the law has a name, nothing is missing, it is no force at a port, or no curve
-            of position and velocity makes the error of the free run fall.
+            If there is none: the effect has a name, nothing is missing, or no table reduces the error of the
+            free run.
         """
         if self.open_law is None:
             if self.verdict != "unexplained":
@@ -231,7 +232,7 @@ class Diagnosis(Reported):
                     f"the verdict is {self.verdict!r}: no law is open; refine() takes what was found"
                 )
             raise ModelError(
-                "what is missing is no force at a port that a table over position and velocity could hold"
+                "no table of a force over position and velocity, or of a channel, reduces the error"
             )
         return self.open_law.effect
 

@@ -186,8 +186,11 @@ def _open_law(found: Diagnosis) -> list[str]:
     if law is None:
         return []
     fits = f"fit {found.ranking[0].fit_before:.4g} -> {law.fit_after:.4g} %"
-    port = found.base.physical_model.port(law.effect.place)
     table: Any = law.effect.law
+    if law.effect.spec.at_channel:
+        ends = f"{table.d[0]:.3g} to {table.d[-1]:.3g}"
+        return [f"law() tabulates the unknown curve of {law.effect.place} from {ends}: {fits}."]
+    port = found.base.physical_model.port(law.effect.place)
     knots = zip(port.senses, (table.d, table.v), strict=True)
     shown = " and a ".join(f"{name} of {x[0]:.3g} to {x[-1]:.3g}" for name, x in knots if x)
     lines = [f"law() tabulates the unknown {port.acts_by} for a {shown}: {fits}."]

@@ -10,6 +10,8 @@ from typing import Any
 
 import control as ct
 import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from ..systems.linear import Array
 from .compiled import MAX_COEFFICIENTS, address, raise_pending, through
@@ -149,6 +151,26 @@ class FormulaLaw(Law):
         """
         return 0.0
 
+    def response(self, omega: Array, value: float) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return the frequency response of an effect that `delays`.
+
+        By default it is a dead time.
+
+        Parameters
+        ----------
+        omega : ndarray
+            Angular frequencies in rad/s.
+        value : float
+            Coefficient in s.
+
+        Returns
+        -------
+        response, slope : ndarray
+            Frequency response, and its derivative by the coefficient.
+        """
+        late = np.exp(-1j * omega * value)
+        return late, -1j * omega * late
+
     @property
     def moves_on(self) -> bool:
         """Return whether the result changes between samples of a held signal."""
@@ -239,3 +261,24 @@ class OutputLaw(FormulaLaw):
 
     where = frozenset({"output"})
     signals = MappingProxyType({"y": "d", "y_start": "d_start", "z_start": "z_start"})
+
+    def later(self, course: CubicSpline, value: float) -> tuple[Array, Array]:
+        """Return a signal behind an effect that `delays`.
+
+        By default it is a dead time. Before the record the signal is taken as its first value.
+
+        Parameters
+        ----------
+        course : CubicSpline
+            Signal, or several, against time in s.
+        value : float
+            Coefficient in s.
+
+        Returns
+        -------
+        values, slope : ndarray, shape (N, ...)
+            Signal behind the effect, and its derivative by the coefficient.
+        """
+        time = np.maximum(course.x - value, 0.0)
+        moving = (course.x > value).reshape(-1, *[1] * (course.c.ndim - 2))
+        return course(time), -course(time, 1) * moving

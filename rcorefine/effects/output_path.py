@@ -7,11 +7,16 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
+from ..systems.linear import Array
 from .absorbed import AbsorbedLaw, Assembly, Site
 from .formula import FADED, OutputLaw
 from .law import Coefficient, positive, register
 from .seen import Seen, delays
+
+_SMALL = 1e-4  # of a phase, and of a window in samples: below it, series
 
 
 @register
@@ -66,6 +71,47 @@ class OutputDelay(OutputLaw):
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """A few samples, or as many as the outputs come late."""
         return delays(seen)
+
+
+@register
+class OutputAverage(OutputLaw):
+    """Sensor that averages over time."""
+
+    where = frozenset(["output"])
+    coefficients = (positive("window", "s", "length of the moving average"),)
+    formula = "y(t) -> mean of y from t - window to t"
+    explanation = "The sensor {place} shows the mean over the last moments: a moving average."
+    linear = True
+    delays = True
+    on_request = True
+    signal = "rate"
+
+    def response(self, omega: Array, value: float) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return (1 - exp(-j omega T)) / (j omega T) and its derivative by T."""
+        turn = -1j * np.asarray(omega) * value
+        small = np.abs(turn) < _SMALL
+        safe = np.where(small, 1.0, turn)
+        mean = np.where(small, 1.0 + turn / 2.0, np.expm1(safe) / safe)
+        slope = np.where(small, 0.5 + turn / 3.0, (np.exp(safe) - mean) / safe)
+        return mean, -1j * omega * slope
+
+    def later(self, course: CubicSpline, value: float) -> tuple[Array, Array]:
+        """Return the mean over the window, from the integral of the spline."""
+        t, area = course.x, course.antiderivative()
+        first, then = np.minimum(t - value, 0.0), np.maximum(t - value, 0.0)
+        over = (slice(None), *[None] * (course.c.ndim - 2))
+        if value < _SMALL * (t[1] - t[0]):
+            return course(t), -0.5 * course(t, 1)
+        mean = (area(t) - area(then) - first[over] * course(0.0)) / value
+        return mean, (course(then) - mean) / value
+
+    def unseen(self, dt: float, *values: float) -> float:
+        """As many as fit into it."""
+        return values[0] / dt
+
+    def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
+        """As late, on average, as a dead time."""
+        return [{"window": 2.0 * start["delay"]} for start in delays(seen)]
 
 
 @register

@@ -1,4 +1,4 @@
-"""Tabulated force: values at knots, interpolated between them."""
+"""Tabulated forces and curves: values at knots, interpolated between them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..arguments import as_array
 from ..exceptions import ModelError
 from ..jit import compiled_law, number_at
 from ..systems.linear import Array
-from .formula import PortLaw
+from .formula import FormulaLaw, InputLaw, OutputLaw, PortLaw
 from .law import Coefficient, register
 
 __all__ = ["Table", "Tabulated", "share_beyond"]
@@ -159,15 +159,10 @@ def _looked_up(d, v, where):  # type: ignore[no-untyped-def]
     return low + p * (high - low), p_rate * (high - low), q_rate * across
 
 
-@register
-class Tabulated(PortLaw):
-    """A force whose law is open."""
+class _OfTable(FormulaLaw):
+    """Law whose values stand in a table."""
 
-    where = frozenset(["mechanical", "first_order"])
-    coefficients = (Coefficient("scale", "", default_start=1.0, explanation="factor on the tabulated force"),)
     constants = MappingProxyType({"table": None})
-    formula = "f = t table(d, v)"
-    explanation = "A force acts at {place} whose law is open: its values are tabulated."
     needs_law = True
 
     @property
@@ -175,17 +170,33 @@ class Tabulated(PortLaw):
         """None: where the table lies in memory is nothing to set."""
         return ()
 
-    def of(self, law: Any, names: tuple[str, ...], label: str) -> Tabulated:
-        """The law of a table.
+    def of(self, law: Any, names: tuple[str, ...], label: str) -> FormulaLaw:
+        """Return the law of a table.
 
         Raises
         ------
         control.ControlArgument
-            If it is none.
+            If `law` is no `Table`, or a curve of a channel has knots `v`.
         """
         if not isinstance(law, Table):
-            raise ct.ControlArgument(f"{label} needs law=, a Table of the force at knots")
-        return _tabulated(law)
+            raise ct.ControlArgument(f"{label} needs law=, a Table of the values at knots")
+        if self.at_channel and (len(law.d) < 2 or law.v):
+            raise ct.ControlArgument(f"{label} needs a Table with two knots d or more, and without knots v")
+        return _tabulated(self.name, law)
+
+    def __reduce__(self) -> tuple[object, tuple[Any, ...]]:
+        held = vars(self).get("held")
+        return super().__reduce__() if held is None else (_tabulated, (self.name, held))
+
+
+@register
+class Tabulated(_OfTable, PortLaw):
+    """A force whose law is open."""
+
+    where = frozenset(["mechanical", "first_order"])
+    coefficients = (Coefficient("scale", "", default_start=1.0, explanation="factor on the tabulated force"),)
+    formula = "f = t table(d, v)"
+    explanation = "A force acts at {place} whose law is open: its values are tabulated."
 
     @staticmethod
     def law(d, v, scale, table):  # type: ignore[no-untyped-def]
@@ -198,23 +209,65 @@ class Tabulated(PortLaw):
         force, by_d, by_v = _looked_up(d, v, table)
         return scale * force, scale * by_d, scale * by_v, force, 0.0
 
-    def __reduce__(self) -> tuple[object, tuple[Any, ...]]:
-        held = vars(self).get("held")
-        return super().__reduce__() if held is None else (_tabulated, (held,))
+
+_WHOLE = Coefficient("scale", "1", default_start=1.0, explanation="1: the whole curve, 0: none of it")
+
+
+@register
+class InputCurve(_OfTable, InputLaw):
+    """Actuator with a tabulated curve."""
+
+    where = frozenset(["input"])
+    coefficients = (_WHOLE,)
+    formula = "w -> (1 - t) w + t table(w)"
+    explanation = "The input {place} acts by a tabulated static curve."
+
+    @staticmethod
+    def law(w, scale, table):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return w + scale * (_looked_up(w, 0.0, table)[0] - w)
+
+    @staticmethod
+    def slopes(w, scale, table):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        value, slope, _ = _looked_up(w, 0.0, table)
+        return w + scale * (value - w), 1.0 + scale * (slope - 1.0), value - w, 0.0
+
+
+@register
+class OutputCurve(_OfTable, OutputLaw):
+    """Sensor with a tabulated curve."""
+
+    where = frozenset(["output"])
+    coefficients = (_WHOLE,)
+    formula = "y -> (1 - t) y + t table(y)"
+    explanation = "The sensor {place} shows a tabulated static curve."
+
+    @staticmethod
+    def law(y, scale, table):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return y + scale * (_looked_up(y, 0.0, table)[0] - y)
+
+    @staticmethod
+    def slopes(y, scale, table):  # type: ignore[no-untyped-def]
+        """With its derivatives."""
+        value, slope, _ = _looked_up(y, 0.0, table)
+        return y + scale * (value - y), 1.0 + scale * (slope - 1.0), value - y, 0.0
 
 
 @lru_cache(maxsize=256)
-def _tabulated(table: Table) -> Tabulated:
+def _tabulated(name: str, table: Table) -> _OfTable:
     """Return the law of a table.
 
     One of its constants is the address of its values, for the kernels.
     """
-    law: Any = Tabulated()
+    law: Any = {kind.name: kind for kind in (Tabulated, InputCurve, OutputCurve)}[name]()
     size = [max(len(table.d), 1), max(len(table.v), 1)]
     knots = [table.d or (0.0,), table.v or (0.0,)]
     law.held, law.numbers = table, np.concatenate([size, *knots, np.ravel(table.force)])
     law.constants = {"table": float(law.numbers.ctypes.data)}
-    sensed = [name for name, each in zip(("position", "velocity"), knots, strict=True) if len(each) > 1]
-    law.needs = law.senses = frozenset(sensed)
-    made: Tabulated = law
+    if not law.at_channel:
+        sensed = [name for name, each in zip(("position", "velocity"), knots, strict=True) if len(each) > 1]
+        law.needs = law.senses = frozenset(sensed)
+    made: _OfTable = law
     return made

@@ -289,19 +289,20 @@ class Engine:
     def _delay_output(
         self, theta: Array, index: int, channel: int, Y: Array, SY: Array, sensitivity: bool
     ) -> None:
-        """Shift one output by its delay, along a spline through the samples."""
-        delay = float(self.structure.value(theta, index, "delay"))
-        column = self.structure.position(index, "delay")
+        """Delay one output, along a spline through the samples."""
+        law = self.structure.effects[index].spec
+        assert isinstance(law, OutputLaw)
+        (name,) = law.coefficient_names
+        value, column = float(self.structure.value(theta, index, name)), self.structure.position(index, name)
         grid = np.arange(Y.shape[0]) * self.data.dt
-        shifted = np.maximum(grid - delay, 0.0)
-        spline = CubicSpline(grid, Y[:, channel])
+        late, slope = law.later(CubicSpline(grid, Y[:, channel]), value)
         if SY.shape[2]:
             slopes = SY[:, channel]
             seen = np.isfinite(slopes).all(axis=0)  # derivatives may overflow where the motion does not
-            slopes[:, seen] = CubicSpline(grid, slopes[:, seen])(shifted)
+            slopes[:, seen] = law.later(CubicSpline(grid, slopes[:, seen]), value)[0]
             if sensitivity and column >= 0:
-                SY[:, channel, column] = np.where(grid > delay, -spline(shifted, 1), 0.0)
-        Y[:, channel] = spline(shifted)
+                SY[:, channel, column] = slope
+        Y[:, channel] = late
 
 
 def _trajectory(Y: Array, SY: Array, X: Array, F: Array, blew_up: int) -> Trajectory:

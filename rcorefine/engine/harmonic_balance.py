@@ -203,8 +203,10 @@ class Balance:
             y = law.through(y, *self.structure.law_values(self.theta, index))[0][y.size // 2 :]
             Y[channel] = _phasors(y @ self.analysis.T)
         for index, channel in self.structure.output_delays:
-            delay = float(self.structure.value(self.theta, index, "delay"))
-            Y[channel] *= np.exp(-1j * np.arange(self.harmonics + 1) * omega * delay)
+            law = self.structure.effects[index].spec
+            assert isinstance(law, OutputLaw)
+            value = self.structure.law_values(self.theta, index)[0]
+            Y[channel] *= law.response(omega * np.arange(self.harmonics + 1.0), value)[0]
         return Y
 
     # -------------------------------------------------------------- Newton steps

@@ -201,7 +201,9 @@ class LineBalance:
             Y[:, channel] = self._phasors(seen @ self.analysis.T)
         found = Y[:, :, 1]
         for index, channel in s.output_delays:
-            found[:, channel] *= np.exp(-1j * self.omega * s.law_values(theta, index)[0])
+            law = s.effects[index].spec
+            assert isinstance(law, OutputLaw)
+            found[:, channel] *= law.response(self.omega, s.law_values(theta, index)[0])[0]
         return np.asarray(found)
 
     @staticmethod

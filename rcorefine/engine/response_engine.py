@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..data.measurement import Measurement
 from ..data.response_record import ResponseRecord, coded
+from ..effects.formula import FormulaLaw
 from ..exceptions import DivergenceError, ModelError
 from ..models.operating_point import refuse_point
 from ..models.ports import felt
@@ -216,17 +217,19 @@ class ResponseEngine:
 
     def _delayed(self, theta: Array, G: Complex, slopes: list[Complex]) -> tuple[Complex, list[Complex]]:
         """With the delays of inputs and outputs."""
-        s, turn = self.structure, -1j * self.data.omega
+        s = self.structure
         late: list[tuple[int, Any]] = [(index, np.s_[:, channel]) for index, channel in s.input_statics]
         late += [(index, np.s_[channel]) for index, channel in s.output_delays]
-        factor = np.ones(G.shape, complex)
+        G, slopes = G.copy(), [one.copy() for one in slopes]
         for index, where in late:
-            factor[where] *= np.exp(turn * s.law_values(theta, index)[0])
-        G, slopes = G * factor, [slope * factor for slope in slopes]
-        for index, where in late:
+            law = s.effects[index].spec
+            assert isinstance(law, FormulaLaw)
+            factor, slope = law.response(self.data.omega, s.law_values(theta, index)[0])
             column = s.position(index, s.effects[index].coefficients[0])
             if column >= 0 and slopes:
-                slopes[column][where] = turn * G[where]
+                slopes[column][where] = G[where] * slope
+            for one in (G, *(other for k, other in enumerate(slopes) if k != column)):
+                one[where] *= factor
         return G, slopes
 
 

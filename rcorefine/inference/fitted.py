@@ -90,6 +90,10 @@ class FittedModel:
         free = {ratio: blocks for ratio, blocks in self._blocks.items() if ratio == 0}
         return replace(self, force_at=at, _blocks=free, _gains={}, _states={})
 
+    def at(self, point: Array) -> FittedModel:
+        """Return the model at another point."""
+        return replace(self, point=point, _blocks={}, _gains={}, _states={})
+
     def blocks(self, ratio: float = 0.0) -> list[tuple[Array, Array]]:
         """Return the residual and the Jacobian of each record.
 

@@ -1,8 +1,8 @@
-"""Unknown force at a place, as a curve in displacement and velocity.
+"""Unknown force at a place, or unknown static curve of a channel.
 
-The curve is f(d) + g(v) + v h(d), piecewise linear. Neighboring values are correlated, as in a random
-walk that returns to zero. The record determines the size of the curve, and the evidence penalizes its
-freedom (MacKay, Neural Computation 4 (1992) 415).
+A force is a curve f(d) + g(v) + v h(d) in displacement and velocity, piecewise linear. Neighboring values
+are correlated, as in a random walk that returns to zero. The record determines the size of the curve, and
+the evidence penalizes its freedom (MacKay, Neural Computation 4 (1992) 415).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from ..effects.effect import Effect
-from ..effects.tabulated import Table, Tabulated
+from ..effects.tabulated import OutputCurve, Table, Tabulated
 from ..engine.structure import Structure
 from ..exceptions import ModelError
 from ..gauss_newton import Rows, gauss_newton
@@ -30,6 +30,7 @@ __all__ = [
     "Evidence",
     "FreeForm",
     "averaged_evidence",
+    "channel_signal",
     "curve_responses",
     "evidence",
     "fit_free_form",
@@ -41,21 +42,24 @@ _SIZES = np.logspace(0.0, 10.0, 31)  # variance of the curve over that of the no
 _SHARES = 10.0 ** (np.arange(-199, 1) / 40.0 - 1.0 / 80.0)  # sizes up to 1, in the middle of even steps
 _SETTLED = 1e-3  # relative change of the residual that is none
 _EVALUATIONS = 6
+_STIFF = 1e6  # one over the prior standard deviation of what is held, in typical sizes
 
 
 class Curve(NamedTuple):
-    """Knots of a curve at a port, and what it is made of.
+    """Knots of a curve at a place, and what it is made of.
 
     Attributes
     ----------
     place : str
-        Port.
+        Port, input or output.
     d, v : ndarray
         Knots; empty where the port does not sense it.
     scale : float
         Rms velocity, the unit of v h(d).
     root : ndarray, shape (k, k)
         Root of the prior covariance of its coefficients, up to their size.
+    kind : str
+        Kind of its effect; a curve of a channel is added to a straight line of slope 1.
     """
 
     place: str
@@ -63,16 +67,17 @@ class Curve(NamedTuple):
     v: Array
     scale: float
     root: Array
+    kind: str = Tabulated.name
 
     @classmethod
-    def along(cls, place: str, d: Array, v: Array) -> Curve:
+    def along(cls, place: str, d: Array, v: Array, kind: str = Tabulated.name) -> Curve:
         """Knots where a motion d, v (N,) spends its time."""
         rms = float(np.sqrt(np.mean(v**2))) or 1.0
         at_d, at_v = _knots(d), _knots(v)
         blocks = [_alike(x) for x in (at_d, at_v) if x.size]
         if at_d.size and at_v.size:
             blocks.append(_alike(at_d))
-        return cls(place, at_d, at_v, rms, np.linalg.cholesky(block_diag(*blocks)))
+        return cls(place, at_d, at_v, rms, np.linalg.cholesky(block_diag(*blocks)), kind)
 
     def columns(self, d: Array, v: Array) -> Array:
         """Force (N, k) of a unit of each coefficient along a motion."""
@@ -85,6 +90,8 @@ class Curve(NamedTuple):
         d, v = (knots if knots.size else np.zeros(1) for knots in (self.d, self.v))
         at = np.array([(x, y) for x in d for y in v])
         force = self.columns(at[:, 0], at[:, 1]) @ values
+        if self.kind != Tabulated.name:
+            force = force + at[:, 0]
         return Table(self.d, self.v, force.reshape(max(n, 1), max(m, 1)))
 
 
@@ -273,12 +280,16 @@ def fit_free_form(
     n, k = fitted.point.size, len(curve.root)
     point, values = (fitted.point, np.zeros(k)) if start is None else (start.fitted.point, start.values)
     held = np.sqrt(fitted.problem.precision)
+    if curve.kind == OutputCurve.name:  # a constant before a free curve only moves its knots
+        s = fitted.structure
+        constant = [s.effects[q.effect].spec.holds_constant for q in s.parameters]
+        held[: len(constant)][constant] = _STIFF / fitted.problem.sizes_at(point)[: len(constant)][constant]
     mean = np.pad(fitted.problem.prior_mean, (0, n - fitted.problem.n_theta))
     mean = np.where(held > 0, mean, 0.0)
     inverse = np.linalg.inv(curve.root)
     for _ in range(rounds):
         model = _with(fitted, curve, point, values)
-        white, J, X = _linear(model, curve, whitener, ratio)
+        white, J, X = _linear(model, fitted.at(point), curve, whitener, ratio)
         basis = rank_basis(np.vstack([J, np.diag(held)]))
         # what would be left without the curve, and what the curve can do about it
         both = np.vstack([np.column_stack([white - X @ values, X @ curve.root]), np.zeros((n, 1 + k))])
@@ -288,7 +299,8 @@ def fit_free_form(
 
         def rows(at: Array, prior: Array = prior, whitener: Whitener = whitener) -> Rows:
             try:
-                white, J, X = _linear(_with(fitted, curve, at[:n], at[n:]), curve, whitener, ratio)
+                led = _with(fitted, curve, at[:n], at[n:]), fitted.at(at[:n])
+                white, J, X = _linear(*led, curve, whitener, ratio)
             except ModelError:  # its linear model runs away within one sample
                 return Rows(np.full(n + k, np.inf), np.zeros((n + k, n + k)))
             zeros = np.zeros((n, k))
@@ -313,20 +325,22 @@ def _with(fitted: FittedModel, curve: Curve, point: Array, values: Array) -> Fit
 
     `point` is a point of the model without the curve.
     """
-    effect = Effect(Tabulated.name, curve.place, law=curve.table(values), fixed={"scale": 1.0})
+    effect = Effect(curve.kind, curve.place, law=curve.table(values), fixed={"scale": 1.0})
     base = fitted.structure
     structure = Structure(base.model, [*base.effects, effect], constants=base.constants)
     problem = fitted.problem.like(structure, substeps=max(fitted.refinement.substeps, 2))
     return FittedModel(fitted.refinement, problem, point, fitted.tolerance, fitted.force_at)
 
 
-def _linear(model: FittedModel, curve: Curve, whitener: Whitener, ratio: float) -> tuple[Array, Array, Array]:
+def _linear(
+    model: FittedModel, without: FittedModel, curve: Curve, whitener: Whitener, ratio: float
+) -> tuple[Array, Array, Array]:
     """Return the white residual and its derivatives.
 
     The derivatives are those by the point, then those by the values of the curve.
     """
     blocks, judged = model.blocks(ratio), model.problem.judged(model.theta)
-    columns = zip(judged, curve_responses(model, curve, ratio), strict=True)
+    columns = zip(judged, curve_responses(model, without, curve, ratio), strict=True)
     return (
         whitener.apply([r for r, _ in blocks]),
         whitener.apply(model.problem.whole([j for _, j in blocks])),
@@ -334,14 +348,32 @@ def _linear(model: FittedModel, curve: Curve, whitener: Whitener, ratio: float) 
     )
 
 
-def curve_responses(model: FittedModel, curve: Curve, ratio: float) -> list[Array]:
+def curve_responses(model: FittedModel, without: FittedModel, curve: Curve, ratio: float) -> list[Array]:
     """Return the output change for a unit of each coefficient of a curve.
 
-    The list holds an array of shape (n_y, N, k) for each record.
+    The list holds an array of shape (n_y, N, k) for each record. `without` is the model at the same point
+    without the curve: it shows the signal of a sensor before its curve.
     """
-    found = []
+    found, weights = [], model.problem.weights
+    labels = list(model.structure.linear_model.output_labels)
     for i in range(len(model.problem.records)):
-        columns = curve.columns(*model.port(curve.place, ratio, i))
+        if curve.kind == Tabulated.name:
+            columns = curve.columns(*model.port(curve.place, ratio, i))
+        else:
+            x = channel_signal(without, curve.place, i)
+            columns = curve.columns(x, np.zeros(x.size))
+        if curve.kind == OutputCurve.name:
+            found.append((weights * (np.array(labels) == curve.place))[:, None, None] * columns)
+            continue
         forces = [(curve.place, column) for column in columns.T]
         found.append(force_responses(model, i, forces, model.gain(ratio)))
     return found
+
+
+def channel_signal(fitted: FittedModel, label: str, i: int) -> Array:
+    """Return an input of a record, or an output of the model there."""
+    model, record = fitted.structure.linear_model, fitted.problem.records[i]
+    if label in model.input_labels:
+        return np.asarray(record.inputs[list(model.input_labels).index(label)])
+    j = list(model.output_labels).index(label)
+    return np.asarray(fitted.blocks()[i][0][j] / fitted.problem.weights[j] + record.outputs[j])

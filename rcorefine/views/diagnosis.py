@@ -80,7 +80,23 @@ def plot_diagnosis(found: Diagnosis, frame: Frame) -> ct.ControlPlot:
         return frame.finish(axes, lines, [axes[0, 0], axes[0, 1], axes[1, 1]], title_of(found))
 
 
+def _channel_curve(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
+    """Draw the tabulated curve of a channel, and the straight line."""
+    effect: Any = found.law()
+    unit = dict(zip(record.input_labels, record.input_units, strict=True))
+    unit |= dict(zip(record.output_labels, record.output_units, strict=True))
+    d, values = np.array(effect.law.d), np.array(effect.law.force)[:, 0]
+    lines = ax.plot(d, d, color="0.55", lw=1.2, label="model as given")
+    lines += ax.plot(d, values, "o-", color=style(1).color, ms=4, lw=1.6, label=effect.label)
+    ax.set_xlabel(unit_text(f"{effect.place} of the record", unit[effect.place]))
+    ax.set_ylabel(unit_text(f"{effect.place} after the curve", unit[effect.place]))
+    ax.set_title("Curve estimated from the record")
+    return list(lines)
+
+
 def _force(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
+    if found.open_law is not None and found.open_law.effect.spec.at_channel:
+        return _channel_curve(ax, found, record)
     best, hidden = found.best, found.hidden_force
     if best is None or hidden is None:
         said = (
