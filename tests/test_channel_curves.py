@@ -41,6 +41,10 @@ def test_a_measured_curve_explains_the_record(kind, place):
     row = better.parameter("scale")
     assert abs(row.value - 1.0) < 4 * row.std
     assert row.std < 0.01
+    assert rco.diagnose(better, record(place == "y", seed=2)).verdict == "adequate"
+    short = effect.replace(law=rco.Table([-1.0, 1.0], force=[-0.5, 0.5]))
+    data = record(place == "y")
+    assert "leaves the table" in " ".join(str(rco.compare(rco.refine(model(), data, [short]), data)).split())
     exact = rco.refine(model(), record(place == "y", noise=0.0), [effect.replace(fixed={"scale": 1.0})])
     assert exact.rmse[0] < 1e-3  # of the chords between the knots
 

@@ -301,13 +301,22 @@ def _beyond_tables(model: Any, name: str, states: Array, inputs: Array) -> list[
     said = []
     for effect in getattr(model, "effects", ()):
         if isinstance(effect.law, Table):
-            port = structure_of(model)[0].model.port(effect.place)
-            d = port.position @ states + port.position_input @ inputs
-            share = share_beyond(effect.law, d, port.velocity @ states + port.velocity_input @ inputs)
+            physical, place = structure_of(model)[0].model, effect.place
+            linear = physical.linear
+            if place in linear.input_labels:
+                d = v = inputs[linear.input_labels.index(place)]
+            elif place in linear.output_labels:
+                j = linear.output_labels.index(place)
+                d = v = linear.C[j] @ states + linear.D[j] @ inputs
+            else:
+                port = physical.port(place)
+                d = port.position @ states + port.position_input @ inputs
+                v = port.velocity @ states + port.velocity_input @ inputs
+            share = share_beyond(effect.law, d, v)
             if share > 0.0:
                 said.append(
                     f"the motion of {name!r} leaves the table of {effect.label} in {100 * share:.2g} % of "
-                    "the samples; there the force is extrapolated linearly"
+                    "the samples; the table is extrapolated linearly there"
                 )
     return said
 
