@@ -1,7 +1,7 @@
 """The face: what `import rcorefine` offers, and where it stands. Read by __init__.py, too."""
 
 from . import examples, exercises
-from .comparison import Comparison, compare
+from .comparison import Comparison, black_box, compare
 from .data.frequency_response import FrequencyResponse
 from .data.measurement import Measurement
 from .diagnosis import Diagnosis, diagnose
@@ -83,6 +83,7 @@ __all__ = [
     "Simulation",
     "Survey",
     "Table",
+    "black_box",
     "check",
     "compare",
     "confirm",

@@ -384,3 +384,48 @@ def test_describe_effects_takes_a_model():
     model = rco.mass_spring_damper(1.0, 0.4, 100.0)
     assert rco.describe_effects(model) == rco.describe_effects(rco.effect_library(model))
     assert rco.describe_effects(model.system) == rco.describe_effects(rco.effect_library(model.system))
+
+
+# ------------------------------------------------------------------ names
+def test_every_printed_name_is_accepted_and_means_one_kind():
+    from rcorefine.effects.domains import DOMAINS, worded
+    from rcorefine.effects.kinds import kind_named
+
+    for kind, law in KINDS.items():
+        assert kind_named(kind) == kind_named(kind.replace("_", " ").title()) == kind
+        for domain in DOMAINS:
+            printed = worded(law.words[0], domain)
+            if printed:
+                assert kind_named(printed.upper()) == kind, (printed, domain)
+
+
+@pytest.mark.parametrize("wrong", ["stifness", "friction", "voltage drop of constants size"])
+def test_an_unknown_name_is_answered_with_the_nearest(wrong):
+    with pytest.raises(ct.ControlArgument, match="near it: [a-z_]+") as told:
+        Effect(wrong, "link1")
+    near = str(told.value).split("near it: ")[1].split(";")[0].split(", ")
+    assert 1 <= len(near) <= 3
+    assert set(near) <= set(KINDS)
+
+
+def test_effects_by_their_names_are_candidates():
+    model = rco.series_rlc(1.0, 0.1, 0.01)
+    label = rco.effect_library(model)[0].label
+    from rcorefine.effects.several import as_effects
+
+    assert label == "series resistance at inductor"
+    assert as_effects(["damping@inductor", label], "candidates") == 2 * [Effect("damping", "inductor")]
+    assert Effect("damping", "inductor").key == "damping@inductor"
+    for text in ("damping", "@inductor", "damping at "):
+        with pytest.raises(ct.ControlArgument, match="kind@place"):
+            as_effects([text], "candidates")
+
+
+@pytest.mark.parametrize(
+    ("state", "domain"),
+    [("speed", "mechanical"), ("omega1", "rotational"), ("level2", "hydraulic"), ("temperature", "thermal")],
+)
+def test_states_without_a_unit_have_the_words_of_their_name(state, domain):
+    model = ct.ss([[-2.0]], [[3.0]], [[1.0]], 0, inputs="u", outputs="y", states=state)
+    (port,) = rco.ports(model)
+    assert port.domain == domain

@@ -35,10 +35,10 @@ ORDER = (
 #: Lines of code (no docstring, comment, blank) of each top-level folder, and of the files beside them.
 #: A commit may lower a figure; one that raises it says in its message what went out in exchange.
 BUDGET = {
-    ".": 874, "arguments": 306, "commands": 1387, "comparison": 2903, "data": 2894, "diagnosis": 5761,
-    "effects": 3340, "engine": 3310, "examples": 263, "exercises": 565, "explorer": 1115, "export": 511,
-    "fleet": 1044, "inference": 2886, "localization": 1330, "models": 4155, "refinement": 196,
-    "streaming": 7517, "systems": 654, "views": 4379,
+    ".": 874, "arguments": 306, "commands": 1387, "comparison": 2964, "data": 2955, "diagnosis": 5761,
+    "effects": 3377, "engine": 3310, "examples": 263, "exercises": 568, "explorer": 1115, "export": 511,
+    "fleet": 1044, "inference": 2901, "localization": 1330, "models": 4155, "refinement": 196,
+    "streaming": 7517, "systems": 654, "views": 4451,
 }  # fmt: skip
 #: Functions of a radon complexity above 15, functions that take more than 8 parameters (private ones and
 #: kernels), private functions of fewer than 6 lines of code that one place calls: not more than there are.

@@ -189,4 +189,4 @@ def test_every_kind_is_offered_somewhere():
     swing = ct.ss([[0, 1], [-9, -1]], [[0], [1]], [[1, 0]], 0, states=["theta", "omega"])
     models = [TestChain.model, two_tanks(), ct.ss([[-1, 2], [-3, -4]], [[1], [0]], [[1, 0]], 0), swing]
     offered = {kind for model in models for kind, _ in listed(model)}
-    assert offered == {name for name, law in KINDS.items() if not law.on_request} - {"custom", "tabulated"}
+    assert offered == {name for name, law in KINDS.items() if not (law.on_request or law.needs_law)}

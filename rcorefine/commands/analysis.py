@@ -14,6 +14,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import control as ct
+
 from ..arguments import printable
 from ..comparison.adequacy import best_of, failures_of
 from ..comparison.compare import compare
@@ -26,7 +28,6 @@ from ..diagnosis.improvement import Improvement
 from ..diagnosis.result import Diagnosis
 from ..diagnosis.words import next_step
 from ..effects.effect import Effect
-from ..effects.law import KINDS
 from ..exceptions import ModelError
 from ..models.library import effect_library
 from ..models.reading import read_model
@@ -159,17 +160,15 @@ def wanted_candidates(model: Any, wanted: Sequence[str] | None) -> list[Effect] 
     found: list[Effect] = []
     for word in wanted:
         kind, at, place = word.partition("@")
-        if at:
-            found += effect_library(model, kinds=kind, places=place)
-        elif word in KINDS:
-            found += effect_library(model, kinds=word)
-        elif word in places:
+        if not at and word in places:
             found += [effect for effect in library if effect.place == word]
-        else:
+            continue
+        try:
+            found += effect_library(model, kinds=kind, places=place or None)
+        except ct.ControlArgument as error:
             raise ModelError(
-                f"no candidate {word!r}: give kinds ({', '.join(KINDS)}), "
-                f"places ({', '.join(places)}) or kind@place"
-            )
+                f"no candidate {word!r}: {error}. Or give places ({', '.join(places)}) or kind@place"
+            ) from None
     return list(dict.fromkeys(found))
 
 

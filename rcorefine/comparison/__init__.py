@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from .black_box import black_box
 from .compare import compare
 from .correlation import Correlogram, correlogram
 from .failure_map.residual_force import ResidualForce, residual_force
@@ -31,6 +32,7 @@ __all__ = [
     "ResidualForce",
     "ResidualTest",
     "TestTable",
+    "black_box",
     "compare",
     "correlogram",
     "fit_percent",

@@ -1,12 +1,14 @@
-"""Parts of a `Measurement`: cut in two, a stretch of time, another hold."""
+"""Other forms of a `Measurement`: parts, other hold, filtered, joined."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
+from scipy.signal import butter, detrend, sosfiltfilt, zpk2sos
 
-from ..arguments import as_choice, as_number, as_share, as_vector, as_whole
+from ..arguments import as_choice, as_mapping, as_number, as_share, as_vector, as_whole
 from ..exceptions import DataError
 from ..systems.linear import Array
 from .resampling import decimated
@@ -20,6 +22,7 @@ FIELDS = (
 )  # fmt: skip
 
 
+_FADED = 1e-3  # share of a transient that is as good as gone
 UNDRIVEN = object()  #: In place of inputs: nothing drives the system.
 
 
@@ -34,6 +37,9 @@ class RecordParts:
         dt: float
         timepts: Array
         hold: str
+        input_labels: tuple[str, ...]
+        output_labels: tuple[str, ...]
+        name: str
         notes: tuple[str, ...]
         origin: Array
         elapsed: float
@@ -165,6 +171,159 @@ class RecordParts:
             parts.append((rows + (old - new)[:, None], new))
         (w, above), (y, over) = parts
         return self._changed(inputs=w, outputs=y, origin=np.concatenate([above, over]))
+
+    def detrend(self) -> Self:
+        """Return the record without its mean and linear trend.
+
+        The straight line of least squares is subtracted from each input and output
+        (`scipy.signal.detrend`). Use `deviation` for a known operating point.
+
+        Returns
+        -------
+        Measurement
+
+        Examples
+        --------
+        >>> data = rco.Measurement([1.0, 2.0, 3.0], [0.0, 1.0, 5.0], dt=0.1)
+        >>> data.detrend().outputs.round(6)
+        array([[ 0.5, -1. ,  0.5]])
+        """
+        w, y = (detrend(rows) if rows.size else rows for rows in (self.inputs, self.outputs))
+        return self._changed(inputs=w, outputs=y, notes=(*self.notes, "mean and linear trend removed"))
+
+    def filter(self, low: float | None = None, high: float | None = None, *, order: int = 4) -> Self:
+        """Return the record with inputs and outputs filtered alike.
+
+        Parameters
+        ----------
+        low, high : float, optional
+            Edges of the passband in rad/s: a high-pass filter above `low`, a low-pass filter below `high`,
+            or a band-pass filter.
+        order : int
+            Order of the Butterworth filter, which runs forward and backward (zero phase).
+
+        Returns
+        -------
+        Measurement
+            Shorter at either end by the samples that the transient of the filter spoils.
+
+        Raises
+        ------
+        DataError
+            If an edge is not below the Nyquist frequency pi / dt, or the record is too short.
+
+        Notes
+        -----
+        The same filter on inputs and outputs leaves the parameters of a linear model unchanged. It does not
+        commute with friction, stops and other nonlinear effects: look for these in the unfiltered record.
+
+        Examples
+        --------
+        >>> t = np.arange(500) * 0.01
+        >>> data = rco.Measurement(np.sin(2 * t), np.cos(2 * t) + np.cos(200 * t), dt=0.01)
+        >>> slow = data.filter(high=20.0)
+        >>> slow.n_samples, bool(np.abs(slow.outputs - np.cos(2 * slow.timepts)).max() < 0.01)
+        (318, True)
+        """
+        edges = [as_number(w, name, above=0.0, error=DataError) for name, w in (("low", low), ("high", high))
+                 if w is not None]  # fmt: skip
+        order = as_whole(order, "order", least=1, most=12)
+        kind = "bandpass" if len(edges) == 2 else "highpass" if high is None else "lowpass"
+        if not edges or max(edges) >= np.pi / self.dt or (kind == "bandpass" and edges[0] >= edges[1]):
+            raise DataError(
+                f"give low or high in rad/s, or both with low < high, below the Nyquist frequency "
+                f"{np.pi / self.dt:.4g} rad/s; not low = {low}, high = {high}"
+            )
+        edge = edges if len(edges) == 2 else edges[0]
+        zeros, poles, gain = butter(order, edge, kind, fs=2 * np.pi / self.dt, output="zpk")
+        cut = int(np.ceil(np.log(_FADED) / np.log(np.abs(poles).max())))
+        if self.n_samples <= 3 * cut:
+            raise DataError(
+                f"the record has {self.n_samples} samples; the filter needs more than {3 * cut}, since it "
+                f"spoils {cut} at either end"
+            )
+        sos = zpk2sos(zeros, poles, gain)
+        w, y = (sosfiltfilt(sos, rows) if rows.size else rows for rows in (self.inputs, self.outputs))
+        said = f"{kind} filter of order {order}, {' to '.join(f'{e:.4g}' for e in edges)} rad/s, zero phase"
+        return self._changed(inputs=w, outputs=y, notes=(*self.notes, said))._part(slice(cut, -cut))
+
+    def rename(self, labels: Mapping[str, str] | None = None, *, name: str | None = None) -> Self:
+        """Return the record with other names of its signals.
+
+        Parameters
+        ----------
+        labels : mapping of str to str, optional
+            New label of each signal that gets one, by its present label.
+        name : str, optional
+            New name of the record.
+
+        Returns
+        -------
+        Measurement
+
+        Raises
+        ------
+        DataError
+            If the record has no such signal.
+
+        Examples
+        --------
+        >>> rco.Measurement([0.0, 1.0], [0.0, 1.0], dt=1.0).rename({"u[0]": "voltage"}).input_labels
+        ('voltage',)
+        """
+        new = as_mapping(labels, "labels", "texts")
+        for old in set(new) - {*self.input_labels, *self.output_labels}:
+            known = ", ".join((*self.input_labels, *self.output_labels))
+            raise DataError(f"the record has no signal {old!r}; its signals are {known}")
+        return self._changed(
+            input_labels=[new.get(old, old) for old in self.input_labels],
+            output_labels=[new.get(old, old) for old in self.output_labels],
+            name=self.name if name is None else name,
+        )
+
+    def join(self, other: Self) -> Self:
+        """Return the signals of two recordings of the same motion as one record.
+
+        Parameters
+        ----------
+        other : Measurement
+            Record over the same time, with signals of other labels.
+
+        Returns
+        -------
+        Measurement
+
+        Raises
+        ------
+        DataError
+            If the times, the holds or the labels do not permit it.
+
+        Examples
+        --------
+        >>> first = rco.Measurement([0.0, 1.0], [0.0, 1.0], dt=1.0)
+        >>> second = rco.Measurement([2.0, 3.0], [5.0, 5.0], dt=1.0, input_labels="wind", output_labels="T")
+        >>> first.join(second).input_labels, first.join(second).output_labels
+        (('u[0]', 'wind'), ('y[0]', 'T'))
+        """
+        if self.n_samples != other.n_samples or not np.allclose(
+            self.timepts, other.timepts, rtol=0, atol=1e-6 * self.dt
+        ):
+            raise DataError(
+                f"{self.name!r} and {other.name!r} must have the same times to be joined; cut them with "
+                "segment(), or resample with from_timestamps()"
+            )
+        if self.hold != other.hold:
+            raise DataError(
+                f"{self.name!r} has hold {self.hold!r}, {other.name!r} {other.hold!r}: use with_hold()"
+            )
+        n, m = self.inputs.shape[0], other.inputs.shape[0]
+        origin = [self.origin[:n], other.origin[:m], self.origin[n:], other.origin[m:]]
+        fields = ("input_labels", "output_labels", "input_units", "output_units", "notes")
+        both = {field: (*getattr(self, field), *getattr(other, field)) for field in fields}
+        signals = {
+            field: np.vstack([getattr(self, field), getattr(other, field)]) for field in ("inputs", "outputs")
+        }
+        return self._changed(**both, **signals, origin=np.concatenate(origin))
 
     def decimate(self, factor: int) -> Self:
         """Every `factor`-th sample, behind a filter that keeps the model true.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from string import Formatter
 from types import MappingProxyType
@@ -65,6 +66,17 @@ DOMAINS: Mapping[str, Mapping[str, str]] = MappingProxyType(
         },
     }
 )
+_OF_NAME = {
+    "speed": "mechanical",
+    "velocity": "mechanical",
+    "omega": "rotational",
+    "rpm": "rotational",
+    "temperature": "thermal",
+    "temp": "thermal",
+    "level": "hydraulic",
+    "current": "current",
+    "voltage": "voltage",
+}
 _OF_STATE = {
     "A": "current",
     "V": "voltage",
@@ -77,7 +89,7 @@ _OF_STATE = {
 }
 
 
-def domain_of(kind: str, velocity_unit: str) -> str:
+def domain_of(kind: str, velocity_unit: str, name: str = "") -> str:
     """Field that a port belongs to.
 
     Parameters
@@ -86,22 +98,27 @@ def domain_of(kind: str, velocity_unit: str) -> str:
         Kind of the port.
     velocity_unit : str
         Unit of what it senses.
+    name : str
+        Name of the port; its first word counts if there is no unit (``"level1"``).
 
     Returns
     -------
     str
-        A key of `DOMAINS`; the kind itself where the unit says no more.
+        A key of `DOMAINS`; the kind itself where unit and name say no more.
 
     Examples
     --------
     >>> domain_of("first_order", "K"), domain_of("mechanical", "rad/s"), domain_of("mechanical", "m/s")
     ('thermal', 'rotational', 'mechanical')
+    >>> domain_of("first_order", "", "level2"), domain_of("first_order", "", "x1")
+    ('hydraulic', 'first_order')
     """
     if velocity_unit == "rpm" or velocity_unit in [f"{angle}/s" for angle in ("rad", "rev", "deg")]:
         return "rotational"
     if kind == "mechanical":
         return "current" if velocity_unit == "A" else kind
-    return _OF_STATE.get(velocity_unit, kind)
+    first = re.split(r"[^a-z]", name.lower())[0] if not velocity_unit else ""
+    return _OF_NAME.get(first) or _OF_STATE.get(velocity_unit, kind)
 
 
 def worded(template: str, domain: str) -> str:

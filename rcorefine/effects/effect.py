@@ -11,7 +11,7 @@ from ..arguments import as_choice, as_mapping, as_number, as_text
 from ..exceptions import ModelError
 from .custom import Custom
 from .domains import DOMAINS, worded
-from .kinds import check_kind
+from .kinds import kind_named
 from .law import KINDS, Law, instance_of
 
 __all__ = ["ARGUMENTS", "Effect"]
@@ -25,7 +25,8 @@ class Effect:
     Parameters
     ----------
     kind : str
-        Law, a key of `KINDS` (``"coulomb_friction"``, ``"stiffness"``, ...).
+        Law, a key of `KINDS` (``"coulomb_friction"``, ``"stiffness"``, ...), or the name that is printed
+        for it (``"series resistance"``).
     place : str
         Where it acts: a port (``"link2"``, ``"x1-x2"``), an input or an output
         label, or for `coefficient` an entry ``"A[i,j]"`` (B, C, D) counted from 0.
@@ -50,6 +51,8 @@ class Effect:
     label : str
         ``"coulomb_friction at link2"``, or the given name; where the model's units tell the domain,
         its words: ``"series resistance at winding"``.
+    key : str
+        ``"coulomb_friction@link2"``: kind and place, as every argument that names effects takes them.
     coefficients : tuple of str
         All coefficients, those held fixed included.
     free : tuple of str
@@ -105,7 +108,7 @@ class Effect:
         if isinstance(law, type) and issubclass(law, Law):
             kind, law = _own_kind(kind, law)
         else:
-            check_kind(kind)
+            kind = kind_named(kind)
         if not isinstance(place, str) or not place.strip():
             raise ct.ControlArgument(
                 f"place of {kind} must be the name of a port or of a channel, not {place!r}; "
@@ -185,6 +188,11 @@ class Effect:
         The default uses the words of the place's domain.
         """
         return self.name or f"{worded(self.spec.words[0], self._domain) or self.kind} at {self.place}"
+
+    @property
+    def key(self) -> str:
+        """Kind and place, ``"coulomb_friction@link2"``."""
+        return f"{self.kind}@{self.place}"
 
     @property
     def coefficients(self) -> tuple[str, ...]:

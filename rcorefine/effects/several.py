@@ -1,4 +1,4 @@
-"""Several effects as a list."""
+"""Effects by their names, and several effects as a list."""
 
 from __future__ import annotations
 
@@ -9,19 +9,30 @@ import control as ct
 from ..arguments import as_list, shown
 from .effect import Effect
 
-__all__ = ["as_effects"]
+__all__ = ["as_effects", "effect_named"]
 
 
 def as_effects(values: Any, name: str) -> list[Effect]:
-    """Effects from one or a list of them.
+    """Return effects from one or a list of them, or of their names.
+
+    A name is a key ``"coulomb_friction@link2"``, or what is printed: ``"series resistance at winding"``.
 
     Raises
     ------
     control.ControlArgument
-        If an entry is something else.
+        If an entry is something else, or names no effect.
     """
-    effects = [values] if isinstance(values, Effect) else as_list(values, name, "Effect objects")
+    given = [values] if isinstance(values, Effect | str) else as_list(values, name, "Effect objects")
+    effects = [effect_named(each, name) if isinstance(each, str) else each for each in given]
     for effect in effects:
         if not isinstance(effect, Effect):
-            raise ct.ControlArgument(f"{name} must hold Effect objects, not {shown(effect)}")
+            raise ct.ControlArgument(f"{name} must hold Effect objects or their names, not {shown(effect)}")
     return effects
+
+
+def effect_named(text: str, name: str) -> Effect:
+    """Return the effect of a name ``"kind@place"`` or ``"kind at place"``."""
+    kind, at, place = (part.strip() for part in text.partition("@" if "@" in text else " at "))
+    if not (kind and at and place):
+        raise ct.ControlArgument(f"{name} must name effects as 'kind@place', not {text!r}")
+    return Effect(kind, place)

@@ -20,6 +20,7 @@ from ..arguments import as_choice, as_flag, as_number, as_path, as_text, as_whol
 from ..data.apart import damaged
 from ..data.measurement import Measurement
 from ..effects.effect import Effect
+from ..effects.kinds import kind_named
 from ..exceptions import ModelError
 from ..models.physical_model import PhysicalModel
 from ..results import Result, Row
@@ -127,6 +128,7 @@ class Exercise(Result):
         ModelError
             If this copy was saved without its answer.
         """
+        kind = kind_named(kind)
         value = self._answer(kind, place, coefficient)
         if not self.has_answer:
             raise ModelError("this copy holds no answer: hand in what you found with hand_in()")
@@ -175,6 +177,7 @@ class Exercise(Result):
         control.ControlArgument
             If no candidate is of this kind at this place.
         """
+        kind = kind_named(kind)
         answer = {
             "exercise": self.ident,
             "student": as_text(student, "student"),
@@ -213,7 +216,7 @@ class Exercise(Result):
         return target
 
     def _answer(self, kind: str, place: str, coefficient: float | None) -> float | None:
-        wanted = as_text(kind, "kind"), as_text(place, "place")
+        wanted = kind, as_text(place, "place")
         if wanted not in [(effect.kind, effect.place) for effect in self.candidates]:
             known = ", ".join(f"{effect.kind} at {effect.place}" for effect in self.candidates)
             raise ct.ControlArgument(f"no candidate {kind!r} at {place!r}; the candidates are {known}")

@@ -10,7 +10,7 @@ import control as ct
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..arguments import as_text, as_vector
+from ..arguments import as_text, as_vector, as_whole
 from ..data.measurement import Measurement
 from ..effects.effect import Effect
 from ..engine.nonlinear import nonlinear_system
@@ -297,7 +297,8 @@ class Refinement(ReportedModel, CodeExports):
     ) -> ct.ControlPlot:
         """Plot the frequency responses of the initial and the refined model.
 
-        The measured response is drawn beside them if it is given.
+        The measured response is drawn beside them if it is given. The band about the refined curve is two
+        standard deviations of the response, from the covariance of the estimates.
 
         Parameters
         ----------
@@ -321,6 +322,79 @@ class Refinement(ReportedModel, CodeExports):
             curve is that of `system`.
         """
         return show(self, "bode_plot", measured, omega, levels=levels, **options)
+
+    @picture
+    def response_plot(
+        self, kind: str = "step", *, count: int = 200, seed: int = 0, **options: Unpack[Options]
+    ) -> ct.ControlPlot:
+        """Plot step responses, poles and zeros, or Nyquist curves.
+
+        The initial and the refined model are drawn, with the uncertainty of the refined one.
+
+        Parameters
+        ----------
+        kind : {"step", "poles", "nyquist"}
+            "step": unit steps of each input, with a band that holds 95 % of the drawn responses at each
+            time. "poles": poles (x), and zeros (o) of each channel. "nyquist": the response at positive
+            frequencies, with the point -1.
+        count : int
+            Number of models drawn from the normal distribution of the estimates (`covariance`). Estimates
+            that the record does not determine keep their value.
+        seed : int
+            Seed of the draws.
+        ax : array of Axes, optional
+            Axes to draw in, shape (n_y, n_w), for "poles" (1, 1).
+        label : list of str, optional
+            Labels of the two models.
+
+        Returns
+        -------
+        ControlPlot
+            Lines, axes, figure. Nonlinear effects are not in it: the refined curve is that of `system`.
+
+        Raises
+        ------
+        control.ControlArgument
+            If `kind` is unknown.
+
+        Examples
+        --------
+        >>> import numpy as np, rcorefine as rco
+        >>> model = rco.mass_spring_damper([1.0], [0.4], [100.0], sensors="displacement")
+        >>> rng = np.random.default_rng(0)
+        >>> force, noise = rng.standard_normal((2, 500))
+        >>> data = rco.Measurement(force, noise, dt=0.02, input_labels="force")
+        >>> y = rco.simulate(model, data, "zero").outputs + 1e-3 * noise
+        >>> data = rco.Measurement(force, y, dt=0.02, input_labels="force")
+        >>> better = rco.refine(model, data, [rco.Effect("stiffness", "link1")])
+        >>> better.response_plot("poles").axes.shape
+        (1, 1)
+        """
+        return show(self, "response_plot", kind, count=count, seed=seed, **options)
+
+    def drawn(self, count: int, seed: int = 0) -> list[ct.StateSpace]:
+        """Return linear models drawn from the distribution of the estimates.
+
+        Parameters
+        ----------
+        count : int
+            Number of models.
+        seed : int
+            Seed of the draws.
+
+        Returns
+        -------
+        list of StateSpace
+        """
+        count, rng = as_whole(count, "count", least=0), np.random.default_rng(as_whole(seed, "seed", least=0))
+        structure, theta, _ = self.simulation_structure()
+        known = np.isfinite(np.diag(self.covariance))
+        lower, upper = np.array([(q.lower, q.upper) for q in structure.parameters]).reshape(-1, 2).T
+        points = np.tile(theta, (count, 1))
+        if known.any():
+            C = self.covariance[np.ix_(known, known)]
+            points[:, known] += rng.multivariate_normal(np.zeros(len(C)), C, size=count, check_valid="ignore")
+        return [structure.system(point) for point in np.clip(points, lower, upper)]
 
     # ------------------------------------------------------------------ in words
     @property

@@ -15,7 +15,7 @@ from ..effects.dampers import Damping
 from ..effects.effect import Effect
 from ..effects.entries import Entry
 from ..effects.fields import Gravity
-from ..effects.kinds import check_kind
+from ..effects.kinds import kind_named
 from ..effects.law import KINDS, Law
 from ..effects.right_hand_side import ModelParameter
 from ..effects.several import as_effects
@@ -89,9 +89,8 @@ def effect_library(
     The input voltage has a dead zone: small values do nothing, and larger ones lose that much.
     """
     physical = as_physical(model, dt=dt)
-    asked = _names("kinds", kinds)
-    for kind in asked or ():
-        check_kind(kind)
+    named = _names("kinds", kinds)
+    asked = None if named is None else tuple(kind_named(kind) for kind in named)
     for kind in asked or ():
         if KINDS[kind].needs_law:
             raise ct.ControlArgument(

@@ -149,9 +149,10 @@ class Port(Row):
     def domain(self) -> str:
         """Domain whose words are used here.
 
-        The unit of the sensed signal determines it, or the kind of the port where that unit is unknown.
+        The unit of the sensed signal determines it. Where that is unknown, the name of the port does
+        (``"level1"``, ``"speed"``), or its kind.
         """
-        return domain_of(self.kind, self.velocity_unit)
+        return domain_of(self.kind, self.velocity_unit, self.name)
 
     @property
     def acts_by(self) -> str:

@@ -37,8 +37,8 @@ def as_base(model: Any, hold: str) -> tuple[Structure, Array, int]:
     check_stream_hold(structure.model, hold)
     if structure.output_delays:
         raise ModelError(
-            f"{structure.effects[structure.output_delays[0][0]].label}: a delay at an output cannot be part of "
-            "a stream; refine with an input_delay or an output_lag"
+            f"{structure.effects[structure.output_delays[0][0]].label}: a delay at an output cannot be "
+            "estimated on a stream; refine with an input_delay or an output_lag"
         )
     return structure, np.asarray(theta, dtype=float), int(substeps)
 
