@@ -19,7 +19,7 @@ from rcorefine.exercises.record import hidden_outputs, noisy, record_of
 SAMPLES, NOISE, LOSS = 2000, 0.01, 0.25
 WITHOUT = {  # need what only you know: where that is told
     "custom": "a function of yours: [a law of your own](../laws.md)",
-    "tabulated": "a force whose law is open, from `found.law()`: [what a verdict promises](../verdicts.md)",
+    "tabulated": "an unknown force, from `found.law()`: [what a verdict promises](../verdicts.md)",
     "input_curve": "a static curve of an actuator, as a `Table`: [listed only on request](../laws.md)",
     "output_curve": "a static curve of a sensor, as a `Table`: [listed only on request](../laws.md)",
     "coefficient": "an entry of A or B, where states mean nothing: [how to](../howto.md)",

@@ -50,8 +50,8 @@ def records(name):
     return {key: np.ravel(value) for key, value in loadmat(Path(folder) / name).items() if key[0] != "_"}
 
 
-def climb(model, train, test, **options):
-    """The ladder, every linear parameter free; short pieces of a record excite little, which is no news."""
+def improved(model, train, test, **options):
+    """Stepwise improvement, every linear parameter free, without warnings of low excitation."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rco.RCOWarning)
         return rco.improve(model, train, validation=test, free="linear", **options)
@@ -84,7 +84,7 @@ plt.show()
 # three holds before it ranks any effect.
 #
 # The multisine part of the record has 87 000 samples. To save time, 2500 are used for the fit and 2000 later
-# ones for validation, and only springs and dampers are candidates. `benchmarks/real_ladders.py` uses all
+# ones for validation, and only springs and dampers are candidates. `benchmarks/real_refinements.py` uses all
 # samples and all effects.
 
 # %%
@@ -109,12 +109,14 @@ if silverbox is not None:
 
     train, test = part(41000, 43500), part(106000, 108000)
     kinds = ("cubic_stiffness", "quadratic_stiffness", "clearance", "cubic_damping", "coulomb_friction")
-    ladder = climb(circuit, train, test, max_effects=1, candidates=[rco.Effect(kind, "x") for kind in kinds])
-    print(ladder)
+    found = improved(
+        circuit, train, test, max_effects=1, candidates=[rco.Effect(kind, "x") for kind in kinds]
+    )
+    print(found)
 
 # %%
 if silverbox is not None:
-    ladder.plot(title="Silverbox: error of the free run on samples kept apart")
+    found.plot(title="Silverbox: error of the free run on samples kept apart")
     plt.show()
 
 # %% [markdown]
@@ -126,7 +128,7 @@ if silverbox is not None:
     print(f"{'hold':14s}{'linear':>22s}{'with the effect':>22s}   [mV]: multisine, arrow")
     for hold in ("zoh", "foh", "bandlimited"):
         line = f"{hold:14s}"
-        for effects in ([], list(ladder.effects)):
+        for effects in ([], list(found.effects)):
             fitted = rco.refine(circuit, train.with_hold(hold), effects, free="linear")
             found = []
             for data in (test.with_hold(hold), part(100, 40575).with_hold(hold)):
@@ -174,7 +176,9 @@ if emps is not None:
         "quadratic_damping",
         "asymmetric_damping",
     )
-    climbed = climb(drive, train, test, max_effects=1, candidates=[rco.Effect(kind, "q") for kind in kinds])
+    climbed = improved(
+        drive, train, test, max_effects=1, candidates=[rco.Effect(kind, "q") for kind in kinds]
+    )
     print(climbed)
 
 # %%

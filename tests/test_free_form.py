@@ -159,8 +159,8 @@ def test_memory_tells_a_law_that_remembers_otherwise(law, passes):
     y = y + 0.02 * y.std() * np.random.default_rng(8).standard_normal(y.shape)
     record = rco.Measurement(record.inputs, y, dt=0.02, hold="zoh")
     better = rco.refine(model, record, [rco.Effect(law, "link1")])
-    battery = residual_tests.TestedResidual(fitted_from(better, [record], tolerance=0.0))
-    (memory,) = (test for test in Beside(battery, "link1").tests() if test.name == "memory at link1")
+    tested = residual_tests.TestedResidual(fitted_from(better, [record], tolerance=0.0))
+    (memory,) = (test for test in Beside(tested, "link1").tests() if test.name == "memory at link1")
     assert memory.p_value > 0.01 if passes else memory.p_value < 1e-4
 
 
@@ -290,5 +290,5 @@ def test_a_true_law_keeps_its_name_and_all_sums_to_one():
     total = found.none_of_these + sum(row.probability for row in found.ranking)
     assert total == pytest.approx(1.0)
     assert sum(found.places.values()) == pytest.approx(1.0)
-    with pytest.raises(rco.ModelError, match="no law is open"):
+    with pytest.raises(rco.ModelError, match="no unknown force"):
         found.law()

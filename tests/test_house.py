@@ -170,6 +170,31 @@ def test_first_lines_of_docstrings_are_short_and_plain():
     assert wrong == []
 
 
+#: House words that nobody outside reads at once (shared list of plain words). Names of fields are no prose.
+BANNED = re.compile(
+    r"\b(outweighs?|outdone|races?|battery|ladders?|rungs?|climbs?|led by an observer|noise with a memory"
+    r"|tells? (it )?apart|tells? it from|laws? (is|are|stays) open|certain word|comes? home|numbers? floats?"
+    r"|took part in nothing|further off|beside numbers|moved numbers|every rival|(two|all|these) rivals)\b",
+    re.IGNORECASE,
+)
+#: An RC ladder is a circuit; a script and a picture have their names.
+FIELD = re.compile(r"LC ladder|ladders\.py|race\.png")
+
+
+def test_no_text_uses_house_words():
+    found = []
+    for file, (_, tree) in files().items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value:
+                text = FIELD.sub("", node.value)
+                found += [f"{file}:{node.lineno} {m.group()}" for m in BANNED.finditer(text)]
+    root = PACKAGE.parent
+    for page in [*root.glob("*.md"), *(root / "docs").rglob("*.md")]:
+        for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), 1):
+            found += [f"{page.name}:{number} {m.group()}" for m in BANNED.finditer(FIELD.sub("", line))]
+    assert found == []
+
+
 def code_lines(node: ast.AST, text: str) -> int:
     """Lines of code of a module or function: no docstring, no comment, no blank."""
     first = getattr(node, "lineno", 1)

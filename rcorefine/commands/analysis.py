@@ -112,10 +112,10 @@ def run_improve(arguments: Namespace) -> int:
     """Add one effect after the other; arguments and codes as `run_compare`."""
     model, data, validation = opened(arguments)
     options = _options(arguments, model)
-    ladder = improve(model, data, validation=validation, max_effects=arguments.max_effects, **options)
-    sentences, fine = improvement_answer(ladder)
-    text, shown = f"{ladder}\n{ladder.refinement}", data if validation is None else validation
-    return finish(arguments, not fine, sentences, ladder, data, text=text, beside=shown)
+    improvement = improve(model, data, validation=validation, max_effects=arguments.max_effects, **options)
+    sentences, fine = improvement_answer(improvement)
+    text, shown = f"{improvement}\n{improvement.refinement}", data if validation is None else validation
+    return finish(arguments, not fine, sentences, improvement, data, text=text, beside=shown)
 
 
 def opened(arguments: Namespace) -> tuple[Any, Measurement, Measurement | None]:

@@ -111,8 +111,8 @@ def run_demo(output: Path | str, *, seed: int = 1, progress: bool = True) -> Non
         f"lost {-LOSS:g} of its 200~N/m. The same model, one effect after the other:\n"
     )
     later = _record(model, {friction: FRICTION, Effect("stiffness", "link3"): LOSS}, rng, "later test")
-    ladder = improve(model, later, candidates=candidates, progress=progress)
-    _write(str(ladder))
+    improvement = improve(model, later, candidates=candidates, progress=progress)
+    _write(str(improvement))
 
     _title("6. Use the refined model")
     _say(
@@ -121,7 +121,7 @@ def run_demo(output: Path | str, *, seed: int = 1, progress: bool = True) -> Non
         "python-control:"
     )
     _write(f"\n{better.system}\n")
-    for name, words in _draw([model, better], test, before, found, ladder, folder).items():
+    for name, words in _draw([model, better], test, before, found, improvement, folder).items():
         _write(f"{folder / name}\n{textwrap.indent(textwrap.fill(words, WIDTH - 4), '    ')}")
 
 
@@ -149,7 +149,7 @@ def _draw(
     test: Measurement,
     before: Comparison,
     found: Diagnosis,
-    ladder: Improvement,
+    improvement: Improvement,
     folder: Path,
 ) -> dict[str, str]:
     """Draw the pictures and write the report; return what each one shows."""
@@ -160,12 +160,12 @@ def _draw(
     compare(models, stretch).plot(ax=axes)
     left.suptitle("One effect missing: held-out record, both models, residuals")
     right.suptitle("Two changes at once: error after each step")
-    ladder.plot(ax=right.subplots(), title="")
+    improvement.plot(ax=right.subplots(), title="")
     pictures = {
         "overview.png": (overview, 100),
         "map.png": (before.plot("map").figure, 100),
         "diagnosis.png": (found.plot().figure, 100),
-        "staircase.png": (ladder.plot().figure, 120),
+        "staircase.png": (improvement.plot().figure, 120),
     }
     for name, (figure, dpi) in pictures.items():
         with replacing(folder / name) as stream:

@@ -76,7 +76,7 @@ def compare(
         however good they are. The record is cut in the whole number of equal windows that comes
         nearest. Default: the whole record; one tenth of it where a model integrates. A continuous
         model that is unstable has no free run: it is judged by what it predicts one sample ahead,
-        led by an observer. The same in `refine`, `diagnose` and `improve`.
+        with process noise (Kalman predictor). The same in `refine`, `diagnose` and `improve`.
     controller : StateSpace or TransferFunction, optional
         As in `refine`: the loop of this controller is simulated.
 

@@ -48,7 +48,7 @@ class Measurement(Result, RecordReaders, RecordParts):
     hold : {"zoh", "foh", "bandlimited"}
         How the input runs between samples: constant (a D/A converter),
         straight lines, or band-limited (an analog input behind an
-        anti-aliasing filter). It outweighs most physical effects.
+        anti-aliasing filter). It matters more than most physical effects.
     input_labels, output_labels : str or sequence of str, optional
         Signal names; default ``u[0], ...`` and ``y[0], ...`` as in
         python-control. `compare` matches named channels by name.

@@ -28,7 +28,7 @@ class Beside:
 
     Parameters
     ----------
-    battery : TestedResidual
+    tested : TestedResidual
         Residual of the model with the effect.
     place : str
         Place of the effect: a port, an input or an output.
@@ -44,8 +44,8 @@ class Beside:
     stops of several radii, the elements of the Prandtl-Ishlinskii model.
     """
 
-    def __init__(self, battery: TestedResidual, place: str) -> None:
-        self._battery, self.place = battery, place
+    def __init__(self, tested: TestedResidual, place: str) -> None:
+        self._tested, self.place = tested, place
 
     @cached_property
     def _forces(self) -> dict[str, list[Array]]:
@@ -53,7 +53,7 @@ class Beside:
 
         Empty if the place is not a port, or if nothing moves there.
         """
-        fitted, ratio = self._battery.fitted, self._battery.ratio
+        fitted, ratio = self._tested.fitted, self._tested.ratio
         curve = curve_at(fitted, self.place, ratio)
         if curve is None:
             return {}
@@ -75,17 +75,17 @@ class Beside:
         The directions of the fitted coefficients are projected out. A free curve of a channel is included
         only without process noise (ratio 0).
         """
-        fitted, battery = self._battery.fitted, self._battery
-        gain, found = fitted.gain(battery.ratio), {}
+        fitted, tested = self._tested.fitted, self._tested
+        gain, found = fitted.gain(tested.ratio), {}
         responses = {}
         for name, blocks in self._forces.items():
             forces = [[(self.place, column) for column in block.T] for block in blocks]
             responses[name] = [force_responses(fitted, i, f, gain) for i, f in enumerate(forces)]
         curve = curve_columns(fitted, self.place)
-        if not responses and curve is not None and not battery.ratio:  # a predictor follows any sensor
+        if not responses and curve is not None and not tested.ratio:  # a predictor follows any sensor
             responses["free curve"] = curve
         for name, blocks in responses.items():
-            columns = project(battery.whiten(blocks), battery.basis)
+            columns = project(tested.whiten(blocks), tested.basis)
             if np.isfinite(columns).all() and columns.any():
                 found[name] = columns
         return found
@@ -105,7 +105,7 @@ class Beside:
             nested sets of directions, times the number of sets. Empty if no test applies.
         """
         return [
-            nested(self._battery, f"{name} at {self.place}", columns)
+            nested(self._tested, f"{name} at {self.place}", columns)
             for name, columns in self._columns.items()
         ]
 
@@ -130,11 +130,11 @@ class Beside:
         each = []
         for columns in self._columns.values():
             scale = size / float(np.linalg.norm(columns)) if self.at_channel else size
-            each.append(averaged_evidence(self._battery.left, scale * columns))
+            each.append(averaged_evidence(self._tested.left, scale * columns))
         return float(np.logaddexp.reduce(each) - np.log(len(each)))
 
 
-def nested(battery: TestedResidual, name: str, columns: Array) -> FTest:
+def nested(tested: TestedResidual, name: str, columns: Array) -> FTest:
     """Return the best F-test of nested sets of directions of white columns.
 
     Its p-value is the smallest one times the number of sets (Bonferroni).
@@ -144,7 +144,7 @@ def nested(battery: TestedResidual, name: str, columns: Array) -> FTest:
     kept = values > _SEEN * values[-1]
     directions = columns @ vectors[:, kept][:, ::-1]
     counts = [k for k in _NESTED if k < directions.shape[1]] + [directions.shape[1]]
-    tests = [battery.of_white(name, directions[:, :k]) for k in counts]
+    tests = [tested.of_white(name, directions[:, :k]) for k in counts]
     best = min(tests, key=lambda t: t.p_value)
     p, p_equal = (min(1.0, len(tests) * value) for value in (best.p_value, min(t.p_equal for t in tests)))
     return FTest(best.name, best.statistic, best.dof, p, best.gain, p_equal)

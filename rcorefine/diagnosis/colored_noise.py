@@ -15,14 +15,14 @@ from .spectral_line import spectral_line
 __all__ = ["is_drowned", "left_to_noise"]
 
 
-def left_to_noise(battery: TestedResidual, levels: Levels) -> str:
+def left_to_noise(tested: TestedResidual, levels: Levels) -> str:
     """Describe a large residual that passes for colored noise.
 
     The error of a model may look like that.
 
     Parameters
     ----------
-    battery : TestedResidual
+    tested : TestedResidual
         Residual that passed.
     levels : Levels
         How much of it may be color.
@@ -32,12 +32,12 @@ def left_to_noise(battery: TestedResidual, levels: Levels) -> str:
     str
         What that is in words, empty where little does.
     """
-    fit, memory = _fit_and_memory(battery)
+    fit, memory = _fit_and_memory(tested)
     if memory == 0.0 or (fit >= levels.colored_fit and memory < levels.colored_size):
         return ""
-    run = "The prediction" if battery.fitted.refinement.led else "The free run"
-    problem = battery.fitted.problem
-    residuals = battery.fitted.residuals(battery.ratio)
+    run = "The prediction" if tested.fitted.refinement.led else "The free run"
+    problem = tested.fitted.problem
+    residuals = tested.fitted.residuals(tested.ratio)
     line = spectral_line(residuals, problem.records[0].dt) if problem.in_time else None
     pure = ""
     if line is not None:
@@ -49,7 +49,7 @@ def left_to_noise(battery: TestedResidual, levels: Levels) -> str:
     lasts = ""
     if problem.in_time:
         # until the slowest mode of the filters forgets itself to 1/e
-        slowest = max(float(np.abs(np.roots(a)).max()) for a in battery.whitener.filters if a.size > 1)
+        slowest = max(float(np.abs(np.roots(a)).max()) for a in tested.whitener.filters if a.size > 1)
         forgotten = -problem.records[0].dt / float(np.log(min(slowest, 1.0 - 1e-9)))
         lasts = f" of about {float(f'{forgotten:.2g}'):g} s"
     return (
@@ -60,21 +60,21 @@ def left_to_noise(battery: TestedResidual, levels: Levels) -> str:
     )
 
 
-def is_drowned(battery: TestedResidual, levels: Levels) -> bool:
+def is_drowned(tested: TestedResidual, levels: Levels) -> bool:
     """Return whether colored noise leaves too little of the fit.
 
     The residual passes the tests as colored noise, but the fit is low.
     """
-    fit, memory = _fit_and_memory(battery)
+    fit, memory = _fit_and_memory(tested)
     return fit < levels.drowned and memory >= levels.colored_size
 
 
-def _fit_and_memory(battery: TestedResidual) -> tuple[float, float]:
+def _fit_and_memory(tested: TestedResidual) -> tuple[float, float]:
     """Return the worst fit in percent and the color of the residual.
 
     The color is the size of the residual relative to its innovation, 0 where no output has colored noise.
     """
-    refined, orders = battery.fitted.refinement, np.array(battery.whitener.orders)
-    whole = np.hstack(battery.fitted.residuals(battery.ratio)).std(axis=1)
-    memory = float(np.max(whole / battery.whitener.scales, where=orders > 0, initial=0.0))
+    refined, orders = tested.fitted.refinement, np.array(tested.whitener.orders)
+    whole = np.hstack(tested.fitted.residuals(tested.ratio)).std(axis=1)
+    memory = float(np.max(whole / tested.whitener.scales, where=orders > 0, initial=0.0))
     return float(refined.fit[np.isfinite(refined.fit)].min(initial=100.0)), memory

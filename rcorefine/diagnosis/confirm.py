@@ -100,7 +100,7 @@ def confirm(
     Notes
     -----
     Wald test ``(t1 - t2)' (C1 + C2)^-1 (t1 - t2)`` of the effects' coefficients with the
-    covariances of generalized least squares, and the battery of `diagnose` on each
+    covariances of generalized least squares, and the residual tests of `diagnose` on each
     further residual. Offsets and linear parameters that float may differ between records. With
     `scales_with`, t1 is multiplied by the ratio of the conditions, and C1 by its square.
 
@@ -233,7 +233,7 @@ def _estimates(
     block = np.ix_(own, own)
     estimates = []
     for i, (fitted, C) in enumerate(alone):
-        tests = _battery(fitted, rest, ratios[i])
+        tests = _tested(fitted, rest, ratios[i])
         valid = [t.p_value for t in tests if t.dof]
         agreement = 1.0
         if i:
@@ -319,12 +319,12 @@ def _alone(
     return fitted, C
 
 
-def _battery(fitted: FittedModel, rest: Sequence[Effect], ratio: float) -> list[FTest]:
+def _tested(fitted: FittedModel, rest: Sequence[Effect], ratio: float) -> list[FTest]:
     motions = [Motion(fitted.structure, fitted.theta, record) for record in fitted.problem.records]
     scored = candidate_columns(fitted, rest, motions[0], (ratio,))
-    battery = TestedResidual(fitted, ratio)
+    tested = TestedResidual(fitted, ratio)
     roles = fitted.refinement.roles
     places = [e.place for e, role in zip(fitted.structure.effects, roles, strict=True) if role == "effect"]
     # none of these: a law that only mimics leaves a force of its own behind
-    free = [test for place in dict.fromkeys(places) for test in Beside(battery, place).tests()]
-    return [*run_tests(battery, scored, motions), *free]
+    free = [test for place in dict.fromkeys(places) for test in Beside(tested, place).tests()]
+    return [*run_tests(tested, scored, motions), *free]

@@ -265,8 +265,8 @@ def _told(
     """Return the answer as a diagnosis."""
     case, trial, word = search.case, found.trial, found.verdict
     nothing = search.trials[0]
-    battery, own = TestedResidual(nothing.model), TestedResidual(trial.model, trial.hypothesis.ratio)
-    tests = search.criticized(nothing).tests or search.all_tests(nothing, battery)
+    tested, own = TestedResidual(nothing.model), TestedResidual(trial.model, trial.hypothesis.ratio)
+    tests = search.criticized(nothing).tests or search.all_tests(nothing, tested)
     notes = [*about_hold(trial, search), *said]
     about = {**case.about, "force_ratio": trial.hypothesis.ratio}
     held = trial.hypothesis.nuisances
@@ -314,7 +314,7 @@ def _told(
     winner = search.criticized(trial).tests or search.all_tests(trial, own)
     places, left = (
         _places(rows, found, law, case.in_time),
-        "" if winner else left_to_noise(battery, case.levels),
+        "" if winner else left_to_noise(tested, case.levels),
     )
     return Diagnosis(
         word, ranked, ambiguous, tuple(tests), tuple(winner), (), notes=tuple(notes), none_of_these=none,

@@ -29,7 +29,7 @@ class FreeStiffness:
 
     Parameters
     ----------
-    battery : TestedResidual
+    tested : TestedResidual
         Residual of the model with the law.
     place : str
         Where the law sits.
@@ -42,8 +42,8 @@ class FreeStiffness:
     every linear element at a port.
     """
 
-    def __init__(self, battery: TestedResidual, place: str) -> None:
-        self._battery, self.place = battery, place
+    def __init__(self, tested: TestedResidual, place: str) -> None:
+        self._tested, self.place = tested, place
 
     @cached_property
     def _columns(self) -> Array | None:
@@ -51,7 +51,7 @@ class FreeStiffness:
 
         Together they have mean square 1. None is returned where nothing moves.
         """
-        fitted, battery = self._battery.fitted, self._battery
+        fitted, tested = self._tested.fitted, self._tested
         blocks = []
         for engine in fitted.problem.engines:
             assert isinstance(engine, ResponseEngine)
@@ -61,11 +61,11 @@ class FreeStiffness:
             shapes = over_frequency(engine.data)
             both = np.concatenate([felt[..., None] * shapes, 1j * felt[..., None] * shapes], axis=-1)
             blocks.append(fitted.problem.weights[:, None, None] * in_rows(engine.data, both))
-        white = battery.whiten(blocks)
+        white = tested.whiten(blocks)
         size = float(np.sqrt(np.mean(np.sum(white**2, axis=1))))
         if not np.isfinite(size) or size == 0:
             return None
-        return project(white / size, battery.basis)
+        return project(white / size, tested.basis)
 
     def tests(self) -> list[FTest]:
         """Test whether a free stiffness explains the remaining residual.
@@ -75,7 +75,7 @@ class FreeStiffness:
         return (
             []
             if self._columns is None
-            else [nested(self._battery, f"free stiffness at {self.place}", self._columns)]
+            else [nested(self._tested, f"free stiffness at {self.place}", self._columns)]
         )
 
     def odds(self, before: FittedModel) -> float:
@@ -93,10 +93,10 @@ class FreeStiffness:
         """
         if self._columns is None:
             return -np.inf
-        theta, own = self._battery.fitted.theta, before.problem.n_theta
+        theta, own = self._tested.fitted.theta, before.problem.n_theta
         changed = []
-        for engine, plain in zip(self._battery.fitted.problem.engines, before.problem.engines, strict=True):
+        for engine, plain in zip(self._tested.fitted.problem.engines, before.problem.engines, strict=True):
             run, without = engine.run(theta, sensitivity=False), plain.run(theta[:own], sensitivity=False)
-            changed.append(self._battery.fitted.problem.weights[:, None] * (run.outputs - without.outputs))
-        white = self._battery.whitener.apply(changed)
-        return averaged_evidence(self._battery.left, float(np.sqrt(np.mean(white**2))) * self._columns)
+            changed.append(self._tested.fitted.problem.weights[:, None] * (run.outputs - without.outputs))
+        white = self._tested.whitener.apply(changed)
+        return averaged_evidence(self._tested.left, float(np.sqrt(np.mean(white**2))) * self._columns)

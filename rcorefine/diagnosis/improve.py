@@ -149,8 +149,8 @@ def improve(
     >>> y = rco.simulate(true, rco.Measurement(force, np.zeros(3000), dt=0.02), "zero").outputs[0]
     >>> data = rco.Measurement(force, y + 0.03 * y.std() * rng.standard_normal(3000), dt=0.02)
     >>> laws = [rco.Effect(kind, "link1") for kind in ("stiffness", "damping", "cubic_stiffness")]
-    >>> ladder = rco.improve(model, data, candidates=laws)
-    >>> [step.effect.kind for step in ladder.steps[1:]], ladder.verdict
+    >>> found = rco.improve(model, data, candidates=laws)
+    >>> [step.effect.kind for step in found.steps[1:]], found.verdict
     (['stiffness'], 'adequate')
     """
     max_effects = as_whole(max_effects, "max_effects")
@@ -176,16 +176,16 @@ def improve(
         if in_time and (still := no_motion(parts.fit)):  # the fits above have checked the channels
             raise DataError(still)
         odd = looks(model, records, horizon) if in_time else ()
-        ladder = _Ladder((start, nominal), parts, settings, library, significance, bar)
-        verdict, message, notes = ladder.climb(max_effects)
+        improver = _Improver((start, nominal), parts, settings, library, significance, bar)
+        verdict, message, notes = improver.improve(max_effects)
     outputs = physical.linear.output_labels
     units = tuple(parts.fit[0].output_units) if in_time else ("std",) * len(outputs)
     return Improvement(
-        tuple(ladder.steps), verdict, message, outputs, units, (*parts.remarks, *notes, *cut), odd
+        tuple(improver.steps), verdict, message, outputs, units, (*parts.remarks, *notes, *cut), odd
     )
 
 
-class _Ladder:
+class _Improver:
     """Stepwise improvement from the initial model to the chosen set.
 
     Parameters
@@ -218,7 +218,7 @@ class _Ladder:
         self.progress = progress
         self.steps: list[Step] = []
 
-    def climb(self, most: int) -> tuple[str, str, list[str]]:
+    def improve(self, most: int) -> tuple[str, str, list[str]]:
         """Choose a set and record its steps; return verdict, message and notes."""
         if not most or not self.library:
             self._tell([(None, "start", self._settled(self.start))], "")
@@ -297,8 +297,8 @@ class _Ladder:
         """
         if not search.passed(chosen):
             return True
-        battery = TestedResidual(chosen.model, chosen.hypothesis.ratio)
-        return left_to_noise(battery, search.case.levels) != ""
+        tested = TestedResidual(chosen.model, chosen.hypothesis.ratio)
+        return left_to_noise(tested, search.case.levels) != ""
 
     def _by_error(self, search: Search, most: int) -> tuple[Search, Trial]:
         """Search for the set of least error under white noise, effect by effect.

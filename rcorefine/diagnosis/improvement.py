@@ -19,7 +19,7 @@ __all__ = ["Improvement", "Step"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step(Row):
-    """One step of the ladder.
+    """One step of the improvement.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class Step(Row):
         together with the row before), "swap", "drop".
     train_rmse, choice_rmse, validation_rmse : ndarray, shape (n_y,)
         Root mean square error of the free run on the part that was fitted, on the part
-        on which the step was chosen, and on the part that took part in nothing.
+        on which the step was chosen, and on the held-out data.
     coefficients, std : dict
         Of the effect, after all effects of this step were fitted together.
     verdict : str
@@ -63,14 +63,14 @@ class Step(Row):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Improvement(ReportedModel):
-    """The ladder from the initial model to the improved one.
+    """Steps from the initial model to the improved one.
 
     Attributes
     ----------
     steps : tuple of Step
         The start, then one row per effect that earned its place.
     verdict : str
-        Verdict on the last model: "adequate", or why the ladder ends.
+        Verdict on the last model: "adequate", or why the improvement ends.
     message : str
         Why it ended, in words.
     output_labels, output_units : tuple of str

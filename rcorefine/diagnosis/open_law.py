@@ -110,80 +110,82 @@ class FreeForces:
     left: float
 
 
-def open_law(race: Rivals) -> FreeForces:
+def open_law(offered: Rivals) -> FreeForces:
     """Fit free forces to a record that no candidate explains.
 
     Parameters
     ----------
-    race : Rivals
+    offered : Rivals
         Effects, none of which passes the tests.
 
     Returns
     -------
     FreeForces
     """
-    places = [trial.effects[0].place for trial in race.trials]
-    found = _forms(race, places)
-    free = {place: form.log_likelihood(race.whitener, race.ratio) for place, form in found.items()}
-    static = _static(race)
+    places = [trial.effects[0].place for trial in offered.trials]
+    found = _forms(offered, places)
+    free = {place: form.log_likelihood(offered.whitener, offered.ratio) for place, form in found.items()}
+    static = _static(offered)
     free |= {place: value for place, (value, _) in static.items()}
-    best = max([(race.log_likelihood(0), places[0]), *zip(free.values(), free, strict=True)])[1]
-    curve = channel_curve(race.fitted, best) if best in static else None
+    best = max([(offered.log_likelihood(0), places[0]), *zip(free.values(), free, strict=True)])[1]
+    curve = channel_curve(offered.fitted, best) if best in static else None
     if curve is not None:
-        found[best] = fit_free_form(race.fitted, curve, race.whitener, race.ratio, rounds=_FIRST)
+        found[best] = fit_free_form(offered.fitted, curve, offered.whitener, offered.ratio, rounds=_FIRST)
     if best in found:
         first = found[best]
-        found[best] = fit_free_form(race.fitted, first.curve, first.whitener, race.ratio, start=first)
-        free[best] = found[best].log_likelihood(race.whitener, race.ratio)
-        after = found[best].fitted.residuals(race.ratio)
+        found[best] = fit_free_form(offered.fitted, first.curve, first.whitener, offered.ratio, start=first)
+        free[best] = found[best].log_likelihood(offered.whitener, offered.ratio)
+        after = found[best].fitted.residuals(offered.ratio)
     elif best in places:  # the candidate was fitted; the curve is a linear step only
-        after = [r for r, _ in race.trials[places.index(best)].blocks]
+        after = [r for r, _ in offered.trials[places.index(best)].blocks]
     else:
         after = static[best][1]
-    scales = race.fitted.problem.whitener(after).scales
-    left = _beyond(after, scales) / (_beyond(race.fitted.residuals(race.ratio), scales) or 1.0)
-    return FreeForces(free, _tabulated(race, found[best]) if best in found else None, min(1.0, left))
+    scales = offered.fitted.problem.whitener(after).scales
+    left = _beyond(after, scales) / (_beyond(offered.fitted.residuals(offered.ratio), scales) or 1.0)
+    return FreeForces(free, _tabulated(offered, found[best]) if best in found else None, min(1.0, left))
 
 
-def _forms(race: Rivals, places: Sequence[str]) -> dict[str, FreeForm]:
+def _forms(offered: Rivals, places: Sequence[str]) -> dict[str, FreeForm]:
     """Fit curves at the ports of the effects, at most `_PLACES`.
 
     If no effect is at a port, the ports are those at which a free force explains most.
     """
-    ports = {port.name for port in race.fitted.structure.model.ports}
+    ports = {port.name for port in offered.fitted.structure.model.ports}
     likely = [place for place in places if place in ports]
-    likely = likely or likely_places(TestedResidual(race.fitted, race.ratio or 1.0), ports)
+    likely = likely or likely_places(TestedResidual(offered.fitted, offered.ratio or 1.0), ports)
     found = {}
     for place in list(dict.fromkeys(likely))[:_PLACES]:
         # a predictor of high gain follows the motion of the record
-        curve = curve_at(race.fitted, place, race.ratio or 1.0)
+        curve = curve_at(offered.fitted, place, offered.ratio or 1.0)
         if curve is not None:
-            found[place] = fit_free_form(race.fitted, curve, race.whitener, race.ratio, rounds=_FIRST)
+            found[place] = fit_free_form(
+                offered.fitted, curve, offered.whitener, offered.ratio, rounds=_FIRST
+            )
     return found
 
 
-def _static(race: Rivals) -> dict[str, tuple[float, list[Array]]]:
+def _static(offered: Rivals) -> dict[str, tuple[float, list[Array]]]:
     """Return log-likelihood and residual of a curve at each input and output.
 
     Channels that are ports are left out. Empty with process noise.
     """
-    fitted, found = race.fitted, dict[str, tuple[float, list[Array]]]()
-    if race.ratio:  # the predictor follows any sensor
+    fitted, found = offered.fitted, dict[str, tuple[float, list[Array]]]()
+    if offered.ratio:  # the predictor follows any sensor
         return found
-    battery, model = TestedResidual(fitted, 0.0, race.whitener), fitted.structure.linear_model
+    tested, model = TestedResidual(fitted, 0.0, offered.whitener), fitted.structure.linear_model
     held, p = fitted.blocks(), fitted.problem.n_theta
     ports = [port.name for port in fitted.structure.model.ports]
     for label in (*model.input_labels, *model.output_labels):
         blocks = None if label in ports else curve_columns(fitted, label)
         if blocks is None:
             continue
-        seen = evidence(battery.left, project(battery.whiten(blocks), battery.basis))
+        seen = evidence(tested.left, project(tested.whiten(blocks), tested.basis))
         J = [(j.reshape(r.size, -1), X.reshape(r.size, -1)) for (r, j), X in zip(held, blocks, strict=True)]
         basis = Basis.of([np.hstack([j[:, :p], X]) for j, X in J], [j[:, p:] for j, _ in J])
         rest = project(np.concatenate([r.ravel() for r, _ in held]), basis)
         ends = np.cumsum([r.size for r, _ in held])[:-1]
         after = [x.reshape(r.shape) for x, (r, _) in zip(np.split(rest, ends), held, strict=True)]
-        found[label] = (seen.gain - 0.5 * float(battery.left @ battery.left), after)
+        found[label] = (seen.gain - 0.5 * float(tested.left @ tested.left), after)
     return found
 
 
@@ -196,11 +198,11 @@ def _beyond(residuals: Sequence[Array], scales: Array) -> float:
     return float(np.sum(np.maximum(np.mean(left**2, axis=1) - 1.0, 0.0)))
 
 
-def _tabulated(race: Rivals, form: FreeForm) -> OpenLaw | None:
+def _tabulated(offered: Rivals, form: FreeForm) -> OpenLaw | None:
     """Return the curve as a table, None if it does not improve the fit."""
     fitted, place = form.fitted, form.curve.place
     table = form.table
-    if "offset" in race.fitted.refinement.roles:  # the offset covers any constant: the force is 0 at rest
+    if "offset" in offered.fitted.refinement.roles:  # the offset covers any constant: the force is 0 at rest
         rest = [np.clip(0.0, min(x, default=0.0), max(x, default=0.0)) for x in (table.d, table.v)]
         table = Table(table.d, table.v, np.array(table.force) - table(*rest))
     kind = form.curve.kind
@@ -209,24 +211,24 @@ def _tabulated(race: Rivals, form: FreeForm) -> OpenLaw | None:
     measured = np.concatenate([r.outputs for r in fitted.problem.records], axis=1)
     spread = np.linalg.norm(measured - measured.mean(axis=1, keepdims=True), axis=1)
     fit = 100.0 * (1.0 - np.linalg.norm(errors, axis=1) / np.where(spread > 0, spread, np.inf))
-    if fit.mean() <= np.mean(race.fitted.refinement.fit):
+    if fit.mean() <= np.mean(offered.fitted.refinement.fit):
         return None
     rmse = np.sqrt(np.mean(errors**2, axis=1))
-    near = _nearest(race, form) if kind == Tabulated.name else ()
+    near = _nearest(offered, form) if kind == Tabulated.name else ()
     return OpenLaw(effect, float(np.mean(fit)), near, rmse)
 
 
-def _nearest(race: Rivals, form: FreeForm) -> tuple[tuple[Effect, float], ...]:
+def _nearest(offered: Rivals, form: FreeForm) -> tuple[tuple[Effect, float], ...]:
     """Return the share of the tabulated force that each effect explains [%].
 
     Only effects at the place of the table count; the motion is that of the fit.
     """
-    d, v = motion_at(form.fitted, form.curve.place, race.ratio)
+    d, v = motion_at(form.fitted, form.curve.place, offered.ratio)
     force = form.table(d, v)
     force = force - force.mean()
     w = np.concatenate([record.inputs for record in form.fitted.problem.records], axis=1)
     rows = []
-    for trial in race.trials:
+    for trial in offered.trials:
         effect, shape = trial.effects[0], trial.start.values[0]
         if effect.place != form.curve.place:
             continue

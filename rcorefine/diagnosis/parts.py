@@ -23,7 +23,7 @@ _BY_RECORD = 5  # least number of records that are split as wholes
 _FIT, _CHOOSE = 0.6, 0.2  # shares of the record; the rest judges
 _LEAST, _FEWEST = 30, 50  # samples of a part that chooses or judges, points of a response that can be split
 _DEAD = 8.0  # standard deviations of the noise below which nothing moves
-_EXCERPT, _PIECES = 8000, 4  # samples of a long record on which the ladder climbs
+_EXCERPT, _PIECES = 8000, 4  # samples of a long record on which effects are sought
 _SHORTEST, _MOST_RECORDS = 1000, 16  # samples of such a piece, records that it is made of
 
 

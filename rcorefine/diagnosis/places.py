@@ -49,12 +49,12 @@ def in_race(fitted: FittedModel, library: Sequence[Effect], ratios: Sequence[flo
     ]
 
 
-def likely_places(battery: TestedResidual, places: set[str]) -> list[str]:
+def likely_places(tested: TestedResidual, places: set[str]) -> list[str]:
     """Return places, first the one where a free force explains most."""
-    names, blocks = battery.generic
+    names, blocks = tested.generic
     tests = []
     for place in dict.fromkeys(names):
         if place in places:
             mine = np.array([name == place for name in names])
-            tests.append(battery.test(place, [block[:, :, mine] for block in blocks]))
+            tests.append(tested.test(place, [block[:, :, mine] for block in blocks]))
     return [t.name for t in sorted(tests, key=lambda t: (t.p_value, -t.statistic))]

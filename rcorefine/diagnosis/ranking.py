@@ -127,7 +127,7 @@ def _validated(refinement: Refinement, validation: Measurement | None, horizon: 
 
 
 def detectable(
-    battery: TestedResidual, scored: Sequence[Candidate], tests: int, significance: float, levels: Levels
+    tested: TestedResidual, scored: Sequence[Candidate], tests: int, significance: float, levels: Levels
 ) -> tuple[Detectable, ...]:
     """Return the smallest detectable coefficient of each simple candidate.
 
@@ -139,13 +139,13 @@ def detectable(
     for candidate in scored:
         if len(candidate.effect.free) != 1 or len(candidate.starts) != 1:
             continue
-        white = battery.whiten(candidate.columns[battery.ratio])
-        column = project(white[:, 0], battery.basis)
+        white = tested.whiten(candidate.columns[tested.ratio])
+        column = project(white[:, 0], tested.basis)
         size = float(np.linalg.norm(column))
         if size > 1e-9 * max(float(np.linalg.norm(white[:, :1])), 1e-300):
             parameter = candidate.problem.structure.parameters[-1]
             unit = candidate.problem.structure.unit(parameter)
             # larger if the column is large on samples that are noisier than the rest
-            spread = max(1.0, float(np.linalg.norm(column * battery.left)) / size)
+            spread = max(1.0, float(np.linalg.norm(column * tested.left)) / size)
             found.append(Detectable(candidate.effect, parameter.name, level * spread / size, unit))
     return tuple(found)

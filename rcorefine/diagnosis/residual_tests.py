@@ -171,7 +171,7 @@ class TestedResidual:
 
 
 def run_tests(
-    battery: TestedResidual,
+    tested: TestedResidual,
     candidates: Sequence[Candidate],
     motions: Sequence[Motion],
     left_out: int = 0,
@@ -181,10 +181,10 @@ def run_tests(
 
     Parameters
     ----------
-    battery : TestedResidual
+    tested : TestedResidual
         Residual under test.
     candidates : sequence of Candidate
-        Library, with columns at the ratio of the battery.
+        Library, with columns at the ratio of the tested.
     motions : sequence of Motion
         Estimated motion on each record.
     left_out : int, optional
@@ -198,45 +198,45 @@ def run_tests(
         ``library`` (Bonferroni over the candidates), ``other laws``, ``changes with
         time``, ``parameters``, ``input``, ``powers of the input``.
     """
-    known = {test.name: test for test in (_others(battery, motions) if others is None else others)}
+    known = {test.name: test for test in (_others(tested, motions) if others is None else others)}
     first = [known.pop(name) for name in _SHOWN if name in known]
-    return [_library(battery, candidates, left_out), *first, *known.values()]
+    return [_library(tested, candidates, left_out), *first, *known.values()]
 
 
 def passed_without_library(
-    battery: TestedResidual, motions: Sequence[Motion], significance: float
+    tested: TestedResidual, motions: Sequence[Motion], significance: float
 ) -> list[FTest] | None:
     """Return the tests without candidates if they pass, otherwise None.
 
     The tests must pass together. They end at the first one that fails for certain.
     """
     tests = []
-    for test in _others(battery, motions):
+    for test in _others(tested, motions):
         if test.dof and test.p_value * _MOST < significance:  # however many count beside it
             return None
         tests.append(test)
     return tests if overall(tests) >= significance else None
 
 
-def _others(battery: TestedResidual, motions: Sequence[Motion]) -> Iterator[FTest]:
+def _others(tested: TestedResidual, motions: Sequence[Motion]) -> Iterator[FTest]:
     """The tests without the library, those that cost little first."""
-    fitted, ratio = battery.fitted, battery.ratio
+    fitted, ratio = tested.fitted, tested.ratio
     records = fitted.problem.records
-    yield _parameters(battery, motions[0])
+    yield _parameters(tested, motions[0])
     if not fitted.problem.in_time:
-        yield from response_tests(battery)
+        yield from response_tests(tested)
         return
     at_once = _at_once(fitted)
     for name, powers in (("input", {1: _LAGS}), ("powers of the input", _POWER_LAGS)):
-        yield battery.test_apart(name, [_lagged(r, at_once, powers) for r in records])
+        yield tested.test_apart(name, [_lagged(r, at_once, powers) for r in records])
     gain = fitted.gain(ratio)
     slow = [force_responses(fitted, i, slow_forces(fitted, ratio, i), gain) for i in range(len(records))]
-    yield battery.test("changes with time", slow)
-    yield battery.test("other laws", battery.generic[1])
+    yield tested.test("changes with time", slow)
+    yield tested.test("other laws", tested.generic[1])
 
 
-def _library(battery: TestedResidual, candidates: Sequence[Candidate], left_out: int) -> FTest:
-    tests = battery.each([c for c in candidates if battery.ratio in c.columns]) if candidates else []
+def _library(tested: TestedResidual, candidates: Sequence[Candidate], left_out: int) -> FTest:
+    tests = tested.each([c for c in candidates if tested.ratio in c.columns]) if candidates else []
     tests = [t for t in tests if t.dof]
     if not tests:
         return FTest("library", 0.0, 0, 1.0, 0.0, 1.0)
@@ -245,16 +245,16 @@ def _library(battery: TestedResidual, candidates: Sequence[Candidate], left_out:
     return FTest(f"library (most: {best.name})", best.statistic, best.dof, p_value, best.gain, p_equal)
 
 
-def _parameters(battery: TestedResidual, motion: Motion) -> FTest:
+def _parameters(tested: TestedResidual, motion: Motion) -> FTest:
     """Test whether the parameters of the model itself fit."""
-    fitted = battery.fitted
+    fitted = tested.fitted
     held = {(e.kind, e.place) for e in fitted.structure.effects}
     effects = [
         Effect(q.kind, q.place) for q in fitted.structure.model.parameters if (q.kind, q.place) not in held
     ]
     if not effects:
         return FTest("parameters", 0.0, 0, 1.0, 0.0, 1.0)
-    return battery.test("parameters", parameter_columns(fitted, effects, motion, battery.ratio))
+    return tested.test("parameters", parameter_columns(fitted, effects, motion, tested.ratio))
 
 
 def _at_once(fitted: FittedModel) -> NDArray[np.bool_]:

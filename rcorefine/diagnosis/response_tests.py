@@ -26,14 +26,14 @@ _NEIGHBORS = 3
 _VALUES_PER_COLUMN = 5  # fewer say nothing about that many columns
 
 
-def response_tests(battery: TestedResidual) -> list[FTest]:
+def response_tests(tested: TestedResidual) -> list[FTest]:
     """Test the residual of frequency responses for any other pattern.
 
     Each test has its own p-value.
 
     Parameters
     ----------
-    battery : TestedResidual
+    tested : TestedResidual
         Residual under test.
 
     Returns
@@ -42,8 +42,8 @@ def response_tests(battery: TestedResidual) -> list[FTest]:
         ``smooth error`` (a factor of any smooth form on each response), ``short response`` (anything
         that dies out within a few samples), ``neighbors`` (points beside each other that err alike).
     """
-    tests = [battery.test("smooth error", _smooth(battery)), battery.test("short response", _short(battery))]
-    return [*tests, _neighbors(battery)]
+    tests = [tested.test("smooth error", _smooth(tested)), tested.test("short response", _short(tested))]
+    return [*tests, _neighbors(tested)]
 
 
 def over_frequency(record: ResponseRecord) -> Array:
@@ -64,16 +64,16 @@ def in_rows(record: ResponseRecord, points: Array) -> Array:
     return np.stack([coded(column) / record.noise for column in np.moveaxis(points, -1, 0)], axis=-1)
 
 
-def _records(battery: TestedResidual) -> list[tuple[ResponseEngine, ResponseRecord]]:
-    engines = battery.fitted.problem.engines
+def _records(tested: TestedResidual) -> list[tuple[ResponseEngine, ResponseRecord]]:
+    engines = tested.fitted.problem.engines
     return [(engine, engine.data) for engine in engines if isinstance(engine, ResponseEngine)]
 
 
-def _smooth(battery: TestedResidual) -> list[Array]:
+def _smooth(tested: TestedResidual) -> list[Array]:
     """Smooth complex factors on the response from each input to each output."""
-    weights, blocks = battery.fitted.problem.weights, []
-    for engine, record in _records(battery):
-        model, shapes = engine.response(battery.fitted.theta, derivatives=False)[0], over_frequency(record)
+    weights, blocks = tested.fitted.problem.weights, []
+    for engine, record in _records(tested):
+        model, shapes = engine.response(tested.fitted.theta, derivatives=False)[0], over_frequency(record)
         most = max(record.omega.size // _VALUES_PER_COLUMN, 1)
         shapes = shapes @ np.linalg.svd(shapes, full_matrices=False)[2].T[:, :most]
         columns = []
@@ -85,10 +85,10 @@ def _smooth(battery: TestedResidual) -> list[Array]:
     return blocks
 
 
-def _short(battery: TestedResidual) -> list[Array]:
+def _short(tested: TestedResidual) -> list[Array]:
     """Responses of a few samples from each input to each output."""
-    weights, blocks = battery.fitted.problem.weights, []
-    for _, record in _records(battery):
+    weights, blocks = tested.fitted.problem.weights, []
+    for _, record in _records(tested):
         lags = np.arange(min(_LAGS, max(record.omega.size // _VALUES_PER_COLUMN, 1)))
         turns = np.exp(-1j * record.omega[:, None] * record.dt * lags)
         columns = []
@@ -100,7 +100,7 @@ def _short(battery: TestedResidual) -> list[Array]:
     return blocks
 
 
-def _neighbors(battery: TestedResidual) -> FTest:
+def _neighbors(tested: TestedResidual) -> FTest:
     """Test whether errors at neighboring frequencies are correlated.
 
     The statistic is the sum of the products of neighbors, relative to their size. The test is one-sided,
@@ -108,8 +108,8 @@ def _neighbors(battery: TestedResidual) -> FTest:
     """
     products = []
     first = 0
-    for _, record in _records(battery):
-        rows = battery.left[first : first + record.noise.size].reshape(-1, record.omega.size)
+    for _, record in _records(tested):
+        rows = tested.left[first : first + record.noise.size].reshape(-1, record.omega.size)
         first += record.noise.size
         products += [(rows[:, lag:] * rows[:, :-lag]).ravel() for lag in range(1, _NEIGHBORS + 1)]
     all_ = np.concatenate(products)

@@ -54,7 +54,7 @@ class RankedEffect(Row):
     beside : tuple of Effect
         Other effects of the same hypothesis: `refinement` holds them all.
     alike : bool
-        Whether the records do not tell it from the best one; the best one itself is.
+        Whether the records cannot distinguish it from the best one; the best one itself is.
     """
 
     effect: Effect
@@ -229,7 +229,7 @@ class Diagnosis(Reported):
         if self.open_law is None:
             if self.verdict != "unexplained":
                 raise ModelError(
-                    f"the verdict is {self.verdict!r}: no law is open; refine() takes what was found"
+                    f"the verdict is {self.verdict!r}: no unknown force; refine() takes what was found"
                 )
             raise ModelError(
                 "no table of a force over position and velocity, or of a channel, reduces the error"
@@ -296,9 +296,9 @@ class Diagnosis(Reported):
         costs: Mapping[str, float] | None = None,
         largest_input: ArrayLike | None = None,
     ) -> ExperimentAdvice:
-        """The cheapest experiment that would tell apart what this record cannot.
+        """Return the cheapest experiment that distinguishes the candidates.
 
-        Every rival is simulated under every option and every other rival is refitted to
+        Every candidate is simulated under every option and every other candidate is refitted to
         it; what then still differs, over the noise of this record, gives the probability
         that the true one stands alone.
 
@@ -339,7 +339,7 @@ class Diagnosis(Reported):
 
         Notes
         -----
-        With D the squared distance between the outputs of two rivals after one is
+        With D the squared distance between the outputs of two candidates after one is
         refitted to the other, over the noise, and L what this record says already, they
         separate with probability Phi((L + D - 9.2) / (2 sqrt(D))); what the spread of the
         coefficients adds is drawn. The sensor is judged by the new record alone. Of

@@ -643,30 +643,30 @@ class Search:
     def _criticize(self, trial: Trial) -> Criticism:
         case, fitted, ratio = self.case, trial.model, trial.hypothesis.ratio
         motions = [estimated_motion(fitted.structure, fitted.theta, m.data) for m in case.motions]
-        battery = TestedResidual(fitted, ratio)
-        others = passed_without_library(battery, motions, case.significance)
+        tested = TestedResidual(fitted, ratio)
+        others = passed_without_library(tested, motions, case.significance)
         if others is None and not case.passes([], fitted):  # a response may be solved up to rounding
             return Criticism(False, [], -np.inf)
-        tests = self.all_tests(trial, battery, others)
+        tests = self.all_tests(trial, tested, others)
         odds = -np.inf
         for place in dict.fromkeys(e.place for e in trial.effects if case.passes(tests, fitted)):
-            more, against = self._beside(trial, battery, place)
+            more, against = self._beside(trial, tested, place)
             tests += more
             odds = float(np.logaddexp(odds, against))
         excluded = 2 * odds > case.levels.rival
         return Criticism(case.passes(tests, fitted) and not excluded, tests, odds)
 
-    def _beside(self, trial: Trial, battery: TestedResidual, place: str) -> tuple[list[FTest], float]:
+    def _beside(self, trial: Trial, tested: TestedResidual, place: str) -> tuple[list[FTest], float]:
         """Return tests and log odds of a free force or curve at a place."""
         if not self.case.in_time:
-            free = FreeStiffness(battery, place)
+            free = FreeStiffness(tested, place)
             return free.tests(), free.odds(trial.base)
-        beside = Beside(battery, place)
+        beside = Beside(tested, place)
         size = trial.size if beside.at_channel else trial.force_at(place)
         return (beside.tests(), beside.odds(size)) if size > 0 else ([], -np.inf)
 
     def all_tests(
-        self, trial: Trial, battery: TestedResidual, others: Sequence[FTest] | None = None
+        self, trial: Trial, tested: TestedResidual, others: Sequence[FTest] | None = None
     ) -> list[FTest]:
         """Return all residual tests of a trial except those of free forces."""
         fitted, ratio = trial.model, trial.hypothesis.ratio
@@ -676,7 +676,7 @@ class Search:
             rest = [e for e in rest if e.spec.linear or e.spec.delays]
         near = in_race(fitted, rest, (ratio,))
         scored = candidate_columns(fitted, near, motions[0], (ratio,))
-        return run_tests(battery, scored, motions, len(rest) - len(near), others)
+        return run_tests(tested, scored, motions, len(rest) - len(near), others)
 
 
 def is_number(effect: Effect) -> bool:

@@ -191,12 +191,12 @@ class _OfTable(FormulaLaw):
 
 @register
 class Tabulated(_OfTable, PortLaw):
-    """A force whose law is open."""
+    """Unknown force, tabulated."""
 
     where = frozenset(["mechanical", "first_order"])
     coefficients = (Coefficient("scale", "", default_start=1.0, explanation="factor on the tabulated force"),)
     formula = "f = t table(d, v)"
-    explanation = "A force acts at {place} whose law is open: its values are tabulated."
+    explanation = "An unknown force acts at {place}: its values are tabulated."
 
     @staticmethod
     def law(d, v, scale, table):  # type: ignore[no-untyped-def]

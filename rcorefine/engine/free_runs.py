@@ -106,7 +106,7 @@ def free_runs(
         if any(runs_away(m, r) for m in models if m.is_continuous for r in kinds):
             return [[slice(0, record.n_samples)] for record in records], (
                 "The model is unstable and has no free run: it is judged by what it predicts one sample "
-                "ahead, led by an observer (horizon= gives short free runs)."
+                "ahead, with process noise (Kalman predictor) (horizon= gives short free runs)."
             )
         if known_start or not any(integrates(m, r) for m in models for r in kinds):
             return [[slice(0, record.n_samples)] for record in records], note

@@ -40,7 +40,7 @@ def leading_gain(structure: Structure, data: Measurement) -> Array | None:
     Parameters
     ----------
     structure : Structure
-        Model with effects; the gain is that of the initial model, so all rivals have the same.
+        Model with effects; the gain is that of the initial model, so all candidates have the same.
     data : Measurement
         Record.
 

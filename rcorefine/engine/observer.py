@@ -43,7 +43,7 @@ def observer_gain(
         Record, for the levels of inputs and outputs.
     ratio : float
         Unknown force over the measured one, rms. A low ratio gives a low gain, which
-        tells rivals apart; a high one follows the record whatever the model says.
+        distinguishes candidates; a high one follows the record whatever the model says.
     at : str
         "everywhere" for forces at inputs and ports, "inputs" for forces at the inputs alone.
     noise : float

@@ -42,8 +42,8 @@ class Mark(Row):
     Attributes
     ----------
     effect : str
-        "right", "tied" (the record cannot tell it from the right one, so it counts), "place" (the place
-        is right, the law is not) or "wrong".
+        "right", "tied" (the record cannot distinguish it from the right one, so it counts), "place"
+        (the place is right, the law is not) or "wrong".
     coefficient : bool or None
         Whether it is near enough: within 10 %, or four standard deviations where the record shows less.
         None where none was given, or the effect is wrong.
@@ -108,7 +108,7 @@ class Exercise(Result):
         return bool(self._seals)
 
     def check(self, kind: str, place: str, coefficient: float | None = None) -> Mark:
-        """Tell right from wrong.
+        """Return the mark of an answer.
 
         Parameters
         ----------
@@ -241,7 +241,7 @@ def hidden_effect(seed: int, plant: str = "motor", level: int = 1) -> Exercise:
     -------
     Exercise
         The effect can be found: ``diagnose(model, train, candidates=candidates)`` names it, or
-        names it among several that the record cannot tell apart, all of which count.
+        names it among several that the record cannot distinguish, all of which count.
 
     Raises
     ------

@@ -331,8 +331,8 @@ class Exploration:
         It contains the steps and the script.
         Raises as `Refinement.report`.
         """
-        ladder = [comment(f"{step.name}: error {step.error:.3g} %") for step in self._steps]
-        code = "\n".join(["# the steps by hand", *ladder, "", self.script()])
+        steps = [comment(f"{step.name}: error {step.error:.3g} %") for step in self._steps]
+        code = "\n".join(["# the steps by hand", *steps, "", self.script()])
         title = f"Exploration of {self.physical.name}"
         return self.refinement.report(path, data=self.data, title=title, code=code, overwrite=overwrite)
 

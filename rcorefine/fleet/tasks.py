@@ -72,11 +72,11 @@ def _diagnosed(model: Any, data: Measurement, options: Mapping[str, Any]) -> Fou
 
 def _improved(model: Any, data: Measurement, options: Mapping[str, Any]) -> Found:
     """The effects of the last model, the surest first."""
-    ladder = improve(model, data, **options)
-    wanted = [(e.kind, e.place) for e in ladder.effects]
-    rows = _estimates(ladder.refinement.parameters, "effect", wanted)
-    said = (*ladder.sentences(),)
-    return Found(ladder.verdict, _surest(rows), None, rows, ladder.effects, said)
+    improvement = improve(model, data, **options)
+    wanted = [(e.kind, e.place) for e in improvement.effects]
+    rows = _estimates(improvement.refinement.parameters, "effect", wanted)
+    said = (*improvement.sentences(),)
+    return Found(improvement.verdict, _surest(rows), None, rows, improvement.effects, said)
 
 
 def _localized(model: Any, data: Measurement, options: Mapping[str, Any]) -> Found:

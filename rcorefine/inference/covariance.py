@@ -241,7 +241,7 @@ def unseen_combinations(
     spread: Array,
     settled: NDArray[np.bool_] | None = None,
 ) -> list[str]:
-    """Sentences that name what the record cannot tell apart.
+    """Return sentences on combinations that the record does not determine.
 
     Parameters
     ----------

@@ -136,7 +136,7 @@ class Fit:
 
     @property
     def cost(self) -> float:
-        """Log of the residual power over the outputs: comparable between rivals."""
+        """Log of the residual power over the outputs: comparable between fits."""
         blocks = self.problem.own_blocks(self.result.x)
         residual = np.concatenate([r for r, _, _ in blocks], axis=1) / self.problem.weights[:, None]
         return float(np.sum(np.log(np.mean(residual**2, axis=1) + 1e-300)))

@@ -53,7 +53,7 @@ class Frozen:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FilterBankMemory:
-    """State of a race between two calls.
+    """State of the competing forms between two calls.
 
     Parameters
     ----------

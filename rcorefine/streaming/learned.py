@@ -101,7 +101,7 @@ class Learned(Result):
     def form(self) -> str:
         """Form of the static correction that the refined model has.
 
-        "paper" by the paper's equations, "coefficients" where they were named; in a race
+        "paper" by the paper's equations, "coefficients" where they were named; with competing forms
         "nonzero", "discrete", "input", or "initial" where no form predicts better than
         the initial model.
         """

@@ -147,7 +147,7 @@ def summarize_coefficients(model: LinearModel, part: CoefficientFilter, stopped:
 
 
 def summarize_race(model: LinearModel, race: FilterBank, stopped: str) -> Summary:
-    """Collect what `str(refiner)` shows of several forms in a race."""
+    """Collect what `str(refiner)` shows of several competing forms."""
     (form, grows), memory = race.chosen, race.memory
     part = race.filters[form]
     dt = part.setup.settings.dt

@@ -160,9 +160,9 @@ def _diagnosis(found: Diagnosis) -> dict[str, Any]:
 
 
 @_dict(Improvement)
-def _improvement(ladder: Improvement) -> dict[str, Any]:
-    told = _fields(ladder, "verdict", "message", "steps", "checks")
-    return {**told, "next_step": next_step(ladder), **_model(ladder.refinement)}
+def _improvement(improvement: Improvement) -> dict[str, Any]:
+    told = _fields(improvement, "verdict", "message", "steps", "checks")
+    return {**told, "next_step": next_step(improvement), **_model(improvement.refinement)}
 
 
 @_dict(Refinement)

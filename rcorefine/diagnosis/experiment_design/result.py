@@ -33,7 +33,7 @@ class ExperimentOption(Row):
     wrong : float
         That a wrong one then leads by as much.
     distance : float
-        Squared distance, over the noise, between the outputs of the closest two rivals
+        Squared distance, over the noise, between the outputs of the closest two candidates
         after one was refitted to the other.
     reach : float
         Largest motion at any port, or input, over the largest in the present record.
@@ -71,7 +71,7 @@ class ExperimentAdvice(Result):
     options : tuple of ExperimentOption
         All of them, the cheapest first.
     rivals : tuple of str
-        What is to be told apart.
+        Candidates that the record cannot distinguish.
     probability : float
         Probability that was asked for.
     message : str
@@ -98,8 +98,8 @@ class ExperimentAdvice(Result):
         if self.options:
             lines.append(
                 "probability: that the true one then stands alone (twice the log-likelihood 9.2 ahead of "
-                "every rival); distance: squared, over the noise, between the closest two; cost: in lengths "
-                "of this record; reach: largest motion over the largest in this record."
+                "any other candidate); distance: squared, over the noise, between the closest two; cost: in "
+                "lengths of this record; reach: largest motion over the largest in this record."
             )
         return [*lines, *self.notes]
 

@@ -46,7 +46,7 @@ class Contender:
     refinement : Refinement
         Model with it, fitted.
     weight : float
-        Its probability among the contenders; 0 for one that is a rival only.
+        Its probability among the contenders; 0 for one that is only compared with.
     twice_log : float
         Twice its log-likelihood on the present record, up to a constant.
     """
@@ -158,12 +158,12 @@ def separation(contenders: Sequence[Contender], plan: Plan, ratio: float = 0.0) 
 
     Notes
     -----
-    To first order, twice the log-likelihood of truth i over rival j is normal with mean
+    To first order, twice the log-likelihood of truth i over candidate j is normal with mean
     L + D and standard deviation 2 sqrt(D): D is the squared distance after the refit, in
     which what the present record says of the coefficients of j counts as a prior, and L
     is what the present record says already. So P = Phi((L + D - 9.2) / (2 sqrt(D))).
     Beyond that, the spread of the coefficients of i and the different freedom of the
-    rivals enter through draws of the linearized statistic, all rivals at once.
+    candidates enter through draws of the linearized statistic, all candidates at once.
     """
     sides = [_side(c.refinement, plan, ratio) for c in contenders]
     steps = max(side.substeps for side in sides)

@@ -122,7 +122,7 @@ def _contenders(found: Diagnosis, records: Sequence[Measurement]) -> tuple[list[
         why = "Nothing to separate: no law is needed; refine() has the numbers of the model as they are."
         return [], fitted_from(found.floated, segments, **options), why
     if found.best is None and found.verdict == "ambiguous":
-        why = "The record shows no motion from which rivals could be simulated: excite it, then diagnose."
+        why = "The record shows no motion from which candidates could be simulated: excite it, then diagnose."
         return [], fitted_from(found.base, segments, **options), why
     if found.best is None or found.verdict == "unexplained":
         why = (
@@ -154,7 +154,7 @@ def _contenders(found: Diagnosis, records: Sequence[Measurement]) -> tuple[list[
             )
         return contenders, fitted, why + none
     left = len(found.ambiguous) - len(rows)
-    return contenders, fitted, (f"{left} less probable rivals were left out. " if left > 0 else "") + none
+    return contenders, fitted, (f"{left} less probable candidates were left out. " if left > 0 else "") + none
 
 
 def _near(found: Diagnosis, fitted: FittedModel) -> tuple[list[Contender], FittedModel, str]:
@@ -311,8 +311,8 @@ def _advice(
         )
     if best.distance < _NESTED and best.probability < probability:
         notes.append(
-            "Two of the rivals hardly differ under any of these experiments: one may contain the other as a "
-            "special case, or the difference is too small for this noise."
+            "Two of the candidates hardly differ under any of these experiments: one may contain the "
+            "other as a special case, or the difference is too small for this noise."
         )
     if chosen.kind == "sensor":
         notes.append("The new record alone is counted there: the model then has one output more.")
@@ -337,7 +337,7 @@ def _who(contenders: Sequence[Contender], option: ExperimentOption, missed: floa
     who = (
         f"{names[0]} and {names[1]} then separate"
         if len(names) == 2
-        else f"the {len(names)} rivals then separate"
+        else f"the {len(names)} candidates then separate"
     )
     if any(c.effect is None for c in contenders):
         who = f"{names[0]} would then stand out, if it is there,"

@@ -41,7 +41,7 @@ class CoefficientMemory:
     known, use : ndarray of uint8, shape (K,), (K, n_y)
         Which of them were measured.
     rivals : ndarray, shape (r, p)
-        Coefficients of other valleys, not yet out of the race.
+        Coefficients of other valleys, not yet discarded.
     rounds : int
         Times that the first samples were gone over.
     discretized : int

@@ -297,7 +297,7 @@ def noise_law(white: Array, sizes: Array, floor: float) -> Array:
     ndarray, shape (3,)
         Factors, by weighted least squares of the squares (each scatters as its own variance), one
         square counting as that of 3 standard deviations at most. The last one has to earn its place:
-        where the signal is as large all the time, nothing tells it from a constant.
+        where the signal is as large all the time, it cannot be distinguished from a constant.
 
     Examples
     --------

@@ -140,22 +140,22 @@ def diagnosis_answer(found: Diagnosis) -> tuple[list[str], bool]:
     return [first, second, third], False
 
 
-def improvement_answer(ladder: Improvement) -> tuple[list[str], bool]:
+def improvement_answer(found: Improvement) -> tuple[list[str], bool]:
     """Answer how far the error fell, by which effects, and why it stopped.
 
     The return values are those of `comparison_answer`.
     """
-    first, last = ladder.steps[0], ladder.steps[-1]
+    first, last = found.steps[0], found.steps[-1]
     before, after = (root_mean_square(s.validation_rmse) for s in (first, last))
-    unit = f" {ladder.output_units[0]}" if len(ladder.output_units) == 1 and ladder.output_units[0] else ""
+    unit = f" {found.output_units[0]}" if len(found.output_units) == 1 and found.output_units[0] else ""
     change = f" ({100 * (after / before - 1):+.0f} %)" if before > 0 else ""
-    names = [f"{e.label} ({_estimate(last.refinement, e.kind, e.place)})" for e in ladder.effects]
+    names = [f"{e.label} ({_estimate(last.refinement, e.kind, e.place)})" for e in found.effects]
     added = f"Added: {'; '.join(names)}." if names else "No effect was added."
     return [
         f"The error on held-out data changes from {before:.4g} to {after:.4g}{unit}{change}.",
         added,
-        ladder.message,
-    ], ladder.verdict == "adequate" and not names
+        found.message,
+    ], found.verdict == "adequate" and not names
 
 
 def refinement_answer(refinement: Refinement) -> tuple[list[str], bool]:

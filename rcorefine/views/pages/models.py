@@ -37,33 +37,33 @@ __all__ = ["report_improvement", "report_refinement"]
 
 @reports(Improvement)
 def report_improvement(
-    ladder: Improvement,
+    improvement: Improvement,
     *,
     data: Any,
     title: str | None,
     code: str | None,
 ) -> Page:
     """The report of an improvement; see `Improvement.report`."""
-    answer, fine = improvement_answer(ladder)
-    last = ladder.refinement
-    errors = ", ".join(f"{root_mean_square(s.validation_rmse):.3g}" for s in ladder.steps)
+    answer, fine = improvement_answer(improvement)
+    last = improvement.refinement
+    errors = ", ".join(f"{root_mean_square(s.validation_rmse):.3g}" for s in improvement.steps)
     wanted: list[Wanted] = [
         (
             "staircase",
-            lambda: ladder.plot(title=" "),
+            lambda: improvement.plot(title=" "),
             f"Staircase of the root mean square error after each step; held out: {errors}.",
             "Simulation error after each step on three parts of the record: the fitted part, the part for "
             "selecting the step, and the held-out part. Judge the model by the held-out part.",
         )
     ]
     rows = []
-    for i, step in enumerate(ladder.steps):
+    for i, step in enumerate(improvement.steps):
         values = "; ".join(f"{k} {with_error(v, step.std[k])}" for k, v in step.coefficients.items())
         errors_of = (step.train_rmse, step.choice_rmse, step.validation_rmse)
         rivals = ", ".join(effect.label for effect in step.rivals)
         rows.append([str(i), step.name, values, *(f"{root_mean_square(e):.4g}" for e in errors_of), rivals])
     tables: Parts = [
-        *odd(ladder.checks),
+        *odd(improvement.checks),
         Table(
             ["step", "what", "coefficients", "fitted", "selection", "held out", "not distinguishable"],
             rows,
@@ -72,14 +72,14 @@ def report_improvement(
             left=3,
         ),
         parameter_table(last, "Parameters of the last model"),
-        Paragraphs(ladder.sentences()),
+        Paragraphs(improvement.sentences()),
     ]
     return _report_model(
-        title or f"Improvement of {last.physical_model.linear.name}: {ladder.verdict}",
+        title or f"Improvement of {last.physical_model.linear.name}: {improvement.verdict}",
         (answer, fine),
         wanted,
         tables,
-        (ladder.steps[0].refinement, last),
+        (improvement.steps[0].refinement, last),
         data,
         code,
     )
