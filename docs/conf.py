@@ -34,6 +34,7 @@ html_theme_options = {
     "show_prev_next": False,
     "secondary_sidebar_items": ["page-toc"],
     "navbar_end": ["theme-switcher"],
+    "header_links_before_dropdown": 9,
     "footer_start": ["copyright"],
     "footer_end": [],
     "use_edit_page_button": False,
@@ -87,10 +88,11 @@ def _pages(app):
     notebook_pages.write(HERE / "notebooks")
 
 
-#: Links between files of the repository, as they stand there, and where they lead on the site.
+#: Links between files of the repository, as they stand there, and where they lead on the site; marks of tools.
 _MOVED = [
     (r"\]\((?:\.\./)*notebooks/(\d\d_\w+)\.(?:py|ipynb)\)", r"](notebooks/\1.md)"),
     (r"\]\(((?:\.\./)*)\.\./README\.md", r"](\1readme.md"),
+    (r"  # fmt: skip", ""),
 ]
 _MOVED_OF_README = [
     (r"\]\(docs/", "]("),

@@ -130,11 +130,11 @@ if silverbox is not None:
         line = f"{hold:14s}"
         for effects in ([], list(found.effects)):
             fitted = rco.refine(circuit, train.with_hold(hold), effects, free="linear")
-            found = []
+            errors = []
             for data in (test.with_hold(hold), part(100, 40575).with_hold(hold)):
                 residual = rco.simulate(fitted, data).outputs - data.outputs
-                found.append(1e3 * np.sqrt(np.mean(residual[0, 50:] ** 2)))
-            line += f"{found[0]:12.2f}{found[1]:10.2f}"
+                errors.append(1e3 * np.sqrt(np.mean(residual[0, 50:] ** 2)))
+            line += f"{errors[0]:12.2f}{errors[1]:10.2f}"
         print(line)
 
 # %% [markdown]
