@@ -88,7 +88,7 @@ def _pages(app):
     notebook_pages.write(HERE / "notebooks")
 
 
-#: Links between files of the repository, as they stand there, and where they lead on the site; marks of tools.
+#: Links as they stand in the repository, and where they lead on the site; marks of the formatter.
 _MOVED = [
     (r"\]\((?:\.\./)*notebooks/(\d\d_\w+)\.(?:py|ipynb)\)", r"](notebooks/\1.md)"),
     (r"\]\(((?:\.\./)*)\.\./README\.md", r"](\1readme.md"),

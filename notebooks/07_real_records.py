@@ -50,8 +50,8 @@ def records(name):
     return {key: np.ravel(value) for key, value in loadmat(Path(folder) / name).items() if key[0] != "_"}
 
 
-def improved(model, train, test, **options):
-    """Stepwise improvement, every linear parameter free, without warnings of low excitation."""
+def climb(model, train, test, **options):
+    """The ladder, every linear parameter free; short pieces of a record excite little, which is no news."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rco.RCOWarning)
         return rco.improve(model, train, validation=test, free="linear", **options)
@@ -84,7 +84,7 @@ plt.show()
 # three holds before it ranks any effect.
 #
 # The multisine part of the record has 87 000 samples. To save time, 2500 are used for the fit and 2000 later
-# ones for validation, and only springs and dampers are candidates. `benchmarks/real_refinements.py` uses all
+# ones for validation, and only springs and dampers are candidates. `benchmarks/real_ladders.py` uses all
 # samples and all effects.
 
 # %%
@@ -109,14 +109,12 @@ if silverbox is not None:
 
     train, test = part(41000, 43500), part(106000, 108000)
     kinds = ("cubic_stiffness", "quadratic_stiffness", "clearance", "cubic_damping", "coulomb_friction")
-    found = improved(
-        circuit, train, test, max_effects=1, candidates=[rco.Effect(kind, "x") for kind in kinds]
-    )
-    print(found)
+    ladder = climb(circuit, train, test, max_effects=1, candidates=[rco.Effect(kind, "x") for kind in kinds])
+    print(ladder)
 
 # %%
 if silverbox is not None:
-    found.plot(title="Silverbox: error of the free run on samples kept apart")
+    ladder.plot(title="Silverbox: error of the free run on samples kept apart")
     plt.show()
 
 # %% [markdown]
@@ -128,13 +126,13 @@ if silverbox is not None:
     print(f"{'hold':14s}{'linear':>22s}{'with the effect':>22s}   [mV]: multisine, arrow")
     for hold in ("zoh", "foh", "bandlimited"):
         line = f"{hold:14s}"
-        for effects in ([], list(found.effects)):
+        for effects in ([], list(ladder.effects)):
             fitted = rco.refine(circuit, train.with_hold(hold), effects, free="linear")
-            errors = []
+            found = []
             for data in (test.with_hold(hold), part(100, 40575).with_hold(hold)):
                 residual = rco.simulate(fitted, data).outputs - data.outputs
-                errors.append(1e3 * np.sqrt(np.mean(residual[0, 50:] ** 2)))
-            line += f"{errors[0]:12.2f}{errors[1]:10.2f}"
+                found.append(1e3 * np.sqrt(np.mean(residual[0, 50:] ** 2)))
+            line += f"{found[0]:12.2f}{found[1]:10.2f}"
         print(line)
 
 # %% [markdown]
@@ -176,9 +174,7 @@ if emps is not None:
         "quadratic_damping",
         "asymmetric_damping",
     )
-    climbed = improved(
-        drive, train, test, max_effects=1, candidates=[rco.Effect(kind, "q") for kind in kinds]
-    )
+    climbed = climb(drive, train, test, max_effects=1, candidates=[rco.Effect(kind, "q") for kind in kinds])
     print(climbed)
 
 # %%

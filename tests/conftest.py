@@ -36,7 +36,7 @@ def _close_figures() -> Iterator[None]:
 def _no_thread_goes_on() -> Iterator[None]:
     """What an explorer still works on ends with its test: pictures are those of all threads."""
     yield
-    begun = sys.modules.get("rcorefine.explorer.background")
+    begun = sys.modules.get("rcorefine.explorer.page")
     if begun is not None:
         begun.LOOKING.submit(int).result()
 

@@ -435,6 +435,24 @@ CALLS: dict[str, Call] = {
         _method(record, "deviation"), dict, {"inputs": or_none(is_numbers), "outputs": or_none(is_numbers)}
     ),
     "Measurement.check_excitation": Call(_method(record, "check_excitation"), dict, {"purpose": is_text}),
+    "Measurement.detrend": Call(_method(record, "detrend"), dict),
+    "Measurement.filter": Call(
+        _method(record, "filter"),
+        lambda: {"high": 0.9 * np.pi / DT},
+        {"low": or_none(is_positive), "high": or_none(is_positive), "order": is_whole},
+    ),
+    "Measurement.rename": Call(
+        _method(record, "rename"),
+        lambda: {"name": "run 2"},
+        {"labels": or_none(is_mapping), "name": or_none(is_text)},
+    ),
+    "Measurement.join": Call(
+        _method(record, "join"),
+        lambda: {
+            "other": record().rename({n: n + "b" for n in (*record().input_labels, *record().output_labels)})
+        },
+        {"other": is_nothing},
+    ),
     "Measurement.decimate": Call(_method(record, "decimate"), lambda: {"factor": 2}, {"factor": is_whole}),
     "Measurement.from_timestamps": Call(
         lambda: MEASURE.from_timestamps,
@@ -499,7 +517,7 @@ CALLS: dict[str, Call] = {
     "Comparison.seen_by": Call(_method(comparison, "seen_by"), lambda: {"index": 0}, {"index": is_number}),
     "Measurement.with_hold": Call(_method(record, "with_hold"), lambda: {"hold": "foh"}, {"hold": is_text}),
     "Measurement.from_csv": _reader("from_csv", "a.csv"),
-    "Measurement.from_mat": _reader("from_mat", "a.mat", work="rcorefine.data.formats.read_mat"),
+    "Measurement.from_mat": _reader("from_mat", "a.mat", work="rcorefine.data.lab_formats.read_mat"),
     "Measurement.from_npz": _reader("from_npz", "a.npz"),
     "Measurement.from_hdf5": _reader("from_hdf5", "a.npz", work="rcorefine.data.lab_formats.read_hdf5"),
     "Measurement.from_tdms": _reader("from_tdms", "a.npz", work="rcorefine.data.lab_formats.read_tdms"),
@@ -857,6 +875,9 @@ CALLS: dict[str, Call] = {
         },
     ),
     "compare": Call(lambda: rco.compare, lambda: {"model": model(), "data": record()}, FIT),
+    "black_box": Call(
+        lambda: rco.black_box, lambda: {"data": record(), "order": 1}, {"data": is_nothing, "order": is_whole}
+    ),
     "explore": Call(lambda: rco.explore, lambda: {"model": model(), "data": record()}, FIT),
     "Comparison.plot": _plot(comparison, kind=is_text, measured=is_nothing, omega=is_numbers),
     "Comparison.report": _report(comparison),
@@ -873,6 +894,12 @@ CALLS: dict[str, Call] = {
     ),
     "Refinement.bode_plot": _plot(
         refinement, "bode_plot", measured=is_nothing, omega=is_numbers, levels=is_numbers
+    ),
+    "Refinement.response_plot": _plot(
+        refinement, "response_plot", kind=is_text, count=is_whole, seed=is_whole
+    ),
+    "Refinement.drawn": Call(
+        _method(refinement, "drawn"), lambda: {"count": 2}, {"count": is_whole, "seed": is_whole}
     ),
     "Refinement.parameter": Call(
         _method(refinement, "parameter"), lambda: {"name": "stiffness"}, {"name": is_text, "place": is_text}
@@ -945,7 +972,7 @@ CALLS: dict[str, Call] = {
         lambda: rco.improve,
         lambda: {"model": model(), "data": record(), "candidates": [EFFECT], "max_effects": 1},
         {**FIT, "max_effects": is_whole},
-        work="rcorefine.diagnosis.improve._Ladder",
+        work="rcorefine.diagnosis.improve._Improver",
     ),
     "Improvement.plot": _plot(improvement, legend_loc=or_none(is_legend)),
     "Improvement.report": _report(improvement, data=is_nothing),

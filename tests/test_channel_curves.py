@@ -53,8 +53,7 @@ def test_a_measured_curve_explains_the_record(kind, place):
 def test_an_unknown_curve_is_tabulated(place):
     """No candidate bends like this: the verdict names the channel, and law() holds its curve."""
     data = record(place == "y")
-    names = ("input_gain", "input_deadzone", "coulomb_friction", "output_delay")
-    places = dict(zip(names, ("u", "u", "v", "y"), strict=True))
+    places = {"input_gain": "u", "input_deadzone": "u", "coulomb_friction": "v"}  # none acts on the sensor
     found = rco.diagnose(model(), data, candidates=[rco.Effect(k, p) for k, p in places.items()])
     assert (found.verdict, found.place) == ("unexplained", place)
     law = found.law()

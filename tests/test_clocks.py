@@ -13,7 +13,7 @@ from scipy.linalg import expm
 import rcorefine as rco
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
-from rcorefine.inference.lags import growing_lags
+from rcorefine.inference.starts import growing_lags
 
 A, B = np.array([[0.0, 1.0], [-380.0, -0.4]]), np.array([0.0, 1.0])
 MODEL = ct.ss(A, B[:, None], [[1.0, 0.0]], 0, states=["x", "v"], inputs="force", outputs="x")

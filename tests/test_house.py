@@ -35,10 +35,10 @@ ORDER = (
 #: Lines of code (no docstring, comment, blank) of each top-level folder, and of the files beside them.
 #: A commit may lower a figure; one that raises it says in its message what went out in exchange.
 BUDGET = {
-    ".": 874, "arguments": 306, "commands": 1387, "comparison": 2964, "data": 2955, "diagnosis": 5761,
-    "effects": 3377, "engine": 3310, "examples": 263, "exercises": 568, "explorer": 1115, "export": 511,
-    "fleet": 1044, "inference": 2901, "localization": 1330, "models": 4155, "refinement": 196,
-    "streaming": 7517, "systems": 654, "views": 4451,
+    ".": 874, "arguments": 306, "commands": 1382, "comparison": 2944, "data": 2920, "diagnosis": 5713,
+    "effects": 3377, "engine": 3310, "examples": 259, "exercises": 563, "explorer": 1098, "export": 511,
+    "fleet": 1044, "inference": 2889, "localization": 1330, "models": 4100, "refinement": 196,
+    "streaming": 7517, "systems": 654, "views": 4431,
 }  # fmt: skip
 #: Functions of a radon complexity above 15, functions that take more than 8 parameters (private ones and
 #: kernels), private functions of fewer than 6 lines of code that one place calls: not more than there are.
@@ -189,7 +189,8 @@ def test_no_text_uses_house_words():
                 text = FIELD.sub("", node.value)
                 found += [f"{file}:{node.lineno} {m.group()}" for m in BANNED.finditer(text)]
     root = PACKAGE.parent
-    for page in [*root.glob("*.md"), *(root / "docs").rglob("*.md")]:
+    docs = root / "docs"  # without the pages that the site makes of notebooks and docstrings
+    for page in [*root.glob("*.md"), *docs.glob("*.md"), *docs.glob("coursework/*.md")]:
         for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), 1):
             found += [f"{page.name}:{number} {m.group()}" for m in BANNED.finditer(FIELD.sub("", line))]
     assert found == []

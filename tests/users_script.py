@@ -43,7 +43,7 @@ def door(model: rco.PhysicalModel, data: rco.Measurement) -> list[str]:
 
 def loop(model: rco.PhysicalModel, data: rco.Measurement, page: Path) -> rco.Refinement:
     """Compare, diagnose, refine, confirm, improve."""
-    before: rco.Comparison = rco.compare(model, data)
+    before: rco.Comparison = rco.compare([model, rco.black_box(data)], data)
     found: rco.Diagnosis = rco.diagnose(model, data)
     better: rco.Refinement = rco.refine(model, data, [rco.Effect("coulomb_friction", "link1")])
     row: rco.EstimatedParameter = better.parameters[0]

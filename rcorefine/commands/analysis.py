@@ -5,6 +5,7 @@ Each command reads the files, computes, prints, draws, and writes the report.
 
 from __future__ import annotations
 
+import json
 import os
 import shlex
 import sys
@@ -32,12 +33,13 @@ from ..exceptions import ModelError
 from ..models.library import effect_library
 from ..models.reading import read_model
 from ..version import __version__
+from ..views.data import plain
 from ..views.pages.answers import comparison_answer, diagnosis_answer, improvement_answer
 from ..views.pages.code import comment
+from ..views.pages.origin import fingerprint
 from ..views.pages.page import check_target
 from ..views.tables import wrapped
 from ..writing import replacing
-from .machine import json_text, record_object
 from .records import fitted_and_held_out
 
 __all__ = [
@@ -45,13 +47,49 @@ __all__ = [
     "check_targets",
     "finish",
     "fit_options",
+    "json_text",
     "opened",
+    "record_object",
     "run_check",
     "run_compare",
     "run_diagnose",
     "run_improve",
     "wanted_candidates",
 ]
+
+
+def json_text(content: dict[str, Any]) -> str:
+    """Strict JSON: what is not finite becomes null.
+
+    Parameters
+    ----------
+    content : dict
+        Numbers, arrays, text and sequences.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> json_text({"fit": np.array([1.0, np.nan])})
+    '{"fit": [1.0, null]}'
+    """
+    return json.dumps(plain(content), allow_nan=False, ensure_ascii=True)
+
+
+def record_object(data: Measurement) -> dict[str, Any]:
+    """Name, size and fingerprint of a record."""
+    return {
+        "name": data.name,
+        "samples": data.n_samples,
+        "dt": data.dt,
+        "hold": data.hold,
+        "inputs": data.input_labels,
+        "outputs": data.output_labels,
+        "sha256_inputs": fingerprint(data.inputs),
+        "sha256_outputs": fingerprint(data.outputs),
+    }
 
 
 #: Options that the next command does not take over, and whether a value follows.

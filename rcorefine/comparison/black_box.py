@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 
 from ..arguments import as_whole
 from ..data.measurement import Measurement
+from ..data.records import as_record
 from ..exceptions import DataError, ModelError
 from ..systems.linear import Array
 
@@ -56,7 +57,7 @@ def black_box(data: Measurement, order: int = 4) -> ct.StateSpace:
     >>> bool(np.allclose(np.log(box.poles()) / 0.02, model.system.poles(), rtol=1e-6))
     True
     """
-    order = as_whole(order, "order", least=1, most=20)
+    data, order = as_record(data), as_whole(order, "order", least=1, most=20)
     n_inputs, n_samples = data.inputs.shape
     unknowns = order + (order + 1) * n_inputs + order + 1
     if not n_inputs or n_samples < 5 * unknowns:

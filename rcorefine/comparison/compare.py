@@ -15,19 +15,47 @@ from ..data.measurement import Measurement
 from ..data.records import as_record
 from ..data.response_record import in_frequency
 from ..effects.tabulated import Table, share_beyond
-from ..engine.free_runs import checked_horizon, free_runs
+from ..engine.controlled import as_it_runs
+from ..engine.free_runs import checked_horizon, free_runs, runs_away
+from ..engine.leading import leading_ratio
 from ..engine.simulation import simulated, structure_of, unjudged_samples
 from ..exceptions import DataError, DivergenceError
 from ..inference.windows import as_data
 from ..models.controller import completed
 from ..models.conversion import known_physical, under_control
+from ..models.operating_point import ordered_record
+from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array, LinearModel
 from .failure_map.places import given_places
-from .free_running import controlled, led, runs_of
 from .responses import FrequencyComparison, LevelComparison, compare_responses
 from .result import Comparison
 
-__all__ = ["compare"]
+__all__ = ["compare", "controlled", "led", "runs_of"]
+
+
+def runs_of(models: Sequence[Any], linear: Sequence[LinearModel], data: Measurement) -> list[LinearModel]:
+    """Return the linear models that are simulated.
+
+    For a refinement this includes its initial model, by which `refine` decided whether it integrates.
+    """
+    known = [one for one in map(known_physical, models) if one is not None]
+    if controlled(models):
+        return [as_it_runs(one, data) for one in known]
+    return [*linear, *(one.linear for one in known)]
+
+
+def led(models: Sequence[Any], linear: Sequence[LinearModel], data: Measurement) -> bool:
+    """Return whether a model has no free run and follows the record instead."""
+    known = [one for one in map(known_physical, models) if one is not None]
+    if controlled(models):
+        return False
+    away = any(each.is_continuous and runs_away(each, data) for each in linear)
+    return away or any(leading_ratio(one, ordered_record(one, data)) is not None for one in known)
+
+
+def controlled(models: Sequence[Any]) -> list[PhysicalModel]:
+    """Those in a loop."""
+    return [one for one in map(known_physical, models) if one is not None and one.controller is not None]
 
 
 @overload

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from scipy.signal import butter, detrend, sosfiltfilt, zpk2sos
 
-from ..arguments import as_choice, as_mapping, as_number, as_share, as_vector, as_whole
+from ..arguments import as_choice, as_instance, as_mapping, as_number, as_share, as_vector, as_whole
 from ..exceptions import DataError
 from ..systems.linear import Array
 from .resampling import decimated
@@ -305,6 +305,7 @@ class RecordParts:
         >>> first.join(second).input_labels, first.join(second).output_labels
         (('u[0]', 'wind'), ('y[0]', 'T'))
         """
+        other = as_instance(other, type(self), "other")
         if self.n_samples != other.n_samples or not np.allclose(
             self.timepts, other.timepts, rtol=0, atol=1e-6 * self.dt
         ):

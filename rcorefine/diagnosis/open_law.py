@@ -128,9 +128,6 @@ def open_law(offered: Rivals) -> FreeForces:
     static = _static(offered)
     free |= {place: value for place, (value, _) in static.items()}
     best = max([(offered.log_likelihood(0), places[0]), *zip(free.values(), free, strict=True)])[1]
-    curve = channel_curve(offered.fitted, best) if best in static else None
-    if curve is not None:
-        found[best] = fit_free_form(offered.fitted, curve, offered.whitener, offered.ratio, rounds=_FIRST)
     if best in found:
         first = found[best]
         found[best] = fit_free_form(offered.fitted, first.curve, first.whitener, offered.ratio, start=first)
@@ -142,7 +139,14 @@ def open_law(offered: Rivals) -> FreeForces:
         after = static[best][1]
     scales = offered.fitted.problem.whitener(after).scales
     left = _beyond(after, scales) / (_beyond(offered.fitted.residuals(offered.ratio), scales) or 1.0)
-    return FreeForces(free, _tabulated(offered, found[best]) if best in found else None, min(1.0, left))
+    left = min(1.0, left)
+    # a free curve of a channel imitates what is elsewhere: it needs the better part of the probability
+    odds = free.get(best, -np.inf) - float(np.logaddexp.reduce(list(free.values())))
+    if best in static and np.exp(odds) * (1.0 - left) > 0.5:
+        curve = channel_curve(offered.fitted, best)
+        assert curve is not None
+        found[best] = fit_free_form(offered.fitted, curve, offered.whitener, offered.ratio)
+    return FreeForces(free, _tabulated(offered, found[best]) if best in found else None, left)
 
 
 def _forms(offered: Rivals, places: Sequence[str]) -> dict[str, FreeForm]:

@@ -18,6 +18,7 @@ from ..engine.structure import Structure
 from ..exceptions import DivergenceError, ModelError
 from ..inference.f_tests import FTest
 from ..inference.fitted import FittedModel
+from ..inference.levels import Levels
 from ..inference.sensitivities import candidate_columns
 from ..inference.starts import estimated_motion, shape_starts
 from ..inference.whitening import Whitener
@@ -30,12 +31,58 @@ from .places import in_race
 from .refits import Fitter
 from .residual_tests import TestedResidual, passed_without_library, run_tests
 from .screening import Metric, Numbers, Screen, compatible
-from .unmeasured_force import likely_forces
 
-__all__ = ["Criticism", "Search", "is_gain", "is_number"]
+__all__ = ["Criticism", "Search", "is_gain", "is_number", "likely_forces"]
+
+_SIZES = (0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.128)  # ratios of the unmeasured to the measured force
+_AT = ("everywhere", "inputs")
+
+
+def likely_forces(
+    fitted: FittedModel, free_run: TestedResidual, least: float, levels: Levels
+) -> list[TestedResidual]:
+    """Return the residuals with likely unmeasured forces, the best first.
+
+    The force acts at the inputs or everywhere, with one of several sizes.
+
+    Parameters
+    ----------
+    fitted : FittedModel
+        Model at its minimum.
+    free_run : TestedResidual
+        Residual of its free run, without such a force.
+    least : float
+        Least gain in log-likelihood.
+    levels : Levels
+        Levels; within `force_size` of the best log-likelihood, a size is likely.
+
+    Returns
+    -------
+    list of TestedResidual
+        Residuals of the Kalman predictor; empty if no force gains more than `least`.
+    """
+    found: list[TestedResidual] = []
+    for at in _AT:
+        top = -np.inf
+        for ratio in _SIZES:
+            try:
+                led = TestedResidual(fitted.forced(at), ratio)
+            except (np.linalg.LinAlgError, ValueError):
+                continue
+            if np.isfinite(led.log_likelihood):
+                found.append(led)
+                top = max(top, led.log_likelihood)
+            if not led.log_likelihood >= top - 3 * levels.force_size:
+                break  # larger forces are still less likely
+    best = max((led.log_likelihood for led in found), default=-np.inf)
+    if best <= free_run.log_likelihood + least:
+        return []
+    near = [led for led in found if led.log_likelihood >= best - levels.force_size]
+    return sorted(near, key=lambda led: -led.log_likelihood)
+
 
 FITTED_SPREAD = 0.2  # prior standard deviation of re-estimated parameters, relative to their size
-_SOUGHT = 4  # effects of each ranking that are searched for in another local minimum
+_SOUGHT, _BATCH = 4, 2  # effects of each ranking sought in another local minimum; of them at a time
 _STRONG = 75.0  # fit in percent below which columns along the estimated motion are used, too
 _SINGLES, _SETS, MOST = 6, 4, 4  # refits per screen: single effects, sets; most effects of a screened set
 _PAIRS, _ALONE = 2, 3  # pairs and single effects that are added to the best set
@@ -291,8 +338,8 @@ class Search:
     def _singles(self, screens: Sequence[Screen], far: bool) -> None:
         """Fit the likeliest single effects, and others at the best place.
 
-        With `far`, the best ones are also searched for in another local minimum, unless one
-        passes its tests.
+        With `far`, the best ones are also searched for in another local minimum, until one passes its tests:
+        an effect that large has no other name but at its own place, where `_names` looks.
         """
         likely = [screen.beam(1, False, self.price)[: _SINGLES + 1] for screen in screens]
         effects = [groups[0].effect for ranked in likely for _, groups in ranked if groups]
@@ -300,12 +347,13 @@ class Search:
         places = {e.place for e in self.best.effects}
         self._each(self._relatives(screens[0], places), screens)
         # the fit without the effect may be in another local minimum
-        if far and not (self.best.effects and self.passed(self.best)):
-            nearest = [x.effects[0] for x in self.ranked() if len(x.effects) == 1][:_SOUGHT]
-            nearest += [groups[0].effect for _, groups in likely[-1] if groups][:_SOUGHT]
-            for trial in self.case.progress.map(
-                self.fitter.sought, list(dict.fromkeys(nearest)), "from another valley"
-            ):
+        # the screen along the estimated motion is not bound to this minimum
+        nearest = [groups[0].effect for _, groups in likely[-1] if groups][:_SOUGHT]
+        nearest += [x.effects[0] for x in self.ranked() if len(x.effects) == 1][:_SOUGHT]
+        todo = list(dict.fromkeys(nearest)) if far else []
+        while todo and not (self.best.effects and self.passed(self.best)):
+            batch, todo = todo[:_BATCH], todo[_BATCH:]
+            for trial in self.case.progress.map(self.fitter.sought, batch, "from another valley"):
                 self.add(trial)
 
     def _relatives(self, screen: Screen, places: set[str]) -> list[Effect]:

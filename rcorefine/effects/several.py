@@ -26,7 +26,7 @@ def as_effects(values: Any, name: str) -> list[Effect]:
     effects = [effect_named(each, name) if isinstance(each, str) else each for each in given]
     for effect in effects:
         if not isinstance(effect, Effect):
-            raise ct.ControlArgument(f"{name} must hold Effect objects or their names, not {shown(effect)}")
+            raise ct.ControlArgument(f"{name} must hold Effect objects, not {shown(effect)}")
     return effects
 
 
@@ -34,5 +34,5 @@ def effect_named(text: str, name: str) -> Effect:
     """Return the effect of a name ``"kind@place"`` or ``"kind at place"``."""
     kind, at, place = (part.strip() for part in text.partition("@" if "@" in text else " at "))
     if not (kind and at and place):
-        raise ct.ControlArgument(f"{name} must name effects as 'kind@place', not {text!r}")
+        raise ct.ControlArgument(f"{name} must hold Effect objects, or names as 'kind@place', not {text!r}")
     return Effect(kind, place)

@@ -8,7 +8,6 @@ health monitoring using retrospective cost model refinement*, sections V to
 VII.
 """
 
-from .example import Example
-from .paper import one_dof, rlc, rlc_parameters, two_dof
+from .paper import Example, one_dof, rlc, rlc_parameters, two_dof
 
 __all__ = ["Example", "one_dof", "rlc", "rlc_parameters", "two_dof"]

@@ -3,29 +3,208 @@
 from __future__ import annotations
 
 import io
+import logging
+import re
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from html import escape
 from pathlib import Path
 from typing import Any
 
+import control as ct
 import panel as pn
+from bokeh.models import PrintfTickFormatter
 
 from ..comparison.failure_map.search import Failure, FailureMap
 from ..diagnosis.checks.result import Check
 from ..diagnosis.result import Diagnosis
 from ..effects.effect import Effect
+from ..exceptions import RCOError, unheard
 from ..views.failure_map import ROLES
 from ..views.tables import html_table, number
-from .background import EXPECTED, LOOKING, Background
 from .candidates import Candidate
 from .exploration import Exploration, Step
 from .figures import BodePicture, ForcePicture, Staircase, TimePicture
-from .look import GRID
-from .parts import button, column, download, folded, paragraphs, picture, select, slider, text, title
+from .look import GRID, TEXT, WIDGET
 
-__all__ = ["ExplorerPage"]
+__all__ = [
+    "EXPECTED",
+    "LOOKING",
+    "Background",
+    "ExplorerPage",
+    "button",
+    "column",
+    "download",
+    "folded",
+    "paragraphs",
+    "picture",
+    "select",
+    "slider",
+    "text",
+    "title",
+]
+
+
+def text(html: str) -> Any:
+    """HTML in which every name is escaped already."""
+    return pn.pane.HTML(html, stylesheets=[TEXT], sizing_mode="stretch_width", margin=(2, 8))
+
+
+def title(words: str) -> Any:
+    """A heading."""
+    return text(f"<h2>{escape(words)}</h2>")
+
+
+def folded(words: str, html: str) -> str:
+    """HTML of a table that is shown when asked for."""
+    return f'<details><summary>{words}</summary><div class="scroll">{html}</div></details>'
+
+
+def paragraphs(sentences: Iterable[str]) -> str:
+    """HTML of sentences, escaped."""
+    return "".join(f"<p>{escape(sentence)}</p>" for sentence in sentences)
+
+
+def picture(figure: Any) -> Any:
+    """A figure of bokeh."""
+    return pn.pane.Bokeh(figure, sizing_mode="stretch_width", margin=(2, 8))
+
+
+def _plain(words: str) -> str:
+    """Return a label in which no characters begin a formula.
+
+    A word joiner, which has no width, separates marks such as $$.
+    Where bokeh finds a formula in a label it makes HTML of the whole, and names come from strangers' files.
+    """
+    return re.sub(r"\$(?=\$)|\\(?=[\[\](){}])", "\\g<0>\N{WORD JOINER}", words)
+
+
+def button(words: str, do: Callable[[], None], *, wide: bool = True, chosen: bool = False) -> Any:
+    """A button; across its column where it is one of a list."""
+    look = {"sizing_mode": "stretch_width"} if wide else {}
+    kind = "primary" if chosen else "default"
+    made = pn.widgets.Button(
+        name=_plain(words), button_type=kind, stylesheets=[WIDGET], margin=(3, 8), **look
+    )
+    made.on_click(lambda _: do())
+    return made
+
+
+def select(words: str, labels: Sequence[str], choose: Callable[[int], None] | None = None) -> Any:
+    """A choice by number."""
+    options = {_plain(label): i for i, label in enumerate(labels)}
+    made = pn.widgets.Select(name=_plain(words), options=options, stylesheets=[WIDGET], margin=(3, 8))
+    if choose is not None:
+        made.param.watch(lambda event: choose(event.new), "value")
+    return made
+
+
+def slider(words: str, start: float, end: float, value: float) -> Any:
+    """A slider in two hundred steps."""
+    return pn.widgets.FloatSlider(
+        format=PrintfTickFormatter(format="%.4g"),
+        name=_plain(words), start=start, end=end, value=value, step=(end - start) / 200, stylesheets=[WIDGET],
+        sizing_mode="stretch_width", margin=(4, 18),
+    )  # fmt: skip
+
+
+def download(name: str, words: str, make: Callable[[], Any]) -> Any:
+    """A button that hands a file over."""
+    return pn.widgets.FileDownload(
+        callback=make, filename=name, label=_plain(words), stylesheets=[WIDGET], margin=(3, 8)
+    )
+
+
+def column(*parts: Any) -> Any:
+    """Parts below each other."""
+    return pn.Column(*parts, sizing_mode="stretch_width", margin=0)
+
+
+#: What wrong values and records raise; anything else is a fault of the program.
+EXPECTED = (RCOError, ct.ControlArgument, ct.ControlDimension, OSError)
+
+#: Searches, verdicts and reports of all visitors, one at a time: matplotlib is one for all.
+LOOKING = ThreadPoolExecutor(1, "rcorefine-explorer")
+
+
+class Background:
+    """The work of one visitor.
+
+    Attributes
+    ----------
+    doing : Executor
+        Where steps are done, in their order.
+    status : panel.pane.HTML
+        What is being done, or what went wrong.
+    """
+
+    def __init__(self) -> None:
+        self.doing = ThreadPoolExecutor(1, "rcorefine-exploration")
+        self.status = text("")
+        self._doc = pn.state.curdoc
+        self._busy: list[str] = []
+
+    @property
+    def _served(self) -> bool:
+        return self._doc is not None and self._doc.session_context is not None
+
+    def begin(self, work: Callable[[], None]) -> None:
+        """Begin when the page is there: what changes before would be lost."""
+
+        def loaded() -> None:
+            self._busy.clear()
+            work()
+
+        self._busy.append("opening")
+        self.say()
+        pn.state.onload(loaded)
+
+    def soon(self, work: Callable[[], None], pause: int) -> None:
+        """Do something quick after so many ms, on the thread of the page."""
+        if self._served:
+            self._doc.add_timeout_callback(work, pause)
+        else:
+            work()
+
+    def later(
+        self, lane: ThreadPoolExecutor, words: str, work: Callable[[], Any], then: Callable[[Any], None]
+    ) -> None:
+        """Do work that takes long, say so meanwhile, and show what it found."""
+
+        def run() -> None:
+            result, wrong = None, ""
+            try:
+                with unheard():  # they stand in the results, too
+                    result = work()
+            except EXPECTED as error:
+                wrong = str(error)
+            except Exception as error:
+                logging.getLogger(__name__).exception(words)
+                wrong = f"a fault of the program: {error}"
+
+            def done() -> None:
+                self._busy.remove(words)
+                if not wrong:
+                    then(result)
+                self.say(f"{words}: {wrong}" if wrong else "")
+
+            if self._served:  # the page is changed on its own thread
+                self._doc.add_next_tick_callback(done)
+            else:
+                done()
+
+        self._busy.append(words)
+        self.say()
+        lane.submit(run)
+
+    def say(self, wrong: str = "") -> None:
+        """Show what is running and what went wrong."""
+        doing = f'<p class="busy">{escape("; ".join(self._busy))} …</p>' if self._busy else ""
+        failed = f'<p class="wrong">{escape(wrong)}</p>' if wrong else ""
+        self.status.object = f'<div role="status">{failed}{doing or "<p>&nbsp;</p>"}</div>'
+
 
 _BUTTONS = 6  # candidates that have a button of their own
 _PAUSE = 30  # ms in which moves of a slider are taken together

@@ -21,12 +21,73 @@ from ..engine.initial_state import brief_modes
 from ..engine.response_engine import engine_on, is_linear
 from ..engine.structure import Structure
 from ..systems.linear import Array
-from .coordinates import Coordinates
 from .evaluation import Evaluation
 from .sizes import natural_sizes
 from .whitening import Whitener
 
-__all__ = ["Problem"]
+__all__ = ["Coordinates", "Problem"]
+
+
+class Coordinates:
+    """Coefficients and initial states, as a descent takes them.
+
+    A coefficient that exceeds another becomes the excess. The size of a power of the motion becomes that at
+    the usual motion: at unit motion, which may be far off, it changes by decades with the power, and a
+    descent creeps along that valley.
+
+    Attributes
+    ----------
+    ordered : list of (int, int)
+        Columns of theta of which the first is never below the second.
+    powers : list of (int, int, float)
+        Columns of theta of a size and of its power, with the logarithm of the usual motion.
+    """
+
+    def __init__(self, structure: Structure) -> None:
+        self.ordered: list[tuple[int, int]] = []
+        self.powers: list[tuple[int, int, float]] = []
+        for index, effect in enumerate(structure.effects):
+            for names in effect.spec.order:
+                pair = structure.position(index, names[0]), structure.position(index, names[1])
+                self.ordered += [pair] if min(pair) >= 0 else []
+            usual = structure.constants.get(index, 0.0) / (effect.spec.width_share or np.inf)
+            for names in effect.spec.powers if 0.0 < usual < np.inf else ():
+                pair = structure.position(index, names[0]), structure.position(index, names[1])
+                self.powers += [(*pair, float(np.log(usual)))] if min(pair) >= 0 else []
+
+    def of(self, point: Array) -> Array:
+        """The coordinates of a point."""
+        box = point.copy()
+        for size, power, usual in self.powers:
+            box[size] *= np.exp(usual * point[power])
+        for larger, smaller in self.ordered:
+            box[larger] -= point[smaller]
+        return box
+
+    def point(self, box: Array) -> Array:
+        """The point of these coordinates."""
+        point = box.copy()
+        for larger, smaller in self.ordered:
+            point[larger] += box[smaller]
+        for size, power, usual in self.powers:
+            point[size] *= np.exp(-usual * point[power])
+        return point
+
+    def columns(self, jacobian: Array, point: Array) -> Array:
+        """Convert derivatives at a point into those by its coordinates.
+
+        The shape is (rows, size).
+        """
+        if not self.ordered and not self.powers:
+            return jacobian
+        turned = jacobian.copy()
+        for size, power, usual in self.powers:
+            turned[:, power] -= usual * point[size] * jacobian[:, size]
+            turned[:, size] *= np.exp(-usual * point[power])
+        for larger, smaller in self.ordered:
+            turned[:, smaller] += jacobian[:, larger]
+        return turned
+
 
 _LARGEST = 1e60
 _FAILED = 1e8  # residual level of a simulation that blew up: worse than anything, yet finite

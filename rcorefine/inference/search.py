@@ -15,14 +15,89 @@ from ..data.response_record import in_frequency
 from ..engine.engine import Engine
 from ..engine.initial_state import estimate_initial_state
 from ..engine.observer import observer_gain
+from ..engine.response_engine import ResponseEngine, is_linear
 from ..engine.structure import Structure
+from ..gauss_newton import Rows, gauss_newton
 from ..systems.linear import Array
 from .covariance import parameter_uncertainty
-from .logarithms import by_logarithms
 from .problem import Problem
 from .starts import Motion, far_starts, shape_starts
 
-__all__ = ["search", "starting_states", "step_matters", "sufficient_steps"]
+__all__ = ["by_logarithms", "search", "starting_states", "step_matters", "sufficient_steps"]
+
+_FLOOR = 0.1  # relative error that no point falls below here: all count, whatever their noise
+_POINTS, _FEW_POINTS = 400, 60  # of each response, linear or not
+_EVALUATIONS, _FEW_EVALUATIONS = 25, 6
+
+
+def by_logarithms(problem: Problem, point: Array) -> Array:
+    """Least squares of the logarithms of the points, from a point.
+
+    Parameters
+    ----------
+    problem : Problem
+        On frequency responses.
+    point : ndarray
+        Start.
+
+    Returns
+    -------
+    ndarray
+        Where it ended; the start, where the logarithm is no number.
+    """
+    if not problem.size:
+        return point
+    nonlinear = not is_linear(problem.structure)
+    most = _FEW_POINTS if nonlinear else _POINTS
+    engines = [_thinned(engine, most) for engine in problem.engines]
+    measured = [engine.data.measured.response for engine in engines]
+    weights = []
+    for engine, g in zip(engines, measured, strict=True):
+        noise = np.abs(engine.data.points(np.ones(engine.data.noise.shape))) / np.sqrt(2.0)
+        weights.append(1.0 / np.hypot(noise / np.maximum(np.abs(g), 1e-300), _FLOOR))
+    low, high = problem.box()
+    loudest = np.argsort([float(engine.data.inputs.max()) for engine in engines], kind="stable")
+    chosen = engines
+
+    def rows(box: Array) -> Rows:
+        theta = problem.coordinates.point(box)  # a response has no start
+        residuals, slopes = ([part] for part in problem.prior_rows(theta))
+        for engine, g, weight in zip(engines, measured, weights, strict=True):
+            if engine not in chosen:
+                continue
+            with np.errstate(all="ignore"):
+                model, by = engine.response(theta)
+                residuals.append(_parts(weight * np.log(model / g)))
+                slopes.append(
+                    np.array([_parts(weight * slope / model) for slope in by]).reshape(len(by), -1).T
+                )
+        r, J = np.concatenate(residuals), problem.coordinates.columns(np.concatenate(slopes), theta)
+        return Rows(r if np.isfinite(r).all() and np.isfinite(J).all() else np.full(1, np.inf), J)
+
+    start, count = (
+        problem.coordinates.of(problem.inside(point)),
+        _FEW_EVALUATIONS if nonlinear else _EVALUATIONS,
+    )
+    # nonlinear: the quietest response first, for its peak has moved least
+    for k in range(1, len(engines) + 1) if nonlinear else (len(engines),):
+        chosen = [engines[i] for i in loudest[:k]]
+        start = gauss_newton(
+            rows, start, lower=low, upper=high, sizes=problem.sizes_at, evaluations=count, tolerance=1e-4
+        ).point
+    return problem.coordinates.point(start)
+
+
+def _thinned(engine: ResponseEngine, most: int) -> ResponseEngine:
+    count = engine.data.omega.size
+    if count <= most:
+        return engine
+    kept = np.unique(np.linspace(0, count - 1, most).astype(int))
+    return ResponseEngine(engine.structure, engine.data.lines(kept))
+
+
+def _parts(values: np.ndarray) -> Array:
+    return np.concatenate([values.real.ravel(), values.imag.ravel()])
+
 
 _RATIOS = (1.0, 0.1, 0.01)  # observer gains of the first pass, high to low
 _START_SAMPLES = 4000  # the first pass needs no more

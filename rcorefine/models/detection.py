@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -9,22 +10,187 @@ from typing import Any
 import control as ct
 import numpy as np
 
+from ..effects.dampers import Damping
+from ..effects.entries import Entry
 from ..effects.input_path import InputGain
+from ..effects.springs import Stiffness
 from ..exceptions import ModelError
 from ..systems.conversion import d2c
 from ..systems.discretization import check_sampling_time
-from ..systems.linear import LinearModel
-from .displacements import Displacement, find_displacements
+from ..systems.linear import Array, LinearModel
+from .displacements import Displacement, find_displacements, is_companion
 from .link_ports import Declared, find_links, row_of
 from .masses import MassScale, exchanging, relative_masses
-from .meters import find_meters
 from .modes import find_modes
 from .parameters import NominalParameter
 from .ports import Port
 from .readout import find_rate_sensors, read_parameters
-from .weights import read_weights
 
-__all__ = ["displacement_port", "find_ports", "recognized"]
+__all__ = ["displacement_port", "find_meters", "find_ports", "read_weights", "recognized"]
+
+_SAME = 1e-6  # relative misfit of numbers that are the same
+_ANONYMOUS = re.compile(r"x\[\d+\]")
+
+
+def find_meters(
+    linear: LinearModel,
+    rate: Array,
+    ports: Sequence[Port],
+    parameters: Sequence[NominalParameter],
+) -> tuple[Array, tuple[Port, ...], tuple[NominalParameter, ...]]:
+    """Find the sensors that read the force at a port.
+
+    The remaining accelerometers are returned as well.
+
+    Parameters
+    ----------
+    linear : LinearModel
+        Continuous-time model.
+    rate : ndarray of shape (n_y, n)
+        What its outputs may read of rates of velocity states.
+    ports : sequence of Port
+        Its places.
+    parameters : sequence of NominalParameter
+        Its springs and dampers.
+
+    Returns
+    -------
+    rate : ndarray of shape (n_y, n)
+        With zero rows for sensors that read a force.
+    ports : tuple of Port
+        With what the sensors read of a force there. A force at a single mass may act beside the cell: where
+        the port holds one, a port ``"x1 (cell)"`` stands for what the sensor ``"cell"``, and any other at the
+        same place, reads.
+    parameters : tuple of NominalParameter
+        Springs and dampers at the ports that hold them.
+
+    Notes
+    -----
+    A row of C reads the force in a link if it is k d + c v with the k and c that A has there. One number
+    alone could as well be the gain of a sensor: it must be the same, no power of ten, and the states must
+    bear names, for a transfer function of unit gain looks like that.
+    An accelerometer at a mass that only that link holds reads the same force over the mass.
+    """
+    found, moved, rate = list(ports), list(parameters), rate.copy()
+    cells: dict[str, str] = {}  # by the port of a single mass that they stand beside
+    if is_companion(linear.A, 1e-9):
+        return rate, tuple(found), tuple(moved)
+    for y, label in enumerate(linear.output_labels):
+        if np.count_nonzero(rate[y]) == 1 and np.isclose(np.abs(rate[y]).max(), 1.0, rtol=_SAME):
+            continue
+        row = np.concatenate([linear.C[y], linear.D[y]])
+        read = [(p, scale) for p in ports if (scale := _scale(linear, row, p, parameters))]
+        if len(read) != 1 or (rate[y].any() and abs(read[0][1]) != 1.0):
+            continue
+        port, scale = read[0]
+        rate[y] = 0.0
+        felt = np.zeros(linear.n_outputs)
+        felt[y] = scale
+        name = port.name if np.count_nonzero(port.act) > 1 else cells.get(port.name, "")
+        if name:
+            at = next(i for i, other in enumerate(found) if other.name == name)
+            known = found[at].output
+            found[at] = replace(found[at], output=felt + (known if known.size else 0.0))
+            continue
+        cell = replace(
+            port,
+            name=f"{port.name} ({label})",
+            output=felt,
+            description=f"{port.description}; its force is read by {label}",
+        )
+        cells[port.name] = cell.name
+        found.insert(1 + next(i for i, other in enumerate(found) if other.name == port.name), cell)
+        moved = [replace(q, place=cell.name) if q.place == port.name else q for q in moved]
+    return rate, tuple(found), tuple(moved)
+
+
+def _scale(linear: LinearModel, row: Array, port: Port, parameters: Sequence[NominalParameter]) -> float:
+    """Return the reading of a unit force at a port in an output row.
+
+    It is 0 if the row does not read that force.
+    """
+    k, c = (
+        sum(q.value for q in parameters if q.kind == kind and q.place == port.name)
+        for kind in (Stiffness.name, Damping.name)
+    )
+    force = k * np.concatenate([port.position, port.position_input])
+    force = force + c * np.concatenate([port.velocity, port.velocity_input])
+    if port.modal or not force.any() or not row.any():
+        return 0.0
+    scale = float(row @ force / (force @ force))
+    # entry by entry: a spring in N/m and a damper in N s/m have no common size
+    if np.any(np.abs(row - scale * force) > _SAME * np.maximum(np.abs(row), np.abs(scale * force))):
+        return 0.0
+    if abs(abs(scale) - 1.0) <= _SAME:
+        scale = float(np.sign(scale))
+    named = not any(_ANONYMOUS.fullmatch(label) for label in linear.state_labels)
+    if k and c:
+        return scale if named or linear.n_states > 2 else 0.0
+    decades = np.log10(abs(k or c))
+    return scale if abs(scale) == 1.0 and named and abs(decades - round(decades)) > _SAME else 0.0
+
+
+_MOST = 60
+_LEFT = 1e-9  # relative size of what cancellation leaves behind
+_ALONG = 1e-6  # of the cosine between two directions that are one: four digits of their entries are kept
+
+
+def read_weights(
+    linear: LinearModel,
+    rate: Array,
+    ports: Sequence[Port],
+    tolerance: float,
+) -> list[NominalParameter]:
+    """Entries of B, C and D that are numbers of the plant.
+
+    Parameters
+    ----------
+    linear : LinearModel
+        Continuous-time model.
+    rate : ndarray, shape (n_y, n)
+        What its outputs read of rates (accelerometers), which is taken off C and D.
+    ports : sequence of Port
+        Its places; what a sensor reads of a force there is no weight.
+    tolerance : float
+        Relative size below which an entry counts as zero.
+
+    Returns
+    -------
+    list of NominalParameter
+        Not listed is a weight of one, which is how a signal is mounted; a single one of its input or
+        output, which is a gain; and those of an input that is a force at a port, which masses divide.
+        Empty where there are more than 60: shapes of many modes, not numbers that somebody measured.
+    """
+    whole = np.hstack([linear.C, linear.D])
+    rest = whole - rate @ np.hstack([linear.A, linear.B])
+    rest[np.abs(rest) <= _LEFT * np.abs(whole)] = 0.0
+    mixed = np.abs(rest) > tolerance * np.abs(rest).max(axis=1, keepdims=True, initial=0.0)
+    mixed[[y for port in ports for y in np.flatnonzero(port.output)]] = False
+    mixed[(mixed.sum(axis=1) == 1) & mixed[:, : linear.n_states].any(axis=1)] = False
+
+    driven = np.abs(linear.B) > tolerance * np.abs(linear.B).max(axis=0, initial=0.0)
+    driven[[item.state for item in find_displacements(linear, tolerance)]] = False  # kinematics
+    driven[:, driven.sum(axis=0) == 1] = False
+    driven[:, [_enters(linear.B[:, j], ports) for j in range(linear.n_inputs)]] = False
+
+    found = []
+    n = linear.n_states
+    for name, values, which in (
+        ("B", linear.B, driven),
+        ("C", rest[:, :n], mixed[:, :n]),
+        ("D", rest[:, n:], mixed[:, n:]),
+    ):
+        for i, j in np.argwhere(which & (np.abs(np.abs(values) - 1.0) > tolerance)).tolist():
+            place = f"{name}[{i},{j}]"
+            found.append(NominalParameter(place, float(values[i, j]), "", Entry.name, place, False))
+    return found if len(found) <= _MOST else []
+
+
+def _enters(column: Array, ports: Sequence[Port]) -> bool:
+    """Return whether an input acts like the force of a port."""
+    size = float(np.linalg.norm(column))
+    acts = [port.act / np.linalg.norm(port.act) for port in ports if port.act.any()]
+    return size > 0 and any(abs(act @ column) > (1 - _ALONG) * size for act in acts)
 
 
 def recognized(sys: ct.StateSpace, dt: float | None, declared: Declared | None = None) -> dict[str, Any]:
