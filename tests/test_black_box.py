@@ -47,5 +47,8 @@ def test_too_short_a_record_and_none_without_inputs():
         rco.black_box(data)
     with pytest.raises(rco.DataError, match="needs an input"):
         rco.black_box(rco.Measurement.free_decay(data.outputs, dt=0.05))
+    for still in (data.inputs, 0.0 * data.outputs), (1.0 + 0.0 * data.inputs, data.outputs):
+        with pytest.raises(rco.DataError, match=r"(u\[0\]|y\[0\]) never changes"):
+            rco.black_box(rco.Measurement(*still, dt=0.05), order=1)
     with pytest.raises(ct.ControlArgument, match="order"):
         rco.black_box(data, order=0)

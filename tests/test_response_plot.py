@@ -51,7 +51,7 @@ def test_the_pictures_show_the_systems(better):
         better.response_plot("root locus")
 
 
-def test_the_band_of_the_bode_plot_holds_the_draws(better):
+def test_the_bode_plot_has_a_band(better):
     omega = np.array([2.0, 9.0, 20.0])
     shown = better.bode_plot(omega=omega)
     assert any(len(ax.collections) for ax in shown.axes.flat)

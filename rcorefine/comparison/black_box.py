@@ -37,7 +37,7 @@ def black_box(data: Measurement, order: int = 4) -> ct.StateSpace:
     Raises
     ------
     DataError
-        If the record has no input, or too few samples for this order.
+        If the record has no input, a signal that never changes, or too few samples for this order.
     ModelError
         If no stable model of this order is found.
 
@@ -59,6 +59,10 @@ def black_box(data: Measurement, order: int = 4) -> ct.StateSpace:
     """
     data, order = as_record(data), as_whole(order, "order", least=1, most=20)
     n_inputs, n_samples = data.inputs.shape
+    labels = (*data.input_labels, *data.output_labels)
+    for label, row in zip(labels, (*data.inputs, *data.outputs), strict=True):
+        if not np.ptp(row):
+            raise DataError(f"{label} never changes: a black box needs inputs and outputs that move")
     unknowns = order + (order + 1) * n_inputs + order + 1
     if not n_inputs or n_samples < 5 * unknowns:
         raise DataError(

@@ -40,7 +40,7 @@ from .colored_noise import is_drowned, left_to_noise
 from .dead_sensors import without_dead_sensors
 from .hypothesis import Trial
 from .nuisances import Hold, Nuisance, with_fitting_priors
-from .open_law import FreeForces, Rivals, open_law
+from .open_law import FreeForces, SingleFits, open_law
 from .ranking import detectable, ranking, undetermined
 from .residual_tests import TestedResidual
 from .result import Diagnosis
@@ -508,7 +508,7 @@ def open_force(search: Search) -> tuple[FreeForces | None, FittedModel]:
         if not alone:
             continue
         whitener = base.problem.whitener([r for r, _ in alone[0].blocks])
-        free = open_law(Rivals(base, alone, whitener, 0.0))
+        free = open_law(SingleFits(base, alone, whitener, 0.0))
         opened = empty.get((frozenset(), search.opened))
         after = max(
             free.law.fit_after if free.law else 0.0, *(float(np.mean(x.model.refinement.fit)) for x in alone)

@@ -20,7 +20,7 @@ from .hypothesis import Trial
 from .places import likely_places
 from .residual_tests import TestedResidual
 
-__all__ = ["FreeForces", "OpenLaw", "Rivals", "open_law"]
+__all__ = ["FreeForces", "OpenLaw", "SingleFits", "open_law"]
 
 _NAMES = {
     Tabulated.name: "unknown force",
@@ -55,7 +55,7 @@ class OpenLaw:
 
 
 @dataclass(eq=False)
-class Rivals:
+class SingleFits:
     """Fits of single effects at one base, none of which passes the tests.
 
     Attributes
@@ -110,73 +110,71 @@ class FreeForces:
     left: float
 
 
-def open_law(offered: Rivals) -> FreeForces:
+def open_law(fits: SingleFits) -> FreeForces:
     """Fit free forces to a record that no candidate explains.
 
     Parameters
     ----------
-    offered : Rivals
+    fits : SingleFits
         Effects, none of which passes the tests.
 
     Returns
     -------
     FreeForces
     """
-    places = [trial.effects[0].place for trial in offered.trials]
-    found = _forms(offered, places)
-    free = {place: form.log_likelihood(offered.whitener, offered.ratio) for place, form in found.items()}
-    static = _static(offered)
+    places = [trial.effects[0].place for trial in fits.trials]
+    found = _forms(fits, places)
+    free = {place: form.log_likelihood(fits.whitener, fits.ratio) for place, form in found.items()}
+    static = _static(fits)
     free |= {place: value for place, (value, _) in static.items()}
-    best = max([(offered.log_likelihood(0), places[0]), *zip(free.values(), free, strict=True)])[1]
+    best = max([(fits.log_likelihood(0), places[0]), *zip(free.values(), free, strict=True)])[1]
     if best in found:
         first = found[best]
-        found[best] = fit_free_form(offered.fitted, first.curve, first.whitener, offered.ratio, start=first)
-        free[best] = found[best].log_likelihood(offered.whitener, offered.ratio)
-        after = found[best].fitted.residuals(offered.ratio)
+        found[best] = fit_free_form(fits.fitted, first.curve, first.whitener, fits.ratio, start=first)
+        free[best] = found[best].log_likelihood(fits.whitener, fits.ratio)
+        after = found[best].fitted.residuals(fits.ratio)
     elif best in places:  # the candidate was fitted; the curve is a linear step only
-        after = [r for r, _ in offered.trials[places.index(best)].blocks]
+        after = [r for r, _ in fits.trials[places.index(best)].blocks]
     else:
         after = static[best][1]
-    scales = offered.fitted.problem.whitener(after).scales
-    left = _beyond(after, scales) / (_beyond(offered.fitted.residuals(offered.ratio), scales) or 1.0)
+    scales = fits.fitted.problem.whitener(after).scales
+    left = _beyond(after, scales) / (_beyond(fits.fitted.residuals(fits.ratio), scales) or 1.0)
     left = min(1.0, left)
-    # a free curve of a channel imitates what is elsewhere: it needs the better part of the probability
+    # a free curve of a channel can imitate effects elsewhere: its place needs more than half the probability
     odds = free.get(best, -np.inf) - float(np.logaddexp.reduce(list(free.values())))
     if best in static and np.exp(odds) * (1.0 - left) > 0.5:
-        curve = channel_curve(offered.fitted, best)
+        curve = channel_curve(fits.fitted, best)
         assert curve is not None
-        found[best] = fit_free_form(offered.fitted, curve, offered.whitener, offered.ratio)
-    return FreeForces(free, _tabulated(offered, found[best]) if best in found else None, left)
+        found[best] = fit_free_form(fits.fitted, curve, fits.whitener, fits.ratio)
+    return FreeForces(free, _tabulated(fits, found[best]) if best in found else None, left)
 
 
-def _forms(offered: Rivals, places: Sequence[str]) -> dict[str, FreeForm]:
+def _forms(fits: SingleFits, places: Sequence[str]) -> dict[str, FreeForm]:
     """Fit curves at the ports of the effects, at most `_PLACES`.
 
     If no effect is at a port, the ports are those at which a free force explains most.
     """
-    ports = {port.name for port in offered.fitted.structure.model.ports}
+    ports = {port.name for port in fits.fitted.structure.model.ports}
     likely = [place for place in places if place in ports]
-    likely = likely or likely_places(TestedResidual(offered.fitted, offered.ratio or 1.0), ports)
+    likely = likely or likely_places(TestedResidual(fits.fitted, fits.ratio or 1.0), ports)
     found = {}
     for place in list(dict.fromkeys(likely))[:_PLACES]:
         # a predictor of high gain follows the motion of the record
-        curve = curve_at(offered.fitted, place, offered.ratio or 1.0)
+        curve = curve_at(fits.fitted, place, fits.ratio or 1.0)
         if curve is not None:
-            found[place] = fit_free_form(
-                offered.fitted, curve, offered.whitener, offered.ratio, rounds=_FIRST
-            )
+            found[place] = fit_free_form(fits.fitted, curve, fits.whitener, fits.ratio, rounds=_FIRST)
     return found
 
 
-def _static(offered: Rivals) -> dict[str, tuple[float, list[Array]]]:
+def _static(fits: SingleFits) -> dict[str, tuple[float, list[Array]]]:
     """Return log-likelihood and residual of a curve at each input and output.
 
     Channels that are ports are left out. Empty with process noise.
     """
-    fitted, found = offered.fitted, dict[str, tuple[float, list[Array]]]()
-    if offered.ratio:  # the predictor follows any sensor
+    fitted, found = fits.fitted, dict[str, tuple[float, list[Array]]]()
+    if fits.ratio:  # the predictor follows any sensor
         return found
-    tested, model = TestedResidual(fitted, 0.0, offered.whitener), fitted.structure.linear_model
+    tested, model = TestedResidual(fitted, 0.0, fits.whitener), fitted.structure.linear_model
     held, p = fitted.blocks(), fitted.problem.n_theta
     ports = [port.name for port in fitted.structure.model.ports]
     for label in (*model.input_labels, *model.output_labels):
@@ -202,11 +200,11 @@ def _beyond(residuals: Sequence[Array], scales: Array) -> float:
     return float(np.sum(np.maximum(np.mean(left**2, axis=1) - 1.0, 0.0)))
 
 
-def _tabulated(offered: Rivals, form: FreeForm) -> OpenLaw | None:
+def _tabulated(fits: SingleFits, form: FreeForm) -> OpenLaw | None:
     """Return the curve as a table, None if it does not improve the fit."""
     fitted, place = form.fitted, form.curve.place
     table = form.table
-    if "offset" in offered.fitted.refinement.roles:  # the offset covers any constant: the force is 0 at rest
+    if "offset" in fits.fitted.refinement.roles:  # the offset covers any constant: the force is 0 at rest
         rest = [np.clip(0.0, min(x, default=0.0), max(x, default=0.0)) for x in (table.d, table.v)]
         table = Table(table.d, table.v, np.array(table.force) - table(*rest))
     kind = form.curve.kind
@@ -215,24 +213,24 @@ def _tabulated(offered: Rivals, form: FreeForm) -> OpenLaw | None:
     measured = np.concatenate([r.outputs for r in fitted.problem.records], axis=1)
     spread = np.linalg.norm(measured - measured.mean(axis=1, keepdims=True), axis=1)
     fit = 100.0 * (1.0 - np.linalg.norm(errors, axis=1) / np.where(spread > 0, spread, np.inf))
-    if fit.mean() <= np.mean(offered.fitted.refinement.fit):
+    if fit.mean() <= np.mean(fits.fitted.refinement.fit):
         return None
     rmse = np.sqrt(np.mean(errors**2, axis=1))
-    near = _nearest(offered, form) if kind == Tabulated.name else ()
+    near = _nearest(fits, form) if kind == Tabulated.name else ()
     return OpenLaw(effect, float(np.mean(fit)), near, rmse)
 
 
-def _nearest(offered: Rivals, form: FreeForm) -> tuple[tuple[Effect, float], ...]:
+def _nearest(fits: SingleFits, form: FreeForm) -> tuple[tuple[Effect, float], ...]:
     """Return the share of the tabulated force that each effect explains [%].
 
     Only effects at the place of the table count; the motion is that of the fit.
     """
-    d, v = motion_at(form.fitted, form.curve.place, offered.ratio)
+    d, v = motion_at(form.fitted, form.curve.place, fits.ratio)
     force = form.table(d, v)
     force = force - force.mean()
     w = np.concatenate([record.inputs for record in form.fitted.problem.records], axis=1)
     rows = []
-    for trial in offered.trials:
+    for trial in fits.trials:
         effect, shape = trial.effects[0], trial.start.values[0]
         if effect.place != form.curve.place:
             continue

@@ -338,8 +338,8 @@ class Search:
     def _singles(self, screens: Sequence[Screen], far: bool) -> None:
         """Fit the likeliest single effects, and others at the best place.
 
-        With `far`, the best ones are also searched for in another local minimum, until one passes its tests:
-        an effect that large has no other name but at its own place, where `_names` looks.
+        With `far`, the best ones are also sought in another local minimum, until one passes its tests. An
+        effect that strong is confused only with effects at the same place, and `_names` tries these.
         """
         likely = [screen.beam(1, False, self.price)[: _SINGLES + 1] for screen in screens]
         effects = [groups[0].effect for ranked in likely for _, groups in ranked if groups]

@@ -159,6 +159,13 @@ def _looked_up(d, v, where):  # type: ignore[no-untyped-def]
     return low + p * (high - low), p_rate * (high - low), q_rate * across
 
 
+@compiled_law
+def _bent(x, scale, table):  # type: ignore[no-untyped-def]
+    """Signal behind a curve, and its derivatives."""
+    value, slope, _ = _looked_up(x, 0.0, table)
+    return x + scale * (value - x), 1.0 + scale * (slope - 1.0), value - x, 0.0
+
+
 class _OfTable(FormulaLaw):
     """Law whose values stand in a table."""
 
@@ -167,7 +174,7 @@ class _OfTable(FormulaLaw):
 
     @property
     def adjustable(self) -> tuple[str, ...]:
-        """None: where the table lies in memory is nothing to set."""
+        """Return no name: the address of the table is not a setting."""
         return ()
 
     def of(self, law: Any, names: tuple[str, ...], label: str) -> FormulaLaw:
@@ -225,13 +232,12 @@ class InputCurve(_OfTable, InputLaw):
     @staticmethod
     def law(w, scale, table):  # type: ignore[no-untyped-def]
         """Formula."""
-        return w + scale * (_looked_up(w, 0.0, table)[0] - w)
+        return _bent(w, scale, table)[0]
 
     @staticmethod
     def slopes(w, scale, table):  # type: ignore[no-untyped-def]
         """With its derivatives."""
-        value, slope, _ = _looked_up(w, 0.0, table)
-        return w + scale * (value - w), 1.0 + scale * (slope - 1.0), value - w, 0.0
+        return _bent(w, scale, table)
 
 
 @register
@@ -246,13 +252,12 @@ class OutputCurve(_OfTable, OutputLaw):
     @staticmethod
     def law(y, scale, table):  # type: ignore[no-untyped-def]
         """Formula."""
-        return y + scale * (_looked_up(y, 0.0, table)[0] - y)
+        return _bent(y, scale, table)[0]
 
     @staticmethod
     def slopes(y, scale, table):  # type: ignore[no-untyped-def]
         """With its derivatives."""
-        value, slope, _ = _looked_up(y, 0.0, table)
-        return y + scale * (value - y), 1.0 + scale * (slope - 1.0), value - y, 0.0
+        return _bent(y, scale, table)
 
 
 @lru_cache(maxsize=256)
