@@ -65,26 +65,37 @@ class Fitter:
         run = descend(base.problem, base.point, gain=gain, evaluations=1)
         return self._under_own_noise(Trial(hypothesis, base, base.problem, run), gain, 8)
 
-    def placed(self, effects: Sequence[Effect], base: FittedModel, start: Start) -> tuple[Problem, Array]:
-        """Return the estimation problem of effects at a base, and its start."""
+    def placed(
+        self, effects: Sequence[Effect], base: FittedModel, starts: Sequence[Start]
+    ) -> list[tuple[Problem, Array]]:
+        """Return the estimation problem of effects at a base, with each of several starts.
+
+        Starts with the same widths share one problem.
+        """
         problem, absent = base.extended(list(effects), self.motion)
         if self.substeps > problem.substeps and not problem.structure.is_linear:
             problem = problem.like(substeps=self.substeps)
-        structure, theta = problem.structure, problem.unpack(absent)[0].copy()
-        theta[: len(start.theta)] = start.theta
-        first = len(structure.effects) - len(effects)
-        widths = structure.constants.items()
-        known = {k: start.widths.get(structure.effects[k].place, w) if k >= first else w for k, w in widths}
-        if known != structure.constants:
-            problem = problem.like(Structure(structure.model, structure.effects, constants=known))
-            structure = problem.structure
-        for i, own in enumerate(start.values):
-            for name, value in own.items():
-                if (at := structure.position(first + i, name)) >= 0:
-                    theta[at] = value
-        states = np.zeros((len(problem.records), problem.n_states))
-        states[:, : base.problem.n_states] = start.states[:, : base.problem.n_states]
-        return problem, problem.inside(problem.pack(theta, states))
+        whole, first = problem.structure, len(problem.structure.effects) - len(effects)
+        made, found = [problem], []
+        for start in starts:
+            known = {
+                k: start.widths.get(whole.effects[k].place, w) if k >= first else w
+                for k, w in whole.constants.items()
+            }
+            problem = next((one for one in made if one.structure.constants == known), None) or problem.like(
+                Structure(whole.model, whole.effects, constants=known)
+            )
+            made.append(problem)
+            theta = problem.unpack(absent)[0].copy()
+            theta[: len(start.theta)] = start.theta
+            for i, values in enumerate(start.values):
+                for name, value in values.items():
+                    if (at := problem.structure.position(first + i, name)) >= 0:
+                        theta[at] = value
+            states = np.zeros((len(problem.records), problem.n_states))
+            states[:, : base.problem.n_states] = start.states[:, : base.problem.n_states]
+            found.append((problem, problem.inside(problem.pack(theta, states))))
+        return found
 
     def fit(
         self,
@@ -120,19 +131,22 @@ class Fitter:
         """
         effects = hypothesis.effects
         absent = Start([], *base.problem.unpack(base.point))
-        tried, problem = list[tuple[float, Array]](), base.problem
-        gain = _gain(base, base.problem, hypothesis.ratio)
-        for start in starts:
-            for share in _SHARES if shared else (1.0,):
-                problem, point = self.placed(effects, base, start.shared(effects, absent, share))
-                gain = _gain(base, problem, hypothesis.ratio)
-                tried.append((plain_cost(problem, point, gain), point))
-                if tried[-1][0] < 0.3 * self.cost:
-                    break
-        if not tried:
+        shares = _SHARES if shared else (1.0,)
+        reduced = [start.shared(effects, absent, share) for start in starts for share in shares]
+        if not reduced:
             return None
-        cost, nearest = min(tried, key=lambda one: one[0])
-        if not np.isfinite(cost):
+        lowest = np.inf
+        placed = self.placed(effects, base, reduced)
+        problem, nearest = placed[0]
+        gain = _gain(base, problem, hypothesis.ratio)
+        for k in range(0, len(placed), len(shares)):
+            for other, point in placed[k : k + len(shares)]:
+                cost = plain_cost(other, point, gain)
+                if cost < lowest:
+                    lowest, problem, nearest = cost, other, point
+                if cost < 0.3 * self.cost:
+                    break
+        if not np.isfinite(lowest):
             return None
         if noise is not None:
             run = _descended(problem, nearest, noise, gain, evaluations)

@@ -21,8 +21,8 @@ from ..gauss_newton import own_sizes
 from ..systems.linear import Array
 from . import kernels
 from .controlled import sample_jumps, start_columns
-from .inputs import BAND_LIMITED_FACTOR, InputSignal, clock_drift
-from .linear_march import linear_march
+from .inputs import BAND_LIMITED_FACTOR, Drive, InputSignal, clock_drift
+from .linear import Corrections, simulate_linear
 from .setting import Setting, setting
 from .structure import Structure
 
@@ -168,9 +168,8 @@ class Engine:
         derivatives = sensitivity and s.n_parameters > 0
         at = setting(s, theta, self.data.dt / self.substeps, derivatives)
         drive = self._signal.drive(s, theta)
-        driven, dW, dWout = drive.driven, drive.dW, drive.dWout
         if not sensitivity:
-            driven, dW, dWout = driven[:0], dW[:0], dWout[:0]
+            drive = drive.held
         x = np.zeros(n) if x0 is None else np.array(x0, dtype=float)
         lead = self.lead if gain is None else gain
         # initial states of what is linear add what no input and no other state changes
@@ -179,11 +178,10 @@ class Engine:
         p -= n if apart else 0
         S = start_columns(s, p) if initial_state and not apart else np.zeros((p, n))
         flags, K = self._corrections(lead, use)
-        keep = histories or bool(s.output_delays)
         Yout = np.full((N, ny), np.nan)
         SY = np.zeros((N, ny, p))
-        X = np.full((N if keep else 0, n), np.nan)
-        F = np.full((N if keep else 0, m), np.nan)
+        X = np.full((N if histories else 0, n), np.nan)
+        F = np.full((N if histories else 0, m), np.nan)
         if not at.finite:
             if check:
                 raise DivergenceError(
@@ -191,8 +189,13 @@ class Engine:
                     "other coefficients or bound them"
                 )
             return _trajectory(Yout, np.zeros((N, ny, p + n if apart else p)), X, F, 0)
-        signals = drive.W, drive.course, drive.Wout, dW, dWout, driven, self._measured, flags, K
-        blew_up = self._march(at, signals, x, (S, self.substeps, Yout, SY, X), None if lawless else F)
+        observer = Corrections(self._measured, flags, K)
+        if lawless:
+            Yout, SY, X, blew_up = simulate_linear(
+                at.linear, drive, observer, x, S, self.substeps, self._far, _BEYOND
+            )
+        else:
+            blew_up = self._march(at, drive, observer, x, (S, self.substeps, Yout, SY, X, F))
         if apart:
             SY = np.concatenate([SY, self._decay(at, theta, K, N if blew_up < 0 else blew_up)], axis=2)
         if blew_up >= 0 and check:
@@ -206,17 +209,14 @@ class Engine:
         return _trajectory(Yout - self._level, SY, X, F, blew_up)
 
     def _march(
-        self, at: Setting, signals: tuple[Any, ...], x: Array, into: tuple[Any, ...], F: Array | None
+        self, at: Setting, drive: Drive, observer: Corrections, x: Array, into: tuple[Any, ...]
     ) -> int:
-        """March over the record; what laws there are leave their forces in F."""
+        """March over the record; the laws leave their forces in the last array of `into`."""
         s = self.structure
         z = np.zeros(s.n_ports + s.n_outputs)
-        given: list[Any] = [*at.linear, *signals, x, *into, _BEYOND, self._far]
-        if F is not None:
-            given = [*at.substep, *at.laws, *signals, self._resets, *at.outputs, x, z, *into, F]
-            given += [_BEYOND, self._far, *at.field]
+        given: list[Any] = [*at.substep, *at.laws, *drive, *observer, self._resets, *at.outputs, x, z, *into]
         with np.errstate(all="ignore"):  # it notices what overflows; plain Python is as silent as compiled
-            blew_up: int = linear_march(*given) if F is None else kernels.march(*given)
+            blew_up: int = kernels.march(*given, _BEYOND, self._far, *at.field)
         raise_pending()
         return blew_up
 

@@ -21,6 +21,7 @@ from .structure import Structure
 __all__ = ["brief_modes", "estimate_initial_state"]
 
 _RATIOS = (0.1, 0.01)  # observer gains on the way to the free run, high to low
+_NEAR = 1e-3  # share of the cost by which a step on that way must lower it: it ends elsewhere anyway
 _BRIEF = 0.63  # what is left of a mode after a sample, if a hundredth is left after ten
 _TELLS = 0.5  # of the spread of an output that the free run from rest may leave, if the model's modes count
 _WIDE = 1000.0  # standard deviations of how a brief mode starts, over the largest motion that it shows
@@ -139,5 +140,5 @@ def estimate_initial_state(
     for ratio in _RATIOS if gain is None else ():  # a free run far off has valleys; one that is led has few
         lead = observer_gain(engine.structure, theta, engine.data, ratio)
         if np.isfinite(lead).all():
-            nearer = descend(partial(rows, theta, gain=lead), nearer, evaluations=12).point
+            nearer = descend(partial(rows, theta, gain=lead), nearer, evaluations=12, tolerance=_NEAR).point
     return descend(whole, nearer, evaluations=40).point

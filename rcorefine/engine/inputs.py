@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,8 +49,7 @@ def interpolate_band_limited(w: Array, factor: int) -> Array:
     return np.ascontiguousarray(fine)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Drive:
+class Drive(NamedTuple):
     """Inputs over all substeps, values at the samples, and their derivatives.
 
     `course` says how a substep finds its own in W, as `march` takes it: 0 held, a row each; 1 straight from
@@ -64,6 +62,11 @@ class Drive:
     dW: Array
     dWout: Array
     driven: NDArray[np.int64]
+
+    @property
+    def held(self) -> Drive:
+        """Return the drive without its derivatives."""
+        return self._replace(dW=self.dW[:0], dWout=self.dWout[:0], driven=self.driven[:0])
 
 
 class InputSignal:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..systems.linear import Array
+from .linear import LinearStep
 from .point import field_numbers
 
 if TYPE_CHECKING:
@@ -44,10 +45,10 @@ class Setting:
     finite: bool
 
     @property
-    def linear(self) -> tuple[Any, ...]:
-        """Return the arguments of `linear_march`."""
+    def linear(self) -> LinearStep:
+        """Return the matrices that `simulate_linear` takes."""
         M, dM, _, rows, O, dO = self.substep[:6]
-        return M[0], dM[0], rows, O, dO
+        return LinearStep(M[0], dM[0], rows, O, dO)
 
     def decay(self, substeps: int, gain: Array, samples: int) -> Array:
         """Return the linear response to unit initial states, (N, n_y, n).

@@ -152,11 +152,6 @@ class Problem:
         self.hold_brief = hold_brief
         self.gain: Array | None = None
         self._cache: tuple[Array, Evaluation] | None = None
-        rest = np.zeros(self.size - self.n_theta)
-        self.sizes = np.concatenate([natural_sizes(structure, self.records), rest])
-        if self.free_start:
-            theta = self.inside(np.concatenate([self.prior_mean, rest]))[: self.n_theta]
-            self.sizes[self.n_theta :] = np.concatenate([one.state_sizes(theta) for one in self.engines])
         self.n_points = sum(record.outputs.size for record in self.records)
 
     def like(
@@ -200,6 +195,18 @@ class Problem:
         held = np.isfinite(self.prior_sd) & (self.prior_sd > 0)
         found[: self.n_theta][held] = self.prior_sd[held] ** -2.0
         return found
+
+    @cached_property
+    def sizes(self) -> Array:
+        """Return the natural sizes of the unknowns."""
+        rest = np.zeros(self.size - self.n_theta)
+        theta = self.inside(np.concatenate([self.prior_mean, rest]))[: self.n_theta]
+        states = [one.state_sizes(theta) for one in self.engines if self.free_start]
+        return np.concatenate([self._theta_sizes, *states])
+
+    @cached_property
+    def _theta_sizes(self) -> Array:
+        return natural_sizes(self.structure, self.records)
 
     @property
     def size(self) -> int:
@@ -305,7 +312,8 @@ class Problem:
     def box(self) -> tuple[Array, Array]:
         """The bounds, moved inward by a margin."""
         lower, upper = self.bounds()
-        margin = 1e-10 * np.maximum(self.sizes, np.minimum(np.abs(lower), 1e300))
+        own = np.pad(self._theta_sizes, (0, self.size - self.n_theta))
+        margin = 1e-10 * np.maximum(own, np.minimum(np.abs(lower), 1e300))
         width = np.where(np.isfinite(upper - lower), upper - lower, 1.0)
         margin = np.minimum(margin, 1e-6 * width)
         low = np.where(np.isfinite(lower), lower + margin, -np.inf)

@@ -11,7 +11,7 @@ from ..effects.along_motion import unit_forces
 from ..effects.effect import Effect
 from ..engine.controlled import sample_jumps
 from ..engine.engine import Engine
-from ..engine.linear_response import linear_responses
+from ..engine.linear import linear_responses
 from ..engine.point import resting
 from ..engine.response_engine import ResponseEngine, engine_on
 from ..engine.structure import Structure

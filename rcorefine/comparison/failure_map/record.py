@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 from ...data.measurement import Measurement
-from ...engine.linear_response import linear_responses
+from ...engine.linear import linear_responses
 from ...exceptions import RCOError, unheard
 from ...systems.conversion import d2c
 from ...systems.discretization import discretize

@@ -1,0 +1,312 @@
+"""Simulation of linear models over a whole record.
+
+Where numba is installed, a compiled loop over the samples is the fastest. Without it there is no loop: what
+a linear recursion does over two samples is a linear recursion over half as many, so that N samples take
+log2(N) products of matrices (the work-efficient scan of Blelloch, "Prefix sums and their applications",
+1990). Responses to many signals share these products.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..jit import NUMBA
+from ..systems.linear import Array
+from .inputs import Drive
+from .linear_march import linear_march
+
+__all__ = ["LinearStep", "linear_responses", "recursion", "simulate_linear"]
+
+_FEW = 12  # samples that are cheaper one by one
+_LARGE = 1e60  # entries of a power of the transition: beyond, one by one, so that the overflow has its sample
+_AT_ONCE = 60_000  # numbers that are carried together: more leave the cache of the processor
+
+
+class LinearStep(NamedTuple):
+    """Matrices of a model without nonlinear forces, for one substep.
+
+    Attributes
+    ----------
+    M : ndarray, shape (n, n + 2 n_w)
+        Transition, and what the inputs at the start and at the end of a substep add.
+    dM : ndarray, shape (q, n, n + 2 n_w)
+        Its derivatives by the parameters `rows`.
+    rows : ndarray of int, shape (q,)
+        Columns of the sensitivity that dM and dO drive.
+    O : ndarray, shape (n_y, n + n_w)
+        Outputs.
+    dO : ndarray, shape (q, n_y, n + n_w)
+        Their derivatives.
+    """
+
+    M: Array
+    dM: Array
+    rows: NDArray[np.int64]
+    O: Array
+    dO: Array
+
+
+class Corrections(NamedTuple):
+    """Measured outputs (N, n_y), which of them correct the states (N, n_y), and the gain (n, n_y)."""
+
+    measured: Array
+    use: NDArray[np.uint8]
+    gain: Array
+
+    @property
+    def stretches(self) -> list[tuple[slice, Array]]:
+        """Return stretches of samples with one pattern of corrections, and their gains."""
+        use = self.use
+        changes = np.flatnonzero((use[1:] != use[:-1]).any(axis=1)) + 1
+        edges = [0, *changes.tolist(), len(use)]
+        return [(slice(a, b), self.gain * use[a]) for a, b in pairwise(edges)]
+
+
+def recursion(F: Array, start: Array, pushes: Array) -> Array:
+    """Return x[1], ..., x[L] of x[k + 1] = F x[k] + pushes[k].
+
+    Parameters
+    ----------
+    F : ndarray, shape (n, n)
+        Transition.
+    start : ndarray, shape (n, k)
+        First states, one recursion per column.
+    pushes : ndarray, shape (n, L, k)
+        What is added.
+
+    Returns
+    -------
+    ndarray, shape (n, L, k)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from rcorefine.engine.linear import recursion
+    >>> recursion(np.array([[0.5]]), np.array([[1.0]]), np.zeros((1, 3, 1)))[0, :, 0]
+    array([0.5  , 0.25 , 0.125])
+    """
+    n, length, columns = pushes.shape
+    out = np.empty((n, length, columns))
+    squared = F @ F if length > _FEW else F
+    if length <= _FEW or not np.abs(squared).max(initial=0.0) < _LARGE:
+        x = start
+        for k in range(length):
+            x = F @ x + pushes[:, k]
+            out[:, k] = x
+        return out
+    half = length // 2
+    pairs = _times(F, pushes[:, 0 : 2 * half : 2]) + pushes[:, 1::2]
+    out[:, 1::2] = recursion(squared, start, pairs)
+    before = np.concatenate([start[:, None], out[:, 1 : length - 1 : 2]], axis=1)
+    out[:, ::2] = _times(F, before) + pushes[:, ::2]
+    return out
+
+
+def _times(M: Array, signals: Array) -> Array:
+    """Return the product of a matrix and signals (n, ...), sample by sample."""
+    return (M @ signals.reshape(len(signals), -1)).reshape(len(M), *signals.shape[1:])
+
+
+def _marched(
+    Phi: Array, C: Array, stretches: list[tuple[slice, Array]], start: Array, added: Array, direct: Array,
+    measured: Array,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Return the states (n, N, k) before and after the corrections at the samples.
+
+    `added`, shape (n, N - 1, k), comes to the states over a sample, `direct`, (n_y, N, k), to the outputs.
+    """
+    n, N, k = len(Phi), direct.shape[1], direct.shape[2]
+    before = np.empty((n, N, k))
+    before[:, 0] = x = start
+    after = before.copy()
+    for stretch, gain in stretches:
+        a, last = stretch.start, min(stretch.stop, N - 1)
+        pushes, F, innovation = added[:, a:last], Phi, None
+        if gain.any():
+            innovation = _times(gain, measured[:, stretch] - direct[:, stretch])
+            pushes, F = pushes + _times(Phi, innovation[:, : last - a]), Phi - Phi @ gain @ C
+        before[:, a + 1 : last + 1] = recursion(F, x, pushes)
+        x, after[:, stretch] = before[:, last], before[:, stretch]
+        if innovation is not None:
+            after[:, stretch] += innovation - _times(gain @ C, before[:, stretch])
+    return before, after
+
+
+def simulate_linear(
+    at: LinearStep, drive: Drive, corrections: Corrections, x: Array, S: Array, substeps: int, far: Array,
+    limit: float,
+) -> tuple[Array, Array, Array, int]:  # fmt: skip
+    """Simulate a linear model with its sensitivities.
+
+    Parameters
+    ----------
+    at : LinearStep
+        Matrices of a substep.
+    drive : Drive
+        Inputs.
+    corrections : Corrections
+        What the observer does; `use` is zero in a free run.
+    x : ndarray, shape (n,)
+        Initial state.
+    S : ndarray, shape (p, n)
+        Its derivatives.
+    substeps : int
+        Substeps per sample.
+    far : ndarray, shape (n_y,)
+        Largest size of each output.
+    limit : float
+        Largest size of a state.
+
+    Returns
+    -------
+    outputs : ndarray, shape (N, n_y)
+    sensitivity : ndarray, shape (N, n_y, p)
+    states : ndarray, shape (N, n)
+        At the samples, corrected.
+    blew_up : int
+        First sample beyond the bounds, or -1. From there on outputs and states are NaN, derivatives zero.
+    """
+    n, p, N, ny = len(x), len(S), len(drive.Wout), len(at.O)
+    with np.errstate(all="ignore"):  # what overflows is looked for
+        if NUMBA:
+            y, X = np.full((N, ny), np.nan), np.full((N, n), np.nan)
+            sensitivity = np.zeros((N, ny, p))
+            into = x.copy(), S, substeps, y, sensitivity, X, limit, far
+            blew_up: int = linear_march(*at, *drive, *corrections, *into)
+            return y, sensitivity, X, blew_up
+        return _in_blocks(at, drive, corrections, x, S, substeps, far, limit)
+
+
+def _in_blocks(
+    at: LinearStep, drive: Drive, corrections: Corrections, x: Array, S: Array, substeps: int, far: Array,
+    limit: float,
+) -> tuple[Array, Array, Array, int]:  # fmt: skip
+    n, p, (N, nw) = len(x), len(S), drive.Wout.shape
+    C, D = np.ascontiguousarray(at.O[:, :n]), at.O[:, n : n + nw]
+    over, ends = _Sample(at.M, substeps), _ends(drive.W, drive.course, substeps)
+    stretches = corrections.stretches
+    measured = np.where(corrections.use, corrections.measured, 0.0).T[:, :, None]
+    direct = (D @ drive.Wout.T)[:, :, None]
+    added = over.gathered(over.pushes(ends)[..., None])
+    before, after = (
+        one[:, :, 0] for one in _marched(over.Phi, C, stretches, x[:, None], added, direct, measured)
+    )
+    outputs, states = (C @ before + direct[:, :, 0]).T, after.T.copy()
+    inside = (np.abs(outputs) <= far).all(axis=1)
+    inside[1:] &= (np.abs(before[:, 1:]) < limit).all(axis=0)
+    blew_up = -1 if inside.all() else int(inside.argmin())
+    sensitivity = np.zeros((N, len(C), p))
+    if p:
+        steps = np.concatenate([over.within(after[:, :-1], ends), ends])
+        signals = np.concatenate([before, drive.Wout.T])
+    width = max(1, _AT_ONCE // max(n * N * substeps, 1))
+    for a in range(0, p, width):
+        group = np.arange(a, min(a + width, p))
+        added, direct = np.zeros((n, N - 1, len(group))), np.zeros((len(C), N, len(group)))
+        mine = (at.rows >= a) & (at.rows <= group[-1])
+        added[:, :, at.rows[mine] - a] = over.gathered(_by_each(at.dM[mine], steps))
+        direct[:, :, at.rows[mine] - a] = _by_each(at.dO[mine], signals)
+        for r in np.flatnonzero((drive.driven >= a) & (drive.driven <= group[-1])):
+            column, pushes = drive.driven[r] - a, over.pushes(_ends(drive.dW[r], drive.course, substeps))
+            added[:, :, column] += over.gathered(pushes[..., None])[:, :, 0]
+            direct[:, :, column] += D @ drive.dWout[r].T
+        moved, _ = _marched(over.Phi, C, stretches, S[group].T, added, direct, 0.0 * measured)
+        sensitivity[:, :, group] = (_times(C, moved) + direct).transpose(1, 0, 2)
+    if blew_up >= 0:
+        outputs[blew_up:], states[blew_up:], sensitivity[blew_up:] = np.nan, np.nan, 0.0
+    return outputs, sensitivity, states, blew_up
+
+
+class _Sample:
+    """Transition over one sample, in substeps."""
+
+    def __init__(self, M: Array, substeps: int) -> None:
+        n = len(M)
+        self._step, self._input = M[:, :n], M[:, n:]
+        self._powers = [np.eye(n)]
+        for _ in range(substeps):
+            self._powers.append(self._step @ self._powers[-1])
+        self.Phi = self._powers[-1]
+
+    def pushes(self, ends: Array) -> Array:
+        """Return what inputs add over each substep, (n, N - 1, substeps)."""
+        return _times(self._input, ends)
+
+    def gathered(self, pushes: Array) -> Array:
+        """Return what pushes (n, N - 1, substeps, k) add over each sample, (n, N - 1, k)."""
+        last = pushes.shape[2] - 1
+        found = pushes[:, :, last]
+        for j in range(last):
+            found = found + _times(self._powers[last - j], pushes[:, :, j])
+        return found
+
+    def within(self, states: Array, ends: Array) -> Array:
+        """Return the states (n, N - 1, substeps) at the start of each substep."""
+        found, pushes = np.empty((len(states), *ends.shape[1:])), self.pushes(ends)
+        for j in range(ends.shape[2]):
+            found[:, :, j] = states
+            states = self._step @ states + pushes[:, :, j]
+        return found
+
+
+def _ends(W: Array, course: int, substeps: int) -> Array:
+    """Return the inputs at both ends of each substep, (2 n_w, N - 1, substeps); see `Drive`."""
+    before, after = {0: (W, W), 1: (W[:-1], W[1:]), 2: (W[::2], W[1::2])}[course]
+    return np.concatenate([before, after], axis=1).T.reshape(2 * W.shape[1], -1, substeps)
+
+
+def _by_each(maps: Array, signals: Array) -> Array:
+    """Return each of q maps (q, a, b) of signals (b, ...), in shape (a, ..., q)."""
+    found = maps.reshape(-1, len(signals)) @ signals.reshape(len(signals), -1)
+    return np.moveaxis(found.reshape(*maps.shape[:2], *signals.shape[1:]), 0, -1)
+
+
+def linear_responses(
+    Phi: Array,
+    drives: tuple[Array, Array],
+    C: Array,
+    D: Array,
+    signals: Array,
+    *,
+    gain: Array | None = None,
+    restarts: NDArray[np.uint8] | None = None,
+) -> Array:
+    """Outputs that each of several signals adds, from rest.
+
+    Parameters
+    ----------
+    Phi : ndarray, shape (n, n)
+        Transition over one sample.
+    drives : two ndarrays, each of shape (n, k)
+        Of a signal that falls from one to zero over the sample, and of one that rises.
+    C, D : ndarray, shapes (n_y, n) and (n_y, k)
+        Outputs.
+    signals : ndarray, shape (N, k)
+        One per column.
+    gain : ndarray, shape (n, n_y), optional
+        Of an observer; a free run without it.
+    restarts : ndarray of uint8, shape (N,), optional
+        Where the run begins anew from rest.
+
+    Returns
+    -------
+    ndarray, shape (N, n_y, k)
+    """
+    (N, k), n = signals.shape, len(Phi)
+    K = np.zeros((n, len(C))) if gain is None else gain
+    edges = [0, *([] if restarts is None else np.flatnonzero(restarts[1:]) + 1), N]
+    out = np.empty((N, len(C), k))
+    width = max(1, _AT_ONCE // max(n * N, 1))
+    for group in (slice(a, a + width) for a in range(0, k, width)):
+        falling, rising, through = (one[:, None, group] for one in (*drives, D))
+        for a, b in pairwise(edges):
+            F = signals[a:b, group]
+            added, direct = falling * F[:-1] + rising * F[1:], through * F
+            start, nothing = np.zeros((n, F.shape[1])), np.zeros((len(C), b - a, 1))
+            states, _ = _marched(Phi, C, [(slice(0, b - a), K)], start, added, direct, nothing)
+            out[a:b, :, group] = (_times(C, states) + direct).transpose(1, 0, 2)
+    return out
