@@ -29,6 +29,7 @@ __all__ = [
     "call_at",
     "compiled",
     "compiled_law",
+    "inlined",
     "number_at",
     "put",
     "put_rows",
@@ -58,7 +59,7 @@ _NUMBA = _numba()
 NUMBA: bool = _NUMBA is not None
 
 
-def compiled(function: _Function) -> _Function:
+def compiled(function: _Function, *, inline: bool = False) -> _Function:
     """Compile a kernel with numba, or return it as it is.
 
     Parameters
@@ -67,6 +68,9 @@ def compiled(function: _Function) -> _Function:
         Array function without objects, keywords or validation. Kernels that
         it calls must be compiled too, and stand in the same file: numba's
         cache notices a change of the file only.
+    inline : bool
+        Whether its code is copied into each kernel that calls it: for the small products that a march
+        calls many times per sample. In small models the calls take more time than the products.
 
     Returns
     -------
@@ -91,7 +95,7 @@ def compiled(function: _Function) -> _Function:
     # constant that it is given: where a kernel calls a kernel both are in vain, so there it is another one.
     @cache
     def within() -> Any:
-        return _dispatcher(_renamed(function), no_cpython_wrapper=True)
+        return _dispatcher(_renamed(function), no_cpython_wrapper=True, forceinline=inline)
 
     def template(args: Any, kws: Any) -> Any:
         return within().get_call_template([_NUMBA.types.unliteral(one) for one in args], kws)
@@ -99,6 +103,11 @@ def compiled(function: _Function) -> _Function:
     dispatcher.get_call_template = template
     dispatcher.get_overload = lambda signature: within().get_overload(signature)
     return dispatcher  # type: ignore[no-any-return]
+
+
+def inlined(function: _Function) -> _Function:
+    """Compile a kernel into each kernel that calls it; see `compiled`."""
+    return compiled(function, inline=True)
 
 
 def _dispatcher(function: Callable[..., Any], **more: bool) -> Any:
@@ -179,7 +188,7 @@ def _renamed(function: Callable[..., Any]) -> Callable[..., Any]:
 # of shapes along, with the text that they would raise. So kernels copy by these.
 if NUMBA:
 
-    @compiled
+    @inlined
     def put(out, at, values):  # type: ignore[no-untyped-def]
         """Copy a row into another, from entry `at` on."""
         for i in range(values.shape[0]):

@@ -340,7 +340,7 @@ def test_one_of_each():
         "def autoregression": {"inference/autoregression.py"},
         "class Whitener": {"inference/whitening.py"},
         "def smooth(": {"engine/smoother.py"},
-        "def linearized(structure": {"inference/linearized.py"},
+        "def linearized(structure": {"engine/point.py"},
         "def covariance(normal": {"inference/covariance.py"},
     }  # fmt: skip
     for what, where in only.items():

@@ -11,9 +11,9 @@ from scipy.stats import multivariate_normal
 
 import rcorefine as rco
 from rcorefine.engine.observer import steady_filter
+from rcorefine.engine.point import linearized
 from rcorefine.engine.smoother import smooth
 from rcorefine.engine.structure import Structure
-from rcorefine.inference.linearized import linearized
 
 
 def plant(rng, n=3, ny=2):

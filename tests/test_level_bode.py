@@ -500,7 +500,7 @@ def test_level_bode_keywords(refined):
 def test_kernels_are_the_same_compiled_or_not(kind):
     """One source; and a whole turn of Dahl's law leaves the inner state where it began."""
     from rcorefine.effects.law import KINDS
-    from rcorefine.engine.periods import law_over_period, memory_over_period
+    from rcorefine.engine.kernels import law_over_period, memory_over_period
 
     turn = 2 * np.pi * np.arange(64) / 64
     d, row = 0.1 * np.cos(turn) + 0.02 * np.sin(3 * turn), np.array([[1.5, 0.03, 0.2, 0.0]])

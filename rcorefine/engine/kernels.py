@@ -1,4 +1,4 @@
-"""The one loop over samples: a linear part in feedback with port laws.
+"""Loops over samples: a linear part in feedback with port laws, and laws over one period.
 
 Pure array functions, no objects and no checks. numba compiles them where it is
 installed; without it the same source runs as plain Python (`products.py` has two bodies).
@@ -12,7 +12,7 @@ from ..effects.compiled import COUNT, evaluate
 from ..jit import by_address, compiled, put, put_rows
 from .products import add, add_forcing, add_rows, apply, clear, multiply, solve_in_place, take
 
-__all__ = ["address_of_march", "march", "march_at"]
+__all__ = ["address_of_march", "law_over_period", "march", "march_at", "memory_over_period"]
 
 _OUTSIDE = 2e-5  # of `far`: within it what is left of an equation is rounding, as at rest
 _NO_FORCES = 1e-6  # of their squares: what is left of an equation that has no solution
@@ -495,3 +495,47 @@ _TYPES = """int64(
 
 #: The march in a kernel, and the address that this takes: inside of that it would be compiled once more.
 march_at, address_of_march = by_address(march, _TYPES)
+
+
+@compiled
+def law_over_period(code, d, v, w, values, width):
+    """Return a force and its slopes over one period, shape (3, n).
+
+    The rows are the force and its derivatives by displacement and velocity.
+    """
+    found = np.empty((3, d.size))
+    out = np.zeros((1, COUNT + w.shape[1]))
+    for i in range(d.size):
+        evaluate(code, d[i], v[i], d[i], 0.0, values, 0, width, w[i], out)
+        found[0, i], found[1, i], found[2, i] = out[0, 0], out[0, 1], out[0, 2]
+    return found
+
+
+@compiled
+def memory_over_period(code, d, v, w, values, inner, slope):
+    """Run a force law with an inner state over one period.
+
+    It starts from the inner state and its derivative by the n displacements. The forces, their derivatives
+    (n, n), the inner state at the end, its derivative, and the remaining share of the inner state at the
+    start are returned.
+    """
+    n = d.size
+    f = np.empty(n)
+    by = np.empty((n, n))
+    slope = slope.copy()
+    left = 1.0
+    row = np.zeros((1, COUNT + w.shape[1]))
+    for i in range(n):
+        before = i - 1 if i > 0 else n - 1
+        evaluate(code, d[i], v[i], d[before], inner, values, 0, 1.0, w[i], row)
+        out = row[0]
+        f[i] = out[0]
+        by[i] = out[4] * slope
+        by[i, i] += out[1]
+        by[i, before] += out[3]
+        slope *= out[8]
+        slope[i] += out[6]
+        slope[before] += out[7]
+        inner = out[5]
+        left *= out[8]
+    return f, by, inner, slope, left

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..data.response_record import ResponseRecord
 from ..effects.formula import InputLaw, OutputLaw
 from ..systems.linear import Array
-from .periods import law_over_period
+from .kernels import law_over_period
 from .structure import Structure
 
 __all__ = ["LineBalance", "remembering"]

@@ -1,4 +1,4 @@
-"""Force laws and nonlinear field at the operating point of a model."""
+"""Linear models of what is nonlinear: at the operating point, and along a motion."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from ..models.operating_point import sensed
 from ..systems.linear import Array
 
 if TYPE_CHECKING:
+    from .engine import Trajectory
     from .structure import Structure
 
 _ROUNDING = 1e-9  # of the largest value at the point
 _STEP = 1e-4  # of a coefficient, for the derivative of a tangent by it
 
-__all__ = ["about_point", "act_scales", "field_numbers", "resting", "tangents"]
+__all__ = ["about_point", "act_scales", "field_numbers", "linearized", "resting", "tangents"]
 
 
 def resting(structure: Structure, place: str) -> tuple[float, float] | None:
@@ -129,3 +130,51 @@ def about_point(structure: Structure, theta: Array) -> tuple[Array, Array, Array
         by = table[:, 2 : 2 + field.n_signals] @ P[2 * ports :]
         E, G = matrices.E[:, ports:], matrices.G[:, ports:]
     return A + E @ by[:, :n], B + E @ by[:, n:], C + G @ by[:, :n], D + G @ by[:, n:]
+
+
+def linearized(structure: Structure, theta: Array, run: Trajectory, inputs: Array) -> tuple[Array, Array]:
+    """Return A and C with nonlinear forces replaced by linear fits.
+
+    Each fit is the best one along the motion.
+
+    Parameters
+    ----------
+    structure : Structure
+        Model with effects.
+    theta : ndarray, shape (p,)
+        Coefficients.
+    run : Trajectory
+        Motion, with its histories.
+    inputs : ndarray, shape (n_w, N)
+        Inputs over the same time.
+
+    Returns
+    -------
+    A : ndarray, shape (n, n)
+    C : ndarray, shape (n_y, n)
+    """
+    matrices, n, ports = structure.matrices(theta), structure.n_states, structure.n_ports
+    A, C = matrices.A.astype(float), matrices.C.astype(float)
+    forces, x = np.nan_to_num(run.forces), np.nan_to_num(run.states)
+    drive = np.vstack([x, inputs, np.ones((1, x.shape[1]))])
+    for i in range(ports):
+        rows = matrices.P[[i, ports + i]].astype(float)
+        motion = (rows @ drive[: rows.shape[1]]).T
+        motion = motion - motion.mean(axis=0)
+        size = np.sqrt(np.mean(motion**2, axis=0))
+        scale = np.where(size > 0, size, 1.0)
+        slopes = np.linalg.lstsq(motion / scale, forces[i] - forces[i].mean(), rcond=1e-8)[0]
+        along = np.where(size > 0, slopes / scale, 0.0) @ rows[:, :n]
+        A = A + np.outer(matrices.E[:, i].astype(float), along)
+        C = C + np.outer(matrices.G[:, i].astype(float), along)
+    if structure.field is not None:
+        taken = matrices.P[2 * ports :].astype(float)
+        moved = (taken @ drive).T
+        moved = moved - moved.mean(axis=0)
+        scale = np.sqrt(np.mean(moved**2, axis=0))
+        scale = np.where(scale > 0, scale, 1.0)
+        rows = forces[ports:] - forces[ports:].mean(axis=1, keepdims=True)
+        by = np.linalg.lstsq(moved / scale, rows.T, rcond=1e-8)[0].T / scale @ taken[:, :n]
+        A = A + matrices.E[:, ports:].astype(float) @ by
+        C = C + matrices.G[:, ports:].astype(float) @ by
+    return A, C

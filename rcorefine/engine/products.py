@@ -7,13 +7,13 @@ the fast form in compiled code and the slow one in Python.
 
 from __future__ import annotations
 
-from ..jit import NUMBA, compiled
+from ..jit import NUMBA, compiled, inlined
 
 __all__ = ["add", "add_forcing", "add_rows", "apply", "clear", "multiply", "solve_in_place", "take"]
 
 if NUMBA:
 
-    @compiled
+    @inlined
     def apply(out, M, z):
         """Out = M z."""
         for i in range(M.shape[0]):
@@ -22,7 +22,7 @@ if NUMBA:
                 total += M[i, j] * z[j]
             out[i] = total
 
-    @compiled
+    @inlined
     def add(out, M, z):
         """Out += M z."""
         for i in range(M.shape[0]):

@@ -31,9 +31,8 @@ from ..engine.response_engine import engine_on
 from ..engine.structure import Structure
 from ..exceptions import DivergenceError, ModelError
 from ..inference.outcome import fit_of, output_weights
-from ..inference.problem import Problem
+from ..inference.problem import Problem, natural_sizes
 from ..inference.refinement import Refinement
-from ..inference.sizes import natural_sizes
 from ..inference.starts import Motion, estimated_motion, law_widths
 from ..inference.windows import windows
 from ..models.conversion import as_model, as_physical

@@ -14,12 +14,12 @@ from ..data.measurement import Measurement
 from ..data.response_record import in_frequency
 from ..effects.effect import Effect
 from ..engine.observer import existing_gain
+from ..engine.point import linearized
 from ..engine.structure import Structure
 from ..models.operating_point import ordered_record, sensed
 from ..systems.linear import Array
 from .assembly import priors
 from .covariance import covariance
-from .linearized import linearized
 from .outcome import output_weights
 from .problem import Problem
 from .refinement import Refinement

@@ -18,9 +18,9 @@ from ...effects.formula import FormulaLaw
 from ...effects.several import as_effects
 from ...engine.engine import Engine
 from ...engine.matrices import entry_among
+from ...engine.point import linearized
 from ...engine.structure import Structure
 from ...exceptions import ModelError
-from ...inference.linearized import linearized
 from ...inference.starts import Motion, law_widths, shape_starts
 from ...models.library import effect_library
 from ...models.ports import felt

@@ -18,7 +18,7 @@ from ...engine.engine import Engine
 from ...engine.structure import Structure
 from ...gauss_newton import Rows, gauss_newton
 from ...inference.covariance import covariance, standard_deviations
-from ...inference.sizes import natural_sizes
+from ...inference.problem import natural_sizes
 from ...inference.starts import Motion, law_widths, shape_starts
 from ...inference.whitening import innovations
 from ...systems.linear import Array
