@@ -14,7 +14,7 @@ from rcorefine.effects.tabulated import Table
 from rcorefine.exceptions import ModelError
 from rcorefine.models.builders import dc_motor, mass_spring_damper, series_rlc, thermal_network, two_tanks
 from rcorefine.models.library import describe_effects, effect_library
-from rcorefine.models.units import combine_units
+from rcorefine.models.parameters import combine_units
 
 # what the design promises: kind -> (places, coefficients)
 TABLE = {

@@ -35,10 +35,10 @@ ORDER = (
 #: Lines of code (no docstring, comment, blank) of each top-level folder, and of the files beside them.
 #: A commit may lower a figure; one that raises it says in its message what went out in exchange.
 BUDGET = {
-    ".": 874, "arguments": 306, "commands": 1382, "comparison": 2948, "data": 2920, "diagnosis": 5711,
+    ".": 874, "arguments": 250, "commands": 1382, "comparison": 2948, "data": 2920, "diagnosis": 5711,
     "effects": 3379, "engine": 3310, "examples": 259, "exercises": 563, "explorer": 1098, "export": 511,
-    "fleet": 1044, "inference": 2889, "localization": 1330, "models": 4100, "refinement": 196,
-    "streaming": 7517, "systems": 654, "views": 4431,
+    "fleet": 1044, "inference": 2889, "localization": 1330, "models": 3508, "refinement": 196,
+    "streaming": 7517, "systems": 602, "views": 4431,
 }  # fmt: skip
 #: Functions of a radon complexity above 15, functions that take more than 8 parameters (private ones and
 #: kernels), private functions of fewer than 6 lines of code that one place calls: not more than there are.

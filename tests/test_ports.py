@@ -34,16 +34,9 @@ def chain(**labels):
 
 def reordered(sys, order):
     order = list(order)
-    return ct.ss(
-        sys.A[np.ix_(order, order)],
-        sys.B[order],
-        sys.C[:, order],
-        sys.D,
-        sys.dt,
-        states=[sys.state_labels[i] for i in order],
-        inputs=sys.input_labels,
-        outputs=sys.output_labels,
-    )
+    states = [sys.state_labels[i] for i in order]
+    signals = {"states": states, "inputs": sys.input_labels, "outputs": sys.output_labels}
+    return ct.ss(sys.A[np.ix_(order, order)], sys.B[order], sys.C[:, order], sys.D, sys.dt, **signals)
 
 
 def values(model):
@@ -75,9 +68,7 @@ class TestMechanical:
             "c[x2]": 120,
         }
         found = values(PhysicalModel.from_statespace(chain()))
-        assert found.keys() == expected.keys() | {"gain[f]"}
-        for name, value in expected.items():
-            assert found[name] == pytest.approx(value, rel=1e-9)
+        assert found == pytest.approx({**expected, "gain[f]": 1.0}, rel=1e-9)
 
     @pytest.mark.parametrize("order", [(2, 3, 0, 1), (3, 1, 0, 2), (0, 2, 1, 3), (1, 0, 2, 3)])
     def test_any_order_of_states(self, order):
@@ -246,22 +237,40 @@ class TestNotMechanical:
             for order in (range(n), reversed(range(n)), rng.permutation(n)):
                 assert kinds(reordered(canonical, order)) == ["first_order"] * n
 
-    def test_observable_form_with_even_polynomial(self):
-        # s^4 + 3 s^2 + 2: rows of a single one, as two displacements would have
-        A = np.array([[0, 1, 0, 0], [-3, 0, 1, 0], [0, 0, 0, 1], [-2, 0, 0, 0.0]])
-        for B in ([[0], [0], [0], [1]], [[0], [1], [0], [1.0]]):
-            assert kinds(ct.ss(A, B, [[1, 0, 0, 0]], 0)) == ["first_order"] * 4
+    @pytest.mark.parametrize(
+        ("A", "B"),
+        [
+            # s^4 + 3 s^2 + 2: rows of a single one, as two displacements would have
+            ([[0, 1, 0, 0], [-3, 0, 1, 0], [0, 0, 0, 1], [-2, 0, 0, 0.0]], [[0], [0], [0], [1]]),
+            ([[0, 1, 0, 0], [-3, 0, 1, 0], [0, 0, 0, 1], [-2, 0, 0, 0.0]], [[0], [1], [0], [1.0]]),
+            *(([[-2, 1], [-a0, 0]], [[0], [gain]]) for a0 in (1.0, 3.0) for gain in (0.5, 1.0, 3.0)),
+            (np.eye(4, k=1), np.eye(4)[:, 3:]),  # a chain of integrators
+            ([[0, 1, 0], [-4, -1, -2], [1, 0, 0.0]], [[0], [1], [0]]),  # z' = q, and z acts back
+        ],
+    )
+    def test_forms_that_may_be_canonical_have_no_displacement(self, A, B):
+        n = len(A)
+        assert kinds(ct.ss(A, B, np.eye(n)[:1], 0)) == ["first_order"] * n
 
-    @pytest.mark.parametrize("gain", [0.5, 1.0, 3.0])
-    @pytest.mark.parametrize("a0", [1.0, 3.0])
-    def test_observable_form_of_second_order(self, gain, a0):
-        sys = ct.ss([[-2, 1], [-a0, 0]], [[0], [gain]], [[1, 0]], 0)
-        assert kinds(sys) == ["first_order"] * 2
-
-    def test_controllable_form_of_second_order_is_a_mass(self):
-        # x2' = x1, x1' = -2 x1 - 3 x2 + u is the equation of a unit mass
-        sys = ct.ss([[-2, -3], [1, 0]], [[1], [0]], [[0, 1]], 0)
-        assert [port.name for port in ports(sys)] == ["x[1]"]
+    @pytest.mark.parametrize(
+        ("A", "states", "expected"),
+        [
+            # x2' = x1, x1' = -2 x1 - 3 x2 + u is the equation of a unit mass
+            ([[-2, -3], [1, 0]], ["x1", "x2"], {"x2": "mechanical"}),
+            # a lagged actuator behind a free mass, and a motor without friction
+            ([[0, 1, 0], [0, 0, 1], [0, 0, -5.0]], ["x", "v", "a"], {"x": "mechanical", "a": "first_order"}),
+            (
+                [[0, 1, 0], [0, 0, 4.0], [0, -2.0, -10.0]],
+                ["angle", "speed", "current"],
+                {"angle": "mechanical", "current": "first_order"},
+            ),
+        ],
+    )
+    def test_displacements_of_actuated_masses_are_found(self, A, states, expected):
+        n = len(A)
+        B = np.eye(n)[:, :1] if n == 2 else 20 * np.eye(n)[:, -1:]
+        found = ports(ct.ss(A, B, np.eye(n)[:1], 0, states=states))
+        assert {port.name: port.kind for port in found} == expected
 
     def test_similarity_transformation_hides_the_displacements(self, rng):
         sys = chain()
@@ -269,23 +278,6 @@ class TestNotMechanical:
         transformed = ct.ss(T @ sys.A @ np.linalg.inv(T), T @ sys.B, sys.C @ np.linalg.inv(T), 0)
         assert kinds(transformed) == ["first_order"] * 4
         assert [port.name for port in ports(transformed)] == ["x[0]", "x[1]", "x[2]", "x[3]"]
-
-    def test_jordan_chain_of_integrators(self):
-        assert kinds(ct.ss(np.eye(4, k=1), np.eye(4)[:, 3:], np.eye(4)[:1], 0)) == ["first_order"] * 4
-
-    def test_integral_control_of_a_position_is_not_guessed(self):
-        A = [[0, 1, 0], [-4, -1, -2], [1, 0, 0.0]]  # z' = q, and z acts back
-        assert kinds(ct.ss(A, [[0], [1], [0]], [[1, 0, 0]], 0)) == ["first_order"] * 3
-
-    def test_lagged_actuator_behind_a_free_mass(self):
-        A = [[0, 1, 0], [0, 0, 1], [0, 0, -5.0]]
-        found = ports(ct.ss(A, [[0], [0], [5]], [[1, 0, 0]], 0, states=["x", "v", "a"]))
-        assert [(port.name, port.kind) for port in found] == [("x", "mechanical"), ("a", "first_order")]
-
-    def test_motor_without_friction_keeps_its_angle(self):
-        A = [[0, 1, 0], [0, 0, 4.0], [0, -2.0, -10.0]]
-        found = ports(ct.ss(A, [[0], [0], [20]], [[1, 0, 0]], 0, states=["angle", "speed", "current"]))
-        assert [(p.name, p.kind) for p in found] == [("angle", "mechanical"), ("current", "first_order")]
 
     def test_motor_of_first_order(self):
         port = ports(ct.ss(-1 / 0.28, 35 / 0.28, 1, 0, states=["rpm"], inputs=["volts"]))[0]

@@ -513,8 +513,8 @@ def test_units_of_the_signals_do_not_matter(scale):
 
 
 def test_the_nearest_continuous_model():
+    from rcorefine.systems.conversion import nearest_continuous
     from rcorefine.systems.linear import LinearModel
-    from rcorefine.systems.nearest import nearest_continuous
 
     good = motor().sample(0.02)
     np.testing.assert_allclose(nearest_continuous(LinearModel.from_statespace(good)).A, motor().A, rtol=1e-9)

@@ -1,4 +1,4 @@
-"""Exact discretization against closed forms, scipy and superposition."""
+"""Exact discretization and the stacked exponential against closed forms and scipy."""
 
 import control as ct
 import numpy as np
@@ -7,23 +7,21 @@ from scipy import linalg, signal
 
 from rcorefine.exceptions import ModelError
 from rcorefine.systems import LinearModel, check_sampling_time, discretize, to_discrete
+from rcorefine.systems.discretization import exponential
 
 
-def test_first_order_lag_in_closed_form():
+def test_lag_in_closed_form():
     a, b, h = -3.0, 2.0, 0.1
+    held = b * np.expm1(a * h) / a
     phi, g0, g1 = discretize([[a]], [[b]], h)
     assert phi[0, 0] == pytest.approx(np.exp(a * h), rel=1e-14)
-    assert g0[0, 0] == pytest.approx(b * np.expm1(a * h) / a, rel=1e-14)
+    assert g0[0, 0] == pytest.approx(held, rel=1e-14)
     assert g1[0, 0] == 0.0
-
-
-def test_first_order_hold_of_a_lag_in_closed_form():
     # x(h) = e^{ah} x + int e^{a(h-s)} b (w0 + (w1 - w0) s / h) ds
-    a, b, h = -3.0, 2.0, 0.1
     _, g0, g1 = discretize([[a]], [[b]], h, "foh")
     ramp = b * (np.expm1(a * h) - a * h) / (a**2 * h)
     assert g1[0, 0] == pytest.approx(ramp, rel=1e-12)
-    assert g0[0, 0] == pytest.approx(b * np.expm1(a * h) / a - ramp, rel=1e-12)
+    assert g0[0, 0] == pytest.approx(held - ramp, rel=1e-12)
 
 
 def test_chain_of_integrators_is_exact_although_a_is_singular():
@@ -84,13 +82,9 @@ def test_two_half_steps_make_a_whole_one(rng):
     np.testing.assert_allclose(half @ g_half + g_half, g, rtol=1e-11, atol=1e-14)
 
 
-def test_static_model_has_no_states():
+def test_model_without_states_or_inputs():
     phi, g0, g1 = discretize(np.zeros((0, 0)), np.zeros((0, 2)), 0.1, "foh")
-    assert phi.shape == (0, 0)
-    assert g0.shape == g1.shape == (0, 2)
-
-
-def test_model_without_inputs():
+    assert (phi.shape, g0.shape, g1.shape) == ((0, 0), (0, 2), (0, 2))
     phi, g0, _ = discretize([[-1.0]], np.zeros((1, 0)), 0.1)
     assert phi[0, 0] == pytest.approx(np.exp(-0.1))
     assert g0.shape == (1, 0)
@@ -154,19 +148,43 @@ def test_to_discrete_with_first_order_hold_has_the_response_to_a_ramp():
     np.testing.assert_allclose(y, (free + np.outer(t, p) + q) @ model.C[0] + 0.5 * t, atol=1e-12)
 
 
-@pytest.mark.parametrize("dt", [True, None])
-def test_to_discrete_takes_over_the_records_timebase(dt):
-    model = labeled(dt)
-    discrete = to_discrete(model, 0.02)
-    assert discrete.dt == 0.02
+@pytest.mark.parametrize(("own", "dt"), [(True, 0.02), (None, 0.02), (0.1, 0.1 * (1 + 1e-9))])
+def test_to_discrete_takes_over_the_records_timebase(own, dt):
+    model = labeled(own)
+    discrete = to_discrete(model, dt)
+    assert discrete.dt == dt
     np.testing.assert_array_equal(discrete.A, model.A)
-
-
-def test_to_discrete_keeps_a_model_with_the_same_dt():
-    model = labeled(0.1)
-    np.testing.assert_array_equal(to_discrete(model, 0.1 * (1 + 1e-9)).A, model.A)
 
 
 def test_contradicting_sampling_times_are_both_named():
     with pytest.raises(ModelError, match=r"'plant' has dt = 0\.1 s but the record has dt = 0\.2 s"):
         to_discrete(labeled(0.1), 0.2)
+
+
+@pytest.mark.parametrize("scale", [1e-9, 0.3, 3.0, 40.0])
+def test_stacked_exponential_equals_scipy(rng, scale):
+    real = rng.standard_normal((5, 7, 7)) * scale
+    for stack in (real, real + 1j * rng.standard_normal((5, 7, 7)) * scale):
+        oracle = np.array([linalg.expm(each) for each in stack])
+        error = np.abs(exponential(stack) - oracle).max(axis=(1, 2)) / np.abs(oracle).max(axis=(1, 2))
+        assert error.max() < 1e-11 * max(1.0, scale)
+
+
+def test_exponential_of_the_stiff_pole_of_the_rlc_start():
+    A = np.array([[0.0, 1.0], [-1 / 2e-6, -250 / 2e-6]]) * 1e-4
+    slow = np.max(np.roots([1.0, 250 / 2e-6 * 1e-4, 1 / 2e-6 * 1e-8]).real)
+    values = np.linalg.eigvals(exponential(A[None])[0])
+    assert values.real.max() == pytest.approx(np.exp(slow), rel=1e-9)
+
+
+def test_overflow_is_not_finite():
+    assert not np.isfinite(exponential(np.array([[[1e5]]]))).all()
+
+
+def test_companion_matrix_of_a_fast_filter_stays_stable():
+    poles = -np.array([4.9e3, 6e3 + 2e4j, 6e3 - 2e4j, 9e3 + 3e4j, 9e3 - 3e4j])
+    A = np.vstack([-np.poly(poles).real[1:], np.eye(5)[:-1]])  # entries up to 1e21
+    steps = np.array([2e-5, 1e-5])
+    found = np.linalg.eigvals(exponential(A * steps[:, None, None]))
+    for values, step in zip(found, steps, strict=True):
+        np.testing.assert_allclose(np.sort_complex(values), np.sort_complex(np.exp(poles * step)), rtol=1e-6)

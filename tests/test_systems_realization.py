@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import rcorefine as rco
-from rcorefine.systems.realization import realized
+from rcorefine.systems.linear import realized
 
 OMEGA = np.geomspace(0.01, 100, 40)
 

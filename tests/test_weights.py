@@ -9,7 +9,7 @@ from rcorefine import Effect, Measurement
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
 from rcorefine.exceptions import ModelError
-from rcorefine.models.independence import independent_parameters
+from rcorefine.models.parameters import independent_parameters
 
 
 def battery(R0=0.05, R1=0.02, R2=0.03):

@@ -21,9 +21,8 @@ from ..engine.leading import leading_ratio
 from ..engine.simulation import simulated, structure_of, unjudged_samples
 from ..exceptions import DataError, DivergenceError
 from ..inference.windows import as_data
-from ..models.controller import completed
 from ..models.conversion import known_physical, under_control
-from ..models.operating_point import ordered_record
+from ..models.operating_point import completed, ordered_record
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array, LinearModel
 from .failure_map.places import given_places

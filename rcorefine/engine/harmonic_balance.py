@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..effects.formula import InputLaw, OutputLaw
-from ..systems.exponential import exponential
+from ..systems.discretization import exponential
 from ..systems.linear import Array
 from .kernels import law_over_period, memory_over_period
 from .structure import Structure

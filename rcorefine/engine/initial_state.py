@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.linalg import schur
 
 from ..gauss_newton import Rows, gauss_newton
-from ..systems.exponential import exponential
+from ..systems.discretization import exponential
 from ..systems.linear import Array
 from .engine import Engine
 from .observer import observer_gain

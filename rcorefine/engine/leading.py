@@ -9,7 +9,7 @@ import numpy as np
 
 from ..data.measurement import Measurement
 from ..models.physical_model import PhysicalModel
-from ..systems.exponential import exponential
+from ..systems.discretization import exponential
 from ..systems.linear import Array
 from .controlled import open_loop
 from .engine import Engine

@@ -9,9 +9,8 @@ from scipy.linalg import LinAlgError, solve_discrete_are
 
 from ..data.measurement import Measurement
 from ..exceptions import ModelError
-from ..systems.balance import balance
-from ..systems.exponential import exponential
-from ..systems.linear import Array
+from ..systems.discretization import exponential
+from ..systems.linear import Array, balance
 from .controlled import open_loop, own_states
 from .point import about_point
 from .structure import Structure

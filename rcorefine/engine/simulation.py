@@ -15,8 +15,8 @@ from ..data.measurement import Measurement
 from ..data.records import as_record
 from ..exceptions import DivergenceError, ModelError
 from ..gauss_newton import Rows, gauss_newton, own_sizes
-from ..models.controller import completed
 from ..models.conversion import as_model, under_control
+from ..models.operating_point import completed
 from ..results import Data
 from ..systems.linear import Array, LinearModel
 from .controlled import loop_gain, own_states

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..systems.discretization import power_of_two
-from ..systems.exponential import exponential
+from ..systems.discretization import exponential, power_of_two
 from ..systems.linear import Array
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from ..engine.free_runs import checked_horizon, integrates
 from ..engine.structure import Structure
 from ..exceptions import ModelError
 from ..models.conversion import as_physical
-from ..models.independence import independent_parameters
+from ..models.parameters import independent_parameters
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array, LinearModel
 from .refinement import Refinement

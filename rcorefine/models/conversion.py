@@ -19,16 +19,13 @@ from ..effects.right_hand_side import Field, ModelParameter, RightHandSide
 from ..effects.straight_line import Remainder, exact_slopes
 from ..exceptions import ModelError
 from ..systems.discretization import check_sampling_time
-from ..systems.linear import Array, LinearModel
-from ..systems.realization import realized
-from .controller import as_controller, unrecorded
+from ..systems.linear import Array, LinearModel, realized
 from .detection import recognized
-from .link_ports import Declared, weighted
-from .operating_point import as_operating_point
-from .parameters import NominalParameter
+from .links import Declared, weighted
+from .operating_point import as_controller, as_operating_point, unrecorded
+from .parameters import NominalParameter, combine_units
 from .physical_model import PhysicalModel
 from .ports import Port
-from .units import combine_units
 
 __all__ = [
     "as_known",
@@ -105,11 +102,9 @@ def from_nonlinear(
     others = {k: v for k, v in system.params.items() if k not in names}
     functions = RightHandSide(system.updfcn, system.outfcn, names, others, n, ny, f"{system.name!r}")
     nominal = np.array([float(system.params[name]) for name in names])
-    labels = (system.state_labels, system.input_labels, system.output_labels)
-    bare = LinearModel.from_statespace(
-        ct.ss(np.zeros((n, n)), np.zeros((n, nw)), np.zeros((ny, n)), np.zeros((ny, nw)),
-              states=labels[0], inputs=labels[1], outputs=labels[2], name=system.name)
-    )  # fmt: skip
+    inputs, outputs, states = map(tuple, (system.input_labels, system.output_labels, system.state_labels))
+    A, B, C, D = np.zeros((n, n)), np.zeros((n, nw)), np.zeros((ny, n)), np.zeros((ny, nw))
+    bare = LinearModel(A, B, C, D, 0, inputs, outputs, states, str(system.name))
     given = {"inputs": np.zeros(nw), "states": np.zeros(n)} if operating_point is None else operating_point
     point = as_operating_point(given, bare)
     level = np.concatenate([point.states, point.inputs])
@@ -165,17 +160,13 @@ def _slopes(functions: RightHandSide, level: Array, nominal: Array) -> Array:
     n = functions.n_states
 
     def central(j: int, h: float) -> Array:
-        step = np.zeros(level.size)
-        step[j] = h
+        step = h * np.eye(level.size)[j]
         with np.errstate(all="ignore"):
             up, low = (functions((level + s)[:n], (level + s)[n:], nominal) for s in (step, -step))
         return (up - low) / (2.0 * h)
 
-    columns = []
-    for j in range(level.size):
-        h = 1e-3 * max(abs(level[j]), 1.0)
-        wide, narrow = central(j, h), central(j, 0.5 * h)
-        columns.append((4.0 * narrow - wide) / 3.0)
+    steps = enumerate(1e-3 * np.maximum(np.abs(level), 1.0))
+    columns = [(4.0 * central(j, 0.5 * h) - central(j, h)) / 3.0 for j, h in steps]
     found = np.column_stack(columns)
     size = np.abs(found).max(axis=1, initial=0.0, keepdims=True)
     found[np.abs(found) < 1e-9 * size] = 0.0
@@ -226,12 +217,8 @@ def as_physical(model: Any, *, dt: float | None = None) -> PhysicalModel:
     """
     if dt is not None:
         check_sampling_time(dt)
-    known = known_physical(model)
-    if known is not None:
-        return known
-    if is_nonlinear(model):
-        return as_known(model)
-    return PhysicalModel.from_statespace(model, dt=dt)
+    known = as_known(model) if is_nonlinear(model) else known_physical(model)
+    return PhysicalModel.from_statespace(model, dt=dt) if known is None else known
 
 
 def under_control(model: Any, controller: Any, data: Any) -> Any:
@@ -387,12 +374,12 @@ def _sum_port(model: PhysicalModel, name: str, weights: Mapping[str, float]) -> 
     linear = model.linear
     states = [label for label in weights if label in linear.state_labels]
     inputs = [label for label in weights if label not in linear.state_labels]
-    for label in inputs:
-        if label not in linear.input_labels:
-            raise ModelError(
-                f"link {name!r} names {label!r}, which is neither a state ({', '.join(linear.state_labels)}) "
-                f"nor an input ({', '.join(linear.input_labels)})"
-            )
+    strange = [label for label in inputs if label not in linear.input_labels]
+    if strange:
+        raise ModelError(
+            f"link {name!r} names {strange[0]!r}, which is neither a state "
+            f"({', '.join(linear.state_labels)}) nor an input ({', '.join(linear.input_labels)})"
+        )
     if not states:
         raise ModelError(f"link {name!r} joins inputs alone; give it a state to act on")
     ends = [(_own_port(model, name, label), weights[label]) for label in states]
@@ -402,23 +389,19 @@ def _sum_port(model: PhysicalModel, name: str, weights: Mapping[str, float]) -> 
             f"link {name!r} adds {', '.join(states)}, which are not of one sort (displacements, speeds, "
             "stores); write it in states of one sort"
         )
-    direct = np.zeros(linear.n_inputs)
-    for label in inputs:
-        direct[linear.input_labels.index(label)] = weights[label]
-    (kind, positioned), nothing = kinds.pop(), np.zeros(linear.n_inputs)
-    total = {
+    (kind, positioned) = kinds.pop()
+    direct = np.array([weights[label] if label in inputs else 0.0 for label in linear.input_labels])
+    rows = {
         key: sum(size * getattr(port, key) for port, size in ends)
         for key in ("act", "position", "velocity", "velocity_input", "acceleration_input")
     }
-    if positioned and inputs:  # the rate of the input is in no matrix
-        total["velocity"], total["velocity_input"] = np.zeros(linear.n_states), nothing
-    return Port(
-        name,
-        kind,
-        position_input=direct if positioned else nothing,
-        **(total if positioned else {**total, "velocity_input": total["velocity_input"] + direct}),
-        description=f"declared, {'d' if positioned else 'v'} = {weighted(weights)}",
-    )
+    if not positioned:
+        rows["velocity_input"] = rows["velocity_input"] + direct
+    elif inputs:  # the rate of the input is in no matrix
+        rows |= {"velocity": np.zeros(linear.n_states), "velocity_input": 0.0 * direct}
+    at_once = direct if positioned else 0.0 * direct
+    words = f"declared, {'d' if positioned else 'v'} = {weighted(weights)}"
+    return Port(name, kind, position_input=at_once, description=words, **rows)
 
 
 def _own_port(model: PhysicalModel, name: str, label: str) -> Port:
@@ -430,14 +413,8 @@ def _own_port(model: PhysicalModel, name: str, label: str) -> Port:
             return port
     for port in model.ports:
         if not port.velocity_input.any() and np.flatnonzero(port.velocity).tolist() == [state]:
-            sign, none = np.sign(port.velocity[state]), np.zeros_like(row)
-            return replace(
-                port,
-                position=none,
-                position_input=0.0 * port.position_input,
-                velocity=row,
-                act=sign * port.act,
-            )
+            sign, none = np.sign(port.velocity[state]), 0.0 * port.position_input
+            return replace(port, position=0.0 * row, position_input=none, velocity=row, act=sign * port.act)
     sensed = ", ".join(port.name for port in model.ports) or "none"
     raise ModelError(
         f"link {name!r} needs state {label!r}, at which no force of its own is known; the places are "
@@ -458,9 +435,8 @@ def _in_units(model: PhysicalModel, units: Mapping[str, str]) -> PhysicalModel:
                 f"units names {label!r}, which is no signal; there are {', '.join(sum(signals, ()))}"
             )
     old = (model.state_units, model.input_units, model.output_units)
-    state, entry, shown_in = (
-        tuple(units.get(label, unit) for label, unit in zip(labels, given, strict=True))
-        for labels, given in zip(signals, old, strict=True)
+    state, entry, read = (
+        tuple(map(units.get, labels, given)) for labels, given in zip(signals, old, strict=True)
     )
     ports = []
     for port in model.ports:
@@ -468,7 +444,7 @@ def _in_units(model: PhysicalModel, units: Mapping[str, str]) -> PhysicalModel:
         rate = combine_units("position/s", {"position": position})
         velocity = port.velocity_unit or rate or _unit_of(port.velocity, state)
         ports.append(replace(port, position_unit=position, velocity_unit=velocity))
-    return replace(model, ports=tuple(ports), state_units=state, input_units=entry, output_units=shown_in)
+    return replace(model, ports=tuple(ports), state_units=state, input_units=entry, output_units=read)
 
 
 def _unit_of(row: np.ndarray[Any, Any], units: tuple[str, ...]) -> str:

@@ -1,9 +1,9 @@
-"""Ports of a plain StateSpace: masses, springs and stores in its matrices."""
+"""Places and parameters of a plain StateSpace, found in its matrices."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -18,179 +18,20 @@ from ..exceptions import ModelError
 from ..systems.conversion import d2c
 from ..systems.discretization import check_sampling_time
 from ..systems.linear import Array, LinearModel
-from .displacements import Displacement, find_displacements, is_companion
-from .link_ports import Declared, find_links, row_of
+from .displacements import Displacement, find_displacements, find_modes, is_companion, of_masses, significant
+from .links import Declared, find_links
 from .masses import MassScale, exchanging, relative_masses
-from .modes import find_modes
 from .parameters import NominalParameter
-from .ports import Port
-from .readout import find_rate_sensors, read_parameters
+from .ports import Element, Port, port_at, row_of
 
-__all__ = ["displacement_port", "find_meters", "find_ports", "read_weights", "recognized"]
+__all__ = ["recognized"]
 
 _SAME = 1e-6  # relative misfit of numbers that are the same
-_ANONYMOUS = re.compile(r"x\[\d+\]")
-
-
-def find_meters(
-    linear: LinearModel,
-    rate: Array,
-    ports: Sequence[Port],
-    parameters: Sequence[NominalParameter],
-) -> tuple[Array, tuple[Port, ...], tuple[NominalParameter, ...]]:
-    """Find the sensors that read the force at a port.
-
-    The remaining accelerometers are returned as well.
-
-    Parameters
-    ----------
-    linear : LinearModel
-        Continuous-time model.
-    rate : ndarray of shape (n_y, n)
-        What its outputs may read of rates of velocity states.
-    ports : sequence of Port
-        Its places.
-    parameters : sequence of NominalParameter
-        Its springs and dampers.
-
-    Returns
-    -------
-    rate : ndarray of shape (n_y, n)
-        With zero rows for sensors that read a force.
-    ports : tuple of Port
-        With what the sensors read of a force there. A force at a single mass may act beside the cell: where
-        the port holds one, a port ``"x1 (cell)"`` stands for what the sensor ``"cell"``, and any other at the
-        same place, reads.
-    parameters : tuple of NominalParameter
-        Springs and dampers at the ports that hold them.
-
-    Notes
-    -----
-    A row of C reads the force in a link if it is k d + c v with the k and c that A has there. One number
-    alone could as well be the gain of a sensor: it must be the same, no power of ten, and the states must
-    bear names, for a transfer function of unit gain looks like that.
-    An accelerometer at a mass that only that link holds reads the same force over the mass.
-    """
-    found, moved, rate = list(ports), list(parameters), rate.copy()
-    cells: dict[str, str] = {}  # by the port of a single mass that they stand beside
-    if is_companion(linear.A, 1e-9):
-        return rate, tuple(found), tuple(moved)
-    for y, label in enumerate(linear.output_labels):
-        if np.count_nonzero(rate[y]) == 1 and np.isclose(np.abs(rate[y]).max(), 1.0, rtol=_SAME):
-            continue
-        row = np.concatenate([linear.C[y], linear.D[y]])
-        read = [(p, scale) for p in ports if (scale := _scale(linear, row, p, parameters))]
-        if len(read) != 1 or (rate[y].any() and abs(read[0][1]) != 1.0):
-            continue
-        port, scale = read[0]
-        rate[y] = 0.0
-        felt = np.zeros(linear.n_outputs)
-        felt[y] = scale
-        name = port.name if np.count_nonzero(port.act) > 1 else cells.get(port.name, "")
-        if name:
-            at = next(i for i, other in enumerate(found) if other.name == name)
-            known = found[at].output
-            found[at] = replace(found[at], output=felt + (known if known.size else 0.0))
-            continue
-        cell = replace(
-            port,
-            name=f"{port.name} ({label})",
-            output=felt,
-            description=f"{port.description}; its force is read by {label}",
-        )
-        cells[port.name] = cell.name
-        found.insert(1 + next(i for i, other in enumerate(found) if other.name == port.name), cell)
-        moved = [replace(q, place=cell.name) if q.place == port.name else q for q in moved]
-    return rate, tuple(found), tuple(moved)
-
-
-def _scale(linear: LinearModel, row: Array, port: Port, parameters: Sequence[NominalParameter]) -> float:
-    """Return the reading of a unit force at a port in an output row.
-
-    It is 0 if the row does not read that force.
-    """
-    k, c = (
-        sum(q.value for q in parameters if q.kind == kind and q.place == port.name)
-        for kind in (Stiffness.name, Damping.name)
-    )
-    force = k * np.concatenate([port.position, port.position_input])
-    force = force + c * np.concatenate([port.velocity, port.velocity_input])
-    if port.modal or not force.any() or not row.any():
-        return 0.0
-    scale = float(row @ force / (force @ force))
-    # entry by entry: a spring in N/m and a damper in N s/m have no common size
-    if np.any(np.abs(row - scale * force) > _SAME * np.maximum(np.abs(row), np.abs(scale * force))):
-        return 0.0
-    if abs(abs(scale) - 1.0) <= _SAME:
-        scale = float(np.sign(scale))
-    named = not any(_ANONYMOUS.fullmatch(label) for label in linear.state_labels)
-    if k and c:
-        return scale if named or linear.n_states > 2 else 0.0
-    decades = np.log10(abs(k or c))
-    return scale if abs(scale) == 1.0 and named and abs(decades - round(decades)) > _SAME else 0.0
-
-
-_MOST = 60
 _LEFT = 1e-9  # relative size of what cancellation leaves behind
+_ROUNDED = 2e-3  # and of what four digits of the entries leave of a coupling
+_MOST = 60  # entries of B, C and D that somebody measured
 _ALONG = 1e-6  # of the cosine between two directions that are one: four digits of their entries are kept
-
-
-def read_weights(
-    linear: LinearModel,
-    rate: Array,
-    ports: Sequence[Port],
-    tolerance: float,
-) -> list[NominalParameter]:
-    """Entries of B, C and D that are numbers of the plant.
-
-    Parameters
-    ----------
-    linear : LinearModel
-        Continuous-time model.
-    rate : ndarray, shape (n_y, n)
-        What its outputs read of rates (accelerometers), which is taken off C and D.
-    ports : sequence of Port
-        Its places; what a sensor reads of a force there is no weight.
-    tolerance : float
-        Relative size below which an entry counts as zero.
-
-    Returns
-    -------
-    list of NominalParameter
-        Not listed is a weight of one, which is how a signal is mounted; a single one of its input or
-        output, which is a gain; and those of an input that is a force at a port, which masses divide.
-        Empty where there are more than 60: shapes of many modes, not numbers that somebody measured.
-    """
-    whole = np.hstack([linear.C, linear.D])
-    rest = whole - rate @ np.hstack([linear.A, linear.B])
-    rest[np.abs(rest) <= _LEFT * np.abs(whole)] = 0.0
-    mixed = np.abs(rest) > tolerance * np.abs(rest).max(axis=1, keepdims=True, initial=0.0)
-    mixed[[y for port in ports for y in np.flatnonzero(port.output)]] = False
-    mixed[(mixed.sum(axis=1) == 1) & mixed[:, : linear.n_states].any(axis=1)] = False
-
-    driven = np.abs(linear.B) > tolerance * np.abs(linear.B).max(axis=0, initial=0.0)
-    driven[[item.state for item in find_displacements(linear, tolerance)]] = False  # kinematics
-    driven[:, driven.sum(axis=0) == 1] = False
-    driven[:, [_enters(linear.B[:, j], ports) for j in range(linear.n_inputs)]] = False
-
-    found = []
-    n = linear.n_states
-    for name, values, which in (
-        ("B", linear.B, driven),
-        ("C", rest[:, :n], mixed[:, :n]),
-        ("D", rest[:, n:], mixed[:, n:]),
-    ):
-        for i, j in np.argwhere(which & (np.abs(np.abs(values) - 1.0) > tolerance)).tolist():
-            place = f"{name}[{i},{j}]"
-            found.append(NominalParameter(place, float(values[i, j]), "", Entry.name, place, False))
-    return found if len(found) <= _MOST else []
-
-
-def _enters(column: Array, ports: Sequence[Port]) -> bool:
-    """Return whether an input acts like the force of a port."""
-    size = float(np.linalg.norm(column))
-    acts = [port.act / np.linalg.norm(port.act) for port in ports if port.act.any()]
-    return size > 0 and any(abs(act @ column) > (1 - _ALONG) * size for act in acts)
+_ANONYMOUS = re.compile(r"x\[\d+\]")
 
 
 def recognized(sys: ct.StateSpace, dt: float | None, declared: Declared | None = None) -> dict[str, Any]:
@@ -199,15 +40,17 @@ def recognized(sys: ct.StateSpace, dt: float | None, declared: Declared | None =
     See `PhysicalModel.from_statespace`.
     """
     linear, tolerance = _in_continuous_time(sys, dt)
-    ports, parameters = find_ports(linear, tolerance, declared)
-    rate, ports, parameters = find_meters(linear, find_rate_sensors(linear, tolerance), ports, parameters)
-    weights = read_weights(linear, rate, ports, tolerance)
+    displacements = find_displacements(linear, tolerance)
+    ports, parameters = find_ports(linear, displacements, tolerance, declared or Declared())
+    rate = find_rate_sensors(linear, displacements, tolerance)
+    rate, ports, parameters = find_meters(linear, rate, ports, parameters)
+    weights = read_weights(linear, rate, displacements, ports, tolerance)
     return {
         "linear": linear,
         "output_state": linear.C - rate @ linear.A if rate.any() else linear.C,
         "output_rate": rate,
         "output_input": linear.D - rate @ linear.B,
-        "ports": ports,
+        "ports": tuple(ports),
         "parameters": tuple(sorted((*parameters, *weights), key=lambda q: q.kind == InputGain.name)),
     }
 
@@ -232,106 +75,121 @@ def _in_continuous_time(sys: ct.StateSpace, dt: float | None) -> tuple[LinearMod
 
 
 def find_ports(
-    linear: LinearModel, tolerance: float = 1e-9, declared: Declared | None = None
-) -> tuple[tuple[Port, ...], tuple[NominalParameter, ...]]:
+    linear: LinearModel, displacements: Sequence[Displacement], tolerance: float, declared: Declared
+) -> tuple[list[Port], list[NominalParameter]]:
     """Ports and nominal parameters of a plain model.
 
     Parameters
     ----------
     linear : LinearModel
         Continuous-time model.
-    tolerance : float, optional
+    displacements : sequence of Displacement
+        Its displacement states.
+    tolerance : float
         Relative size below which an entry counts as zero.
-    declared : Declared, optional
+    declared : Declared
         Links, units and masses that are known.
 
     Returns
     -------
-    ports : tuple of Port
+    ports : list of Port
         Absolute ports in the order of the states, then relative ones.
-    parameters : tuple of NominalParameter
+    parameters : list of NominalParameter
         Nonzero stiffness, damping and coefficients, and the input gains.
     """
-    displacements = find_displacements(linear, tolerance)
+    labels = linear.state_labels
     modes = find_modes(linear, displacements, tolerance)
     modal = {state for mode in modes for state in mode.states}
     displacements = [item for item in displacements if item.state not in modal]
-    declared = declared or Declared()
-    known = _known_masses(linear, displacements, declared)
+    velocity = dict(zip(*of_masses(displacements)[:2], strict=True))
+    moving = {state for item in displacements for state in item.ends}
+    known = {
+        velocity.get(i, i): declared.masses[label]
+        for i, label in enumerate(labels)
+        if label in declared.masses
+    }
     masses = relative_masses(linear, displacements, tolerance, known)
-    owned = {item.moving for item in displacements if item.absolute}
-    others = {item.other for item in displacements} | {item.moving for item in displacements}
-    taken = {item.state for item in displacements} | owned
-
-    by_state = {item.state: displacement_port(linear, item, masses) for item in displacements}
-    by_state |= {mode.states[0]: mode.port for mode in modes}
-    for i in range(linear.n_states):
-        if i not in taken | modal:
-            by_state[i] = _state_port(linear, i, masses, mechanical=i in others)
     links, open_ = find_links(linear, displacements, masses, tolerance, declared)
-    for item, words in open_.items():
-        port = by_state[item.state]
-        by_state[item.state] = replace(port, description=f"{port.description}; {words}")
-    stores = [i for i in by_state if i not in taken and i not in others and i not in modal]
+    by_state = {mode.states[0]: mode.port for mode in modes}
+    for item in displacements:
+        by_state[item.state] = _displacement_port(linear, item, masses, open_.get(item.state, ""))
+    own = [i for i in range(linear.n_states) if i not in modal | by_state.keys() | set(velocity.values())]
+    by_state |= {i: _state_port(linear, i, masses, mechanical=i in moving) for i in own}
     exchange = [
         _exchange_port(linear, source, sink, masses)
-        for source, sink in exchanging(linear.A, sorted(stores), tolerance)
+        for source, sink in exchanging(linear.A, [i for i in own if i not in moving], tolerance)
     ]
     shunts = [_shunt_port(linear, item) for item in displacements if _is_voltage(linear, item, declared)]
-    found = (*(by_state[i] for i in sorted(by_state)), *(link.port for link in links), *exchange, *shunts)
-    return found, read_parameters(linear, displacements, by_state, links, modes, masses, tolerance)
+    parameters = _read_parameters(linear, displacements, by_state, [*modes, *links], masses, tolerance)
+    return [
+        *(by_state[i] for i in sorted(by_state)),
+        *(link.port for link in links),
+        *exchange,
+        *shunts,
+    ], parameters
 
 
-def _known_masses(
-    linear: LinearModel, displacements: Sequence[Displacement], declared: Declared
-) -> dict[int, float]:
-    """Declared masses by the velocity, or the store, that they belong to."""
-    velocity = {item.state: item.moving for item in displacements if item.absolute}
-    found = {}
-    for i, label in enumerate(linear.state_labels):
-        if label in declared.masses:
-            moving = velocity.get(i)
-            found[i if moving is None else moving] = declared.masses[label]
-    return found
+def _read_parameters(
+    linear: LinearModel,
+    displacements: Sequence[Displacement],
+    by_state: Mapping[int, Port],
+    elements: Sequence[Element],
+    masses: MassScale,
+    tolerance: float,
+) -> list[NominalParameter]:
+    """Return stiffness and damping by place, entries of A, and input gains.
 
-
-def displacement_port(linear: LinearModel, item: Displacement, masses: MassScale) -> Port:
-    """Port of a displacement of a mass, or of an elongation.
-
-    Parameters
-    ----------
-    linear : LinearModel
-        Continuous-time model.
-    item : Displacement
-        The displacement.
-    masses : MassScale
-        Masses of the velocity states.
-
-    Returns
-    -------
-    Port
-        Mechanical port named after the displacement state.
+    The links are taken off a copy of A, then springs and dampers to the ground. What is left over
+    (first-order states, one-way couplings) is listed entry by entry.
     """
-    n, labels = linear.n_states, linear.state_labels
-    both = (item.moving, 1.0), (item.other, -item.ratio)
-    ends = {state: sign for state, sign in both if state is not None}
-    sources = "; ".join(dict.fromkeys(masses.origin[state] for state in ends))
-    speed = " and ".join(labels[state] for state in ends)
-    if item.absolute:
-        description = f"displacement {labels[item.state]}, velocity {speed}; {sources}"
-    else:
-        description = f"elongation {labels[item.state]}, pulls on {speed}; {sources}"
-    nothing = np.zeros(linear.n_inputs)
-    return Port(
-        labels[item.state],
-        "mechanical",
-        act=-masses.inverse @ row_of(n, ends),
-        position=row_of(n, {item.state: 1.0}),
-        position_input=nothing,
-        velocity=row_of(n, {state: sign * item.scale for state, sign in ends.items()}),
+    rest = _Rest(linear, tolerance)
+    for element in elements:
+        rest.off(element.port, Stiffness.name, element.stiffness)
+        rest.off(element.port, Damping.name, element.damping)
+        rest.left[list(element.states)] = 0.0  # of a mode
+    velocity = dict(zip(*of_masses(displacements)[:2], strict=True))
+    if not all(element.states for element in elements):
+        rest.round_off(velocity)
+    for item in displacements:
+        if not item.absolute:
+            rest.take_elongation(by_state[item.state], item)
+    for state, row in velocity.items():
+        rest.take(by_state[state], Stiffness.name, row, state)
+        rest.take(by_state[state], Damping.name, row, row)
+    if masses.shared:
+        rest.left[np.abs(rest.left) <= _ROUNDED * rest.scale] = 0.0
+    for i, port in by_state.items():
+        if port.kind == "mechanical" and not port.has_position:
+            rest.take(port, Damping.name, i, i)
+    rest.left[[item.state for item in displacements]] = 0.0  # kinematics
+    parameters = rest.found
+    for i, j in np.argwhere(rest.left[:, : linear.n_states]).tolist():
+        place = f"A[{i},{j}]"
+        parameters.append(NominalParameter(place, float(linear.A[i, j]), "", Entry.name, place, False))
+    for label, base, column in zip(linear.input_labels, masses.base_acceleration, linear.B.T, strict=True):
+        if column.any() and not base:
+            parameters.append(NominalParameter(f"gain[{label}]", 1.0, "1", InputGain.name, label, False))
+    return parameters
+
+
+def _displacement_port(linear: LinearModel, item: Displacement, masses: MassScale, open_: str) -> Port:
+    """Return the port of a displacement of a mass, or of an elongation.
+
+    `open_` says what is unknown about its links.
+    """
+    label, nothing = linear.state_labels[item.state], np.zeros(linear.n_inputs)
+    speed = " and ".join(linear.state_labels[state] for state in item.ends)
+    what = f"displacement {label}, velocity" if item.absolute else f"elongation {label}, pulls on"
+    words = [f"{what} {speed}", *dict.fromkeys(masses.origin[state] for state in item.ends)]
+    return port_at(
+        linear,
+        label,
+        "; ".join([*words, open_] if open_ else words),
+        masses.act(item.ends),
+        {state: weight * item.scale for state, weight in item.ends.items()},
+        {item.state: 1.0},
         velocity_input=nothing if item.absolute else linear.B[item.state],
         acceleration_input=masses.base_acceleration if item.absolute else nothing,
-        description=description,
     )
 
 
@@ -340,17 +198,12 @@ def _state_port(linear: LinearModel, i: int, masses: MassScale, *, mechanical: b
 
     The state is a store, or the speed of a mass without displacement.
     """
-    label, origin = linear.state_labels[i], masses.origin[i]
-    nothing = np.zeros(linear.n_inputs)
-    return Port(
-        label,
-        "mechanical" if mechanical else "first_order",
-        act=row_of(linear.n_states, {i: -1.0 / masses.mass[i]}),
-        position=np.zeros(linear.n_states),
-        position_input=nothing,
-        velocity=row_of(linear.n_states, {i: 1.0}),
-        acceleration_input=masses.base_acceleration if mechanical else nothing,
-        description=f"speed {label}; {origin}" if mechanical else f"state {label}; {_stored(origin)}",
+    label, act = linear.state_labels[i], masses.act({i: 1.0})
+    if mechanical:
+        words, base = f"speed {label}; {masses.origin[i]}", masses.base_acceleration
+        return port_at(linear, label, words, act, {i: 1.0}, acceleration_input=base)
+    return port_at(
+        linear, label, f"state {label}; {_stored(masses.origin[i])}", act, {i: 1.0}, kind="first_order"
     )
 
 
@@ -375,16 +228,10 @@ def _shunt_port(linear: LinearModel, item: Displacement) -> Port:
 
     The capacitor's own port is a voltage in series with it.
     """
-    label, nothing = linear.state_labels[item.state], np.zeros(linear.n_inputs)
-    return Port(
-        f"shunt {label}",
-        "first_order",
-        act=row_of(linear.n_states, {item.state: -item.scale}),
-        position=np.zeros(linear.n_states),
-        position_input=nothing,
-        velocity=row_of(linear.n_states, {item.state: 1.0}),
-        description=f"current past the capacitor of {label}, capacitance {1.0 / item.scale:.4g}",
-    )
+    label = linear.state_labels[item.state]
+    words = f"current past the capacitor of {label}, capacitance {1.0 / item.scale:.4g}"
+    act = row_of(linear.n_states, {item.state: -item.scale})
+    return port_at(linear, f"shunt {label}", words, act, {item.state: 1.0}, kind="first_order")
 
 
 def _exchange_port(linear: LinearModel, source: int, sink: int, masses: MassScale) -> Port:
@@ -392,22 +239,275 @@ def _exchange_port(linear: LinearModel, source: int, sink: int, masses: MassScal
 
     It is an exchange in both directions (temperatures) or a flow (tanks).
     """
-    A, labels = linear.A, linear.state_labels
-    both = A[source, sink] > 0
-    gain = 1.0 / masses.mass[sink] if both else A[sink, source] / -A[source, source] / masses.mass[source]
-    one, two = labels[source], labels[sink]
-    if both:
+    A, (one, two) = linear.A, (linear.state_labels[i] for i in (source, sink))
+    if A[source, sink] > 0:
         name, words = f"{one}-{two}", f"exchange between {one} and {two}, driven by their difference"
+        velocity = {source: 1.0, sink: -1.0}
+        act = masses.act(velocity)
     else:
-        name = f"{one}->{two}"
+        name, velocity = f"{one}->{two}", {source: 1.0}
         words = f"flow from {one} to {two}, taken as if all that leaves {one} reached {two}"
-    nothing = np.zeros(linear.n_inputs)
-    return Port(
-        name,
-        "first_order",
-        act=row_of(linear.n_states, {source: -1.0 / masses.mass[source], sink: float(gain)}),
-        position=np.zeros(linear.n_states),
-        position_input=nothing,
-        velocity=row_of(linear.n_states, {source: 1.0, sink: -1.0} if both else {source: 1.0}),
-        description=f"{words}; {_stored(masses.origin[source])}",
+        act = masses.act(velocity)
+        act[sink] = A[sink, source] / -A[source, source] / masses.mass[source]
+    words += f"; {_stored(masses.origin[source])}"
+    return port_at(linear, name, words, act, velocity, kind="first_order")
+
+
+class _Rest:
+    """Remainder of [A B] while links are subtracted."""
+
+    def __init__(self, linear: LinearModel, tolerance: float) -> None:
+        B, self.scale = np.abs(linear.B), np.abs(np.hstack([linear.A, linear.B]))
+        driven = np.where(B > tolerance * B.max(axis=0, initial=0.0), linear.B, 0.0)
+        self.left = np.hstack([significant(linear.A, tolerance), driven])
+        self.found: list[NominalParameter] = []
+
+    def take(self, port: Port, kind: str, row: int, column: int) -> None:
+        """Find the coefficient that explains the rest of an entry.
+
+        Its contribution to all entries is subtracted.
+        """
+        if abs(self.left[row, column]) > _LEFT * self.scale[row, column]:
+            sensed = _sensed(port, kind)
+            self.off(port, kind, float(self.left[row, column] / (port.act[row] * sensed[column])))
+
+    def take_elongation(self, port: Port, item: Displacement) -> None:
+        """Find spring and damper of a link whose elongation is a state.
+
+        The other end of the damper may be an input: it shows in B.
+        """
+        end, *others = item.ends
+        self.take(port, Stiffness.name, end, item.state)
+        other = others[0] if others else port.velocity.size + int(np.argmax(np.abs(port.velocity_input)))
+        self.take(port, Damping.name, end, other)
+
+    def round_off(self, velocity: Mapping[int, int]) -> None:
+        """Set the rounding errors of the links at masses to zero.
+
+        `velocity` holds the velocity of each displacement.
+        """
+        for own, row in velocity.items():
+            left = self.left[row]
+            rounded = np.abs(left) <= _ROUNDED * self.scale[row]
+            rounded[[row, own]] &= left[[row, own]] > 0  # a soft spring to the ground may be there
+            left[rounded] = 0.0
+
+    def off(self, port: Port, kind: str, value: float) -> None:
+        """Enter a coefficient, and take its part off."""
+        if value:
+            name = f"{'k' if kind == Stiffness.name else 'c'}[{port.name}]"
+            self.found.append(NominalParameter(name, float(value), "", kind, port.name, False))
+            self.left -= value * np.outer(port.act, _sensed(port, kind))
+            self.left[np.abs(self.left) <= _LEFT * self.scale] = 0.0
+
+
+def _sensed(port: Port, kind: str) -> Array:
+    """Return the row over states and inputs that a spring or damper senses."""
+    if kind == Stiffness.name:
+        return np.concatenate([port.position, port.position_input])
+    return np.concatenate([port.velocity, port.velocity_input])
+
+
+def find_rate_sensors(linear: LinearModel, displacements: Sequence[Displacement], tolerance: float) -> Array:
+    """Find the outputs that read rates of velocity states (accelerometers).
+
+    Parameters
+    ----------
+    linear : LinearModel
+        Continuous-time model.
+    displacements : sequence of Displacement
+        Its displacement states.
+    tolerance : float
+        Relative size below which an entry counts as zero.
+
+    Returns
+    -------
+    ndarray of shape (n_y, n)
+        Ca with C = Ca A for the outputs that are accelerations, zero rows for others.
+
+    Notes
+    -----
+    The row of C is an acceleration if it is a combination of rows of A that belong to
+    velocity states, and that is the shorter way to say it. In an undamped model
+    every displacement is such a combination, so there the weights must be 1 (or the direct
+    part of the input must agree).
+    """
+    rows = sorted({state for item in displacements for state in item.ends})
+    rate = np.zeros((linear.n_outputs, linear.n_states))
+    for y, (c, d) in enumerate(zip(linear.C, linear.D, strict=True)):
+        weights = _rate_weights(linear, rows, c, d, tolerance)
+        if weights is not None:
+            rate[y, rows] = weights
+    return rate
+
+
+def _rate_weights(linear: LinearModel, rows: list[int], c: Array, d: Array, tolerance: float) -> Array | None:
+    if not rows or not c.any():
+        return None
+    A, B = linear.A[rows], linear.B[rows]
+    candidates: list[Array] = []
+    for index, row in enumerate(A):  # a single accelerometer is the plainest reading
+        if row.any():
+            weights = np.zeros(len(rows))
+            weights[index] = (c @ row) / (row @ row)
+            candidates.append(weights)
+    candidates.sort(key=lambda weights: abs(abs(weights).max() - 1.0))
+    candidates.append(np.asarray(np.linalg.lstsq(A.T, c, rcond=None)[0], dtype=np.float64))
+    for weights in candidates:
+        weights = np.where(np.abs(weights) > 1e-9 * np.abs(weights).max(), weights, 0.0)
+        if np.abs(weights @ A - c).max() > max(10 * tolerance, 1e-9) * np.abs(c).max():
+            continue
+        used = np.flatnonzero(weights)
+        unit = bool(np.allclose(np.abs(weights[used]), 1.0, rtol=1e-6))
+        direct = weights @ B
+        agrees = bool(direct.any() and np.allclose(direct, d, rtol=1e-6, atol=1e-9 * np.abs(direct).max()))
+        damped = bool(np.any(c[rows]))
+        shorter = used.size < np.count_nonzero(np.abs(c) > tolerance * np.abs(c).max())
+        if agrees or (unit and (shorter or used.size == 1)) or (damped and shorter):
+            return np.asarray(weights, dtype=np.float64)
+    return None
+
+
+def find_meters(
+    linear: LinearModel, rate: Array, ports: Sequence[Port], parameters: Sequence[NominalParameter]
+) -> tuple[Array, list[Port], list[NominalParameter]]:
+    """Find the sensors that read the force at a port.
+
+    The remaining accelerometers are returned as well.
+
+    Parameters
+    ----------
+    linear : LinearModel
+        Continuous-time model.
+    rate : ndarray of shape (n_y, n)
+        What its outputs may read of rates of velocity states.
+    ports : sequence of Port
+        Its places.
+    parameters : sequence of NominalParameter
+        Its springs and dampers.
+
+    Returns
+    -------
+    rate : ndarray of shape (n_y, n)
+        With zero rows for sensors that read a force.
+    ports : list of Port
+        With what the sensors read of a force there. A force at a single mass may act beside the cell: where
+        the port holds one, a port ``"x1 (cell)"`` stands for what the sensor ``"cell"``, and any other at the
+        same place, reads.
+    parameters : list of NominalParameter
+        Springs and dampers at the ports that hold them.
+
+    Notes
+    -----
+    A row of C reads the force in a link if it is k d + c v with the k and c that A has there. One number
+    alone could as well be the gain of a sensor: it must be the same, no power of ten, and the states must
+    bear names, for a transfer function of unit gain looks like that.
+    An accelerometer at a mass that only that link holds reads the same force over the mass.
+    """
+    rate, read_at = rate.copy(), dict[str, list[tuple[int, float]]]()
+    for y in range(0 if is_companion(linear.A, 1e-9) else linear.n_outputs):
+        if np.count_nonzero(rate[y]) == 1 and np.isclose(np.abs(rate[y]).max(), 1.0, rtol=_SAME):
+            continue
+        row = np.concatenate([linear.C[y], linear.D[y]])
+        read = [(p.name, scale) for p in ports if (scale := _scale(linear, row, p, parameters))]
+        if len(read) == 1 and (not rate[y].any() or abs(read[0][1]) == 1.0):
+            rate[y] = 0.0
+            read_at.setdefault(read[0][0], []).append((y, read[0][1]))
+    found, moved = list[Port](), list(parameters)
+    for port in ports:
+        readings = read_at.get(port.name, [])
+        metered = replace(port, output=row_of(linear.n_outputs, dict(readings))) if readings else port
+        if readings and np.count_nonzero(port.act) == 1:
+            found.append(port)
+            label = linear.output_labels[readings[0][0]]
+            words = f"{port.description}; its force is read by {label}"
+            metered = replace(metered, name=f"{port.name} ({label})", description=words)
+            moved = [replace(q, place=metered.name) if q.place == port.name else q for q in moved]
+        found.append(metered)
+    return rate, found, moved
+
+
+def _scale(linear: LinearModel, row: Array, port: Port, parameters: Sequence[NominalParameter]) -> float:
+    """Return the reading of a unit force at a port in an output row.
+
+    It is 0 if the row does not read that force.
+    """
+    k, c = (
+        sum(q.value for q in parameters if q.kind == kind and q.place == port.name)
+        for kind in (Stiffness.name, Damping.name)
     )
+    force = k * _sensed(port, Stiffness.name) + c * _sensed(port, Damping.name)
+    if port.modal or not force.any() or not row.any():
+        return 0.0
+    scale = float(row @ force / (force @ force))
+    # entry by entry: a spring in N/m and a damper in N s/m have no common size
+    if np.any(np.abs(row - scale * force) > _SAME * np.maximum(np.abs(row), np.abs(scale * force))):
+        return 0.0
+    if abs(abs(scale) - 1.0) <= _SAME:
+        scale = float(np.sign(scale))
+    named = not any(_ANONYMOUS.fullmatch(label) for label in linear.state_labels)
+    if k and c:
+        return scale if named or linear.n_states > 2 else 0.0
+    decades = np.log10(abs(k or c))
+    return scale if abs(scale) == 1.0 and named and abs(decades - round(decades)) > _SAME else 0.0
+
+
+def read_weights(
+    linear: LinearModel,
+    rate: Array,
+    displacements: Sequence[Displacement],
+    ports: Sequence[Port],
+    tolerance: float,
+) -> list[NominalParameter]:
+    """Entries of B, C and D that are numbers of the plant.
+
+    Parameters
+    ----------
+    linear : LinearModel
+        Continuous-time model.
+    rate : ndarray, shape (n_y, n)
+        What its outputs read of rates (accelerometers), which is taken off C and D.
+    displacements : sequence of Displacement
+        Its displacement states.
+    ports : sequence of Port
+        Its places; what a sensor reads of a force there is no weight.
+    tolerance : float
+        Relative size below which an entry counts as zero.
+
+    Returns
+    -------
+    list of NominalParameter
+        Not listed is a weight of one, which is how a signal is mounted; a single one of its input or
+        output, which is a gain; and those of an input that is a force at a port, which masses divide.
+        Empty where there are more than 60: shapes of many modes, not numbers that somebody measured.
+    """
+    whole = np.hstack([linear.C, linear.D])
+    rest = whole - rate @ np.hstack([linear.A, linear.B])
+    rest[np.abs(rest) <= _LEFT * np.abs(whole)] = 0.0
+    mixed = np.abs(rest) > tolerance * np.abs(rest).max(axis=1, keepdims=True, initial=0.0)
+    mixed[[y for port in ports for y in np.flatnonzero(port.output)]] = False
+    mixed[(mixed.sum(axis=1) == 1) & mixed[:, : linear.n_states].any(axis=1)] = False
+
+    driven = np.abs(linear.B) > tolerance * np.abs(linear.B).max(axis=0, initial=0.0)
+    driven[[item.state for item in displacements]] = False  # kinematics
+    driven[:, driven.sum(axis=0) == 1] = False
+    driven[:, [_enters(linear.B[:, j], ports) for j in range(linear.n_inputs)]] = False
+
+    found = []
+    n = linear.n_states
+    for name, values, which in (
+        ("B", linear.B, driven),
+        ("C", rest[:, :n], mixed[:, :n]),
+        ("D", rest[:, n:], mixed[:, n:]),
+    ):
+        for i, j in np.argwhere(which & (np.abs(np.abs(values) - 1.0) > tolerance)).tolist():
+            place = f"{name}[{i},{j}]"
+            found.append(NominalParameter(place, float(values[i, j]), "", Entry.name, place, False))
+    return found if len(found) <= _MOST else []
+
+
+def _enters(column: Array, ports: Sequence[Port]) -> bool:
+    """Return whether an input acts like the force of a port."""
+    size = float(np.linalg.norm(column))
+    acts = [port.act / np.linalg.norm(port.act) for port in ports if port.act.any()]
+    return size > 0 and any(abs(act @ column) > (1 - _ALONG) * size for act in acts)

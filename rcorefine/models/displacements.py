@@ -1,15 +1,23 @@
-"""Find displacement states in a plain StateSpace."""
+"""Displacements and modes in the matrices of a plain StateSpace."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from ..systems.linear import Array, LinearModel
+from .ports import Element, port_at, row_of
 
-__all__ = ["Displacement", "find_displacements", "is_companion", "significant"]
+__all__ = [
+    "Displacement", "connected", "find_displacements", "find_modes", "is_companion", "of_masses",
+    "significant",
+]  # fmt: skip
+
+_SAME = 1e-3  # relative difference of entries that rounding to four digits explains
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +44,25 @@ class Displacement:
     absolute: bool
     scale: float
     ratio: float = 1.0
+
+    @property
+    def ends(self) -> dict[int, float]:
+        """Weights of the velocity states."""
+        both = (self.moving, 1.0), (self.other, -self.ratio)
+        return {state: weight for state, weight in both if state is not None}
+
+
+def of_masses(displacements: Sequence[Displacement]) -> tuple[list[int], list[int], Array]:
+    """Return states, velocities and scales of the displacements of masses."""
+    own = [d for d in displacements if d.absolute]
+    velocities = [d.moving for d in own if d.moving is not None]
+    return [d.state for d in own], velocities, np.array([d.scale for d in own])
+
+
+def connected(linked: NDArray[np.bool_]) -> list[list[int]]:
+    """Connected components, each in ascending order."""
+    count, label = connected_components(linked, directed=False)
+    return [np.flatnonzero(label == k).tolist() for k in range(count)]
 
 
 def is_companion(A: Array, tolerance: float = 1e-9) -> bool:
@@ -117,10 +144,8 @@ def find_displacements(linear: LinearModel, tolerance: float = 1e-9) -> list[Dis
     n = linear.n_states
     if is_companion(A, tolerance):
         return []
-    columns = np.abs(B).max(axis=0, initial=0.0)
-    driven = [bool((np.abs(B[i]) > tolerance * np.maximum(columns, 1e-300)).any()) for i in range(n)]
-    entries = [np.flatnonzero(np.abs(A[i]) > tolerance * np.abs(A[i]).max()) for i in range(n)]
-
+    driven = (np.abs(B) > tolerance * np.maximum(np.abs(B).max(axis=0, initial=0.0), 1e-300)).any(axis=1)
+    entries = [np.flatnonzero(np.abs(row) > tolerance * np.abs(row).max()) for row in A]
     single = {
         i: int(entries[i][0])
         for i in range(n)
@@ -138,7 +163,7 @@ def find_displacements(linear: LinearModel, tolerance: float = 1e-9) -> list[Dis
             link = _elongation(A, B[i] if driven[i] else np.zeros(0), i, entries[i], taken)
             if link is not None:
                 found.append(link)
-    moving = {item.moving for item in found} | {item.other for item in found}
+    moving = {state for item in found for state in item.ends}
     return sorted((item for item in found if item.state not in moving), key=lambda item: item.state)
 
 
@@ -218,3 +243,75 @@ def _from_input(A: Array, driven: Array, i: int, j: int) -> bool:
     # an entry of minus one that its velocity gets back is the observable form with unit gain
     canonical = A[i, j] < 0 and np.isclose(A[j, i], 1.0)
     return bool(np.isclose(abs(A[i, j]), 1.0, rtol=1e-6) and not canonical)
+
+
+def find_modes(
+    linear: LinearModel, displacements: Sequence[Displacement], tolerance: float = 1e-9
+) -> list[Element]:
+    """Modes of a model in modal coordinates.
+
+    Parameters
+    ----------
+    linear : LinearModel
+        Continuous-time model.
+    displacements : sequence of Displacement
+        Its displacement states.
+    tolerance : float, optional
+        Relative size below which an entry counts as zero.
+
+    Returns
+    -------
+    list of Element
+        Displacement, squared frequency and damping of each, the modal mass taken as one; empty in physical
+        coordinates.
+
+    Notes
+    -----
+    Blocks ``[[s, w], [-w, s]]`` are modes. Blocks ``[[0, 1], [-k, -c]]`` may as well be masses on springs of
+    their own: they are modes where an input drives, and an output reads, several of them.
+    """
+    A = significant(linear.A, tolerance)
+    owned = {(item.state, item.moving) for item in displacements if item.absolute}
+    rotating, oscillators = [], []
+    for block in connected((A != 0) | (A != 0).T):
+        if len(block) != 2:
+            continue
+        i, j = block
+        spins = abs(A[i, j] + A[j, i]) <= _SAME * abs(A[i, j]) and A[i, j] * A[j, i] < 0
+        if spins and abs(A[i, i] - A[j, j]) <= _SAME * abs(A[i, j]) and A[i, i] and A[j, j]:
+            rotating.append((i, j))
+        elif (i, j) in owned or (j, i) in owned:
+            oscillators.append((i, j) if (i, j) in owned else (j, i))
+    if not _shared(linear.B.T, oscillators) or not _shared(linear.C, oscillators):
+        oscillators = []
+    return [_mode(linear, i, j) for i, j in sorted([*rotating, *oscillators])]
+
+
+def _shared(rows: Array, blocks: Sequence[tuple[int, int]]) -> bool:
+    """Return whether one signal belongs to several of the blocks."""
+    size = np.abs(rows) > 1e-9 * np.abs(rows).max(axis=1, keepdims=True, initial=0.0)
+    return any(sum(bool(row[[i, j]].any()) for i, j in blocks) > 1 for row in size)
+
+
+def _mode(linear: LinearModel, i: int, j: int) -> Element:
+    pair = [i, j]
+    A, B = linear.A[np.ix_(pair, pair)], linear.B[pair]
+    drive = np.linalg.svd(B)[0][:, 0] if B.any() else np.array([0.0, 1.0])
+    across = np.array([drive[1], -drive[0]])  # what the main input drives only by way of its rate
+    across *= np.sign(across[np.argmax(np.abs(across))])
+    rate = across @ A
+    act = -drive / float(rate @ drive)
+    square, twice = float(np.linalg.det(A)), -float(np.trace(A))
+    frequency, labels = np.sqrt(square), linear.state_labels
+    port = port_at(
+        linear,
+        labels[i],
+        f"mode of {frequency:.4g} rad/s, damping ratio {twice / 2 / frequency:.3g}, states {labels[i]} "
+        f"and {labels[j]}; forces are per modal mass",
+        row_of(linear.n_states, dict(zip(pair, act, strict=True))),
+        dict(zip(pair, rate, strict=True)),
+        dict(zip(pair, across, strict=True)),
+        velocity_input=np.where(np.abs(across @ B) > 1e-12 * np.abs(B).max(initial=0.0), across @ B, 0.0),
+        modal=True,
+    )
+    return Element(port, square, twice, (i, j))

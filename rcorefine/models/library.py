@@ -102,13 +102,10 @@ def effect_library(
             raise ModelError(f"there is no place {place!r}; the places are {', '.join(physical.places)}")
         physical.entry(place)
 
-    found = _at_ports(physical, asked)
-    found += _at_channels(physical, asked)
-    found += _at_entries(physical, asked, wanted)
+    found = _at_ports(physical, asked) + _at_channels(physical, asked) + _at_entries(physical, asked, wanted)
     if asked is None or ModelParameter.name in asked:
         found += [Effect(q.kind, q.place) for q in physical.parameters if q.kind == ModelParameter.name]
-    if wanted is not None:
-        found = [effect for effect in found if effect.place in wanted]
+    found = [effect for effect in found if wanted is None or effect.place in wanted]
     if not found:
         what, where = ", ".join(asked or ("any",)), ", ".join(wanted or ("any place",))
         raise ModelError(
@@ -159,45 +156,44 @@ def _names(what: str, given: Any) -> tuple[str, ...] | None:
     return names
 
 
-def _at_ports(physical: PhysicalModel, asked: tuple[str, ...] | None) -> list[Effect]:
-    candidates: list[tuple[Port, str]] = []
-    for port in physical.ports:
-        for law in KINDS.values():
-            if port.kind not in law.where or law.needs_law:
-                continue
-            if "position" in law.needs and not port.has_position:
-                continue
-            if "velocity" in law.needs and not port.has_velocity:
-                continue
-            if law.name in asked if asked is not None else _plausible(physical, port, law):
-                candidates.append((port, law.name))
-    best: dict[Any, tuple[int, Port, str]] = {}
-    for port, name in candidates:  # one of those that act alike, the one with the parameter
-        rank = int(_has_parameter(physical, port, KINDS[name].belongs_to))
-        key = _action(port, name)
-        if key not in best or rank > best[key][0]:
-            best[key] = (rank, port, name)
-    chosen = {(port.name, name) for _, port, name in best.values()}
+def _at_ports(physical: PhysicalModel, asked: Sequence[str] | None) -> list[Effect]:
+    candidates = [
+        (port, law)
+        for port in physical.ports
+        for law in KINDS.values()
+        if port.kind in law.where
+        and not law.needs_law
+        and (port.has_position or "position" not in law.needs)
+        and (port.has_velocity or "velocity" not in law.needs)
+        and (law.name in asked if asked is not None else _plausible(physical, port, law))
+    ]
+    best: dict[Any, tuple[bool, Port]] = {}
+    for port, law in candidates:  # one of those that act alike, the one with the parameter
+        holds, key = _has_parameter(physical, port, law.belongs_to), _action(port, law)
+        if key not in best or holds > best[key][0]:
+            best[key] = holds, port
     held = {"tangent": 0.0} if asked is None else {}  # the model holds the slope at rest
     return [
-        Effect(name, port.name, fixed=held if name == Gravity.name else {}).at_port(port.domain)
-        for port, name in candidates
-        if (port.name, name) in chosen
+        Effect(law.name, port.name, fixed=held if law.name == Gravity.name else {}).at_port(port.domain)
+        for port, law in candidates
+        if best[_action(port, law)][1] is port
     ]
 
 
 def _plausible(physical: PhysicalModel, port: Port, law: Law) -> bool:
     """Return whether this effect is plausible at this port."""
+    joined = _joins(port)
     if law.name == Gravity.name:  # of an angle in rad, by its unit or by its name
         labels = [physical.linear.state_labels[i] for i in np.flatnonzero(port.position)]
         named = len(labels) == 1 and bool(_ANGLE.search(labels[0]))
-        if _joins(port) or not (port.position_unit == "rad" if port.position_unit else named):
+        if joined or not (port.position_unit == "rad" if port.position_unit else named):
             return False
-    if law.on_request or (law.domains and port.domain not in law.domains and law.name != Gravity.name):
+    elif law.domains and port.domain not in law.domains:
+        return False
+    if law.on_request:
         return False
     if port.modal:  # a change of its frequency or of its damping; other laws act at places
         return law.name in (Stiffness.name, Damping.name)
-    joined = _joins(port)
     # a body is one mass or store rather than what joins two
     flow = law.name == ConstantForce.name and port.kind == "first_order"  # from one store to another
     if law.belongs_to == Mass.name and not flow and (joined or _body_elsewhere(physical, port)):
@@ -208,15 +204,14 @@ def _plausible(physical: PhysicalModel, port: Port, law: Law) -> bool:
             between=_opposed(np.concatenate([port.velocity, port.velocity_input])),
             known_mass=_has_parameter(physical, port, Mass.name),
         )
-    if law.belongs_to == Stiffness.name and not joined:
-        # a spring to the ground at a mass that hangs on others is far-fetched
-        alone = not any(
-            _joins(other) or _has_parameter(physical, other, Stiffness.name)
-            for other in physical.ports
-            if other is not port and other.kind == "mechanical" and ((other.act != 0) & (port.act != 0)).any()
-        )
-        return alone or _has_parameter(physical, port, Stiffness.name)
-    return True
+    if law.belongs_to != Stiffness.name or joined or _has_parameter(physical, port, Stiffness.name):
+        return True
+    # a spring to the ground at a mass that hangs on others is far-fetched
+    return not any(
+        _joins(other) or _has_parameter(physical, other, Stiffness.name)
+        for other in physical.ports
+        if other is not port and other.kind == "mechanical" and ((other.act != 0) & (port.act != 0)).any()
+    )
 
 
 def _joins(port: Port) -> bool:
@@ -244,51 +239,44 @@ def _has_parameter(physical: PhysicalModel, port: Port, kind: str) -> bool:
     return any(item.place == port.name and item.kind == kind for item in physical.parameters)
 
 
-def _action(port: Port, kind: str) -> tuple[Any, ...]:
+def _action(port: Port, law: Law) -> tuple[Any, ...]:
     """Return a key that is equal for effects that act in the same way.
 
     Of the signals that the port senses, only those that the effect takes count.
     """
-    senses = KINDS[kind].senses
     arrays = [port.act, port.output]
-    if "position" in senses:
-        arrays += [port.position, port.position_input]
-    if "velocity" in senses:
-        arrays += [port.velocity, port.velocity_input]
-    if "acceleration" in senses:
-        arrays += [port.acceleration_input]
-    return (kind, *(tuple((array + 0.0).tolist()) for array in arrays))  # no negative zeros
+    for signal in ("position", "velocity"):
+        if signal in law.senses:
+            arrays += [getattr(port, signal), getattr(port, f"{signal}_input")]
+    if "acceleration" in law.senses:
+        arrays.append(port.acceleration_input)
+    return (law.name, *(tuple((array + 0.0).tolist()) for array in arrays))  # no negative zeros
 
 
-def _at_channels(physical: PhysicalModel, asked: tuple[str, ...] | None) -> list[Effect]:
-    found = []
+def _at_channels(physical: PhysicalModel, asked: Sequence[str] | None) -> list[Effect]:
     linear = physical.linear
-    for channel, labels in (("input", linear.input_labels), ("output", linear.output_labels)):
-        for label in labels:
-            found += [
-                Effect(kind.name, label)
-                for kind in KINDS.values()
-                if channel in kind.where
-                and not kind.needs_law
-                and (not kind.on_request if asked is None else kind.name in asked)
-            ]
-    return found
+    return [
+        Effect(law.name, label)
+        for channel, labels in (("input", linear.input_labels), ("output", linear.output_labels))
+        for label in labels
+        for law in KINDS.values()
+        if channel in law.where
+        and not law.needs_law
+        and (not law.on_request if asked is None else law.name in asked)
+    ]
 
 
 def _at_entries(
-    physical: PhysicalModel, asked: tuple[str, ...] | None, wanted: tuple[str, ...] | None
+    physical: PhysicalModel, asked: Sequence[str] | None, wanted: Sequence[str] | None
 ) -> list[Effect]:
     """Return `coefficient` effects at entries of the matrices.
 
     They are the named entries, or those that remain after the ports are subtracted.
     """
-    named = [place for place in wanted or () if place not in physical.places]
     if asked is not None and Entry.name not in asked:
         return []
-    if named:
-        return [Effect(Entry.name, place) for place in named]
     if wanted is not None:
-        return []
+        return [Effect(Entry.name, place) for place in wanted if place not in physical.places]
     listed = [item.place for item in physical.parameters if item.kind == Entry.name]
     if asked is None:
         own = {int(np.flatnonzero(port.act)[0]) for port in physical.ports if not _joins(port)}
@@ -300,6 +288,5 @@ def _at_entries(
         if len(listed) > _MOST_ENTRIES:
             return []
     elif not listed:
-        n = physical.linear.n_states
-        listed = [f"A[{i},{j}]" for i in range(n) for j in range(n) if physical.linear.A[i, j]]
+        listed = [f"A[{i},{j}]" for i, j in np.argwhere(physical.linear.A).tolist()]
     return [Effect(Entry.name, place) for place in listed]

@@ -9,9 +9,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..systems.balance import balance
-from ..systems.linear import Array, LinearModel
-from .displacements import Displacement, is_companion, significant
+from ..systems.linear import Array, LinearModel, balance
+from .displacements import Displacement, connected, is_companion, of_masses, significant
+from .ports import row_of
 
 __all__ = ["MassScale", "coupled_inverse", "exchanging", "relative_masses"]
 
@@ -56,7 +56,9 @@ def coupled_inverse(K: Array, C: Array, B: Array, without: int) -> tuple[Array, 
     # units of the coordinates in which the couplings are of one size
     d = balance(np.abs(K) + np.sqrt(np.abs(K).max(initial=0.0)) * np.abs(C))
     K, C, B = K * d / d[:, None], C * d / d[:, None], B / d[:, None]
-    basis = np.array([_unit(n, i, j) for i in range(n) for j in range(i, n)])
+    one, two = np.triu_indices(n)
+    basis = np.zeros((one.size, n, n))
+    basis[np.arange(one.size), one, two] = basis[np.arange(one.size), two, one] = 1.0
     rows = np.vstack([_asymmetries(X, basis) for X in (K, C)])
     for tolerance in _LEFT:
         open_ = np.tensordot(_null(rows, tolerance).T, basis, axes=1)
@@ -68,8 +70,8 @@ def coupled_inverse(K: Array, C: Array, B: Array, without: int) -> tuple[Array, 
     counts = [_numbers(K, C, B, W) for W, *_ in found]
     fewest = min(counts, default=(without, 1))
     found = [item for item, count in zip(found, counts, strict=True) if count == fewest]
-    one = all(np.abs(other[0] - found[0][0]).max() <= 10 * tolerance for other in found)
-    if not one or fewest >= (without, 1):
+    unique = all(np.abs(other[0] - found[0][0]).max() <= 10 * tolerance for other in found)
+    if not unique or fewest >= (without, 1):
         return None
     W, i, j = found[0]
     size = B[i, j] / (W[i, i] * d[i]) if i >= 0 else 1.0 / (W[0, 0] * d[0] ** 2)
@@ -99,12 +101,6 @@ def _null(rows: Array, tolerance: float) -> Array:
     _, s, right = np.linalg.svd(rows)
     rank = int(np.count_nonzero(s > tolerance))
     return np.asarray(right[rank:].T)
-
-
-def _unit(n: int, i: int, j: int) -> Array:
-    W = np.zeros((n, n))
-    W[i, j] = W[j, i] = 1.0
-    return W
 
 
 def _asymmetries(X: Array, basis: Array) -> Array:
@@ -160,17 +156,17 @@ class MassScale:
     inverse : ndarray of shape (n, n)
         Inverse of the mass matrix: the rates of the states by forces on them. Diagonal, with 1 where
         nothing is known, unless coordinates share inertia.
-    origin : tuple of str
+    origin : list of str
         Where each comes from, in words.
-    links : frozenset of tuple of int
-        Pairs of velocity states (lower index first) with a two-sided link.
+    linked : ndarray of bool, shape (n, n)
+        Pairs of states that a two-sided link joins.
     base_acceleration : ndarray of shape (n_w,)
         1 for the input that is the acceleration of the base, otherwise 0.
     """
 
     inverse: Array
-    origin: tuple[str, ...]
-    links: frozenset[tuple[int, int]]
+    origin: list[str]
+    linked: NDArray[np.bool_]
     base_acceleration: Array
 
     @property
@@ -183,16 +179,16 @@ class MassScale:
         """Return whether coordinates share inertia."""
         return bool(np.count_nonzero(self.inverse) > len(self.inverse))
 
-    def linked(self, one: int, two: int) -> bool:
-        """Return whether a two-sided link joins two velocity states."""
-        return (min(one, two), max(one, two)) in self.links
+    def act(self, ends: Mapping[int, float]) -> Array:
+        """Rates of the states by a unit resisting force with these ends."""
+        return np.asarray(-self.inverse @ row_of(len(self.inverse), ends))
 
 
 def relative_masses(
     linear: LinearModel,
     displacements: Sequence[Displacement],
     tolerance: float,
-    declared: Mapping[int, float] | None = None,
+    declared: Mapping[int, float],
 ) -> MassScale:
     """Return the masses that make the couplings in A symmetric.
 
@@ -206,7 +202,7 @@ def relative_masses(
         Its displacement states.
     tolerance : float
         Relative size below which an entry counts as zero.
-    declared : mapping of int to float, optional
+    declared : mapping of int to float
         Masses of states that are known.
 
     Returns
@@ -214,61 +210,49 @@ def relative_masses(
     MassScale
         Masses, links and the base input.
     """
-    n, labels = linear.n_states, linear.state_labels
-    ratios = _ratios(linear.A, displacements, tolerance)
-    velocities = {s for item in displacements for s in (item.moving, item.other) if s is not None}
-    stores = [i for i in range(n) if i not in velocities | {item.state for item in displacements}]
-    for i, j in exchanging(linear.A, stores, tolerance):
-        if linear.A[i, j] > 0:  # both ways: capacities, like masses, make it symmetric
-            ratios[i, j] = float(np.log(linear.A[i, j] / linear.A[j, i]))
-    states = sorted(velocities) + stores
-    logs, kept, group = _solve(states, ratios)
-    base = _base_acceleration(linear, sorted(velocities))
-    mass = np.ones(n)
-    origin = [f"forces are per unit mass of {label}" for label in labels]
-    anchors = {
-        state: (size, j, f"the input {linear.input_labels[j]}")
-        for state, (size, j) in _anchors(linear, base, tolerance).items()
-    }
-    anchors |= {state: (size, -1, "what was declared") for state, size in (declared or {}).items()}
-    for members in group:
-        known = [state for state in members if state in anchors]
+    A, labels = linear.A, linear.state_labels
+    ratios = _ratios(A, displacements, tolerance)
+    velocities = {state for item in displacements for state in item.ends}
+    taken = velocities | {item.state for item in displacements}
+    stores = [i for i in range(linear.n_states) if i not in taken]
+    for i, j in exchanging(A, stores, tolerance):
+        if A[i, j] > 0:  # both ways: capacities, like masses, make it symmetric
+            ratios[i, j] = float(np.log(A[i, j] / A[j, i]))
+    logs, linked = _solve(linear.n_states, ratios)
+    base = np.zeros(linear.n_inputs)
+    if velocities:  # -1 on every velocity state and 0 elsewhere
+        pattern = row_of(linear.n_states, dict.fromkeys(velocities, -1.0))[:, None]
+        base = np.isclose(linear.B, pattern, rtol=0, atol=1e-9).all(axis=0).astype(float)
+    anchors = _anchors(linear, base, tolerance)
+    anchors |= {state: (size, -1, "what was declared") for state, size in declared.items()}
+    mass, origin = np.ones(linear.n_states), [f"forces are per unit mass of {label}" for label in labels]
+    for members in connected(linked):
+        known = [state for state in members if state in anchors and (state in velocities or state in stores)]
         anchor = min(known, key=lambda state: anchors[state][1]) if known else members[0]
-        size = anchors[anchor][0] if known else 1.0
+        size, _, source = anchors[anchor] if known else (1.0, -1, "")
         for state in members:
             mass[state] = size * np.exp(logs[state] - logs[anchor])
+            origin[state] = f"forces are per unit mass of {labels[anchor]}"
             if known:
-                origin[state] = f"mass {mass[state]:.4g} from {anchors[anchor][2]}"
-                if state != anchor:
-                    origin[state] += " and the symmetry of A"
-            else:
-                origin[state] = f"forces are per unit mass of {labels[anchor]}"
-    inverse = np.diag(1.0 / mass)
-    moving = [item.moving for item in displacements if item.absolute and item.moving is not None]
-    if len(moving) == len(displacements) and not (set(moving) & set(declared or {})):
-        _share_inertia(linear, displacements, inverse, origin, kept, tolerance)
-    return MassScale(inverse, tuple(origin), frozenset(kept), base)
+                origin[state] = f"mass {mass[state]:.4g} from {source}"
+                origin[state] += " and the symmetry of A" if state != anchor else ""
+    scale = MassScale(np.diag(1.0 / mass), origin, linked, base)
+    if all(item.absolute and item.moving not in declared for item in displacements):
+        _share_inertia(linear, displacements, scale, tolerance)
+    return scale
 
 
 def _share_inertia(
-    linear: LinearModel,
-    displacements: Sequence[Displacement],
-    inverse: Array,
-    origin: list[str],
-    kept: set[tuple[int, int]],
-    tolerance: float,
+    linear: LinearModel, displacements: Sequence[Displacement], masses: MassScale, tolerance: float
 ) -> None:
     """Enter a coupled mass matrix where separate masses do not suffice.
 
     Separate masses do not suffice if they leave couplings one-sided.
     """
     A, labels = significant(linear.A, tolerance), linear.state_labels
-    q, scale = [item.state for item in displacements], np.array([item.scale for item in displacements])
-    v = [item.moving for item in displacements if item.moving is not None]
+    q, v, scale = of_masses(displacements)
     K, C = A[np.ix_(v, q)] * scale, A[np.ix_(v, v)]
-    B = significant(linear.B, tolerance)[v]
-    linked = np.array([[(min(i, j), max(i, j)) in kept for j in v] for i in v], dtype=bool)
-    mass = 1.0 / np.diag(inverse)[v][:, None]
+    linked, mass = masses.linked[np.ix_(v, v)], masses.mass[v][:, None]
     told, explained = 0, np.ones((len(v), len(v)), dtype=bool)
     for X in (K, C):
         force = mass * X
@@ -277,17 +261,19 @@ def _share_inertia(
         told += int(np.count_nonzero(X)) - int(np.count_nonzero(np.triu(link & (X != 0), 1)))
     if explained.all():
         return
-    told += int(np.count_nonzero(B)) + len(v) - len(_groups(v, dict.fromkeys(kept, 0.0)))
+    told += int(np.count_nonzero(significant(linear.B, tolerance)[v])) + len(v) - len(connected(linked))
     found = coupled_inverse(K, C, linear.B[v], told)
     if found is None:
         return
     W, i, j = found
-    inverse[np.ix_(v, v)] = W
-    kept |= set(combinations(sorted(v), 2))
-    words = "the symmetry of stiffness and damping, which share inertia"
+    masses.inverse[np.ix_(v, v)] = W
+    masses.linked[np.ix_(v, v)] = True
+    words = "masses from "
+    if i >= 0:
+        words += f"the input {linear.input_labels[j]} and "
+    words += "the symmetry of stiffness and damping, which share inertia"
     for k in v:
-        anchor = f"the input {linear.input_labels[j]} and {words}" if i >= 0 else words
-        origin[k] = f"masses from {anchor}" + ("" if i >= 0 else f"; forces are relative to {labels[v[0]]}")
+        masses.origin[k] = words if i >= 0 else f"{words}; forces are relative to {labels[v[0]]}"
 
 
 def exchanging(A: Array, states: Sequence[int], tolerance: float) -> list[tuple[int, int]]:
@@ -331,87 +317,59 @@ def _ratios(
 ) -> dict[tuple[int, int], float]:
     """Return log(m_j / m_i) of velocity states coupled in both directions."""
     found: dict[tuple[int, int], float] = {}
-    absolute = [(item.state, item.moving, item.scale) for item in displacements if item.moving is not None]
-    absolute = [(q, v, s) for q, v, s in absolute if any(i.state == q and i.absolute for i in displacements)]
-    largest = {v: max(abs(A[v, q]) for q, _, _ in absolute) for _, v, _ in absolute}
-    for (q1, v1, s1), (q2, v2, s2) in combinations(absolute, 2):
-        sprung = abs(A[v1, q2]) > tolerance * largest[v1], abs(A[v2, q1]) > tolerance * largest[v2]
-        if all(sprung):
-            forth, back = A[v1, q2] * s2, A[v2, q1] * s1
-        elif any(sprung):
+
+    def enter(one: int, two: int, ratio: float) -> None:
+        found.setdefault((min(one, two), max(one, two)), float(np.log(ratio)) * (1.0 if one < two else -1.0))
+
+    q, v, scale = of_masses(displacements)
+    K, C = A[np.ix_(v, q)], A[np.ix_(v, v)]
+    sprung = np.abs(K) > tolerance * np.abs(K).max(axis=1, keepdims=True, initial=0.0)
+    for i, j in combinations(range(len(v)), 2):
+        if sprung[i, j] != sprung[j, i]:
             continue  # one-way coupling is not a link
-        else:  # no spring between them: a damper tells the same ratio
-            forth, back = A[v1, v2], A[v2, v1]
+        # no spring between them: a damper tells the same ratio
+        forth, back = (K[i, j] * scale[j], K[j, i] * scale[i]) if sprung[i, j] else (C[i, j], C[j, i])
         if forth * back > 0:
-            ratio = float(np.log(forth / back))
-            found[min(v1, v2), max(v1, v2)] = ratio if v1 < v2 else -ratio
+            enter(v[i], v[j], forth / back)
     for item in displacements:
         if not item.absolute and item.moving is not None and item.other is not None:
-            pair = (min(item.moving, item.other), max(item.moving, item.other))
-            ratio = float(np.log(-item.ratio * A[item.moving, item.state] / A[item.other, item.state]))
-            found.setdefault(pair, ratio if pair[0] == item.moving else -ratio)
+            ratio = -item.ratio * A[item.moving, item.state] / A[item.other, item.state]
+            enter(item.moving, item.other, ratio)
     return found
 
 
-def _solve(
-    states: list[int], ratios: dict[tuple[int, int], float]
-) -> tuple[dict[int, float], set[tuple[int, int]], list[list[int]]]:
-    """Return log masses that fit all ratios, the kept pairs, and groups.
+def _solve(n: int, ratios: dict[tuple[int, int], float]) -> tuple[Array, NDArray[np.bool_]]:
+    """Return log masses (n,) that fit all ratios, and the pairs kept (n, n).
 
     Pairs that do not fit are dropped, the worst first.
     """
     kept = dict(ratios)
-    index = {state: k for k, state in enumerate(states)}
-    while True:
-        logs = np.zeros(len(states))
-        if kept:
-            rows = np.zeros((len(kept), len(states)))
-            for k, (one, two) in enumerate(kept):
-                rows[k, index[one]], rows[k, index[two]] = -1.0, 1.0
-            target = np.array(list(kept.values()))
-            logs = np.linalg.lstsq(rows, target, rcond=None)[0]
-            misfit = np.abs(rows @ logs - target)
-            worst = float(misfit.max())
-            if worst > _ASYMMETRY:
-                # a single loop cannot tell which of its links is at fault: equals go together
-                limit = worst * (1.0 - 1e-6 if len(kept) <= 200 else 0.9)
-                kept = {pair: kept[pair] for pair, off in zip(kept, misfit, strict=True) if off < limit}
-                continue
-        return {state: float(logs[index[state]]) for state in states}, set(kept), _groups(states, kept)
+    logs, linked = np.zeros(n), np.zeros((n, n), dtype=bool)
+    while kept:
+        rows, target = np.zeros((len(kept), n)), np.array(list(kept.values()))
+        one, two = np.array(list(kept)).T
+        each = np.arange(len(kept))
+        rows[each, one], rows[each, two] = -1.0, 1.0
+        logs = np.linalg.lstsq(rows, target, rcond=None)[0]
+        misfit = np.abs(rows @ logs - target)
+        worst = float(misfit.max())
+        if worst <= _ASYMMETRY:
+            linked[one, two] = linked[two, one] = True
+            break
+        # a single loop cannot tell which of its links is at fault: equals go together
+        limit = worst * (1.0 - 1e-6 if len(kept) <= 200 else 0.9)
+        kept = {pair: kept[pair] for pair, off in zip(kept, misfit, strict=True) if off < limit}
+    return logs, linked
 
 
-def _groups(states: list[int], pairs: dict[tuple[int, int], float]) -> list[list[int]]:
-    """Connected components, in the order of the states."""
-    root = {state: state for state in states}
-    for one, two in pairs:
-        old, new = max(root[one], root[two]), min(root[one], root[two])
-        root = {state: new if top == old else top for state, top in root.items()}
-    return [[s for s in states if root[s] == top] for top in sorted(set(root.values()))]
-
-
-def _base_acceleration(linear: LinearModel, states: list[int]) -> Array:
-    """1 for an input with -1 on every velocity state and 0 elsewhere."""
-    base = np.zeros(linear.n_inputs)
-    if states:
-        pattern = np.zeros(linear.n_states)
-        pattern[states] = -1.0
-        for j in range(linear.n_inputs):
-            base[j] = float(np.allclose(linear.B[:, j], pattern, rtol=0, atol=1e-9))
-    return base
-
-
-def _anchors(linear: LinearModel, base: Array, tolerance: float) -> dict[int, tuple[float, int]]:
-    """Return mass 1/|B| and input of each state with an input of its own.
+def _anchors(linear: LinearModel, base: Array, tolerance: float) -> dict[int, tuple[float, int, str]]:
+    """Return mass 1/|B|, input and source of states with their own input.
 
     Exactly one input drives such a state, and that input drives no other state.
     """
-    B = np.abs(linear.B)
-    B = np.where(B > tolerance * B.max(axis=0, initial=0.0, keepdims=True), B, 0.0)
-    found: dict[int, tuple[float, int]] = {}
-    for i in range(linear.n_states):
-        inputs = np.flatnonzero(B[i])
-        if inputs.size == 1:
-            j = int(inputs[0])
-            if np.count_nonzero(B[:, j]) == 1 and not base[j]:
-                found[i] = (float(1.0 / B[i, j]), j)
-    return found
+    driven = np.abs(linear.B) > tolerance * np.abs(linear.B).max(axis=0, initial=0.0, keepdims=True)
+    own = (driven.sum(axis=1) == 1)[:, None] & (driven.sum(axis=0) == 1) & (base == 0) & driven
+    return {
+        i: (float(1.0 / abs(linear.B[i, j])), j, f"the input {linear.input_labels[j]}")
+        for i, j in np.argwhere(own).tolist()
+    }

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import control as ct
 import numpy as np
+from scipy.linalg import block_diag
 
 from ..arguments import as_choice, as_path, as_text, as_texts, as_vector
 from ..data.apart import damaged
@@ -117,11 +118,11 @@ def modal_model(
         as_text(name, "name", empty=False)
     masses = None if modal_mass is None else as_vector(modal_mass, "modal_mass", above=0.0, error=ModelError)
     sets = read_uff_modes(path)
-    if masses is not None and masses.size not in (1, len(sets)):
-        raise ct.ControlDimension(
-            f"modal_mass holds {masses.size} numbers for the {len(sets)} modes of {path}"
-        )
     if masses is not None:
+        if masses.size not in (1, len(sets)):
+            raise ct.ControlDimension(
+                f"modal_mass holds {masses.size} numbers for the {len(sets)} modes of {path}"
+            )
         masses = np.broadcast_to(masses, len(sets))
     with damaged(path):
         modes = [_mode(path, k, one, masses) for k, one in enumerate(sets)]
@@ -138,25 +139,15 @@ def modal_model(
         )
     with damaged(path):
         blocks = [_block(mode, *wanted) for mode in modes]
-    A = np.zeros((2 * len(modes), 2 * len(modes)))
-    for k, block in enumerate(blocks):
-        A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = block[0]
+    A = block_diag(*(block[0] for block in blocks))
     B = np.vstack([block[1] for block in blocks])
     C = np.hstack([block[2] for block in blocks])
     D = np.zeros((len(C), B.shape[1]))
     for _ in range(_SENSORS.index(sensors)):
         C, D = C @ A, C @ B
     states = [f"mode{k + 1}{rate}" for k in range(len(modes)) for rate in ("", "_rate")]
-    return ct.ss(
-        A,
-        B,
-        C,
-        D,
-        inputs=list(wanted[0]),
-        outputs=list(wanted[1]),
-        states=states,
-        name=name or Path(path).stem,
-    )
+    signals = {"inputs": list(wanted[0]), "outputs": list(wanted[1]), "states": states}
+    return ct.ss(A, B, C, D, name=name or Path(path).stem, **signals)
 
 
 def _mode(path: Any, k: int, one: dict[str, Any], masses: Array | None) -> _Mode:
@@ -215,17 +206,19 @@ def _block(mode: _Mode, inputs: Sequence[str], outputs: Sequence[str]) -> tuple[
 
     Its states are displacement and rate (normal mode), or real and imaginary part (complex mode).
     """
-    drive, sense = (np.array([_at(mode.shape, label) for label in labels]) for labels in (inputs, outputs))
+    drive, sense = (
+        np.array(
+            [
+                mode.shape[label.replace("-", "").replace("+", "")] * (-1.0 if ":-" in label else 1.0)
+                for label in labels
+            ]
+        )
+        for labels in (inputs, outputs)
+    )
     drive = drive / mode.scale
     s = mode.pole
     if mode.normal:
-        zero = np.zeros(len(inputs)), np.zeros(len(outputs))
-        A = np.array([[0.0, 1.0], [-(abs(s) ** 2), 2.0 * s.real]])
-        return A, np.vstack([zero[0], drive.real]), np.column_stack([sense.real, zero[1]])
+        A, B = np.array([[0.0, 1.0], [-(abs(s) ** 2), 2.0 * s.real]]), drive.real
+        return A, np.vstack([0.0 * B, B]), np.column_stack([sense.real, 0.0 * sense.real])
     A = np.array([[s.real, -s.imag], [s.imag, s.real]])
     return A, np.vstack([drive.real, drive.imag]), 2.0 * np.column_stack([sense.real, -sense.imag])
-
-
-def _at(shape: dict[str, complex], label: str) -> complex:
-    node, way = label.split(":")
-    return shape[f"{node}:{way.lstrip('+-')}"] * (-1.0 if way.startswith("-") else 1.0)

@@ -1,14 +1,42 @@
-"""The numbers that a model was built from."""
+"""Parameters of a model, their units, and independent ones among them."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ..arguments import as_flag, as_number, as_text
+from ..effects.entries import Entry
+from ..effects.input_path import InputGain
+from ..effects.law import KINDS
+from ..effects.springs import Stiffness
 from ..exceptions import ModelError
 from ..results import Row
+from ..systems.linear import Array, entry_of
 
-__all__ = ["NominalParameter"]
+if TYPE_CHECKING:
+    from .physical_model import PhysicalModel
+
+__all__ = ["NominalParameter", "combine_units", "independent_parameters", "parse_unit"]
+
+# what people write instead of the quotient
+_ALIASES = {
+    "N s^2/m": "kg",
+    "W s/K": "J/K",
+    "V/A": "Ohm",
+    "V s/A": "H",
+    "V/C": "1/F",
+    "N m s^2/rad": "kg m^2",
+}
+_FACTOR = re.compile(r"([^\s^*/()]+)(?:\^(-?\d+(?:\.\d+)?))?")
+_OWN = 1e-6  # share of what a number does that none before it does, below which it is none of its own
+_POINTS = 4  # in the complex plane for each state
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,3 +74,147 @@ class NominalParameter(Row):
             as_text(getattr(self, key), f"{key} of a parameter")
         as_number(self.value, f"value of parameter {self.name!r}", error=ModelError)
         as_flag(self.physical, f"physical of parameter {self.name!r}")
+
+
+def combine_units(rule: str, units: Mapping[str, str]) -> str:
+    """Unit of a coefficient from the units of a place.
+
+    Parameters
+    ----------
+    rule : str
+        Product of names such as ``"force s/velocity^2"``; names that are
+        keys of `units` are replaced, all others are units themselves. Only
+        what follows a slash up to the next blank is divided by.
+    units : mapping of str to str
+        Unit of each quantity; ``""`` means unknown.
+
+    Returns
+    -------
+    str
+        Unit, ``""`` where one that is needed is unknown and ``"1"`` for a
+        pure number.
+
+    Examples
+    --------
+    >>> combine_units("force/velocity", {"force": "N", "velocity": "m/s"})
+    'N s/m'
+    >>> combine_units("force/velocity", {"force": "V", "velocity": "A"})
+    'Ohm'
+    """
+    powers: dict[str, float] = {}
+    for name, power in parse_unit(rule).items():
+        unit = units.get(name, name)
+        if not unit:
+            return ""
+        for base, exponent in parse_unit(unit).items():
+            powers[base] = powers.get(base, 0) + power * exponent
+    text = _format({base: power for base, power in powers.items() if power})
+    return _ALIASES.get(text, text)
+
+
+def parse_unit(text: str) -> dict[str, float]:
+    """Exponents of the factors of ``"N s/m^2"``; ``"1"`` has none."""
+    powers: dict[str, float] = {}
+    for match in _FACTOR.finditer(text):
+        base, exponent = match.group(1), float(match.group(2) or 1)
+        opening = text.rfind("(", 0, match.start())  # of a parenthesis that may follow a slash
+        inside = opening > 0 and ")" not in text[opening : match.start()]
+        divided = any(text[:at].rstrip().endswith("/") for at in (match.start(), *[opening] * inside))
+        if base != "1":
+            powers[base] = powers.get(base, 0) + (-exponent if divided else exponent)
+    return powers
+
+
+def _format(powers: Mapping[str, float]) -> str:
+    upper, lower = (
+        " ".join(
+            base if abs(power) == 1 else f"{base}^{abs(power):g}"
+            for base, power in powers.items()
+            if sign * power > 0
+        )
+        for sign in (1, -1)
+    )
+    below = f"({lower})" if " " in lower else lower
+    return f"{upper or '1'}/{below}" if lower else upper or "1"
+
+
+@lru_cache(maxsize=8)  # by identity: every fit of a model asks for them
+def independent_parameters(model: PhysicalModel) -> tuple[NominalParameter, ...]:
+    """Return the parameters of a model without the redundant ones.
+
+    A parameter is redundant if other parameters have the same influence.
+
+    Parameters
+    ----------
+    model : PhysicalModel
+        Model; where it holds no entries of B, C and D, all its parameters are what is returned.
+
+    Returns
+    -------
+    tuple of NominalParameter
+        Left out are those of C where those of B are free and a single signal passes, or the gain of an
+        input all of whose weights are free: judged by what they change in the transfer function.
+    """
+    entries = {q.name: entry_of(model.linear, q.place) for q in model.parameters if q.kind == Entry.name}
+    if not any(max(entry) >= model.linear.n_states for entry in entries.values()):
+        return model.parameters
+    responses = _Responses(model)
+    basis: list[Array] = []
+    found = []
+    for q in model.parameters:
+        if KINDS[q.kind].inertial:  # where gains are it stays: it may not stand in for what floats
+            found.append(q)
+            continue
+        column = responses.change(q)
+        size = float(np.linalg.norm(column))
+        for _ in range(2):  # twice: the first projection leaves rounding of what it takes away
+            for known in basis:
+                column = column - (known @ column) * known
+        left = float(np.linalg.norm(column))
+        if left > _OWN * size:
+            basis.append(column / left)
+            found.append(q)
+    return tuple(found)
+
+
+class _Responses:
+    """Influence of parameters on the transfer function.
+
+    It is evaluated at points away from the poles.
+    """
+
+    def __init__(self, model: PhysicalModel) -> None:
+        linear, self.model = model.linear, model
+        n = linear.n_states
+        sizes = np.abs(np.linalg.eigvals(linear.A))
+        low, high = sizes[sizes > 0].min(initial=np.inf), sizes.max(initial=0.0)
+        low, high = (low, high) if high > 0 else (1.0, 1.0)
+        s = np.geomspace(0.1 * low, 10 * high, _POINTS * (n + 1)) * np.exp(1j * np.pi / 3)
+        away = [at * np.eye(n) - linear.A for at in s]
+        states = np.array([np.linalg.solve(M, linear.B) for M in away])  # (k, n, n_w): of the inputs
+        read = np.array([np.linalg.solve(M.T, linear.C.T).T for M in away]) + model.output_rate
+        ones = np.ones((s.size, 1, 1))
+        self.outputs = np.concatenate([read, ones * np.eye(linear.n_outputs)], axis=2)
+        self.inputs = np.concatenate([states, ones * np.eye(linear.n_inputs)], axis=1)
+        self.whole = linear.C @ states + linear.D
+        size = np.sqrt(np.mean(np.abs(self.whole) ** 2, axis=0))
+        self.scale = 1.0 / np.where(size > 0, size, np.inf)  # each way through the plant counts alike
+
+    def change(self, q: NominalParameter) -> NDArray[np.float64]:
+        """By a relative change of one number, real and imaginary parts in a row."""
+        linear = self.model.linear
+        if q.kind == InputGain.name:
+            changed = self.whole * (np.array(linear.input_labels) == q.place)
+        else:
+            if q.kind == Entry.name:
+                row, column = entry_of(linear, q.place)
+                act = np.eye(linear.n_states + linear.n_outputs)[row]
+                sense = np.eye(linear.n_states + linear.n_inputs)[column]
+            else:
+                port, spring = self.model.port(q.place), q.kind == Stiffness.name
+                d = (port.position, port.position_input) if spring else (port.velocity, port.velocity_input)
+                felt = port.output if port.output.size else np.zeros(linear.n_outputs)
+                act, sense = np.concatenate([port.act, felt]), np.concatenate(d)
+            changed = q.value * (self.outputs @ act)[:, :, None] * (sense @ self.inputs)[:, None, :]
+        flat = (changed * self.scale).reshape(-1)
+        return np.concatenate([flat.real, flat.imag])

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, replace
 from typing import Any
 
 import control as ct
+import numpy as np
 
-from ..arguments import as_choice, as_text, shown
+from ..arguments import as_array, as_choice, as_instance, as_list, as_text, as_texts, shown
 from ..data.measurement import HOLDS, Measurement
 from ..data.records import as_record
 from ..effects.effect import Effect
 from ..effects.entries import Entry
 from ..exceptions import ModelError
 from ..results import Result
-from ..systems.entries import entry_of
-from ..systems.linear import Array, LinearModel
-from .consistency import check_outputs, check_places, check_sizes
-from .controller import Controller
-from .operating_point import OperatingPoint
-from .parameters import NominalParameter
+from ..systems.linear import Array, LinearModel, entry_of
+from .operating_point import Controller, OperatingPoint
+from .parameters import NominalParameter, combine_units
 from .ports import Port
-from .units import combine_units
 
 __all__ = ["PhysicalModel"]
 
@@ -102,9 +100,9 @@ class PhysicalModel(Result):
                 f"model {linear.name!r} has dt = {linear.dt}, but a physical model is in continuous time; "
                 "use PhysicalModel.from_statespace, which converts it"
             )
-        check_sizes(self)
-        check_outputs(self)
-        check_places(self)
+        _check_sizes(self)
+        _check_outputs(self)
+        _check_places(self)
         if self.hold is not None:
             as_choice(self.hold, "hold, where there is one,", HOLDS)
 
@@ -322,15 +320,98 @@ class PhysicalModel(Result):
             units = {"row": (*self.state_units, *self.output_units)[row]}
             units["column"] = (*self.state_units, *self.input_units)[column]
             return combine_units("row/(column s)" if row < self.linear.n_states else "row/column", units)
-        if "input" in where:
-            index = self.linear.input_labels.index(effect.place)
-            return combine_units(rule, {"signal": self.input_units[index]})
-        if "output" in where:
-            index = self.linear.output_labels.index(effect.place)
-            return combine_units(rule, {"signal": self.output_units[index]})
+        for channel in ("input", "output"):
+            if channel in where:
+                index = getattr(self.linear, f"{channel}_labels").index(effect.place)
+                return combine_units(rule, {"signal": getattr(self, f"{channel}_units")[index]})
         return combine_units(rule, self.port(effect.place).units)
 
 
 def _check_type(effect: Any) -> None:
     if not isinstance(effect, Effect):
         raise ct.ControlArgument(f"an effect must be an Effect, not {type(effect).__name__}")
+
+
+def _check_sizes(model: PhysicalModel) -> None:
+    """Bring arrays and units of a model under construction into shape."""
+    linear, store = model.linear, object.__setattr__
+    for name in (linear.name, *linear.input_labels, *linear.output_labels, *linear.state_labels):
+        if "." in name:
+            raise ModelError(
+                f"python-control allows no '.' in a name; {name!r} can be {name.replace('.', '_')!r}"
+            )
+    for key, width in (
+        ("output_state", linear.n_states),
+        ("output_rate", linear.n_states),
+        ("output_input", linear.n_inputs),
+    ):
+        array = np.atleast_2d(as_array(getattr(model, key), key, error=ModelError))
+        if array.shape != (linear.n_outputs, width):
+            raise ct.ControlDimension(f"{key} has shape {array.shape}, expected {(linear.n_outputs, width)}")
+        array.setflags(write=False)
+        store(model, key, array)
+    for what, size in (("input", linear.n_inputs), ("output", linear.n_outputs), ("state", linear.n_states)):
+        units = as_texts(getattr(model, f"{what}_units"), f"{what}_units") or ("",) * size
+        if len(units) != size:
+            raise ct.ControlDimension(f"{what}_units has {len(units)} entries for {size} {what}s")
+        store(model, f"{what}_units", units)
+    for key, kind in (("operating_point", OperatingPoint), ("controller", Controller)):
+        if getattr(model, key) is not None:
+            as_instance(getattr(model, key), kind, f"{key}, where there is one,")
+    store(model, "ports", tuple(as_list(model.ports, "ports", "Port objects")))
+    store(model, "parameters", tuple(as_list(model.parameters, "parameters", "nominal parameters")))
+
+
+def _check_outputs(model: PhysicalModel) -> None:
+    """Check that the parts of the output add up to C and D."""
+    linear = model.linear
+    for name, key, other in (("C", "output_state", "A"), ("D", "output_input", "B")):
+        whole, direct = getattr(linear, name), getattr(model, key)
+        rate = model.output_rate @ getattr(linear, other)
+        scale = np.abs(whole) + np.abs(direct) + np.abs(rate)
+        limit = 1e-9 * scale.max(axis=1, keepdims=True, initial=0.0)
+        wrong = np.argwhere(np.abs(direct + rate - whole) > limit)
+        if wrong.size:
+            raise ModelError(
+                f"{name} of output {linear.output_labels[wrong[0][0]]!r} is not its row of "
+                f"{key} + output_rate @ {other}; the parts must add up"
+            )
+
+
+def _check_places(model: PhysicalModel) -> None:
+    """Check ports against the matrices, and names for uniqueness.
+
+    Ports that were made without inputs get rows of the right length.
+    """
+    ports = tuple(_fitted(port, model.linear) for port in model.ports)
+    object.__setattr__(model, "ports", ports)
+    for item in model.parameters:
+        if not hasattr(item, "kind") or not hasattr(item, "place"):
+            raise ct.ControlArgument(f"parameters must hold NominalParameter, not {shown(item)}")
+    for what, items in (("port", ports), ("parameter", model.parameters)):
+        labels = Counter(item.name for item in items)
+        twice = sorted(label for label, count in labels.items() if count > 1)
+        if twice:
+            raise ModelError(f"{what} names must be unique, but {twice[0]!r} occurs more than once")
+
+
+def _fitted(port: Any, linear: LinearModel) -> Port:
+    if not isinstance(port, Port):
+        raise ct.ControlArgument(f"ports must hold Port, not {type(port).__name__}")
+    sizes = port.act.size, port.velocity_input.size, port.output.size
+    if sizes[0] != linear.n_states:
+        raise ct.ControlDimension(
+            f"port {port.name!r} is for {sizes[0]} states, the model has {linear.n_states}"
+        )
+    if sizes[2] not in (0, linear.n_outputs):
+        raise ct.ControlDimension(
+            f"output of port {port.name!r} has {sizes[2]} entries for {linear.n_outputs} outputs"
+        )
+    if sizes[1] == linear.n_inputs:
+        return port
+    if port.velocity_input.any() or port.position_input.any() or port.acceleration_input.any():
+        raise ct.ControlDimension(
+            f"port {port.name!r} is for {sizes[1]} inputs, the model has {linear.n_inputs}"
+        )
+    none = np.zeros(linear.n_inputs)
+    return replace(port, position_input=none, velocity_input=none, acceleration_input=none)

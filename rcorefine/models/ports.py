@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import control as ct
 import numpy as np
@@ -12,9 +13,9 @@ from ..arguments import as_array, as_flag, as_text, shown
 from ..effects.domains import DOMAINS, domain_of
 from ..exceptions import ModelError
 from ..results import Row
-from ..systems.linear import Array
+from ..systems.linear import Array, LinearModel
 
-__all__ = ["Port", "felt"]
+__all__ = ["Element", "Port", "felt", "port_at", "row_of"]
 
 _TEXTS = ("kind", "position_unit", "velocity_unit", "force_unit", "description")
 _ARRAYS = ("act", "position", "position_input", "velocity", "velocity_input", "acceleration_input")
@@ -106,24 +107,21 @@ class Port(Row):
             raise ModelError(
                 f"kind of port {self.name!r} must be 'mechanical' or 'first_order', not {self.kind!r}"
             )
-        for key in _ARRAYS:
-            array = as_array(getattr(self, key), f"{key} of port {self.name!r}", error=ModelError).reshape(-1)
-            object.__setattr__(self, key, array)
-        n_inputs = max(getattr(self, key).size for key in _ARRAYS if key.endswith("_input"))
-        for key in _ARRAYS:
-            size = n_inputs if key.endswith("_input") else self.act.size
-            array = getattr(self, key)
+        arrays = {
+            key: as_array(getattr(self, key), f"{key} of port {self.name!r}", error=ModelError).reshape(-1)
+            for key in (*_ARRAYS, "output")
+        }
+        n_inputs = max(array.size for key, array in arrays.items() if key.endswith("_input"))
+        for key, array in arrays.items():
+            size = n_inputs if key.endswith("_input") else arrays["act"].size
             if key.endswith("_input") and array.size == 0:
                 array = np.zeros(size)
-            if array.size != size:
+            if array.size != size and key != "output":
                 raise ct.ControlDimension(
                     f"{key} of port {self.name!r} has {array.size} entries, expected {size}"
                 )
             array.setflags(write=False)
             object.__setattr__(self, key, array)
-        output = as_array(self.output, f"output of port {self.name!r}", error=ModelError).reshape(-1)
-        output.setflags(write=False)
-        object.__setattr__(self, "output", output)
 
     def _restore(self, state: tuple[Any, ...]) -> None:
         # numpy forgets the write protection when it pickles
@@ -131,9 +129,6 @@ class Port(Row):
             if isinstance(value, np.ndarray):
                 value.setflags(write=False)
             object.__setattr__(self, key, value)
-
-    def _state(self) -> tuple[Any, ...]:
-        return tuple(getattr(self, key) for key in self.__slots__)
 
     @property
     def has_position(self) -> bool:
@@ -179,18 +174,13 @@ class Port(Row):
     @property
     def units(self) -> dict[str, str]:
         """Units by quantity: position, velocity, force."""
-        return {
-            "position": self.position_unit,
-            "velocity": self.velocity_unit,
-            "force": self.force_unit,
-        }
+        return {"position": self.position_unit, "velocity": self.velocity_unit, "force": self.force_unit}
 
     def __str__(self) -> str:
         return f"{self.name} ({self.kind.replace('_', ' ')}): {self.description}"
 
 
-# before Python 3.11.4 a frozen dataclass with slots takes no such methods from its body
-Port.__getstate__ = Port._state  # type: ignore[method-assign, assignment]
+# before Python 3.11.4 a frozen dataclass with slots takes no such method from its body
 Port.__setstate__ = Port._restore  # type: ignore[attr-defined]
 
 
@@ -212,3 +202,40 @@ def felt(port: Port, output_rate: Array) -> Array:
     """
     at_once = output_rate @ port.act
     return np.asarray(at_once + port.output if port.output.size else at_once)
+
+
+class Element(NamedTuple):
+    """A port with its spring and damper, and the two states of a mode."""
+
+    port: Port
+    stiffness: float
+    damping: float
+    states: tuple[int, ...] = ()
+
+
+def row_of(size: int, entries: Mapping[int, float]) -> Array:
+    """Row of zeros but for the given entries."""
+    row = np.zeros(size)
+    for index, value in entries.items():
+        row[index] = value
+    return row
+
+
+def port_at(
+    linear: LinearModel,
+    name: str,
+    description: str,
+    act: Array,
+    velocity: Mapping[int, float],
+    position: Mapping[int, float] | None = None,
+    **others: Any,
+) -> Port:
+    """Return a port whose rows are given by the numbers of the states.
+
+    It is mechanical unless `others` says so; the rows of inputs in `others` are zero by default.
+    """
+    n, nothing = linear.n_states, np.zeros(linear.n_inputs)
+    rows = {"position": row_of(n, position or {}), "velocity": row_of(n, velocity), "position_input": nothing}
+    return Port(
+        **{"name": name, "kind": "mechanical", "act": act, "description": description, **rows, **others}
+    )

@@ -6,8 +6,10 @@ A TOML file holds matrices or the parameters of a builder. The others hold A, B,
 from __future__ import annotations
 
 import inspect
+import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -28,6 +30,14 @@ from .physical_model import PhysicalModel
 __all__ = ["MATRICES", "SUFFIXES", "builder_names", "read_matrix", "read_model"]
 
 SUFFIXES = (".csv", ".mtx", ".npy")
+#: Table of a TOML file that holds matrices; the others are named like the builders.
+MATRICES = "state_space"
+_LABELS = ("inputs", "outputs", "states")
+_KNOWN = ("links", "units", "parameters", "operating_point")  # what `physical` takes beside the matrices
+_IN_FILES = {MATRICES: ("A", "B", "C", "D"), builders.mechanical.__name__: ("M", "C", "K", "force_map")}
+_MAPS = ("force", "force_map")  # a list of lists is a matrix there
+_MOST_STATES = 1000  # of a model in a file; a chain of 500 masses takes seconds, one of 2000 minutes
+_RULE = "must be numbers in rows of equal length"
 
 
 def read_matrix(path: Path, where: str) -> Any:
@@ -71,27 +81,14 @@ def read_matrix(path: Path, where: str) -> Any:
         raise ModelError(f"{where}: {path} holds no matrix: {error}") from error
 
 
-def _from_text(path: Path) -> Any:
-    lines = path.read_text(encoding="utf-8-sig").splitlines()
-    rows = [line.split("#")[0].strip() for line in lines]
-    text = [row for row in rows if row]
-    if any(";" in row for row in text):  # a comma is the decimal one there
-        text = [row.replace(",", ".") for row in text]
-    mark = next((mark for mark in ",;" if any(mark in row for row in text)), None)
-    if not text:
+def _from_text(path: Path) -> Array:
+    text = re.sub(r"#.*", "", path.read_text(encoding="utf-8-sig"))
+    if not text.strip():
         raise ValueError("it is empty")
-    return np.loadtxt(text, delimiter=mark, ndmin=2)
-
-
-#: Table of a TOML file that holds matrices; the others are named like the builders.
-MATRICES = "state_space"
-_LABELS = ("inputs", "outputs", "states")
-_KNOWN = ("links", "units", "parameters", "operating_point")  # what `physical` takes beside the matrices
-_IN_FILES = {MATRICES: ("A", "B", "C", "D"), builders.mechanical.__name__: ("M", "C", "K", "force_map")}
-_MAPS = ("force", "force_map")  # a list of lists is a matrix there
-_MOST_STATES = 1000  # of a model in a file; a chain of 500 masses takes seconds, one of 2000 minutes
-# what Python raises where a value is not of the kind that a builder expects
-_WRONG_KIND = (TypeError, ValueError, ArithmeticError, LookupError, AttributeError)
+    if ";" in text:  # a comma is the decimal one there
+        text = text.replace(",", ".")
+    mark = next((mark for mark in ",;" if mark in text), None)
+    return np.loadtxt([line for line in text.splitlines() if line.strip()], delimiter=mark, ndmin=2)
 
 
 def builder_names() -> tuple[str, ...]:
@@ -152,19 +149,32 @@ def read_model(path: str | PathLike[str]) -> ct.StateSpace | PhysicalModel:
             f"{file}: a model is a .toml, .npz or .mat file, not {suffix or 'without a suffix'!r}"
         )
     variables: dict[str, Any] = read_archive(file) if suffix == ".npz" else read_matlab(file)
-    values: dict[str, Any] = {key: variables[key] for key in ("A", "B", "C", "D", "dt") if key in variables}
+    values: dict[str, Any] = {key: variables[key] for key in ("A", "B", "C", "D") if key in variables}
     for key in (*_LABELS, "name"):
         if key in variables:
             values[key] = _texts(variables[key], f"{file}, {key}")
     if "name" in values:
         values["name"] = " ".join(values["name"])
-    if "dt" in values:
-        size = np.asarray(values["dt"])
+    if "dt" in variables:
+        size = np.asarray(variables["dt"])
         if size.size != 1 or size.dtype.kind not in "fiub":
-            raise ModelError(f"{file}: dt must be one number (0 for continuous time), not {values['dt']!r}")
+            raise ModelError(
+                f"{file}: dt must be one number (0 for continuous time), not {variables['dt']!r}"
+            )
         values["dt"] = float(size.ravel()[0])
-    listed = ", ".join(variables) or "nothing"
-    return _state_space(values, str(file), f"the file holds {listed}", _name_of(file))
+    return _state_space(values, str(file), f"the file holds {', '.join(variables) or 'nothing'}", file)
+
+
+@contextmanager
+def _within(where: str) -> Iterator[None]:
+    """Name the place in the file in errors."""
+    try:
+        yield
+    except (ModelError, ct.ControlDimension, ct.ControlArgument) as error:
+        raise ModelError(f"{where}: {error}") from error
+    except (TypeError, ValueError, ArithmeticError, LookupError, AttributeError) as error:
+        # text where a number belongs, and the like
+        raise ModelError(f"{where}: a value is of the wrong kind: {error}") from error
 
 
 def _from_toml(file: Path) -> ct.StateSpace | PhysicalModel:
@@ -186,25 +196,14 @@ def _from_toml(file: Path) -> ct.StateSpace | PhysicalModel:
     where = f"{file}, [{kind}]"
     for key in _IN_FILES.get(kind, ()):
         if isinstance(table.get(key), str):
-            path, whole = file.parent / table[key], "n_modes" not in table
-            table[key] = _from_file(path, f"{where}, {key}", whole=whole)
-    if kind == MATRICES:
-        holds = f"the table holds {', '.join(table) or 'nothing'}"
-        declared = {key: table.pop(key) for key in _KNOWN if key in table}
-        plain = _state_space(table, where, holds, _name_of(file))
-        return _physical(plain, declared, where) if declared else plain
-    builder = getattr(builders, kind)
-    _check_keys(table, builder, where)
-    for key, value in table.items():
-        _check_size(2 * len(value) if isinstance(value, (list, dict)) else 0, f"{where}, {key}")
-    try:
-        model: PhysicalModel = builder(**{key: _argument(key, value, where) for key, value in table.items()})
-        _ = model.system  # names that python-control refuses
-    except (ModelError, ct.ControlDimension, ct.ControlArgument) as error:
-        raise ModelError(f"{where}: {error}") from error
-    except _WRONG_KIND as error:  # text where a number belongs, and the like
-        raise ModelError(f"{where}: a value is of the wrong kind: {error}") from error
-    return model
+            table[key] = _from_file(file.parent / table[key], f"{where}, {key}", whole="n_modes" not in table)
+    if kind != MATRICES:
+        return _built(getattr(builders, kind), table, where)
+    holds = f"the table holds {', '.join(table) or 'nothing'}"
+    declared = {key: table.pop(key) for key in _KNOWN if key in table}
+    plain = _state_space(table, where, holds, file)
+    with _within(where):
+        return physical(plain, **declared) if declared else plain
 
 
 def _from_file(path: Path, where: str, *, whole: bool) -> Any:
@@ -213,27 +212,30 @@ def _from_file(path: Path, where: str, *, whole: bool) -> Any:
     A .npy file of one dimension stays one row or column.
     """
     found = read_matrix(path, where)
-    if issparse(found) and not whole:  # a few modes of it are kept
-        return found
-    _check_size(max(found.shape, default=0), where)
-    found = found.toarray() if issparse(found) else found
+    if issparse(found):
+        if not whole:  # a few modes of it are kept
+            return found
+        _check_size(max(found.shape, default=0), where)
+        found = found.toarray()
     matrix = _matrix(found, f"{where}: {path}")
     return matrix[0] if np.ndim(found) == 1 else matrix
 
 
-def _physical(plain: ct.StateSpace, known: Mapping[str, Any], where: str) -> PhysicalModel:
-    try:
-        return physical(plain, **known)
-    except (ModelError, ct.ControlArgument, ct.ControlDimension) as error:
-        raise ModelError(f"{where}: {error}") from error
-
-
-def _name_of(file: Path) -> str:
-    """Return the name of a file as a valid name of a system.
-
-    In python-control a dot separates system and signal.
-    """
-    return file.stem.replace(".", "_")
+def _built(builder: Any, table: Mapping[str, Any], where: str) -> PhysicalModel:
+    """Return the model of a builder from the parameters in a table."""
+    parameters = inspect.signature(builder).parameters
+    unknown = [key for key in table if key not in parameters]
+    if unknown:
+        raise ModelError(f"{where}: no parameter {', '.join(unknown)}; there are {', '.join(parameters)}")
+    needed = [k for k, p in parameters.items() if p.default is inspect.Parameter.empty and k not in table]
+    if needed:
+        raise ModelError(f"{where}: {', '.join(needed)} missing; it must be given")
+    for key, value in table.items():
+        _check_size(2 * len(value) if isinstance(value, (list, dict)) else 0, f"{where}, {key}")
+    with _within(where):
+        model: PhysicalModel = builder(**{key: _argument(key, value) for key, value in table.items()})
+        _ = model.system  # names that python-control refuses
+    return model
 
 
 def _check_size(n_states: int, where: str) -> None:
@@ -244,25 +246,16 @@ def _check_size(n_states: int, where: str) -> None:
         )
 
 
-def _check_keys(table: Mapping[str, Any], builder: Any, where: str) -> None:
-    """Every key is a parameter, and none that must be given is missing."""
-    parameters = inspect.signature(builder).parameters
-    unknown = [key for key in table if key not in parameters]
-    if unknown:
-        raise ModelError(f"{where}: no parameter {', '.join(unknown)}; there are {', '.join(parameters)}")
-    needed = [k for k, p in parameters.items() if p.default is inspect.Parameter.empty and k not in table]
-    if needed:
-        raise ModelError(f"{where}: {', '.join(needed)} missing; it must be given")
-
-
-def _argument(key: str, value: Any, where: str) -> Any:
+def _argument(key: str, value: Any) -> Any:
     """A TOML value as the builder takes it."""
-    if key == "resistances":
-        return {_pair(name, where): size for name, size in _as_table(value, key, where).items()}
-    if key == "links":
-        return {name: _link(ends) for name, ends in _as_table(value, key, where).items()}
+    if key in ("resistances", "links"):
+        if not isinstance(value, dict):
+            raise ModelError(f'{key} must be a table, such as {{"1-2" = 0.5, "2-0" = 2.0}}')
+        if key == "links":
+            return {name: _link(ends) for name, ends in value.items()}
+        return {_pair(name): size for name, size in value.items()}
     if key in _MAPS and isinstance(value, list) and value and isinstance(value[0], list):
-        return _matrix(value, f"{where}, {key}")
+        return _matrix(value, key)
     return tuple(value) if key == "heat" and isinstance(value, list) else value
 
 
@@ -272,21 +265,17 @@ def _link(ends: Any) -> Any:
     return tuple(ends) if two else np.array(ends, dtype=float)
 
 
-def _as_table(value: Any, key: str, where: str) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise ModelError(f'{where}: {key} must be a table, such as {{"1-2" = 0.5, "2-0" = 2.0}}')
-    return value
+def _pair(name: str) -> tuple[int, ...]:
+    if not re.fullmatch(r"\s*\d+\s*-\s*\d+\s*", name):
+        raise ModelError(f'{name!r} must name two nodes, such as "1-2" (0 is the surroundings)')
+    return tuple(int(end) for end in name.split("-"))
 
 
-def _pair(name: str, where: str) -> tuple[int, int]:
-    ends = [end.strip() for end in name.split("-")]
-    if len(ends) != 2 or not all(end.isdigit() for end in ends):
-        raise ModelError(f'{where}: {name!r} must name two nodes, such as "1-2" (0 is the surroundings)')
-    return int(ends[0]), int(ends[1])
+def _state_space(values: Mapping[str, Any], where: str, holds: str, file: Path) -> ct.StateSpace:
+    """Return the model of matrices and labels.
 
-
-def _state_space(values: Mapping[str, Any], where: str, holds: str, name: str) -> ct.StateSpace:
-    """Matrices and labels; one row or column may be written as a plain list."""
+    One row or column may be written as a plain list.
+    """
     allowed = ("A", "B", "C", "D", "dt", *_LABELS, "name")
     unknown = [key for key in values if key not in allowed]
     if unknown:
@@ -294,50 +283,45 @@ def _state_space(values: Mapping[str, Any], where: str, holds: str, name: str) -
     missing = [key for key in ("A", "B", "C") if key not in values]
     if missing:
         raise ModelError(f"{where}: {', '.join(missing)} missing; {holds}")
-    A, B, C, D = _matrices(values, where)
+    matrices = _matrices({"D": 0.0, **values}, where)
     dt = values.get("dt", 0)
     if isinstance(dt, bool) or not isinstance(dt, (int, float)) or not 0 <= dt < 1e300:
         raise ModelError(f"{where}: dt must be a time in s, or 0 for continuous time, not {dt!r}")
     labels = {}
-    for key, count in zip(_LABELS, (B.shape[1], C.shape[0], A.shape[0]), strict=True):
+    for key, count in zip(_LABELS, (*matrices[3].shape[::-1], len(matrices[0])), strict=True):
         if key in values:
-            texts = values[key] if isinstance(values[key], list) else [values[key]]
+            labels[key] = texts = values[key] if isinstance(values[key], list) else [values[key]]
             if len(texts) != count or not all(isinstance(text, str) for text in texts):
                 raise ModelError(f"{where}: {key} must be {count} name(s), not {values[key]!r}")
-            labels[key] = texts
-    title = values.get("name", name)
-    if not isinstance(title, str) or not title:
-        raise ModelError(f"{where}: name must be text, not {title!r}")
+    name = values.get("name", file.stem.replace(".", "_"))  # in python-control a dot parts system and signal
+    if not isinstance(name, str) or not name:
+        raise ModelError(f"{where}: name must be text, not {name!r}")
     try:
-        return ct.ss(A, B, C, D, dt, name=title, **labels)
+        return ct.ss(*matrices, dt, name=name, **labels)
     except (ValueError, ct.ControlDimension, ct.ControlArgument) as error:  # a name that is not allowed
         raise ModelError(f"{where}: {error}") from error
 
 
-def _matrices(values: Mapping[str, Any], where: str) -> tuple[Array, Array, Array, Array]:
+def _matrices(values: Mapping[str, Any], where: str) -> list[Array]:
     """A, B, C and D of sizes that fit."""
-    A = _matrix(values["A"], f"{where}, A")
-    n = A.shape[0]
-    B = _matrix(values["B"], f"{where}, B")
+    A, B, C, D = (_matrix(values[key], f"{where}, {key}") for key in "ABCD")
+    n = len(A)
     if np.ndim(values["B"]) == 1 and n != 1:
         B = B.T  # one input
-    C = _matrix(values["C"], f"{where}, C")
     if np.ndim(values["C"]) == 1 and n == 1:
         C = C.T
-    D = _matrix(values["D"], f"{where}, D") if "D" in values else np.zeros((C.shape[0], B.shape[1]))
-    if np.ndim(values.get("D", 0.0)) == 1 and B.shape[1] == 1:
+    if np.ndim(values["D"]) == 1 and B.shape[1] == 1:
         D = D.T
     if D.shape == (1, 1) and D[0, 0] == 0:
-        D = np.zeros((C.shape[0], B.shape[1]))
-    shapes = {"A": (n, n), "B": (n, B.shape[1]), "C": (C.shape[0], n), "D": (C.shape[0], B.shape[1])}
-    for key, matrix in zip("ABCD", (A, B, C, D), strict=True):
-        if matrix.shape != shapes[key]:
+        D = np.zeros((len(C), B.shape[1]))
+    shapes = {"A": (n, n), "B": (n, B.shape[1]), "C": (len(C), n), "D": (len(C), B.shape[1])}
+    for (key, (rows, columns)), matrix in zip(shapes.items(), (A, B, C, D), strict=True):
+        if matrix.shape != (rows, columns):
             raise ModelError(
                 f"{where}: {key} is {matrix.shape[0]} x {matrix.shape[1]}; with A {n} x {A.shape[1]}, "
-                f"B {B.shape[0]} x {B.shape[1]}, C {C.shape[0]} x {C.shape[1]} it must be "
-                f"{shapes[key][0]} x {shapes[key][1]}"
+                f"B {B.shape[0]} x {B.shape[1]}, C {C.shape[0]} x {C.shape[1]} it must be {rows} x {columns}"
             )
-    return A, B, C, D
+    return [A, B, C, D]
 
 
 def _matrix(value: Any, where: str) -> Array:
@@ -345,11 +329,11 @@ def _matrix(value: Any, where: str) -> Array:
     try:
         given = np.array(value, ndmin=2)
     except (TypeError, ValueError) as error:
-        raise ModelError(f"{where} must be numbers in rows of equal length: {error}") from error
+        raise ModelError(f"{where} {_RULE}: {error}") from error
     if given.dtype.kind == "c":
         raise ModelError(f"{where} is complex; a model is real, in modal form too: write it with real blocks")
     if given.dtype.kind not in "fiub":
-        raise ModelError(f"{where} must be numbers in rows of equal length, not {value!r:.60}")
+        raise ModelError(f"{where} {_RULE}, not {value!r:.60}")
     _check_size(max(given.shape), where)
     matrix = given.astype(float)
     if matrix.ndim != 2 or not matrix.size:

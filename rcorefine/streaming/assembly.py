@@ -11,7 +11,7 @@ import numpy as np
 from ..arguments import as_flag, as_list, as_whole
 from ..effects.effect import Effect
 from ..exceptions import ModelError
-from ..models.consistency import check_stream_hold
+from ..models.operating_point import check_stream_hold
 from ..models.physical_model import PhysicalModel
 from .checks import as_size
 from .coefficients.effects import make_effects_setup

@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..exceptions import DataError, DivergenceError
-from ..systems.conversion import to_discrete
+from ..systems.conversion import growth, stabilized, to_discrete
 from ..systems.linear import Array, LinearModel
-from ..systems.stability import growth, stabilized
 from .coefficients.estimator import CoefficientFilter
 from .coefficients.setup import Setup
 from .free_run import free_run_cost

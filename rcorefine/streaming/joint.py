@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from ..exceptions import RCOError
+from ..systems.conversion import nearest_continuous
 from ..systems.linear import Array, LinearModel
-from ..systems.nearest import nearest_continuous
 from ..systems.response import frequency_response
 from .coefficients.estimator import CoefficientFilter, joined
 from .coefficients.history import CoefficientHistory

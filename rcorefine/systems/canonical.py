@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from ..exceptions import ModelError
-from .discretization import _balanced
+from .discretization import balanced
 from .linear import Array, LinearModel
 
 __all__ = ["characteristic_polynomial", "observable_form"]
@@ -109,7 +109,7 @@ def characteristic_polynomial(A: Array) -> Array:
     n = A.shape[0]
     if n == 0:
         return np.ones(1)
-    h = linalg.hessenberg(_balanced(A)[0])
+    h = linalg.hessenberg(balanced(A)[0])
     polynomials = [np.ones(1)]
     for i in range(n):
         following = np.append(polynomials[i], 0.0)
@@ -127,7 +127,7 @@ def _check_observable(model: LinearModel) -> None:
     n = model.n_states
     if n == 0:
         return
-    a, scale = _balanced(model.A)
+    a, scale = balanced(model.A)
     c = model.C * scale
     a_size = float(linalg.norm(a, 2)) or 1.0
     c_size = float(linalg.norm(c, 2)) or 1.0

@@ -1,4 +1,4 @@
-"""From continuous to discrete time and back, labels and name kept."""
+"""From continuous to discrete time and back, and nearest models."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from scipy import linalg
 
 from ..arguments import as_choice
 from ..exceptions import ConversionWarning, ModelError, warn
-from .discretization import _balanced, check_sampling_time, discretize, power_of_two
-from .linear import Array, LinearModel
+from .discretization import balanced, check_sampling_time, discretize, power_of_two
+from .linear import Array, LinearModel, balance
 
-__all__ = ["d2c", "to_discrete"]
+__all__ = ["d2c", "growth", "nearest_continuous", "stabilized", "to_discrete"]
 
 # Two sampling times that agree this well are the same (time columns are rounded).
 SAME_DT = 1e-6
@@ -23,6 +23,9 @@ DOUBTFUL_ANGLE = 0.9
 # Relative error of a matrix logarithm that is worth a word.
 LOG_TOLERANCE = 1e-8
 _EPS = float(np.finfo(float).eps)
+_FAST = 0.02  # pole in place of one without a real logarithm: gone within two samples, and still invertible
+_REAL = 1e-5  # imaginary part over size below which a pole counts as real: multiple ones split by rounding
+_ZERO = 1e-4  # size below which a pole counts as zero
 
 
 def to_discrete(model: LinearModel, dt: float, hold: str = "zoh") -> LinearModel:
@@ -161,7 +164,7 @@ def d2c(system: ct.StateSpace, method: str = "zoh") -> ct.StateSpace:
 def _inverse_hold(phi: Array, gamma: Array, step: float, where: str) -> tuple[Array, Array]:
     """Continuous A and B from the block logarithm of a zero-order hold model."""
     n, n_w = gamma.shape
-    phi, scale = _balanced(phi)
+    phi, scale = balanced(phi)
     gamma = gamma / scale[:, None]
     columns = power_of_two(np.max(np.abs(gamma), axis=0, initial=0.0))
     _check_poles(phi, step, where)
@@ -247,7 +250,7 @@ def _check_poles(phi: Array, step: float, where: str) -> None:
 def _inverse_tustin(model: LinearModel, step: float, where: str) -> LinearModel:
     """Invert the bilinear transformation as `StateSpace.sample` applies it."""
     identity = np.eye(model.n_states)
-    phi, scale = _balanced(model.A)
+    phi, scale = balanced(model.A)
     b, c = model.B / scale[:, None], model.C * scale
     resolvent = (phi + identity) / 2  # (I - A_c step / 2)^-1
     sizes = linalg.svdvals(resolvent)
@@ -266,3 +269,151 @@ def _inverse_tustin(model: LinearModel, step: float, where: str) -> LinearModel:
         D=model.D - c @ b / 2,
         dt=0,
     )
+
+
+def nearest_continuous(model: LinearModel) -> LinearModel:
+    """Return the exact or the nearest continuous model of a discrete one.
+
+    The exact one has the same samples. Where there is none, the nearest of the same order is returned. Real
+    poles that are negative or zero have no real logarithm. They are moved to z = 0.02, where the mode dies
+    out as fast as sampling shows, and the static gain is kept.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Discrete model with a definite sampling time.
+
+    Returns
+    -------
+    LinearModel
+        Continuous model.
+
+    Warns
+    -----
+    ConversionWarning
+        If poles had to be moved: which, and where to.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> import control as ct
+    >>> from rcorefine.systems.linear import LinearModel
+    >>> odd = LinearModel.from_statespace(ct.ss([[-0.9]], [[1.0]], [[1.0]], [[0.0]], 0.1))
+    >>> with warnings.catch_warnings():
+    ...     warnings.simplefilter("ignore")
+    ...     near = nearest_continuous(odd).to_statespace()
+    >>> bool(np.isclose(near.dcgain(), odd.to_statespace().dcgain()))
+    True
+    """
+    moved, poles = _without_bad_poles(model)
+    if poles.size:
+        shown = ", ".join(f"{pole:.4g}" for pole in poles[:4].real)
+        warn(
+            f"system {model.name!r} has no continuous model of its order: pole(s) at {shown} have no real "
+            f"logarithm. They were moved to z = {_FAST:g}, the static gain kept; discrete_system is exact",
+            ConversionWarning,
+        )
+    try:
+        return LinearModel.from_statespace(d2c(moved.to_statespace()))
+    except ModelError as error:
+        if not poles.size:
+            warn(
+                f"{error}. The bilinear transformation was taken instead; discrete_system is exact",
+                ConversionWarning,
+            )
+        return LinearModel.from_statespace(d2c(moved.to_statespace(), method="tustin"))
+
+
+def _without_bad_poles(model: LinearModel) -> tuple[LinearModel, Array]:
+    """Model with poles without a real logarithm moved, and those poles.
+
+    The model is split in two invariant subspaces (ordered Schur form and a Sylvester equation), so
+    that multiple poles do no harm.
+    """
+
+    def bad(real: float, imaginary: float) -> bool:
+        size = abs(complex(real, imaginary))
+        return size < _ZERO or (real <= 0 and abs(imaginary) <= _REAL * size)
+
+    units = balance(model.A)  # those of the user may be far apart
+    triangle, basis, count = linalg.schur(model.A * units / units[:, None], output="real", sort=bad)
+    if count == 0:
+        return model, np.zeros(0)
+    poles = linalg.eigvals(triangle[:count, :count])
+    first, coupling, rest = triangle[:count, :count], triangle[:count, count:], triangle[count:, count:]
+    apart = linalg.solve_sylvester(first, -rest, -coupling)
+    n = model.n_states
+    split = np.eye(n)
+    split[:count, count:] = apart
+    basis = basis @ split  # columns: the bad subspace, then the good one
+    basis, back = units[:, None] * basis, linalg.inv(basis) / units
+    gain = back[:count] @ model.B
+    # the static response of the moved modes stays: (1 - z) (I - A1)^-1 B1
+    gain = (1.0 - _FAST) * linalg.solve(np.eye(count) - first, gain)
+    A = basis @ linalg.block_diag(_FAST * np.eye(count), rest) @ back
+    B = basis @ np.vstack([gain, back[count:] @ model.B])
+    return model.with_arrays(A=A, B=B), poles
+
+
+def growth(model: LinearModel) -> float:
+    """Return the largest growth rate of the modes.
+
+    It is the largest real part of the poles. For a discrete model it is the largest logarithm of their
+    magnitude.
+    """
+    if model.n_states == 0:
+        return -np.inf
+    poles = linalg.eigvals(model.A)
+    if model.is_continuous:
+        return float(poles.real.max())
+    with np.errstate(divide="ignore"):
+        return float(np.log(np.abs(poles).max()))
+
+
+def stabilized(model: LinearModel, limit: float) -> LinearModel:
+    """Return a model whose modes grow no faster than `limit`.
+
+    Modes that grow faster are slowed down by the same amount, the fastest one to the limit. The others stay,
+    unless rounding errors hide on which side of the limit a mode is. Then all slow down.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Continuous or discrete model.
+    limit : float
+        Largest growth, as of `growth`.
+
+    Returns
+    -------
+    LinearModel
+        The same model where nothing grows faster.
+
+    Examples
+    --------
+    >>> import control as ct
+    >>> from rcorefine.systems.linear import LinearModel
+    >>> wild = ct.ss([[0.1, 1.0], [0.0, -2.0]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
+    >>> wild = LinearModel.from_statespace(wild)
+    >>> linalg.eigvals(stabilized(wild, -0.5).A).real
+    array([-0.5, -2. ])
+    """
+    if growth(model) <= limit:
+        return model
+    continuous = model.is_continuous
+    bound = limit if continuous else float(np.exp(limit))
+
+    def wild(real: float, imaginary: float) -> bool:
+        return (real if continuous else abs(complex(real, imaginary))) > bound
+
+    units = balance(model.A)  # those of the user may be far apart
+    A = model.A * units / units[:, None]
+    try:
+        triangle, basis, count = linalg.schur(A, output="real", sort=wild)
+    except linalg.LinAlgError:  # modes that rounding moves across the bound: all are slowed down
+        triangle, basis, count = A.copy(), np.eye(len(A)), len(A)
+    block = triangle[:count, :count]
+    if continuous:
+        block -= (growth(model) - limit) * np.eye(count)
+    else:
+        block *= bound / np.exp(growth(model))
+    return model.with_arrays(A=(basis @ triangle @ basis.T) * units[:, None] / units)

@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import control as ct
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
 from ..arguments import as_choice, as_number
 from ..exceptions import ModelError
-from .balance import balance
-from .linear import Array
+from .linear import Array, balance, check_finite
 
-__all__ = ["HOLDS", "check_sampling_time", "discretize", "power_of_two"]
+__all__ = ["HOLDS", "balanced", "check_sampling_time", "discretize", "exponential", "power_of_two"]
 
 HOLDS = ("zoh", "foh")
+# Higham, SIAM J. Matrix Anal. Appl. 26 (2005) 1179, table 2.3: degree 9 is exact to
+# double precision up to a 1-norm of 2.1.
+_THETA = 2.1
+_UNBALANCED = 64.0  # five squarings
+_PADE = (
+    17643225600.0, 8821612800.0, 2075673600.0, 302702400.0, 30270240.0, 2162160.0, 110880.0, 3960.0,
+    90.0, 1.0,
+)  # fmt: skip
 
 
 def discretize(A: ArrayLike, B: ArrayLike, dt: float, hold: str = "zoh") -> tuple[Array, Array, Array]:
@@ -68,7 +77,7 @@ def discretize(A: ArrayLike, B: ArrayLike, dt: float, hold: str = "zoh") -> tupl
     if n == 0:
         return np.zeros((0, 0)), np.zeros((0, n_w)), np.zeros((0, n_w))
     # Units far apart (a current beside a charge) cost digits; powers of two are free.
-    a, scale = _balanced(a)
+    a, scale = balanced(a)
     b = b / scale[:, None]
     columns = power_of_two(np.max(np.abs(b), axis=0, initial=0.0))
     blocks = 2 if hold == "foh" else 1
@@ -123,14 +132,12 @@ def _checked(A: ArrayLike, B: ArrayLike) -> tuple[Array, Array]:
         raise ct.ControlDimension(f"A must be square, not of shape {a.shape}")
     if b.ndim != 2 or b.shape[0] != a.shape[0]:
         raise ct.ControlDimension(f"B must have shape ({a.shape[0]}, n_w) as A demands, not {b.shape}")
-    for key, array in (("A", a), ("B", b)):
-        if not np.isfinite(array).all():
-            row, col = np.argwhere(~np.isfinite(array))[0]
-            raise ModelError(f"matrix {key} is not finite at [{row}, {col}]; give finite parameters")
+    check_finite("A", a)
+    check_finite("B", b)
     return a, b
 
 
-def _balanced(a: Array) -> tuple[Array, Array]:
+def balanced(a: Array) -> tuple[Array, Array]:
     """Scale the states so that rows and columns of A have similar norms.
 
     The result satisfies ``A = S A_bal S^-1``.
@@ -146,3 +153,51 @@ def power_of_two(size: Array) -> Array:
     """
     safe = np.where(size > 0, size, 1.0)
     return np.asarray(np.exp2(np.floor(np.log2(safe))), dtype=float)
+
+
+def exponential(matrices: NDArray[Any]) -> NDArray[Any]:
+    """Exponential of each matrix of a stack, real or complex.
+
+    `scipy.linalg.expm` is right but starts BLAS threads for every small matrix of a stack, which costs up
+    to a hundred times its arithmetic on a busy machine, and an estimate takes thousands of exponentials.
+
+    Parameters
+    ----------
+    matrices : ndarray, shape (k, n, n)
+        Square matrices of like size; they share one scaling.
+
+    Returns
+    -------
+    ndarray, shape (k, n, n)
+        Exponentials; not finite where they overflow.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> bool(np.allclose(exponential(np.zeros((1, 2, 2))), np.eye(2)))
+    True
+    """
+    norm = float(np.abs(matrices).sum(axis=-2).max(initial=0.0))
+    if not np.isfinite(norm):
+        return np.full_like(matrices, np.nan)
+    scale = None
+    if norm > _UNBALANCED:  # many squarings lose digits where units differ, as in a companion matrix
+        size = np.abs(matrices).max(axis=0)
+        scale = balance(size)
+        matrices = matrices * scale / scale[:, None]
+        norm = float(np.abs(matrices).sum(axis=-2).max(initial=0.0))
+    squarings = max(0, int(np.ceil(np.log2(max(norm, 1e-300) / _THETA))))
+    a = matrices / 2.0**squarings
+    one = np.eye(a.shape[-1])
+    a2 = a @ a
+    a4 = a2 @ a2
+    a6 = a4 @ a2
+    a8 = a4 @ a4
+    b = _PADE
+    odd = a @ (b[9] * a8 + b[7] * a6 + b[5] * a4 + b[3] * a2 + b[1] * one)
+    even = b[8] * a8 + b[6] * a6 + b[4] * a4 + b[2] * a2 + b[0] * one
+    result = np.linalg.solve(even - odd, even + odd)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(squarings):
+            result = result @ result
+    return np.asarray(result if scale is None else result * scale[:, None] / scale)

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..arguments import as_array
 from ..exceptions import ModelError
-from .discretization import check_sampling_time, discretize
+from .conversion import to_discrete
+from .discretization import check_sampling_time
 from .linear import Array, LinearModel
 
 __all__ = ["as_sampled", "bode_error", "default_omega", "frequency_response", "hold_factor"]
@@ -214,11 +215,7 @@ def as_sampled(model: LinearModel, dt: float, hold: str) -> LinearModel:
     LinearModel
         Model whose frequency response is that of the sampled signals.
     """
-    if not model.is_continuous or hold == "bandlimited":
-        return model
-    phi, g0, g1 = discretize(model.A, model.B, dt, hold)
-    # x(k) = xi(k) + G1 w(k) takes the input ahead out of the state equation
-    return model.with_arrays(A=phi, B=g0 + phi @ g1, C=model.C, D=model.D + model.C @ g1, dt=dt)
+    return to_discrete(model, dt, hold) if model.is_continuous and hold != "bandlimited" else model
 
 
 def hold_factor(omega: Array, dt: float, hold: str) -> NDArray[np.complex128]:

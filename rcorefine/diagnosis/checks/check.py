@@ -26,9 +26,8 @@ from ...inference.basis import project, rank_basis
 from ...inference.levels import levels
 from ...inference.sensitivities import candidate_columns
 from ...inference.whitening import Whitener
-from ...models.controller import Controller, answer, unrecorded
 from ...models.conversion import as_physical, known_physical, under_control
-from ...models.operating_point import OperatingPoint, ordered_record
+from ...models.operating_point import Controller, OperatingPoint, answer, ordered_record, unrecorded
 from ...models.physical_model import PhysicalModel
 from ...progress import Progress
 from ...refinement.base_fit import base_fit

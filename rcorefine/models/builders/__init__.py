@@ -1,12 +1,8 @@
 """Builders: usual models with their places, parameters and units."""
 
-from .chain import mass_spring_damper
-from .electrical import series_rlc
-from .general import mechanical
-from .hydraulic import two_tanks
-from .motor import dc_motor
-from .thermal import thermal_network
-from .vehicle import quarter_car
+from .machines import dc_motor, quarter_car
+from .networks import series_rlc, thermal_network, two_tanks
+from .structures import mass_spring_damper, mechanical
 
 __all__ = [
     "dc_motor",

@@ -1,22 +1,26 @@
-"""M q'' + C q' + K q = F w, put together with its places and sensors."""
+"""M q'' + C q' + K q = F w with its places, inputs and sensors."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
+import control as ct
 import numpy as np
 
+from ...arguments import as_array, as_choice, as_text, shown
+from ...exceptions import ModelError
 from ...systems.linear import Array
-from ..parameters import NominalParameter
+from ..parameters import NominalParameter, combine_units
 from ..physical_model import PhysicalModel
 from ..ports import Port
-from ..units import combine_units
-from ._model import Given, built
+from ._equations import Given, as_index, as_indices, built, refuse_twice
+
+_SENSORS = "a quantity, a pair (quantity, mass) or a list of these"
+_LETTER = {"displacement": "q", "velocity": "v", "acceleration": "a", "force": "f"}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Place:
+class Place(NamedTuple):
     """A direction in the space of the displacements, d = direction @ q.
 
     A place of a mass (`absolute`) moves with the base where that is excited, one
@@ -29,128 +33,119 @@ class Place:
     absolute: bool
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Sensor:
+class Sensor(NamedTuple):
     """Sensor of motions and inputs, and possibly of the force at a place.
 
-    Without that force, y = displacement @ q + velocity @ q' + acceleration @ q'' + direct @ w.
+    Without that force, y = motion[0] @ q + motion[1] @ q' + motion[2] @ q'' + direct @ w.
     """
 
-    label: str
     unit: str
-    displacement: Array
-    velocity: Array
-    acceleration: Array
+    motion: Array
     direct: Array
     reads: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Units:
-    """Units of displacement and force; the others follow."""
+class Units(dict[str, str]):
+    """Units of motions, force and coefficients by name."""
 
-    position: str = "m"
-    force: str = "N"
-    velocity: str = field(default="")
-    acceleration: str = field(default="")
-
-    def of(self, quantity: str) -> str:
-        """Unit of displacement, velocity, acceleration or force."""
-        if quantity == "velocity":
-            return self.velocity or combine_units("position/s", {"position": self.position})
-        if quantity == "acceleration":
-            return self.acceleration or combine_units("position/s^2", {"position": self.position})
-        return self.force if quantity == "force" else self.position
-
-    def coefficient(self, kind: str) -> str:
-        """Unit of a stiffness, a damping or a mass."""
-        rule = {"stiffness": "force/position", "damping": "force/velocity", "mass": "force s/velocity"}
-        units = {"position": self.position, "velocity": self.of("velocity"), "force": self.force}
-        return combine_units(rule[kind], units)
+    @classmethod
+    def of(cls, position: str, force: str) -> Units:
+        """Units that follow from those of displacement and force."""
+        given = {"position": as_text(position, "position_unit"), "force": as_text(force, "force_unit")}
+        rules = {
+            "displacement": "position",
+            "velocity": "position/s",
+            "acceleration": "position/s^2",
+            "stiffness": "force/position",
+            "damping": "force s/position",
+            "mass": "force s^2/position",
+        }
+        return cls({**given, **{key: combine_units(rule, given) for key, rule in rules.items()}})
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SecondOrder:
-    """M q'' + C q' + K q = F w - M 1 w_base, in the coordinates (q, q')."""
+class Drive(NamedTuple):
+    """Inputs: columns of F, 1 for a base acceleration, and units by label."""
 
-    M: Array
-    C: Array
-    K: Array
-    force: Array  # (n, n_w), the column of a base acceleration is -M @ 1
-    base: Array  # (n_w,), 1 for the input that is the base acceleration
+    force: Array
+    base: Array
+    inputs: Mapping[str, str]
+
+
+class Options(NamedTuple):
+    """Arguments of both builders beside the matrices, as they were given."""
+
+    excitation: Any
+    force: Any
+    sensors: Any
     units: Units
+    given: Given
 
-    @property
-    def size(self) -> int:
-        """Number of displacements."""
-        return int(self.M.shape[0])
 
-    def build(
-        self,
-        places: Sequence[Place],
-        sensors: Sequence[Sensor],
-        parameters: Sequence[NominalParameter],
-        given: Given,
-        *,
-        inputs: Sequence[str],
-        input_units: Sequence[str],
-        letters: tuple[str, str] = ("q", "v"),
-    ) -> PhysicalModel:
-        """Return the physical model with these places, sensors and parameters.
+def assembled(
+    structure: tuple[Array, Array, Array],
+    places: Sequence[Place],
+    parameters: Sequence[NominalParameter],
+    options: Options,
+) -> PhysicalModel:
+    """Return the physical model of M, C and K with these places."""
+    drive = input_map(options, structure[0])
+    by_name = {place.name: place for place in places}
+    found = parse_sensors(options, len(drive.force), by_name, drive.base, parameters)
+    return second_order(structure, drive, places, found, parameters, options)
 
-        States are named by letter and number.
-        """
-        n, n_w = self.size, self.force.shape[1]
-        solved = np.linalg.solve(self.M, np.hstack([self.K, self.C, self.force]))
-        A = np.zeros((2 * n, 2 * n))
-        A[:n, n:] = np.eye(n)
-        A[n:, :n], A[n:, n:] = -solved[:, :n], -solved[:, n : 2 * n]
-        B = np.vstack([np.zeros((n, n_w)), solved[:, 2 * n :]])
-        # a rigid row of M^-1 M 1 is one; the solver may leave it off by rounding
-        B[n:, self.base > 0] = -1.0
-        state = np.array([np.concatenate([item.displacement, item.velocity]) for item in sensors])
-        rate = np.array([np.concatenate([np.zeros(n), item.acceleration]) for item in sensors])
-        direct = np.array([item.direct for item in sensors]).reshape(len(sensors), n_w)
-        states = [f"{letter}{i + 1}" for letter in letters for i in range(n)]
-        return built(
-            A, B, (state, rate, direct), given,
-            labels=(inputs, [item.label for item in sensors], states),
-            units=(
-                input_units,
-                [item.unit for item in sensors],
-                [self.units.of("position")] * n + [self.units.of("velocity")] * n,
-            ),
-            ports=self._ports(places, sensors), parameters=parameters,
-        )  # fmt: skip
 
-    def _ports(self, places: Sequence[Place], sensors: Sequence[Sensor]) -> tuple[Port, ...]:
-        """Ports, with one factorization of M for all: a long chain has thousands."""
-        if not places:
-            return ()
-        moved = np.linalg.solve(self.M, np.column_stack([place.direction for place in places]))
-        metered = any(sensor.reads for sensor in sensors)
-        return tuple(
-            self._port(place, column, [float(s.reads == place.name) for s in sensors] if metered else ())
-            for place, column in zip(places, moved.T, strict=True)
-        )
+def second_order(
+    structure: tuple[Array, Array, Array],
+    drive: Drive,
+    places: Sequence[Place],
+    sensors: Mapping[str, Sensor],
+    parameters: Sequence[NominalParameter],
+    options: Options,
+    letters: tuple[str, str] = ("q", "v"),
+) -> PhysicalModel:
+    """Return M q'' + C q' + K q = F w, in the coordinates (q, q').
 
-    def _port(self, place: Place, moved: Array, output: Sequence[float]) -> Port:
-        nothing = np.zeros(self.size)
-        moved[np.abs(moved) <= 1e-14 * np.abs(moved).max()] = 0.0
-        return Port(
+    The column of a base acceleration (1 in `base`) is -M 1. States are named by letter and number.
+    """
+    (M, C, K), (F, base, inputs) = structure, drive
+    n, units, rows = len(M), options.units, list(sensors.values())
+    G = np.column_stack([place.direction for place in places])
+    # one factorization of M for all: a long chain has thousands of places
+    solved = np.linalg.solve(M, np.hstack([K, C, F, G]))
+    K, C, F, moved = np.split(solved, [n, 2 * n, 2 * n + F.shape[1]], axis=1)
+    moved[np.abs(moved) <= 1e-14 * np.abs(moved).max(axis=0)] = 0.0
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-K, -C]])
+    B = np.vstack([np.zeros_like(F), F])
+    # a rigid row of M^-1 M 1 is one; the solver may leave it off by rounding
+    B[n:, base > 0] = -1.0
+    motion = np.array([s.motion for s in rows])
+    state, rate = motion[:, :2].reshape(-1, 2 * n), np.hstack([0.0 * motion[:, 2], motion[:, 2]])
+    direct = np.array([s.direct for s in rows])
+    states = {
+        f"{letter}{i + 1}": units[kind]
+        for letter, kind in zip(letters, ("position", "velocity"), strict=True)
+        for i in range(n)
+    }
+    metered, nothing = any(s.reads for s in rows), np.zeros(n)
+    ports = [
+        Port(
             place.name,
             "mechanical",
-            act=np.concatenate([nothing, -moved]),
+            act=np.concatenate([nothing, -column]),
             position=np.concatenate([place.direction, nothing]),
-            position_input=np.zeros_like(self.base),
             velocity=np.concatenate([nothing, place.direction]),
-            acceleration_input=self.base * place.direction.sum() if place.absolute else 0.0 * self.base,
-            position_unit=self.units.of("position"),
-            velocity_unit=self.units.of("velocity"),
-            force_unit=self.units.of("force"),
+            acceleration_input=base * place.direction.sum() * place.absolute,
+            position_unit=units["position"],
+            velocity_unit=units["velocity"],
+            force_unit=units["force"],
             description=place.description,
-            output=np.array(output),
+            output=np.array([float(s.reads == place.name) for s in rows] if metered else []),
         )
+        for place, column in zip(places, moved.T, strict=True)
+    ]
+    signals = inputs, {label: s.unit for label, s in sensors.items()}, states
+    readout = state, rate, direct
+    return built((A, B), readout, options.given, units=signals, ports=ports, parameters=parameters)
 
 
 def unit_vector(size: int, *entries: tuple[int, float]) -> Array:
@@ -161,12 +156,101 @@ def unit_vector(size: int, *entries: tuple[int, float]) -> Array:
     return vector
 
 
-def parameters_of(
-    letter: str, kind: str, values: Array, places: Sequence[str], units: Units
-) -> list[NominalParameter]:
-    """Nominal parameters ``k1, k2, ...``, those of value zero included."""
-    unit = units.coefficient(kind)
-    return [
-        NominalParameter(f"{letter}{number}", value, unit, kind, place)
-        for number, (value, place) in enumerate(zip(values.tolist(), places, strict=True), start=1)
-    ]
+def parse_sensors(
+    options: Options,
+    size: int,
+    places: Mapping[str, Place],
+    base: Array,
+    parameters: Sequence[NominalParameter] = (),
+) -> dict[str, Sensor]:
+    """Return sensors by label, from ``("velocity", 1)`` or a list of such.
+
+    A place may be the number of a mass, a list of numbers, or the name of a place
+    (``("displacement", "link2")`` measures an elongation, ``("force", "link2")`` what its spring and damper
+    among the `parameters` hold).
+    """
+    found: list[tuple[str, Sensor]] = []
+    for quantity, where in _requests(options.sensors, size):
+        as_choice(quantity, "the quantity of a sensor", tuple(_LETTER))
+        if isinstance(where, str):
+            if where not in places:
+                raise ModelError(f"sensor at {where!r}: no such place, only {', '.join(places)}")
+            direction, absolute = places[where].direction, places[where].absolute
+            label = f"{_LETTER[quantity]}_{where}"
+        else:
+            mass = as_index(where, "the mass of a sensor", size)
+            direction, absolute, label = np.eye(size)[mass], True, f"{_LETTER[quantity]}{where}"
+        gains = _held(where, parameters) if quantity == "force" else {quantity: 1.0}
+        motion = np.outer([gains.get(key, 0.0) for key in _LETTER if key != "force"], direction)
+        # displacements and velocities are relative to the base, an accelerometer feels it
+        felt = base * direction.sum() * (quantity == "acceleration" and absolute)
+        unit, reads = options.units[quantity], where if quantity == "force" else ""
+        found.append((label, Sensor(unit, motion, felt, reads)))
+    if not found:
+        raise ModelError('sensors is empty; give at least one, for example sensors=("velocity", 1)')
+    refuse_twice([label for label, _ in found])
+    return dict(found)
+
+
+def _held(where: Any, parameters: Sequence[NominalParameter]) -> dict[str, float]:
+    """Return what a load cell in series with spring and damper reads."""
+    k, c = (
+        sum(q.value for q in parameters if (q.kind, q.place) == (kind, where))
+        for kind in ("stiffness", "damping")
+    )
+    if not k and not c:
+        links = {q.place for q in parameters if q.value and q.kind in ("stiffness", "damping")}
+        raise ModelError(
+            f"a load cell at {where!r} would read nothing, since no spring or damper is known there; "
+            f"they are at {', '.join(sorted(links)) or 'no place'}"
+        )
+    return {"displacement": k, "velocity": c}
+
+
+def _requests(sensors: Any, size: int, *, nested: bool = False) -> list[tuple[str, Any]]:
+    if isinstance(sensors, str):
+        return [(sensors, number) for number in range(1, size + 1)]
+    if not isinstance(sensors, Sequence):
+        raise ct.ControlArgument(f"sensors must be {_SENSORS}, not {shown(sensors)}")
+    pair = len(sensors) == 2 and isinstance(sensors[0], str) and not _is_request(sensors[1])
+    if pair:
+        where = sensors[1]
+        several = isinstance(where, Sequence) and not isinstance(where, str)
+        return [(sensors[0], item) for item in (where if several else [where])]
+    if nested:
+        raise ct.ControlArgument(f"sensors must be {_SENSORS}; a list in the list is {shown(sensors)}")
+    return [request for item in sensors for request in _requests(item, size, nested=True)]
+
+
+def _is_request(item: Any) -> bool:
+    """Return whether an item is a sensor of its own, not a place."""
+    first = item if isinstance(item, str) else item[0] if isinstance(item, Sequence) and item else None
+    return isinstance(first, str) and first in _LETTER
+
+
+def input_map(options: Options, M: Any) -> Drive:
+    """Return how the inputs act on masses with the matrix M."""
+    force, size, units = options.force, M.shape[0], options.units
+    base = as_choice(options.excitation, "excitation", ("force", "base")) == "base"
+    matrix, numbers = np.zeros((size, 0)), []
+    if isinstance(force, np.ndarray) and force.ndim == 2:
+        matrix = as_array(force, "the map of the forces", error=ModelError)
+        numbers = list(range(matrix.shape[1]))
+        if matrix.shape[0] != size:
+            raise ct.ControlDimension(
+                f"the map of the forces has {matrix.shape[0]} rows for {size} masses; "
+                "each column tells how one input acts on the masses"
+            )
+        if not matrix.any(axis=0).all():
+            raise ModelError(
+                f"input {int(np.argmin(matrix.any(axis=0))) + 1} of the map of the forces acts on no mass"
+            )
+    elif force is not None or not base:
+        numbers = as_indices(1 if force is None else force, "force", "mass", size)
+        matrix = np.eye(size)[:, numbers]
+    labels = ["force"] if len(numbers) == 1 else [f"force{i + 1}" for i in numbers]
+    inputs = dict.fromkeys(labels, units["force"])
+    if base:
+        matrix = np.hstack([-M @ np.ones((size, 1)), matrix])
+        inputs = {"base_acceleration": units["acceleration"], **inputs}
+    return Drive(matrix, np.array([float(label == "base_acceleration") for label in inputs]), inputs)

@@ -16,8 +16,8 @@ from ...effects.several import as_effects
 from ...engine.kernels import address_of_march
 from ...engine.structure import Structure
 from ...exceptions import ModelError
-from ...models.consistency import check_stream_hold, refuse_discrete
 from ...models.conversion import as_physical
+from ...models.operating_point import check_stream_hold, refuse_discrete
 from ...models.physical_model import PhysicalModel
 from ...systems.linear import Array, LinearModel
 from .kernel import Kernel

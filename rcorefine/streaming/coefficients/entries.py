@@ -13,7 +13,7 @@ import numpy as np
 
 from ...effects.entries import Entry
 from ...systems.conversion import to_discrete
-from ...systems.exponential import exponential
+from ...systems.discretization import exponential
 from ...systems.linear import Array, LinearModel
 from ..free_run import state_power
 from .kernel import Kernel

@@ -18,7 +18,7 @@ from ...engine.setting import PIECES
 from ...engine.simulation import structure_of
 from ...engine.structure import Structure
 from ...exceptions import DivergenceError, ModelError
-from ...models.consistency import check_stream_hold, refuse_discrete
+from ...models.operating_point import check_stream_hold, refuse_discrete
 from ...systems.linear import Array
 
 __all__ = ["Observer", "Pace", "as_base", "pace_of"]

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from ...exceptions import DataError, ModelError, RCOError
+from ...systems.conversion import nearest_continuous
 from ...systems.linear import Array, LinearModel
-from ...systems.nearest import nearest_continuous
 from .. import summary
 from ..gaps import Block
 from ..restoring import check_course

@@ -1,0 +1,502 @@
+"""Links between displacements, and bodies that move together."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..systems.linear import Array, LinearModel
+from .displacements import Displacement, connected, of_masses, significant
+from .masses import MassScale
+from .ports import Element, port_at
+
+__all__ = ["Declared", "find_links", "weighted"]
+
+_ROUNDING = 1e-3  # of the diagonal: what rounding to four digits leaves of a zero
+_MOST_GROUPED = 7  # displacements whose every grouping into bodies is tried
+_MOST_MERGED = 6  # pairs that may be one body, all choices of which are tried
+_ANGLES = frozenset("th theta phi psi alpha beta gamma pitch roll yaw angle rotation".split())
+_SMALL = 1e-12
+_UNEXPLAINED = 0.01  # of a damping coupling: more than rounding leaves of what the springs' links explain
+
+Groups = list[list[int]]
+
+
+class Declared(NamedTuple):
+    """Known properties of a plain model, by the names of its signals.
+
+    Parameters
+    ----------
+    links : dict
+        ``{name: {state: weight}}``.
+    units : dict
+        ``{signal: unit}``.
+    masses : dict
+        ``{displacement: mass}``.
+    """
+
+    links: Mapping[str, Mapping[str, float]] = MappingProxyType({})
+    units: Mapping[str, str] = MappingProxyType({})
+    masses: Mapping[str, float] = MappingProxyType({})
+
+
+def find_links(
+    linear: LinearModel,
+    displacements: Sequence[Displacement],
+    masses: MassScale,
+    tolerance: float,
+    declared: Declared,
+) -> tuple[list[Element], dict[int, str]]:
+    """Find the links in the stiffness and damping matrices.
+
+    The second value describes, by their state, the displacements whose links stay open.
+    """
+    q, v, scale = of_masses(displacements)
+    labels = [linear.state_labels[i] for i in q]
+    A, linked = significant(linear.A, tolerance), masses.linked[np.ix_(v, v)] | np.eye(len(v), dtype=bool)
+    heft = np.sqrt(np.outer(masses.mass[v], masses.mass[v]))
+
+    def force(X: Array) -> Array:  # the symmetric part, where masses make it symmetric
+        X = np.asarray(-np.linalg.solve(masses.inverse[np.ix_(v, v)], X), dtype=np.float64)
+        if masses.shared:  # what is no larger than the asymmetry is rounding, too
+            rounding = ((2.0 * np.abs(X - X.T) + _SMALL * np.abs(X)) / heft).max()
+            X[np.abs(X) <= rounding * heft] = 0.0
+        return np.where(linked, 0.5 * (X + X.T), 0.0)
+
+    K, C = force(A[np.ix_(v, q)] * scale), force(A[np.ix_(v, v)])
+    given = {
+        name: np.array([weights.get(label, 0.0) for label in labels]) * scale
+        for name, weights in declared.links.items()
+        if set(weights) <= set(labels)
+    }
+    directions, open_ = _directions(K, C, _alike(labels, declared.units), list(given.values()))
+    springs, dampers = strengths(K, directions, open_), strengths(C, directions, open_)
+    links = []
+    for g, k, c in zip(directions, springs, dampers, strict=True):
+        name = next((name for name, own in given.items() if own is g), "")
+        whole = int(np.argmin(np.abs(np.abs(g / scale if name else g) - 1.0)))
+        size = float(scale[whole])  # unit of the displacement that counts whole
+        if name:
+            g, k, c = g / size, size**2 * k, size**2 * c
+        ends = np.flatnonzero(g).tolist()
+        what = weighted({labels[i]: float(g[i]) for i in ends})
+        words = (
+            f"{'between' if len(ends) > 1 else 'at'} {' and '.join(labels[i] for i in ends)}, d = {what}; "
+        )
+        if len(ends) == 2:
+            one, two = masses.mass[[v[i] for i in ends]]
+            words += f"mass ratio {two / one:.4g} from the symmetry of A; "
+        port = port_at(
+            linear,
+            name or what,
+            words + "; ".join(dict.fromkeys(masses.origin[v[i]] for i in ends)),
+            masses.act({v[i]: g[i] for i in ends}),
+            {v[i]: size * g[i] for i in ends},
+            {q[i]: size * g[i] / scale[i] for i in ends},
+        )
+        links.append(Element(port, float(k) / size, float(c) / size))
+    words = "the couplings of {} to each other and to the ground are links in more than one way: "
+    words += "declare them by physical(system, links=...)"
+    return links, {q[i]: words.format(", ".join(labels[j] for j in body)) for body in open_ for i in body}
+
+
+def _directions(
+    K: Array, C: Array, alike: NDArray[np.bool_], given: Sequence[Array]
+) -> tuple[list[Array], Groups]:
+    """Return the directions of all links, and the bodies that stay open.
+
+    Links are declared, or found in the rest of stiffness and damping.
+    """
+    found, open_ = factors(K, C, alike)
+    new = [g for g in given if not any(_parallel(g, other) for other in found)]
+    # a found link inside the ends of a declared one is another reading of the same coupling
+    found = [g for g in found if not any(set(np.flatnonzero(g)) <= set(np.flatnonzero(h)) for h in given)]
+    found += given
+    open_ = [body for body in open_ if not any(g[body].any() for g in new)]
+    for X, Y, share in ((K, C, _UNEXPLAINED if new else 1.0), (C, K, _UNEXPLAINED)):
+        rest = X - _summed(strengths(X, found, open_), found, X)
+        rest[~np.eye(len(X), dtype=bool) & (np.abs(rest) <= share * np.abs(X))] = 0.0
+        for body in open_:
+            rest[np.ix_(body, body)] *= np.eye(len(body))
+        more, also = factors(rest, Y, alike)
+        found += [g for g in more if not any(_parallel(g, other) for other in found)]
+        open_ = [*open_, *also]
+    return sorted(found, key=lambda g: np.flatnonzero(g).tolist()), open_
+
+
+def _summed(k: Array, directions: Sequence[Array], like: Array) -> Array:
+    """Sum of k g g' over the directions."""
+    return sum((one * np.outer(g, g) for one, g in zip(k, directions, strict=True)), np.zeros_like(like))
+
+
+def _alike(labels: Sequence[str], units: Mapping[str, str]) -> NDArray[np.bool_]:
+    """Return for each pair of displacements whether the units are the same.
+
+    Declared units decide. Otherwise the names distinguish angles from lengths.
+    """
+    angle = np.array([re.split(r"[^a-z]", label.lower())[0] in _ANGLES for label in labels], dtype=bool)
+    unit = np.array([units.get(label, "") for label in labels], dtype=object)
+    known = unit != ""
+    both = known[:, None] & known
+    return np.asarray(np.where(both, unit[:, None] == unit, angle[:, None] == angle), dtype=bool)
+
+
+def weighted(terms: Mapping[str, float]) -> str:
+    """A sum in words: ``"0.2*th1-th2"``."""
+    text = ""
+    for label, size in terms.items():
+        factor = "" if abs(abs(size) - 1.0) < 1e-3 else f"{abs(size):.3g}*"
+        text += f"{'-' if size < 0 else '+' if text else ''}{factor}{label}"
+    return text
+
+
+def factors(K: Array, C: Array, alike: NDArray[np.bool_]) -> tuple[list[Array], Groups]:
+    """Return the directions g of the links in a stiffness or damping matrix.
+
+    The matrix is K = sum of k g g' + (springs to the ground).
+
+    Parameters
+    ----------
+    K : ndarray, shape (n, n)
+        Symmetric, stiffness or damping.
+    C : ndarray, shape (n, n)
+        The other one of the same structure; it decides where K alone leaves two factors open.
+    alike : ndarray of bool, shape (n, n)
+        Whether two displacements have, as far as is known, the same unit and sense.
+
+    Returns
+    -------
+    directions : list of ndarray, shape (n,)
+        One per link.
+    open_ : list of list of int
+        Displacements whose coupling to each other or to the ground has more than one factorization.
+
+    Notes
+    -----
+    A sum of terms on two displacements each exists if and only if the comparison matrix M (diagonal
+    of K, minus the sizes of the rest) is positive semidefinite [1]_. Differences x_i - x_j are one such
+    sum where the rows of M have no negative sum. Where M is singular, the sum is unique: M x = 0 gives
+    d = q_i / x_i - q_j / x_j. Otherwise displacements move together as bodies (the
+    two of a node, heave and pitch), between which the coupling has rank one.
+
+    References
+    ----------
+    .. [1] E. G. Boman, D. Chen, O. Parekh, S. Toledo, "On factor width and symmetric H-matrices",
+       Linear Algebra and its Applications 405 (2005), 239-248.
+    """
+    n = len(K)
+    found: list[Array] = []
+    open_: Groups = []
+    for group in connected(couplings(K)):
+        if len(group) < 2:
+            continue
+        part = np.ix_(group, group)
+        lost: Groups = []
+        own = _differences(K[part], alike[part]) or _ratios(K[part])
+        if not own:
+            own, lost = between_bodies(K[part], C[part], alike[part])
+        for g in own:
+            full = np.zeros(n)
+            full[group] = g
+            found.append(full)
+        open_ += [[group[i] for i in body] for body in lost]
+    return found, open_
+
+
+def _pairs(K: Array, sizes: Array) -> list[Array]:
+    """A link for each coupled pair, d = q_i / size_i -+ q_j / size_j."""
+    found = []
+    for i, j in np.argwhere(np.triu(couplings(K))):
+        g = np.zeros(len(K))
+        g[i], g[j] = 1.0 / sizes[i], np.sign(K[i, j]) / sizes[j]
+        found.append(unit(g))
+    return found
+
+
+def _comparison(K: Array) -> Array:
+    return np.asarray(2.0 * np.diag(np.diag(K)) - np.abs(K))
+
+
+def _differences(K: Array, alike: NDArray[np.bool_]) -> list[Array]:
+    """Return x_i - x_j for each coupling, or nothing.
+
+    There is nothing if springs to the ground do not explain the rest of K.
+    """
+    coupled = couplings(K)
+    if not alike[coupled].all():
+        return []
+    size = np.abs(np.diag(K))
+    explained = bool((_comparison(K).sum(axis=1) >= -_ROUNDING * size).all())
+    if (K[coupled] < 0).all():  # gravity takes from the diagonal
+        explained = explained or bool(np.linalg.eigvalsh(K)[0] < -_ROUNDING * size.max())
+    else:  # a displacement may be counted the other way; two alone may as well be heave and pitch
+        explained = explained and len(K) > 2 and _balanced(K)
+    return _pairs(K, np.ones(len(K))) if explained else []
+
+
+def _balanced(K: Array) -> bool:
+    """Return whether sign changes can make all couplings negative.
+
+    A sign change reverses the sense of a displacement. The signed Laplacian is then singular.
+    """
+    sign = -np.sign(K) * couplings(K)
+    return bool(np.linalg.eigvalsh(np.diag(np.abs(sign).sum(axis=1)) - sign)[0] < 1e-9)
+
+
+def _ratios(K: Array) -> list[Array]:
+    """Return the links whose ratios leave no springs to the ground, if any."""
+    size = np.diag(K)
+    if (size <= 0).any():
+        return []
+    scale = 1.0 / np.sqrt(size)
+    values, vectors = np.linalg.eigh(_comparison(K) * np.outer(scale, scale))
+    if abs(values[0]) > _ROUNDING or (len(K) > 2 and values[1] < 10 * _ROUNDING):
+        return []
+    return _pairs(K, np.abs(vectors[:, 0]) * scale)
+
+
+def strengths(K: Array, directions: Sequence[Array], bodies: Sequence[Sequence[int]] = ()) -> Array:
+    """Coefficients k of K = sum of k g g' + diagonal.
+
+    Parameters
+    ----------
+    K : ndarray, shape (n, n)
+        Stiffness or damping.
+    directions : sequence of ndarray, shape (n,)
+        Directions g.
+    bodies : sequence of sequence of int
+        Displacements between which other links act as well: these couplings tell nothing.
+
+    Returns
+    -------
+    ndarray, shape (number of directions,)
+    """
+    if not len(directions):
+        return np.zeros(0)
+    G = np.array(directions)
+    size = np.sqrt(np.abs(np.diag(K)))
+    size[size == 0] = 1.0
+    seen = ~np.eye(len(K), dtype=bool)
+    for body in bodies:
+        seen[np.ix_(body, body)] = False
+    rows, columns = np.nonzero(np.triu(seen))
+    weight = 1.0 / (size[rows] * size[columns])
+    outer, target = (weight * G[:, rows] * G[:, columns]).T, weight * K[rows, columns]
+    known = outer / (np.linalg.norm(outer, axis=0) + 1e-300)
+    values, vectors = np.linalg.eigh(known.T @ known)
+    mixed = np.abs(vectors[:, values < 1e-9]).max(axis=1, initial=0.0) > 1e-6
+    if mixed.any():  # two to the ground at one body: what is left on its diagonal is theirs
+        corner = np.flatnonzero(G[mixed].any(axis=0))
+        outer = np.vstack([outer, (G[:, corner] ** 2 / size[corner] ** 2).T])
+        target = np.append(target, K[corner, corner] / size[corner] ** 2)
+    k = np.asarray(np.linalg.lstsq(outer, target, rcond=1e-9)[0])
+    return np.where(np.abs(k) > 1e-7 * np.abs(k).max(initial=0.0), k, 0.0)
+
+
+def couplings(K: Array) -> NDArray[np.bool_]:
+    """Which displacements are coupled."""
+    size = np.sqrt(np.abs(np.diag(K)))
+    coupled = np.abs(K) > 1e-9 * np.outer(size, size)
+    np.fill_diagonal(coupled, False)
+    return coupled
+
+
+def unit(g: Array) -> Array:
+    """Scale a direction so that one component has size one.
+
+    That component has a size that occurs twice, if there is one. Otherwise it is the largest component.
+    """
+    g = np.where(np.abs(g) > _ROUNDING * np.abs(g).max(), g, 0.0)
+    size = np.abs(g)
+    entries = np.flatnonzero(size > 1e-9 * size.max())
+    twice = [size[i] for i, j in combinations(entries, 2) if abs(size[i] / size[j] - 1.0) < _ROUNDING]
+    scaled = g / (max(twice) if twice else size.max()) * np.sign(g[entries[0]])
+    return np.asarray(np.where(np.abs(np.abs(scaled) - 1.0) < _ROUNDING, np.sign(scaled), scaled))
+
+
+def between_bodies(K: Array, C: Array, alike: NDArray[np.bool_]) -> tuple[list[Array], Groups]:
+    """Return the links between bodies and to the ground, and open bodies.
+
+    Of all groupings of the displacements into bodies, the one that needs the fewest links is used.
+    """
+    best: list[tuple[int, list[Array], Groups]] = []
+    for groups in _groupings(K):
+        found = _between(K, C, groups, alike)
+        if found is not None and (not best or found[0] <= best[0][0]):
+            best = [found, *(old for old in best if old[0] == found[0])]
+    if not best or (len(best) > 1 and not all(_same(best[0][1], other[1]) for other in best[1:])):
+        return [], [list(range(len(K)))]
+    return best[0][1], best[0][2]
+
+
+def _same(one: Sequence[Array], two: Sequence[Array]) -> bool:
+    return len(one) == len(two) and all(any(_parallel(g, h, _ROUNDING) for h in two) for g in one)
+
+
+def _parallel(g: Array, h: Array, tolerance: float = 1e-6) -> bool:
+    """Return whether two directions are parallel."""
+    return bool(abs(g @ h) >= (1.0 - tolerance) * np.linalg.norm(g) * np.linalg.norm(h))
+
+
+def _groupings(K: Array) -> Iterator[Groups]:
+    """Ways to put displacements together as bodies."""
+    n = len(K)
+    if n <= _MOST_GROUPED:
+        yield from _partitions(list(range(n)))
+        return
+    coupled = couplings(K)
+    joined = np.zeros((n, n), dtype=bool)
+    pairs = list(combinations(range(n), 2))
+    for a, b in pairs:
+        # a bar between nodes (a, b) and (c, d): four couplings, of rank one
+        both = np.flatnonzero(coupled[a] & coupled[b])
+        ratio = K[a, both] / K[b, both]
+        same = np.abs(1.0 - ratio[:, None] / ratio) <= _ROUNDING
+        np.fill_diagonal(same, False)
+        joined[np.ix_(both, both)] |= same
+        joined[a, b] |= same.any()
+        joined[b, a] |= same.any()
+    single = {group[0] for group in connected(joined) if len(group) == 1}
+    maybe = [(a, b) for a, b in pairs if a in single and b in single and coupled[a, b]][:_MOST_MERGED]
+    for count in range(len(maybe) + 1):
+        for chosen in combinations(maybe, count):
+            more = joined.copy()
+            for a, b in chosen:
+                more[a, b] = more[b, a] = True
+            yield connected(more)
+
+
+def _partitions(items: list[int]) -> Iterator[Groups]:
+    if not items:
+        yield []
+        return
+    for rest in _partitions(items[1:]):
+        yield [[items[0]], *rest]
+        for k, group in enumerate(rest):
+            yield [*rest[:k], [items[0], *group], *rest[k + 1 :]]
+
+
+def _between(
+    K: Array, C: Array, groups: Groups, alike: NDArray[np.bool_]
+) -> tuple[int, list[Array], Groups] | None:
+    """Return cost, links and open bodies of one grouping, or None.
+
+    None means that the grouping does not explain K.
+    """
+    ends: list[tuple[int, int, Array, Array, float]] = []
+    for a, b in combinations(range(len(groups)), 2):
+        block = K[np.ix_(groups[a], groups[b])]
+        if not block.any():
+            continue
+        U, s, V = np.linalg.svd(block)
+        if s.size > 1 and s[1] > _ROUNDING * s[0]:
+            return None
+        ends.append((a, b, U[:, 0], V[0], float(s[0])))
+    share = _shares(K, groups, ends, alike)
+    if share is None:
+        return None
+    links, left = [], {a: K[np.ix_(group, group)].copy() for a, group in enumerate(groups)}
+    for (a, b, u, w, k), t in zip(ends, share, strict=True):
+        g = np.zeros(len(K))
+        g[groups[a]], g[groups[b]] = np.sqrt(t) * u, w / np.sqrt(t)
+        links.append(_normed(g, groups[a], groups[b]))
+        left[a] -= k * t * np.outer(u, u)
+        left[b] -= k / t * np.outer(w, w)
+    price = len(links)
+    open_: Groups = []
+    rest = C - _summed(strengths(C, links, groups), links, C)
+    for a, group in enumerate(groups):
+        size = np.abs(K[group, group]).max()
+        part = np.ix_(group, group)
+        own = _to_ground(left[a], rest[part], size, paired=len(K) > 2 or not alike[part].all())
+        if own is None:
+            return None
+        price += own[0]
+        open_ += [group] if own[2] else []
+        for direction in own[1]:
+            g = np.zeros(len(K))
+            g[group] = direction
+            if np.count_nonzero(np.abs(g) > _ROUNDING * np.abs(g).max()) > 1:  # else its own displacement
+                links.append(_normed(g, group, group) if len(groups) > 1 and alike[part].all() else unit(g))
+    return price, links, open_
+
+
+def _normed(g: Array, one: Sequence[int], two: Sequence[int]) -> Array:
+    """Scale both ends of a link to length one if they are equally long.
+
+    A bar is an example. Otherwise the direction is scaled by `unit`.
+    """
+    g = np.where(np.abs(g) > _ROUNDING * np.abs(g).max(), g, 0.0)
+    length = float(np.linalg.norm(g[one]))
+    if len(one) == len(two) and abs(np.linalg.norm(g[two]) / length - 1.0) < _ROUNDING:
+        return np.asarray(g / length * np.sign(g[np.flatnonzero(g)[0]]))
+    return unit(g)
+
+
+def _shares(
+    K: Array, groups: Groups, ends: Sequence[tuple[int, int, Array, Array, float]], alike: NDArray[np.bool_]
+) -> list[float] | None:
+    """Return the squared length ratio of the two ends of each link.
+
+    Bodies with equally many displacements of the same unit are linked by differences: their ratio is one.
+    Otherwise the couplings inside the larger body determine the ratio.
+    """
+    share: list[float | None] = [
+        1.0 if len(groups[a]) == len(groups[b]) and alike[groups[a][0], groups[b][0]] else None
+        for a, b, *_ in ends
+    ]
+    for a, group in enumerate(groups):
+        mine = [
+            e
+            for e, end in enumerate(ends)
+            if share[e] is None
+            and a in end[:2]
+            and len(group) >= len(groups[end[1] if end[0] == a else end[0]])
+        ]
+        if not mine:
+            continue
+        rest = K[np.ix_(group, group)].copy()
+        for e, (one, two, u, w, s) in enumerate(ends):
+            known = share[e]
+            if known is not None and a in (one, two):
+                rest -= s * (known * np.outer(u, u) if a == one else np.outer(w, w) / known)
+        vectors = [ends[e][2] if ends[e][0] == a else ends[e][3] for e in mine]
+        columns = [ends[e][4] * np.outer(v, v) for e, v in zip(mine, vectors, strict=True)]
+        outer = np.array([column.ravel() for column in columns]).T
+        if len(mine) >= len(group) * (len(group) + 1) // 2 or np.linalg.matrix_rank(outer, 1e-6) < len(mine):
+            return None  # nothing that could refute it
+        parts = np.linalg.lstsq(outer, rest.ravel(), rcond=None)[0]
+        if (parts <= 0).any() or np.abs(outer @ parts - rest.ravel()).max() > _ROUNDING * np.abs(
+            K[group, group]
+        ).max():
+            return None
+        for e, t in zip(mine, parts, strict=True):
+            share[e] = float(t if ends[e][0] == a else 1.0 / t)
+    return None if any(t is None for t in share) else [t for t in share if t is not None]
+
+
+def _to_ground(K: Array, C: Array, size: float, *, paired: bool) -> tuple[int, list[Array], bool] | None:
+    """Return cost, directions to the ground, and whether they stay open.
+
+    The result is None if springs cannot produce K.
+    """
+    values, vectors = np.linalg.eigh(K)
+    if values[0] < -_ROUNDING * size:
+        return None
+    rank = int(np.sum(values > _ROUNDING * size))
+    if np.abs(K - np.diag(np.diag(K))).max() <= 2 * _ROUNDING * size:
+        return rank, [], False
+    if rank == 1:
+        return 1, [vectors[:, -1]], False
+    if rank == 2 and len(K) == 2 and paired and np.abs(C).max() > 0:
+        # two springs with dampers beside them: the vectors that make both diagonal
+        ratios, modes = np.linalg.eig(np.linalg.solve(K, C))
+        if np.isreal(ratios).all() and np.ptp(ratios.real) > 0.05 * np.abs(ratios).max():
+            return 2, list(np.linalg.inv(modes.real)), False
+    return rank * (rank + 1) // 2 + 1, [], True
