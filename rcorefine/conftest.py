@@ -17,7 +17,7 @@ import rcorefine as rco
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 #: modules that import Panel, where the extra explore is not installed
-PAGE = [f"explorer/{name}.py" for name in ("background", "figures", "guard", "page", "parts")]
+PAGE = [f"explorer/{name}.py" for name in ("figures", "page")]
 collect_ignore = [] if importlib.util.find_spec("panel") else PAGE
 
 

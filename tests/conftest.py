@@ -72,7 +72,7 @@ def _no_global_random_numbers() -> Iterator[None]:
 @pytest.fixture
 def without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Reports without their pictures, where a test asks for something else of them: a second each."""
-    monkeypatch.setattr("rcorefine.views.pages.parts.draw", lambda plot, alt, caption: "left out")
+    monkeypatch.setattr("rcorefine.views.page.draw", lambda plot, alt, caption: "left out")
 
 
 @pytest.fixture

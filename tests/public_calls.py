@@ -935,7 +935,7 @@ CALLS: dict[str, Call] = {
         _method(surveyed, "report"),
         lambda: {"folder": folder() / "survey"},
         {**REPORT, "folder": is_path},
-        work="rcorefine.views.pages.survey.write_page",
+        work="rcorefine.views.survey.write_page",
     ),
     "Survey.sentences": Call(_method(surveyed, "sentences"), dict),
     "Survey.summary": Call(_method(surveyed, "summary"), dict),

@@ -13,7 +13,7 @@ import rcorefine as rco
 from rcorefine.commands.cli import main
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
-from rcorefine.views.pages.code import comment, effects_code
+from rcorefine.views.code import comment, effects_code
 
 
 def motor(friction=0.02, **options):

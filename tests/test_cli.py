@@ -58,19 +58,6 @@ def test_help_and_version_end_with_0(arguments, capsys):
     assert not captured.err
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [[], ["dmeo"], ["demo", "--no-such-option"], ["demo", "--seed", "-1"], ["demo", "--seed", "x"]],
-)
-def test_wrong_usage_ends_with_2(arguments, capsys):
-    with pytest.raises(SystemExit) as end:
-        main(arguments)
-    assert end.value.code == 2
-    captured = capsys.readouterr()
-    assert "usage: rcorefine" in captured.err
-    assert not captured.out
-
-
 def test_failed_work_ends_with_1(tmp_path, capsys):
     """The folder for the pictures is a file: said before any work is done."""
     blocked = tmp_path / "taken"

@@ -17,8 +17,8 @@ import scipy.io
 import rcorefine as rco
 from rcorefine.commands.analysis import wanted_candidates
 from rcorefine.commands.cli import main
+from rcorefine.commands.example import EXAMPLES as NAMES
 from rcorefine.commands.example import example_csv, example_toml
-from rcorefine.commands.options import EXAMPLES as NAMES
 from rcorefine.data.files import read_record
 from rcorefine.models.reading import builder_names, read_model
 
@@ -203,6 +203,11 @@ def test_what_cannot_be_used_ends_with_2(call, case):
 
 
 USAGE = [
+    [],
+    ["dmeo"],
+    ["demo", "--no-such-option"],
+    ["demo", "--seed", "-1"],
+    ["demo", "--seed", "x"],
     ["compare"],
     ["compare", "model.toml"],
     ["compare", "model.toml", "right.csv", "--hold", "spline"],

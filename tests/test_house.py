@@ -129,8 +129,7 @@ _HOMONYMS = {
     "coefficient": {
         
         "fleet/tasks.py", "models/physical_model.py", "streaming/coefficients/entries.py",
-        "views/data.py", "views/diagnosis.py", "views/exercises.py", "views/experiment.py",
-        "views/improvement.py", "views/monitor.py", "views/pages/diagnosis.py", "views/pages/survey.py",
+        "views/data.py", "views/diagnosis.py", "views/models.py", "views/reports.py", "views/streaming.py",
         "views/survey.py",
     },
     "damping": {"localization/localize.py"},

@@ -14,7 +14,7 @@ from rcorefine.data.levels import stretches_by_level
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
 from rcorefine.systems.response import hold_factor
-from rcorefine.views.level_bode import level_bode
+from rcorefine.views.bode import level_bode
 
 M, C, K = 1.0, 0.4, 100.0
 

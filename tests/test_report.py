@@ -16,7 +16,7 @@ import pytest
 from chromium_pipe import CHROMIUM, Browser
 
 import rcorefine as rco
-from rcorefine.views.pages.page import Page, write_page
+from rcorefine.views.page import Page, write_page
 
 EVIL = "<img src=x onerror=alert(1)> & \"co\" 'x'"
 
@@ -277,7 +277,7 @@ def test_picture_that_the_record_forbids_is_a_sentence(tmp_path):
 )
 def test_no_name_breaks_the_page_or_its_code(tmp_path, monkeypatch, name):
     """Markup, mathematics, format signs, length, what UTF-8 cannot hold: all of it is text."""
-    monkeypatch.setattr("rcorefine.views.pages.comparison._kinds_of", lambda result: [])
+    monkeypatch.setattr("rcorefine.views.reports._WORDS", {})
     data = record(chain(), 120, name=name)
     path = rco.compare(chain(name=name), data).report(tmp_path / "n.html")
     page = Reader(path.read_text(encoding="utf-8"))

@@ -17,7 +17,7 @@ import pytest
 
 import rcorefine as rco
 from rcorefine.commands.example import example_csv, run_example
-from rcorefine.views.pages.page import Page, check_target, write_page
+from rcorefine.views.page import Page, check_target, write_page
 from rcorefine.writing import replacing
 
 ROOT = Path(__file__).resolve().parent.parent

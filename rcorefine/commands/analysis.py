@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shlex
 import sys
 from argparse import Namespace
@@ -20,6 +21,7 @@ import control as ct
 from ..arguments import printable
 from ..comparison.adequacy import best_of, failures_of
 from ..comparison.compare import compare
+from ..data import files
 from ..data.measurement import Measurement
 from ..diagnosis.checks.check import check
 from ..diagnosis.checks.result import Check
@@ -29,67 +31,23 @@ from ..diagnosis.improvement import Improvement
 from ..diagnosis.result import Diagnosis
 from ..diagnosis.words import next_step
 from ..effects.effect import Effect
-from ..exceptions import ModelError
+from ..exceptions import DataError, ModelError
 from ..models.library import effect_library
 from ..models.reading import read_model
 from ..version import __version__
+from ..views.code import comment
 from ..views.data import plain
-from ..views.pages.answers import comparison_answer, diagnosis_answer, improvement_answer
-from ..views.pages.code import comment
-from ..views.pages.origin import fingerprint
-from ..views.pages.page import check_target
+from ..views.page import check_target, fingerprint
+from ..views.reports import comparison_answer, diagnosis_answer, improvement_answer
 from ..views.tables import wrapped
 from ..writing import replacing
-from .records import fitted_and_held_out
-
-__all__ = [
-    "check_folders",
-    "check_targets",
-    "finish",
-    "fit_options",
-    "json_text",
-    "opened",
-    "record_object",
-    "run_check",
-    "run_compare",
-    "run_diagnose",
-    "run_improve",
-    "wanted_candidates",
-]
 
 
-def json_text(content: dict[str, Any]) -> str:
-    """Strict JSON: what is not finite becomes null.
-
-    Parameters
-    ----------
-    content : dict
-        Numbers, arrays, text and sequences.
-
-    Returns
-    -------
-    str
-
-    Examples
-    --------
-    >>> json_text({"fit": np.array([1.0, np.nan])})
-    '{"fit": [1.0, null]}'
-    """
-    return json.dumps(plain(content), allow_nan=False, ensure_ascii=True)
-
-
-def record_object(data: Measurement) -> dict[str, Any]:
+def _record_object(data: Measurement) -> dict[str, Any]:
     """Name, size and fingerprint of a record."""
-    return {
-        "name": data.name,
-        "samples": data.n_samples,
-        "dt": data.dt,
-        "hold": data.hold,
-        "inputs": data.input_labels,
-        "outputs": data.output_labels,
-        "sha256_inputs": fingerprint(data.inputs),
-        "sha256_outputs": fingerprint(data.outputs),
-    }
+    prints = {"sha256_inputs": fingerprint(data.inputs), "sha256_outputs": fingerprint(data.outputs)}
+    known = {"name": data.name, "samples": data.n_samples, "dt": data.dt, "hold": data.hold}
+    return known | {"inputs": data.input_labels, "outputs": data.output_labels} | prints
 
 
 #: Options that the next command does not take over, and whether a value follows.
@@ -166,6 +124,76 @@ def opened(arguments: Namespace) -> tuple[Any, Measurement, Measurement | None]:
     return model, *fitted_and_held_out(model, arguments)
 
 
+def read_record(path: Path, model: Any, arguments: Namespace) -> Measurement:
+    """Record for a model; see `rcorefine.data.files.read_record`.
+
+    Parameters
+    ----------
+    path : Path
+        File.
+    model : StateSpace or PhysicalModel
+        Model whose signals are looked for where the command line names none.
+    arguments : Namespace
+        ``input``, ``output`` (lists of names or None), ``time``, ``dt``, ``hold``.
+
+    Returns
+    -------
+    Measurement
+
+    Raises
+    ------
+    DataError
+        If the file is of another kind, or a column is missing; with the option that would help.
+    """
+    try:
+        return files.read_record(path, model, **reading(arguments))
+    except DataError as error:
+        no_time = re.search("no (column|variable) 'time'", str(error))
+        hint = ""
+        if arguments.time is None and arguments.dt is None and no_time:
+            hint = " (name the column of times with --time, or give the sampling time with --dt)"
+        elif path.suffix.lower() in files.SUFFIXES and (arguments.input is None or arguments.output is None):
+            hint = " (name the columns with --input and --output, in the order of the model's signals)"
+        raise DataError(f"{error}{hint}") from error
+
+
+def reading(arguments: Namespace) -> dict[str, Any]:
+    """Return the options for the columns as `read_record` takes them.
+
+    See `rcorefine.data.files.read_record`.
+    """
+    return {
+        "inputs": arguments.input,
+        "outputs": arguments.output,
+        "time": arguments.time,
+        "dt": arguments.dt,
+        "hold": arguments.hold,
+        "decimal": arguments.decimal,
+    }
+
+
+def fitted_and_held_out(model: Any, arguments: Namespace) -> tuple[Measurement, Measurement | None]:
+    """The record to work on and the one to judge by, if any.
+
+    Parameters
+    ----------
+    model : StateSpace or PhysicalModel
+        Model.
+    arguments : Namespace
+        As `read_record`, and ``data``, ``validation`` (path or None), ``split`` (share or None).
+
+    Returns
+    -------
+    data, validation : Measurement, Measurement or None
+    """
+    data = read_record(arguments.data, model, arguments)
+    if arguments.validation is not None:
+        return data, read_record(arguments.validation, model, arguments)
+    if arguments.split is not None:
+        return data.split(arguments.split)
+    return data, None
+
+
 def wanted_candidates(model: Any, wanted: Sequence[str] | None) -> list[Effect] | None:
     """Effects that the command line names.
 
@@ -235,20 +263,14 @@ def fit_options(arguments: Namespace) -> dict[str, Any]:
 
 
 def check_targets(arguments: Namespace) -> None:
-    """Check that report, picture and table can be written.
-
-    This is known before the work, not after it.
-    """
+    """Check before the work that report, picture and table can be written."""
     if arguments.report is not None:
         check_target(arguments.report, overwrite=arguments.overwrite)
     check_folders(arguments)
 
 
 def check_folders(arguments: Namespace) -> None:
-    """Check that the folders of picture and table exist.
-
-    This is known before the work, not after it.
-    """
+    """Check before the work that the folders of picture and table exist."""
     for path in (arguments.picture, arguments.csv):
         if path is not None and not path.absolute().parent.is_dir():
             raise FileNotFoundError(f"the folder {path.absolute().parent} does not exist; make it first")
@@ -300,9 +322,10 @@ def finish(
     if arguments.json:
         head: dict[str, Any] = {"command": arguments.command, "rcorefine": __version__}
         head |= {"exit_code": int(code), "answer": list(sentences)}
-        head |= {} if data is None else {"record": record_object(data)}
+        head |= {} if data is None else {"record": _record_object(data)}
         head |= result.to_dict() if content is None else content
-        said = json_text(head | {"report": None if report is None else str(report)})
+        head["report"] = None if report is None else str(report)
+        said = json.dumps(plain(head), allow_nan=False, ensure_ascii=True)
     else:
         said = _for_terminal(str(result) if text is None else text, arguments, result)
         written = {"Report": report, "Picture": arguments.picture}

@@ -8,9 +8,8 @@ import traceback
 import warnings
 from argparse import Namespace
 from collections.abc import Sequence
+from importlib import import_module
 from typing import Any
-
-__all__ = ["main"]
 
 # Nothing is imported before main, where Ctrl-C is understood: python-control takes a second.
 _FAULT, _INTERRUPTED = 3, 130
@@ -60,55 +59,28 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         sys.stderr.write(f"{said}: interrupted\n")
         return _INTERRUPTED
-    except _expected() as error:
-        sys.stderr.write(f"{said}: {_message(error)}\n")
-        return failed
-    except Exception:
+    except Exception as error:
+        import control as ct
+
+        from ..exceptions import RCOError
+
+        if isinstance(error, RCOError | OSError | ct.ControlDimension | ct.ControlArgument):
+            sys.stderr.write(f"{said}: {_message(error)}\n")
+            return failed
         # a fault of the program must not pass for an answer: Python would end with 1
         traceback.print_exc()
         return _FAULT
 
 
-def _expected() -> tuple[type[Exception], ...]:
-    """Return the exceptions that a wrong file, record or model raises.
-
-    Any other exception is a fault of the program and shows its traceback.
-    """
-    import control as ct
-
-    from ..exceptions import RCOError
-
-    return RCOError, OSError, ct.ControlDimension, ct.ControlArgument
-
-
 def _run(arguments: Namespace) -> int:
-    # late, so that --help and wrong usage answer at once
-    if arguments.command == "demo":
-        from .demo import run_demo
+    """Run a command.
 
-        run_demo(arguments.output, seed=arguments.seed, progress=not arguments.quiet)
-        return 0
-    if arguments.command == "example":
-        from .example import run_example
-
-        return run_example(arguments)
-    if arguments.command == "explore":
-        from .explore import run_explore
-
-        return run_explore(arguments)
-    from . import analysis, questions, survey
-
-    run = {
-        "check": analysis.run_check,
-        "compare": analysis.run_compare,
-        "diagnose": analysis.run_diagnose,
-        "improve": analysis.run_improve,
-        "refine": questions.run_refine,
-        "localize": questions.run_localize,
-        "bode": questions.run_bode,
-        "survey": survey.run_survey,
-    }
-    return run[arguments.command](arguments)
+    Its module is imported late, so that --help and wrong usage answer at once.
+    """
+    homes = {"demo": "demo", "example": "example", "survey": "survey"}
+    homes |= dict.fromkeys(("check", "compare", "diagnose", "improve"), "analysis")
+    home = import_module(f".{homes.get(arguments.command, 'questions')}", __package__)
+    return int(getattr(home, f"run_{arguments.command}")(arguments))
 
 
 def _message(error: Exception) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import textwrap
+from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +21,8 @@ from ..exercises.record import hidden_outputs, noisy, record_of
 from ..jit import NUMBA
 from ..models.builders import mass_spring_damper
 from ..models.physical_model import PhysicalModel
-from ..views.pages.pictures import write_png
+from ..views.page import write_png
 from ..writing import replacing
-
-__all__ = ["run_demo"]
 
 N_SAMPLES, DT = 2000, 0.01
 NOISE = 0.03
@@ -35,18 +34,20 @@ WIDTH = 78
 _SHARP = 1e-3  # of the simulated truth: a sharper sign(v) than the estimator's
 
 
-def run_demo(output: Path | str, *, seed: int = 1, progress: bool = True) -> None:
+def run_demo(arguments: Namespace) -> int:
     """Compare, diagnose, refine, compare again, improve; print and draw it.
 
     Parameters
     ----------
-    output : path-like
-        Folder for the pictures ``overview.png``, ``map.png``, ``diagnosis.png``
-        and ``staircase.png`` and for ``report.html``, made if absent.
-    seed : int, optional
-        Seed of the excitation and the noise.
-    progress : bool, optional
-        Whether to show the steps of the long parts on standard error.
+    arguments : Namespace
+        ``output`` (folder for the pictures ``overview.png``, ``map.png``, ``diagnosis.png`` and
+        ``staircase.png`` and for ``report.html``, made if absent), ``seed`` of the excitation and the noise,
+        and ``quiet`` to show no steps of the long parts on standard error.
+
+    Returns
+    -------
+    int
+        0.
 
     Raises
     ------
@@ -55,14 +56,15 @@ def run_demo(output: Path | str, *, seed: int = 1, progress: bool = True) -> Non
     FileExistsError
         If ``report.html`` is there and is no report.
     """
-    folder = Path(output)
+    progress = not arguments.quiet
+    folder = Path(arguments.output)
     folder.mkdir(parents=True, exist_ok=True)  # before the work, not after it
 
     if progress and NUMBA:
         sys.stderr.write(
             "(numba compiles on first use, which takes part of a minute; later runs take seconds)\n"
         )
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(arguments.seed)
     model = mass_spring_damper(
         [1.0, 1.2], [0.4, 0.4, 0.4], [300.0, 250.0, 200.0], sensors=("velocity", 1), name="model"
     )
@@ -82,7 +84,8 @@ def run_demo(output: Path | str, *, seed: int = 1, progress: bool = True) -> Non
     _title("1. Compare the model with the measurement")
     before = compare(model, test)
     _write(str(before))
-    _say(_where_it_fails(before))
+    rows = before.failures.rows
+    _say(f"Where does it fail? {rows[0].sentence if rows else 'The record shows no significant failure.'}")
 
     _title("2. What is missing?")
     _say(
@@ -123,6 +126,7 @@ def run_demo(output: Path | str, *, seed: int = 1, progress: bool = True) -> Non
     _write(f"\n{better.system}\n")
     for name, words in _draw([model, better], test, before, found, improvement, folder).items():
         _write(f"{folder / name}\n{textwrap.indent(textwrap.fill(words, WIDTH - 4), '    ')}")
+    return 0
 
 
 def _record(
@@ -134,14 +138,6 @@ def _record(
     friction_first = {effect: [value] for effect, value in hidden.items()}
     y = noisy(hidden_outputs(model, friction_first, blank, {0: _SHARP}), NOISE, rng)
     return record_of(model, force, y, dt=DT, name=name)
-
-
-def _where_it_fails(comparison: Comparison) -> str:
-    """The most telling row of the failure map, in words."""
-    rows = comparison.failures.rows
-    if not rows:
-        return "Where does it fail? The record shows no significant failure."
-    return f"Where does it fail? {rows[0].sentence}"
 
 
 def _draw(

@@ -15,9 +15,6 @@ from pathlib import Path
 import numpy as np
 
 from ..writing import replacing
-from .options import EXAMPLES
-
-__all__ = ["example_csv", "example_toml", "run_example"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +139,8 @@ sensors = ["body_acceleration", "suspension_deflection"]
     ),
 }  # fmt: skip
 
+#: Names of the examples, the default first.
+EXAMPLES = tuple(_EXAMPLES)
 _SAMPLES = 2500
 _NOISE = 0.02
 _SHOWN = 6

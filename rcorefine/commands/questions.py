@@ -1,12 +1,11 @@
-"""Commands `rcorefine bode`, `refine` and `localize`.
-
-They draw models, refine them, and search them for damage.
-"""
+"""Commands `rcorefine bode`, `explore`, `refine` and `localize`."""
 
 from __future__ import annotations
 
 import csv
 import io
+import sys
+import threading
 from argparse import Namespace
 from functools import partial
 from pathlib import Path
@@ -17,19 +16,17 @@ import numpy as np
 from ..data.files import SUFFIXES
 from ..data.frequency_response import FrequencyResponse
 from ..exceptions import ModelError
+from ..explorer.serving import explore
 from ..localization.localize import localize_damage
 from ..models.reading import read_model
 from ..refinement.refine import refine
 from ..systems.linear import Array, LinearModel
 from ..systems.response import as_sampled, frequency_response
 from ..views.bode import bode_comparison, bode_grid
-from ..views.pages.answers import refinement_answer
+from ..views.reports import refinement_answer
 from ..views.tables import wrapped
 from ..writing import replacing
-from .analysis import check_targets, finish, fit_options, opened, wanted_candidates
-from .records import read_record
-
-__all__ = ["run_bode", "run_localize", "run_refine"]
+from .analysis import check_targets, finish, fit_options, opened, read_record, wanted_candidates
 
 _COLUMNS = ("curve", "output", "input", "omega", "magnitude", "phase_deg")
 
@@ -55,6 +52,23 @@ def run_localize(arguments: Namespace) -> int:
     )
     named = [f"{row.kind} at {row.place}: {row.percent:.3g} %" for row in found.named] + [found.message]
     return finish(arguments, bool(found.named), named, found, data)
+
+
+def run_explore(arguments: Namespace) -> int:
+    """Serve the page until Ctrl-C; 0."""
+    model = read_model(arguments.model)
+    data = read_record(arguments.data, model, arguments)
+    page = explore(model, data, horizon=arguments.horizon)
+    try:  # from the first thread on: one that serves would outlive this one
+        address = page.show(arguments.port, browser=arguments.browser)
+        sys.stdout.write(f"Explorer at {address} (Ctrl-C ends it)\n")
+        sys.stdout.flush()
+        threading.Event().wait()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        page.close()
+    return 0
 
 
 def run_bode(arguments: Namespace) -> int:
@@ -131,18 +145,12 @@ def _curves(
 def _rows(
     name: str, outputs: tuple[str, ...], inputs: tuple[str, ...], omega: Array, response: Any
 ) -> list[dict[str, Any]]:
-    return [
-        {
-            "curve": name,
-            "output": output,
-            "input": given,
-            "omega": omega,
-            "magnitude": np.abs(response[i, j]),
-            "phase_deg": np.degrees(np.angle(response[i, j])),
-        }
-        for i, output in enumerate(outputs)
-        for j, given in enumerate(inputs)
-    ]
+    found = []
+    for i, j in np.ndindex(len(outputs), len(inputs)):
+        G = response[i, j]
+        points = {"omega": omega, "magnitude": np.abs(G), "phase_deg": np.degrees(np.angle(G))}
+        found.append({"curve": name, "output": outputs[i], "input": inputs[j], **points})
+    return found
 
 
 def _said(curve: dict[str, Any], curves: list[dict[str, Any]]) -> str:

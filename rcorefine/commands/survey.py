@@ -22,10 +22,7 @@ from ..extras import needed
 from ..fleet.pieces import model_for
 from ..fleet.result import Survey
 from ..fleet.survey import ASKED, survey
-from .analysis import check_folders, finish, fit_options, wanted_candidates
-from .records import reading
-
-__all__ = ["run_survey"]
+from .analysis import check_folders, finish, fit_options, reading, wanted_candidates
 
 
 def run_survey(arguments: Namespace) -> int:

@@ -25,6 +25,7 @@ from ..diagnosis.checks.check import check
 from ..diagnosis.checks.result import Check
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis
+from ..effects.along_motion import unit_forces
 from ..effects.effect import Effect
 from ..engine.free_runs import checked_horizon
 from ..engine.response_engine import engine_on
@@ -33,17 +34,15 @@ from ..exceptions import DivergenceError, ModelError
 from ..inference.outcome import fit_of, output_weights
 from ..inference.problem import Problem, natural_sizes
 from ..inference.refinement import Refinement
-from ..inference.starts import Motion, estimated_motion, law_widths
+from ..inference.starts import Motion, estimated_motion, law_widths, shape_starts
 from ..inference.windows import windows
 from ..models.conversion import as_model, as_physical
 from ..models.operating_point import ordered_record
+from ..models.physical_model import PhysicalModel
 from ..refinement.base_fit import base_fit
 from ..refinement.refine import refine
 from ..systems.linear import Array, LinearModel
-from ..views.pages.code import call_options, comment, effects_code, model_code, record_code, script
-from .candidates import Candidate, laid_over
-
-__all__ = ["Exploration", "Step", "free_run", "key", "quickly_settled", "settled", "values_of", "with_held"]
+from ..views.code import call_options, comment, effects_code, model_code, record_code, script
 
 _SUBSTEPS = 4  # of a sample, where a law is not linear
 _MOST = 10  # evaluations to settle offset and initial state
@@ -503,3 +502,87 @@ class Exploration:
     def _enter(self, step: Step) -> Step:
         self._steps.append(step)
         return step
+
+
+_EDGE = 50  # part of a record at each end where a force is only half known
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """An effect that could be added.
+
+    Attributes
+    ----------
+    effect : Effect
+        Kind and place.
+    coefficients : dict
+        Where to begin: from the force, where the law lies over one, else where it is absent or small.
+    share : float
+        Part of the lacking force that it explains, 0 to 1; NaN where it is no force along the motion.
+    curve : ndarray, shape (N,), or None
+        Its force along the motion.
+    """
+
+    effect: Effect
+    coefficients: dict[str, float]
+    share: float = np.nan
+    curve: Array | None = None
+
+
+def laid_over(
+    effect: Effect, physical: PhysicalModel, motion: Motion, inputs: Array, force: ResidualForce | None
+) -> Candidate:
+    """Fit the shape and the coefficients of an effect to a force.
+
+    Parameters
+    ----------
+    effect : Effect
+        Law at a place.
+    physical : PhysicalModel
+        Model.
+    motion : Motion
+        Estimated motion, which proposes shapes.
+    inputs : ndarray, shape (n_w, N)
+        Of the record.
+    force : ResidualForce or None
+        What is to be explained.
+
+    Returns
+    -------
+    Candidate
+    """
+    structure = Structure(physical, [effect])
+    starts = [
+        {q.name: float(value) for q, value in zip(structure.parameters, theta, strict=True)}
+        for theta in shape_starts(structure, structure.start(), motion)
+    ]
+    best = Candidate(effect, _ordered(effect, dict(starts[0])))
+    if force is None or force.place != effect.place:
+        return best
+    levels = [q for q in structure.parameters if q.name not in effect.spec.shaping]
+    edge = force.force.size // _EDGE
+    inner = slice(edge, force.force.size - edge)
+    wanted = force.force[inner] - force.force[inner].mean()
+    for start in starts:
+        shape = {name: value for name, value in start.items() if name in effect.spec.shaping}
+        columns = unit_forces(effect, force.position, force.velocity, [shape], inputs)
+        if columns is None or len(columns) != len(levels) or not np.isfinite(columns).all():
+            continue
+        F = np.array(columns).T
+        about = F[inner] - F[inner].mean(axis=0)
+        values = np.linalg.lstsq(about, wanted, rcond=1e-10)[0]
+        values = np.clip(values, [q.lower for q in levels], [q.upper for q in levels])
+        named = _ordered(effect, start | {q.name: float(v) for q, v in zip(levels, values, strict=True)})
+        values = np.array([named[q.name] for q in levels])
+        left = float(np.sum((wanted - about @ values) ** 2))
+        share = 1.0 - left / max(float(np.sum(wanted**2)), 1e-300)
+        if not share <= best.share:  # NaN is the first
+            best = Candidate(effect, named, share, F @ values)
+    return best
+
+
+def _ordered(effect: Effect, values: dict[str, float]) -> dict[str, float]:
+    """Coefficients of which one is never below another, kept so."""
+    for larger, smaller in effect.spec.order:
+        values[larger] = max(values[larger], values[smaller])
+    return values

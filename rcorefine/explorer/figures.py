@@ -19,11 +19,8 @@ from ..exceptions import DataError
 from ..inference.refinement import Refinement
 from ..systems.linear import Array, LinearModel
 from ..systems.response import as_sampled, frequency_response
-from .candidates import Candidate
-from .exploration import Exploration, Step
+from .exploration import Candidate, Exploration, Step
 from .look import PICTURE
-
-__all__ = ["BodePicture", "ForcePicture", "Staircase", "TimePicture", "thinned"]
 
 _RECORD, _INITIAL, _PRESENT = "#8a8f96", "#1f4e9c", "#b5400a"
 _LAWS = ("#b5400a", "#1b7837", "#7b3294")

@@ -5,8 +5,6 @@ Pictures are inverted in the dark, as in reports.
 
 from __future__ import annotations
 
-__all__ = ["GRID", "PAGE", "PICTURE", "TEXT", "WIDGET"]
-
 _DARK = "@media (prefers-color-scheme: dark)"
 
 #: Of the page: colors that all parts inherit.

@@ -15,8 +15,6 @@ from ..words import counted
 from .exploration import Exploration
 from .look import PAGE
 
-__all__ = ["Explorer", "explore"]
-
 _HOST = "127.0.0.1"
 _PATIENCE = 5.0  # s that what is served has to end
 
@@ -106,8 +104,7 @@ class Explorer:
         as_flag(browser, "browser")
         port = as_whole(port, "port", least=0, most=65535)
         pn, port = needed("panel", "explore", "explore"), _free(port)
-        from .guard import Policy, Visitors
-        from .page import ExplorerPage
+        from .page import ExplorerPage, Policy, Visitors
 
         def visit() -> Any:
             pn.config.raw_css = [PAGE]

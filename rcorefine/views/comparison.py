@@ -10,17 +10,17 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ..arguments import as_choice
+from ..comparison.correlation import correlogram
 from ..comparison.decay import Decay, decay_of
+from ..comparison.horizon import horizon_error
+from ..comparison.residual_tests import TestTable
 from ..comparison.result import KINDS, Comparison
 from ..exceptions import DataError
+from ..words import chance
 from .bode import bode
 from .failure_map import plot_map
-from .figures import MEASURED, Frame, draws, style, unit_text
-from .residuals import plot_horizon, plot_residual
-from .tables import Table, number, tabulates
-from .traces import busiest_stretch, trace
-
-__all__ = ["comparison_table", "plot_comparison", "plot_decay", "plot_time"]
+from .figures import BAND, MEASURED, Frame, busiest_stretch, draws, plain, style, trace, unit_text
+from .tables import Table, cells, number, tabulates
 
 
 def plot_decay(result: Comparison, frame: Frame) -> ct.ControlPlot:
@@ -48,10 +48,9 @@ def plot_decay(result: Comparison, frame: Frame) -> ct.ControlPlot:
                 axis.grid(True, alpha=0.3)
             block[0, 0].set_yscale("log")
             block[0, 1].set_ylim(0.0, 1.3 * 100 * float(np.max(measured.damping_ratio)))
-            for axis, known in ((block[1, 0], measured.period), (block[1, 1], 1 / measured.period)):
-                axis.set_ylim(0.95 * np.median(known), 1.05 * np.median(known))
-            for axis, text in zip(block[1], ("Time [s]", unit_text("Amplitude", unit)), strict=True):
-                axis.set_xlabel(text)
+            below = ((measured.period, "Time [s]"), (1 / measured.period, unit_text("Amplitude", unit)))
+            for axis, (known, text) in zip(block[1], below, strict=True):
+                axis.set(ylim=(0.95 * np.median(known), 1.05 * np.median(known)), xlabel=text)
         return frame.finish(axes, lines, [axes[0, 0]], f"Free decay, record {data.name}")
 
 
@@ -83,27 +82,17 @@ def comparison_table(result: Comparison) -> Table:
     for m, name in enumerate(result.names):
         for i, output in enumerate(data.output_labels):
             worst = int(np.argmax(np.abs(residual[m, i])))
-            rows.append(
-                [
-                    name,
-                    output,
-                    data.output_units[i],
-                    f"{fit[m, i]:.5g}" if abs(fit[m, i]) >= 99.5 else number(fit[m, i], 3),
-                    number(rmse[m, i], 3),
-                    number(residual[m, i].mean(), 2),
-                    number(residual[m, i, worst], 3),
-                    number(data.timepts[worst], 4),
-                ]
-            )
+            percent = f"{fit[m, i]:.5g}" if abs(fit[m, i]) >= 99.5 else number(fit[m, i], 3)
+            sizes = [number(rmse[m, i], 3), number(residual[m, i].mean(), 2)]
+            sizes += [number(residual[m, i, worst], 3), number(data.timepts[worst])]
+            rows.append([name, output, data.output_units[i], percent, *sizes])
     count = len(result.names)
     title = (
         f"{count} model{'s' if count > 1 else ''} on record {data.name!r}: {data.n_samples} samples, "
         f"dt = {number(data.dt, 6)} s, t = {number(data.timepts[0])} ... {number(data.timepts[-1])} s, "
         f"hold {data.hold!r}"
     )
-    notes = [
-        _how(result),
-    ]
+    notes = [_how(result)]
     if np.isnan(fit).any():
         notes.append(
             "fit '-': the measured output is constant, so there is nothing to explain: check the sensor."
@@ -147,14 +136,8 @@ def plot_comparison(
     for keyword, value in (("measured", measured), ("omega", omega)):
         if value is not None:
             raise ct.ControlArgument(f"{keyword} belongs to kind='bode', not to kind={kind!r}")
-    draw = {
-        "time": plot_time,
-        "residual": plot_residual,
-        "horizon": plot_horizon,
-        "map": plot_map,
-        "decay": plot_decay,
-    }[kind]
-    return draw(result, frame)
+    draw = {"time": plot_time, "residual": plot_residual, "horizon": plot_horizon, "decay": plot_decay}
+    return plot_map(result, frame) if kind == "map" else draw[kind](result, frame)
 
 
 def plot_time(result: Comparison, frame: Frame) -> ct.ControlPlot:
@@ -224,3 +207,82 @@ def _focus(axis: Any, measured: Any, runs: Any) -> None:
         axis.set_ylim(
             max(reach[1], low - 2.0 * span) - 0.05 * span, min(reach[0], high + 2.0 * span) + 0.05 * span
         )
+
+
+_LAGS = 25
+
+
+@tabulates(TestTable)
+def tests_table(tests: TestTable) -> Table:
+    """One row per test and signal."""
+    rows = [[*cells(r, "test signal statistic:.4g dof"), chance(r.p_value)] for r in tests.rows]
+    failed = ", ".join(dict.fromkeys(row.test for row in tests.failed()))
+    verdict = "No test is significant at 1 %, corrected for the number of tests."
+    notes = [f"Significant at 1 %: {failed}." if failed else verdict, tests.note]
+    return Table(["test", "signal", "statistic", "dof", "p-value"], rows, notes=notes, left=2)
+
+
+def plot_residual(result: Comparison, frame: Frame) -> ct.ControlPlot:
+    """Draw the correlations of residuals with themselves and the inputs.
+
+    See `Comparison.plot`.
+    """
+    data = result.data
+    names = frame.labels(result.names)
+    residual = data.outputs[None] - result.runs
+    lags = min(_LAGS, data.n_samples // 4)
+    with frame.axes([1.5] * data.n_outputs, 1 + data.n_inputs) as (axes, lines):
+        for i, j in np.ndindex(axes.shape):
+            axis = axes[i, j]
+            wide = 0.0
+            for m, name in enumerate(names):
+                e = residual[m, i]
+                if np.ptp(e) == 0.0 or (j and np.ptp(data.inputs[j - 1]) == 0.0):
+                    continue
+                found = correlogram(e if j == 0 else data.inputs[j - 1], e, lags)
+                keep = found.lags > 0 if j == 0 else np.isfinite(found.lags)
+                look: dict[str, Any] = dict(style(m)._asdict(), label=name, zorder=3)
+                look |= {"marker": ".", "markersize": 3.5}
+                lines[i, j] += axis.plot(found.lags[keep], found.correlation[keep], **look)
+                wide = max(wide, float(found.bound[0]))
+                if len(names) > 1 and j:  # each residual has a color of its own, and so a bound
+                    for bound in (-found.bound[0], found.bound[0]):
+                        axis.axhline(bound, color=style(m).color, linewidth=0.8, linestyle=":", zorder=2)
+            look = {"color": BAND, "linewidth": 0, "zorder": 1, "label": "no correlation (99 % per lag)"}
+            axis.axhspan(-wide, wide, **look)
+            axis.axhline(0.0, color=MEASURED, linewidth=0.7, zorder=2)
+            if j:
+                axis.axvline(0.0, color=MEASURED, linewidth=0.7, linestyle=":", zorder=2)
+            if i == 0:
+                source = data.input_labels[j - 1] if j else ""
+                heading = "with itself" if j == 0 else f"with {source} (left of 0: feedback)"
+                axis.set_title(plain(heading), fontsize="medium")
+            if j == 0:
+                axis.set_ylabel(plain(f"Correlation\n{data.output_labels[i]}"))
+            axis.grid(True, alpha=0.3)
+        for axis in axes[-1]:
+            axis.set_xlabel("Lag [samples]")
+        return frame.finish(axes, lines, [axes[0, 0]], f"Residuals on record {data.name}")
+
+
+def plot_horizon(result: Comparison, frame: Frame) -> ct.ControlPlot:
+    """Error against how far ahead is predicted; see `Comparison.plot`."""
+    found = horizon_error(result)
+    data = result.data
+    names, led = frame.labels(result.names), "observer"
+    with frame.axes([2.2] * data.n_outputs, 1) as (axes, lines):
+        for i in range(data.n_outputs):
+            axis = axes[i, 0]
+            for m, name in enumerate(names):
+                look: dict[str, Any] = dict(style(m)._asdict(), label=name, zorder=3)
+                lines[i, 0] += axis.plot(found.seconds, found.rmse[m, i], marker=".", **look)
+                axis.axhline(
+                    found.free_run[m, i], color=style(m).color, linewidth=0.8, linestyle=":", zorder=2,
+                    label=(led if result.led else "simulation") if m == 0 else None,
+                )  # fmt: skip
+            label = unit_text(f"RMSE of {data.output_labels[i]}", data.output_units[i])
+            axis.set(xscale="log", yscale="log", ylabel=label)
+            axis.grid(True, which="both", alpha=0.25)
+        axes[-1, 0].set_xlabel("Prediction horizon [s]")
+        title = f"Error against prediction horizon, record {data.name}"
+        return frame.finish(axes, lines, [axes[0, 0]], title)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import control as ct
@@ -15,10 +16,8 @@ from ..localization.damage_map import DamageMap, DamageRow
 from ..results import shows
 from ..systems.linear import Array
 from ..words import chance, with_error
-from .figures import Frame, draws, plain, unit_text
-from .tables import WIDTH, html_table, number, text_table
-
-__all__ = ["damage_html", "damage_text", "plot_damage"]
+from .figures import Frame, draws, plain, unit_text, write_at
+from .tables import WIDTH, Table, number
 
 _CHANGED, _UNCHANGED = "0.25", "0.85"
 
@@ -29,46 +28,30 @@ def _value(row: DamageRow, figure: float, share: float) -> str:
     return f"{share:.3g}" if abs(share) < 1e-3 else f"{share:.3f}" if abs(share) < 10 else f"{share:.2f}"
 
 
-def _change_cells(result: DamageMap) -> tuple[list[str], list[list[str]]]:
-    headers = ["what", "place", "model", "unit", "change", "95 % +/-", "limit", "p", ""]
-    rows = []
+def _tables(result: DamageMap) -> list[Table]:
+    """The change of each place, and the scenarios if there are any."""
+    changes = []
     for row in result.rows:
+        limit = _value(row, row.limit, row.limit_percent) if np.isfinite(row.limit) else "none"
+        size = [_value(row, row.change, row.percent), _value(row, 1.96 * row.std, 1.96 * row.percent_std)]
+        nominal = number(row.nominal, 4) if row.nominal else "-"
         verdict = ("LOST" if row.change < 0 else "GAINED") if row.named else ""
-        rows.append(
-            [
-                row.kind,
-                row.place,
-                number(row.nominal, 4) if row.nominal else "-",
-                row.unit,
-                _value(row, row.change, row.percent),
-                _value(row, 1.96 * row.std, 1.96 * row.percent_std),
-                _value(row, row.limit, row.limit_percent) if np.isfinite(row.limit) else "none",
-                chance(row.p_value),
-                verdict,
-            ]
-        )
-    return headers, rows
-
-
-def _ranking_cells(result: DamageMap) -> tuple[list[str], list[list[str]]]:
-    headers = ["scenario", "changes [%]", "fit [%]", "BIC - best", "probability"]
-    best = result.ranking[0].bic if result.ranking else 0.0
-    rows = []
-    for row in result.ranking:
+        changes.append([row.kind, row.place, nominal, row.unit, *size, limit, chance(row.p_value), verdict])
+    title = f"Damage in {result.name!r}: {result.n_samples} samples, {number(result.duration)} s"
+    headers = ["what", "place", "model", "unit", "change", "95 % +/-", "limit", "p", ""]
+    tables = [Table(headers, changes, title, _sentences(result), left=2)]
+    if not result.ranking:
+        return tables
+    scenarios = []
+    for one in result.ranking:
         parts = [
-            f"{row.percent[label]:.2f}" if label in row.percent else number(change, 3)
-            for label, change in row.changes.items()
+            f"{one.percent[label]:.2f}" if label in one.percent else number(change, 3)
+            for label, change in one.changes.items()
         ]
-        rows.append(
-            [
-                row.name,
-                ", ".join(parts) or "-",
-                f"{min(row.fit):.4g}",
-                f"{row.bic - best:.1f}",
-                f"{row.probability:.3g}",
-            ]
-        )
-    return headers, rows
+        figures = [f"{min(one.fit):.4g}", f"{one.bic - result.ranking[0].bic:.1f}", f"{one.probability:.3g}"]
+        scenarios.append([one.name, ", ".join(parts) or "-", *figures])
+    headers = ["scenario", "changes [%]", "fit [%]", "BIC - best", "probability"]
+    return [*tables, Table(headers, scenarios, "Scenarios, the most probable first", left=2)]
 
 
 def _sentences(result: DamageMap) -> list[str]:
@@ -111,44 +94,26 @@ def _verdict(result: DamageMap) -> str:
         return "No change is significant in this record."
     parts = []
     for row in result.named:
-        word = "lost" if row.change < 0 else "gained"
+        size = with_error(abs(row.change), 1.96 * row.std, row.unit) + " of"
         if row.nominal:
-            size = with_error(abs(row.percent), 1.96 * row.percent_std, "%")
-            parts.append(f"{row.place} {word} {size} of its {row.kind}")
-        else:
-            parts.append(
-                f"{row.place} {word} {with_error(abs(row.change), 1.96 * row.std, row.unit)} of {row.kind}"
-            )
+            size = with_error(abs(row.percent), 1.96 * row.percent_std, "%") + " of its"
+        parts.append(f"{row.place} {'lost' if row.change < 0 else 'gained'} {size} {row.kind}")
     return f"Changed: {'; '.join(parts)}."
-
-
-def _title(result: DamageMap) -> str:
-    return f"Damage in {result.name!r}: {result.n_samples} samples, {number(result.duration)} s"
 
 
 @shows(DamageMap, "text")
 def damage_text(result: DamageMap) -> str:
     """Tables of places and scenarios, at most 80 columns."""
-    headers, rows = _change_cells(result)
-    parts = [text_table(headers, rows, title=_title(result), left=2)]
-    if result.ranking:
-        headers, rows = _ranking_cells(result)
-        parts.append("\n" + text_table(headers, rows, left=2))
-    parts += [
-        line for note in _sentences(result) for line in textwrap.wrap(note, WIDTH, subsequent_indent="  ")
-    ]
-    return "\n".join(parts)
+    first, *more = _tables(result)
+    tables = [replace(first, notes=()).text(), *("\n" + replace(one, title=None).text() for one in more)]
+    notes = [textwrap.wrap(note, WIDTH, subsequent_indent="  ") for note in first.notes]
+    return "\n".join([*tables, *(line for lines in notes for line in lines)])
 
 
 @shows(DamageMap, "html")
 def damage_html(result: DamageMap) -> str:
     """Return the damage map as HTML."""
-    headers, rows = _change_cells(result)
-    first = html_table(headers, rows, title=_title(result), notes=_sentences(result), left=2)
-    if not result.ranking:
-        return first
-    headers, rows = _ranking_cells(result)
-    return first + html_table(headers, rows, title="Scenarios, the most probable first", left=2)
+    return "".join(table.html() for table in _tables(result))
 
 
 @draws(DamageMap)
@@ -164,19 +129,18 @@ def plot_damage(result: DamageMap, frame: Frame, *, kind: str | None = None) -> 
             rows = [row for row in result.rows if row.kind == name]
             relative = all(row.nominal for row in rows)
             lines[kinds.index(name), 0] = _bars(panel, rows, relative)
-            panel.set_xticks(range(len(rows)))
-            panel.set_xticklabels(frame.labels([row.place for row in rows]))
+            panel.set_xticks(range(len(rows)), frame.labels([row.place for row in rows]))
             panel.tick_params(axis="x", labelbottom=True)
-            panel.set_ylabel(unit_text(f"change of {name}", "%" if relative else rows[0].unit))
-            panel.set_xlim(-0.6, len(rows) - 0.4)
+            label = unit_text(f"change of {name}", "%" if relative else rows[0].unit)
+            panel.set(ylabel=label, xlim=(-0.6, len(rows) - 0.4))
         title = plain(f"Changes in {result.name} (dark bars: named places)")
         return frame.finish(axes, lines, [axes[0, 0]], title)
 
 
 def _bars(panel: Any, rows: Sequence[DamageRow], relative: bool) -> list[Any]:
-    values = np.array([row.percent if relative else row.change for row in rows])
-    spread = 1.96 * np.array([row.percent_std if relative else row.std for row in rows])
-    limits = np.array([row.limit_percent if relative else row.limit for row in rows])
+    fields = ("percent", "percent_std", "limit_percent") if relative else ("change", "std", "limit")
+    values, spread, limits = np.array([[getattr(row, name) for row in rows] for name in fields], dtype=float)
+    spread = 1.96 * spread
     where = np.arange(len(rows))
     top = float(np.max(np.abs(values) + np.where(np.isfinite(spread), spread, 0.0), initial=0.0))
     seen = limits[np.isfinite(limits)]
@@ -187,11 +151,10 @@ def _bars(panel: Any, rows: Sequence[DamageRow], relative: bool) -> list[Any]:
     _draw_limits(panel, np.where(np.isfinite(limits), np.minimum(limits, top), top))
     drawn = []
     for named, shade, text in ((True, _CHANGED, "named"), (False, _UNCHANGED, "not named")):
-        chosen = np.array([i for i, row in enumerate(rows) if row.named == named], dtype=int)
-        if chosen.size:
-            drawn += list(
-                panel.bar(where[chosen], values[chosen], 0.6, color=shade, edgecolor="black", label=text)
-            )
+        chosen = [i for i, row in enumerate(rows) if row.named == named]
+        if chosen:
+            look = {"color": shade, "edgecolor": "black", "label": text}
+            drawn += list(panel.bar(where[chosen], values[chosen], 0.6, **look))
     finite = np.isfinite(spread)
     panel.errorbar(
         where[finite], values[finite], spread[finite], fmt="none", ecolor="black", elinewidth=1.2, capsize=5,
@@ -207,21 +170,18 @@ def _bars(panel: Any, rows: Sequence[DamageRow], relative: bool) -> list[Any]:
 
 def _draw_limits(panel: Any, band: Array) -> None:
     """The band inside which a change would have stayed unseen."""
+    look: dict[str, Any] = {"color": "black", "linewidth": 1.0, "linestyle": ":"}
     for x, half in enumerate(band):
-        panel.plot([x - 0.45, x + 0.45], [half, half], color="black", linewidth=1.0, linestyle=":")
-        panel.plot(
-            [x - 0.45, x + 0.45], [-half, -half], color="black", linewidth=1.0, linestyle=":",
-            label="detection limit" if x == 0 else None,
-        )  # fmt: skip
+        ends, label = [x - 0.45, x + 0.45], "detection limit" if x == 0 else None
+        panel.plot(ends, [half, half], **look)
+        panel.plot(ends, [-half, -half], label=label, **look)
 
 
 def _write_values(panel: Any, rows: Sequence[DamageRow], values: Array, spread: Array) -> None:
     """The changes that are named, in figures."""
     for x, value, half, row in zip(range(len(rows)), values, spread, rows, strict=True):
         if row.named:
-            offset = -4 if value < 0 else 4
+            down = value < 0
             shown = f"{value:.1f}" if abs(value) >= 10 else f"{value:.3g}"
-            panel.annotate(
-                shown, (x, value - half if value < 0 else value + half), xytext=(0, offset),
-                textcoords="offset points", ha="center", va="top" if value < 0 else "bottom",
-            )  # fmt: skip
+            at = (x, value - half if down else value + half)
+            write_at(panel, shown, at, (0, -4 if down else 4), ha="center", va="top" if down else "bottom")

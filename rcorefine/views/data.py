@@ -32,8 +32,6 @@ from ..streaming import RCORefiner
 from ..streaming.monitor import Monitor
 from ..systems.linear import LinearModel
 
-__all__ = ["plain"]
-
 #: The rows of a result, where it has several tables.
 _MAIN = ("rows", "ranking", "steps", "parameters", "estimates", "options")
 
@@ -49,29 +47,20 @@ def plain(value: Any) -> Any:
     >>> plain({"fit": np.array([1.0, np.nan]), "effect": rco.Effect("damping", "link1")})
     {'fit': [1.0, None], 'effect': {'kind': 'damping', 'place': 'link1'}}
     """
-    if value is None or isinstance(value, str):
-        return value
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, int | np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
-        return float(value) if np.isfinite(value) else None
-    if isinstance(value, complex | np.complexfloating):
-        return {"re": plain(value.real), "im": plain(value.imag)}
-    if isinstance(value, np.ndarray):
+    if isinstance(value, np.ndarray | np.generic):  # numbers of numpy, too
         if np.iscomplexobj(value):
             return {"re": plain(value.real), "im": plain(value.imag)}
         return plain(value.tolist())
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    if isinstance(value, complex):
+        return {"re": plain(value.real), "im": plain(value.imag)}
+    if value is None or isinstance(value, str | bool | int):
+        return value
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
         return [plain(item) for item in value]
-    return _object(value)
-
-
-def _object(value: Any) -> Any:
-    """Convert an object to its name or to a dict of its fields."""
     if isinstance(value, Effect):
         return {"kind": value.kind, "place": value.place}
     if isinstance(value, Measurement):
@@ -117,21 +106,19 @@ def _response(measured: FrequencyResponse) -> dict[str, Any]:
     }
 
 
-def _shown(kind: type, *names: str) -> None:
+def _shown(kind: type, names: str) -> None:
     """Register the fields that rows of this class show.
 
     The other fields hold more than the findings.
     """
-    shows(kind, "to_dict")(lambda row: plain(_fields(row, *names)))
+    shows(kind, "to_dict")(lambda row: plain(_fields(row, *names.split())))
 
 
-_shown(Failure, "role", "dimension", "where", "measure", "statistic", "p_value", "share", "sentence")
-_shown(FTest, "name", "statistic", "dof", "p_value")
-_shown(RankedEffect, *"effect beside coefficients std fit_before fit_after p_value probability".split())
-_shown(EstimatedParameter, "name", "kind", "place", "role", "initial", "value", "coefficient", "std", "unit")
-_shown(
-    Step, "action", "effect", "coefficients", "std", "train_rmse", "choice_rmse", "validation_rmse", "rivals"
-)
+_shown(Failure, "role dimension where measure statistic p_value share sentence")
+_shown(FTest, "name statistic dof p_value")
+_shown(RankedEffect, "effect beside coefficients std fit_before fit_after p_value probability")
+_shown(EstimatedParameter, "name kind place role initial value coefficient std unit")
+_shown(Step, "action effect coefficients std train_rmse choice_rmse validation_rmse rivals")
 
 
 @_dict(Comparison)

@@ -1,7 +1,4 @@
-"""Text and picture of a diagnosis.
-
-The picture shows the ranking, the hidden force against the motion, and the residual before and after.
-"""
+"""Texts and pictures of diagnoses, advice and confirmations."""
 
 from __future__ import annotations
 
@@ -15,6 +12,8 @@ from ..comparison.compare import compare
 from ..comparison.responses import FrequencyComparison
 from ..data.measurement import Measurement
 from ..diagnosis.checks.row import warned
+from ..diagnosis.confirmation import Confirmation
+from ..diagnosis.experiment_design.result import ExperimentAdvice
 from ..diagnosis.hidden_force import HiddenForce
 from ..diagnosis.result import Diagnosis
 from ..diagnosis.words import next_step
@@ -22,36 +21,92 @@ from ..effects.along_motion import unit_forces
 from ..engine.simulation import simulated
 from ..systems.linear import Array
 from ..words import chance, estimate
-from .bode_axes import BodeUnits, broken_phase
-from .figures import MEASURED, Frame, draws, style, unit_text
-from .rankings import ranking_bars, test_bars, title_of
-from .refinement import estimates_table
-from .tables import Table, Told, tells
-from .traces import trace
+from .bode import BodeUnits, broken_phase
+from .figures import BAND, MEASURED, Frame, draws, plain, style, trace, unit_text, write_at
+from .models import estimates_table
+from .tables import Table, Told, cells, number, tabulates, tells
 
-__all__ = ["diagnosis_told", "plot_diagnosis", "plot_of_responses"]
+_SHOWN = 8
 
 
-def plot_of_responses(found: Diagnosis, frame: Frame) -> ct.ControlPlot:
+def _title_of(found: Diagnosis) -> str:
+    """The verdict in one line."""
+    more = "" if found.best is None else f" ({found.best.label}, probability {found.best.probability:.2f})"
+    if found.verdict == "unexplained":
+        place = found.place
+        more = "" if place is None else f" (at {place}, probability {found.places[place]:.2f})"
+    if found.best is None or found.verdict == "adequate":
+        more = ""
+    return f"Diagnosis: {found.verdict}{more}"
+
+
+def _bars(ax: Any, found: Diagnosis) -> list[Any]:
+    """Draw the misfit of each refitted candidate, or else the tests, as bars.
+
+    The misfit is 100 minus the fit in percent.
+    """
+    if found.best is None:
+        return _test_bars(ax, found)
+    rows = found.ranking[:_SHOWN][::-1]
+    where = np.arange(len(rows))
+    colors = [style(1).color if row.alike or row is found.best else "0.75" for row in rows]
+    loss = [100 - row.fit_after for row in rows]
+    bars = ax.barh(where, loss, color=colors, edgecolor="0.3", height=0.65)
+    before = 100 - rows[0].fit_before
+    line = ax.axvline(before, color=style(0).color, ls="--", lw=1.4, label="model as given")
+    for y, row, value in zip(where, rows, loss, strict=True):
+        text = "" if found.verdict == "unexplained" else f"P = {row.probability:.2f}"
+        write_at(ax, text, (value, y), (4, 0), va="center", fontsize=8)
+    ax.set_yticks(where, [_wrapped(row.label) for row in rows], fontsize=7)
+    ax.set(xlim=(0, 1.25 * max(before, *loss)), xlabel="100 - fit of the refitted model [%]")
+    ax.set_title("Candidate effects, refitted")
+    return [*bars, line]
+
+
+def _wrapped(label: str) -> str:
+    one, *more = label.split(" + ")  # each effect of a set has a line, a single one has two
+    lines = [one, *more] if more else one.replace(" at ", "\nat ", 1).split("\n")
+    words = [a.replace("_", " ") + at + b for a, at, b in (line.partition("at ") for line in lines)]
+    return plain(("\n+ " if more else "\n").join(words))
+
+
+def _test_bars(ax: Any, found: Diagnosis) -> list[Any]:
+    """The tests of the model as it is."""
+    tests = [t for t in found.tests if t.dof][::-1]
+    where, sizes = np.arange(len(tests)), [-np.log10(max(t.p_value, 1e-300)) for t in tests]
+    bars = ax.barh(where, sizes, color="0.75", edgecolor="0.3", height=0.65)
+    level = -np.log10(found.significance / max(len(tests), 1))
+    line = ax.axvline(level, color=style(1).color, ls="--", lw=1.4, label="significance level")
+    ax.set_yticks(where, [t.name.split(" (")[0] for t in tests], fontsize=8)
+    ax.set(xlim=(0, max(1.2 * level, ax.get_xlim()[1])), xlabel="-log10 of the p-value")
+    ax.set_title("Residual tests of the model")
+    return [*bars, line]
+
+
+def _models(found: Diagnosis) -> dict[str, Any]:
+    """The models that a diagnosis compares, by their names in pictures."""
+    models: dict[str, Any] = {"model as given": found.base}
+    if found.floated is not None:
+        models["parameters re-estimated"] = found.floated
+    if found.best is not None:
+        models[f"with {found.best.label}"] = found.best.refinement
+    return models
+
+
+def _plot_of_responses(found: Diagnosis, frame: Frame) -> ct.ControlPlot:
     """Draw the evidence of a diagnosis of frequency responses.
 
     It shows the first response; see `Diagnosis.plot`.
     """
-    models: list[Any] = [found.base]
-    names = ["model as given"]
-    if found.floated is not None:
-        models, names = [*models, found.floated], [*names, "parameters re-estimated"]
-    if found.best is not None:
-        models, names = [*models, found.best.refinement], [*names, f"with {found.best.label}"]
+    models = _models(found)
     first: Any = found.records[0]
-    result: FrequencyComparison = compare(models, first)
+    result: FrequencyComparison = compare([*models.values()], first)
     i, j = np.unravel_index(int(np.argmin(result.fit[0])), result.fit[0].shape)
     with frame.axes([1.0, 1.0], 2, figsize=(10.5, 7.2), sharex=False) as (axes, lines):
-        bars = ranking_bars if found.best is not None else test_bars
-        lines[0, 0] = bars(axes[0, 0], found)
-        lines[0, 1] = _residual(axes[0, 1], result, names, (i, j))
-        lines[1, 0], lines[1, 1] = _curves(axes[1], result, names, (i, j))
-        return frame.finish(axes, lines, [axes[0, 0], axes[0, 1], axes[1, 0]], title_of(found))
+        lines[0, 0] = _bars(axes[0, 0], found)
+        lines[0, 1] = _residual(axes[0, 1], result, [*models], (i, j))
+        lines[1, 0], lines[1, 1] = _curves(axes[1], result, [*models], (i, j))
+        return frame.finish(axes, lines, [axes[0, 0], axes[0, 1], axes[1, 0]], _title_of(found))
 
 
 def _residual(ax: Any, result: FrequencyComparison, names: list[str], at: Any) -> list[Any]:
@@ -61,12 +116,11 @@ def _residual(ax: Any, result: FrequencyComparison, names: list[str], at: Any) -
     known = std is not None and bool(std.all())
     size = result.measured.magnitude[at] if std is None or not known else std[at]
     for m, name in enumerate(names):
-        look = style(m)
         error = np.abs(result.measured.response[at] - result.responses[m][at]) / size
-        drawn += ax.loglog(x, error, ".", ms=3, color=look.color, label=name)
-    ax.set_xlabel(unit_text("frequency", units.frequency))
+        drawn += ax.loglog(x, error, ".", ms=3, color=style(m).color, label=name)
+    where = f"{result.measured.input_labels[at[1]]} to {result.measured.output_labels[at[0]]}"
+    ax.set(xlabel=unit_text("frequency", units.frequency), title=f"Residual, {where}")
     ax.set_ylabel("|G - Gh| over " + ("std" if known else "|G|"))
-    ax.set_title(f"Residual, {result.measured.input_labels[at[1]]} to {result.measured.output_labels[at[0]]}")
     ax.grid(True, alpha=0.3)
     return drawn
 
@@ -82,14 +136,10 @@ def _curves(axes: Any, result: FrequencyComparison, names: list[str], at: Any) -
         upper += axes[0].plot(x, np.abs(result.responses[m][at]), **look)
         where, angle = broken_phase(measured.omega, result.responses[m][at])
         lower += axes[1].plot(where * units.frequency_factor, angle * units.phase_factor, **look)
-    for axis, what in ((axes[0], "magnitude"), (axes[1], unit_text("phase", "deg" if units.deg else "rad"))):
-        axis.set_xlabel(unit_text("frequency", units.frequency))
-        axis.set_ylabel(what)
+    for axis, what in ((axes[0], "magnitude"), (axes[1], units.phase)):
+        axis.set(xlabel=unit_text("frequency", units.frequency), ylabel=what)
         axis.grid(True, alpha=0.3)
     return upper, lower
-
-
-_SHOWN = 8
 
 
 @tells(Diagnosis)
@@ -129,14 +179,13 @@ def plot_diagnosis(found: Diagnosis, frame: Frame) -> ct.ControlPlot:
     any formula with the curve of the effect through it, residual in time, residual in frequency.
     """
     if found.base.of_responses:
-        return plot_of_responses(found, frame)
+        return _plot_of_responses(found, frame)
     record = found.ordered_records()[0]
     with frame.axes([1.0, 1.0], 2, figsize=(10.5, 7.2), sharex=False) as (axes, lines):
-        bars = ranking_bars if found.best is not None else test_bars
-        lines[0, 0] = bars(axes[0, 0], found)
+        lines[0, 0] = _bars(axes[0, 0], found)
         lines[0, 1] = _force(axes[0, 1], found, record)
         lines[1, 0], lines[1, 1] = _residuals(axes[1], found, record)
-        return frame.finish(axes, lines, [axes[0, 0], axes[0, 1], axes[1, 1]], title_of(found))
+        return frame.finish(axes, lines, [axes[0, 0], axes[0, 1], axes[1, 1]], _title_of(found))
 
 
 def _channel_curve(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
@@ -147,9 +196,9 @@ def _channel_curve(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
     d, values = np.array(effect.law.d), np.array(effect.law.force)[:, 0]
     lines = ax.plot(d, d, color="0.55", lw=1.2, label="model as given")
     lines += ax.plot(d, values, "o-", color=style(1).color, ms=4, lw=1.6, label=effect.label)
-    ax.set_xlabel(unit_text(f"{effect.place} of the record", unit[effect.place]))
-    ax.set_ylabel(unit_text(f"{effect.place} after the curve", unit[effect.place]))
-    ax.set_title("Curve estimated from the record")
+    place = effect.place
+    ax.set_xlabel(unit_text(f"{place} of the record", unit[place]))
+    ax.set(ylabel=unit_text(f"{place} after the curve", unit[place]), title="Curve estimated from the record")
     return list(lines)
 
 
@@ -158,11 +207,8 @@ def _force(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
         return _channel_curve(ax, found, record)
     best, hidden = found.best, found.hidden_force
     if best is None or hidden is None:
-        said = (
-            "no additional effect is needed"
-            if best is None
-            else f"{found.place}\nis in the signal path: no force"
-        )
+        said = f"{found.place}\nis in the signal path: no force"
+        said = "no additional effect is needed" if best is None else said
         ax.text(0.5, 0.5, said, ha="center", va="center", transform=ax.transAxes)
         ax.set_axis_off()
         return []
@@ -176,27 +222,16 @@ def _force(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
     law, label = _law(found, hidden, motion, record.inputs)
     # a constant force passes for the offset: the estimate has none, the law's is put in its place
     force = hidden.force - hidden.force[inner].mean() + (0.0 if law is None else float(np.mean(law[1])))
-    points = ax.plot(
-        motion[inner],
-        force[inner],
-        ".",
-        color="0.55",
-        ms=2,
-        alpha=0.5,
-        label="estimated from the record, no formula assumed",
-    )
-    edges = np.quantile(motion[inner], np.linspace(0.005, 0.995, 25))
-    which = np.digitize(motion[inner], edges)
-    centers, means = [], []
-    for i in range(1, edges.size):
-        if np.count_nonzero(which == i) > 5:
-            centers.append(motion[inner][which == i].mean())
-            means.append(force[inner][which == i].mean())
+    motion, force = motion[inner], force[inner]
+    text = "estimated from the record, no formula assumed"
+    points = ax.plot(motion, force, ".", color="0.55", ms=2, alpha=0.5, label=text)
+    edges = np.quantile(motion, np.linspace(0.005, 0.995, 25))
+    which = np.digitize(motion, edges)
+    parts = [which == i for i in range(1, edges.size) if np.count_nonzero(which == i) > 5]
+    centers, means = [motion[part].mean() for part in parts], [force[part].mean() for part in parts]
     points += ax.plot(centers, means, "o", color=MEASURED, ms=4, label="mean over intervals of the motion")
     if law is not None:
-        x, y = law
-        look = style(1)
-        points += ax.plot(x, y, color=look.color, ls=look.linestyle, lw=2, label=label)
+        points += ax.plot(*law, color=style(1).color, ls=style(1).linestyle, lw=2, label=label)
     ax.set_xlabel(unit_text(f"{what} at {hidden.place}", unit))
     ax.set_ylabel(unit_text("hidden resisting force", hidden.force_unit))
     ax.set_title("Force estimated from the record")
@@ -214,47 +249,182 @@ def _law(
     effect, values = found.best.effect, dict(found.best.coefficients)
     if found.open_law is not None:
         effect, values = found.open_law.effect, {"scale": 1.0}
-    order = np.argsort(motion, kind="stable")
     columns = unit_forces(effect, hidden.d, hidden.v, [{**values, **effect.fixed}], w)
-    levels = [
-        values.get(n, effect.fixed.get(n, 0.0)) for n in effect.coefficients if n not in effect.spec.shaping
-    ]
+    known = effect.fixed | values
+    levels = [known.get(n, 0.0) for n in effect.coefficients if n not in effect.spec.shaping]
     if columns is None or len(columns) != len(levels):
         return None, effect.label
     force = np.sum([level * column for level, column in zip(levels, columns, strict=True)], axis=0)
     if effect.spec.inner_states or len(effect.spec.needs) > 1:  # no curve over one signal
         return (motion, force), effect.label
+    order = np.argsort(motion, kind="stable")
     return (motion[order], force[order]), effect.label
 
 
 def _residuals(axes: Any, found: Diagnosis, record: Measurement) -> tuple[list[Any], list[Any]]:
-    models = [("model as given", found.base)]
-    if found.floated is not None:
-        models.append(("parameters re-estimated", found.floated))
-    if found.best is not None:
-        models.append((f"with {found.best.label}", found.best.refinement))
     in_time, in_frequency = [], []
-    scale = record.outputs.std(axis=1)
-    main = int(np.argmax(scale > 0))
+    main = int(np.argmax(record.outputs.std(axis=1) > 0))
+    measured = record.outputs[main]
     units = BodeUnits.from_defaults()
     rate = 2 * np.pi * units.frequency_factor / record.dt  # of the samples, in the unit of Bode plots
-    for i, (name, model) in enumerate(models):
-        error = record.outputs[main] - simulated(model, record, "estimate", led=True).outputs[main]
-        look = style(i)
-        in_time += trace(axes[0], record.timepts, error, color=look.color, lw=0.7, label=name)
-        f, power = welch(error, fs=rate, nperseg=min(512, record.n_samples))
-        in_frequency += axes[1].loglog(
-            f[1:], np.sqrt(power[1:]), color=look.color, ls=look.linestyle, lw=1.4, label=name
-        )
-    f, power = welch(record.outputs[main], fs=rate, nperseg=min(512, record.n_samples))
-    in_frequency += axes[1].loglog(
-        f[1:], np.sqrt(power[1:]), color=MEASURED, lw=0.9, alpha=0.6, label="measured output"
-    )
+
+    def density(signal: Array, **look: Any) -> Any:
+        f, power = welch(signal, fs=rate, nperseg=min(512, record.n_samples))
+        return axes[1].loglog(f[1:], np.sqrt(power[1:]), **look)
+
+    for i, (name, model) in enumerate(_models(found).items()):
+        error = measured - simulated(model, record, "estimate", led=True).outputs[main]
+        color = style(i).color
+        in_time += trace(axes[0], record.timepts, error, color=color, lw=0.7, label=name)
+        in_frequency += density(error, color=color, ls=style(i).linestyle, lw=1.4, label=name)
+    in_frequency += density(measured, color=MEASURED, lw=0.9, alpha=0.6, label="measured output")
     label, unit = record.output_labels[main], record.output_units[main]
-    axes[0].set_xlabel("time [s]")
-    axes[0].set_ylabel(unit_text(f"residual of {label}", unit))
-    axes[0].set_title("Residual in time")
-    axes[1].set_xlabel(unit_text("frequency", units.frequency))
-    axes[1].set_ylabel(unit_text("amplitude density", f"{unit}/sqrt({units.frequency})" if unit else ""))
-    axes[1].set_title("Residual in frequency")
+    axes[0].set(xlabel="time [s]", ylabel=unit_text(f"residual of {label}", unit), title="Residual in time")
+    density_unit = f"{unit}/sqrt({units.frequency})" if unit else ""
+    axes[1].set(xlabel=unit_text("frequency", units.frequency), title="Residual in frequency")
+    axes[1].set_ylabel(unit_text("amplitude density", density_unit))
     return in_time, in_frequency
+
+
+@tabulates(HiddenForce)
+def hidden_force_table(found: HiddenForce) -> Table:
+    """One row per signal."""
+    signals = {
+        "displacement d": (found.d, found.position_unit),
+        "velocity v": (found.v, found.velocity_unit),
+        "resisting force": (found.force, found.force_unit),
+    }
+    rows = [
+        [name, *map(number, (np.sqrt(np.mean(x**2)), x.min(), x.max())), unit]
+        for name, (x, unit) in signals.items()
+    ]
+    note = (
+        f"Standard deviation of the force: {number(float(np.mean(found.std)))}. Its mean cannot be "
+        "distinguished from the offset and is not estimated."
+    )
+    title = f"Hidden force at {found.place}, {found.force.size} samples"
+    return Table(["signal", "rms", "least", "largest", "unit"], rows, title, notes=[note])
+
+
+@draws(HiddenForce)
+def plot_hidden_force(found: HiddenForce, frame: Frame) -> ct.ControlPlot:
+    """Draw the force over time, displacement and velocity.
+
+    See `HiddenForce.plot`.
+    """
+    t, f, wide = found.timepts, found.force, 2.0 * found.std
+    with frame.axes([1.0], 3, figsize=(11.0, 3.4), sharex=False, sharey=True) as (axes, lines):
+        over_time, *over_motion = axes[0]
+        over_time.fill_between(t, f - wide, f + wide, color=BAND, linewidth=0, label="2 std")
+        lines[0, 0] = over_time.plot(t, f, color=style(0).color, lw=0.8, label="estimate")
+        over_time.set(xlabel="time [s]", ylabel=unit_text("resisting force", found.force_unit))
+        motions = ((found.d, "displacement", found.position_unit), (found.v, "velocity", found.velocity_unit))
+        for k, (axis, (x, name, unit)) in enumerate(zip(over_motion, motions, strict=True), 1):
+            lines[0, k] = axis.plot(x, f, ".", color="0.5", ms=2, alpha=0.5)
+            axis.set_xlabel(unit_text(f"{name} at {found.place}", unit))
+        return frame.finish(axes, lines, [over_time], f"Hidden force at {found.place}")
+
+
+@tells(ExperimentAdvice)
+def advice_told(advice: ExperimentAdvice) -> Told:
+    """The advice, and the experiments that were judged."""
+    headers = ["experiment", "cost", "probability", "distance", "reach"]
+    rows = []
+    for option in advice.options:
+        figures = cells(option, "probability:.2f distance:.3g reach:.2g")
+        name = ("> " if option is advice.chosen else "  ") + option.name
+        rows.append([name, f"{option.cost:.3g}", *(["-"] * 3 if option.failed else figures)])
+    head = "Experiment: " + (advice.chosen.name if advice.chosen else "nothing to separate")
+    message, *rest = advice.sentences()
+    return [head, message], Table(headers, rows, head, advice.sentences()), rest
+
+
+@draws(ExperimentAdvice)
+def plot_advice(advice: ExperimentAdvice, frame: Frame) -> ct.ControlPlot:
+    """Draw the probability that each option separates the candidates.
+
+    Each option is a bar, the cheapest on top.
+    """
+    options = advice.options
+    (name,) = frame.labels(["candidates distinguished"])
+    with frame.axes([1.0], 1, figsize=(7.0, 1.6 + 0.32 * max(len(options), 1))) as (axes, lines):
+        ax = axes[0, 0]
+        rows = np.arange(len(options))
+        colors = ["C0" if option is advice.chosen else "0.7" for option in options]
+        values = [option.probability for option in options]
+        bars = ax.barh(rows, values, color=colors, label=name)
+        for row, option in zip(rows, options, strict=True):
+            text = "not possible" if option.failed else f"{option.probability:.2f}"
+            far = f", {option.reach:.2g} x the motion" if 1.25 < option.reach < np.inf else ""
+            inside = option.probability > 0.7
+            look: dict[str, Any] = {"ha": "right" if inside else "left", "va": "center", "fontsize": "small"}
+            look["color"] = "white" if inside and option is advice.chosen else "black"
+            write_at(ax, text + far, (option.probability, row), (-4 if inside else 4, 0), **look)
+        look = {"color": "C3", "linestyle": "--", "linewidth": 1.2, "zorder": 0, "label": "required"}
+        line = ax.axvline(advice.probability, **look)
+        ax.set_yticks(rows, [f"{option.name} ({option.cost:.2g})" for option in options])
+        ax.invert_yaxis()
+        ax.set(xlim=(0, 1), xlabel="probability that only the true effect remains")
+        heading = "Next experiment (cost in record lengths)" if options else "Nothing to separate"
+        ax.set_title(heading if frame.title is None else frame.title)
+        ax.grid(True, axis="x", alpha=0.4)
+        lines[0, 0] = [*bars, line]
+        legend = None
+        if frame.show_legend or (frame.legends and options):
+            if frame.ax is None and not isinstance(frame.legend_loc, str):
+                legend = ax.figure.legend(loc="outside lower center", ncols=2)
+            else:
+                place = frame.legend_loc if isinstance(frame.legend_loc, str) else "best"
+                legend = ax.legend(loc=place, framealpha=0.9)
+    return ct.ControlPlot(lines, axes, ax.figure, legend)
+
+
+@tells(Confirmation)
+def confirmation_told(found: Confirmation) -> Told:
+    """The verdict, the records, and what the columns are."""
+    headers = ["record", "coefficient", "alone", "std", "level", "agreement", "residual"]
+    rows = []
+    for one in found.estimates:
+        agreement = "" if one is found.estimates[0] else f"{one.agreement:.2g}"
+        tail = [f"{one.level:.3g}", agreement, f"{one.residual:.2g}"]
+        for i, name in enumerate(found.names):
+            figures = cells(one, f"coefficients[{i}]:.4g std[{i}]:.2g")
+            rows.append(["" if i else one.name, name, *figures, *([""] * 3 if i else tail)])
+    message, *rest = found.sentences()
+    return (
+        [f"Further records: {found.verdict.upper()}", message],
+        Table(headers, rows, f"Further records: {found.verdict}", found.sentences(), left=2),
+        rest,
+    )
+
+
+@draws(Confirmation)
+def plot_confirmation(confirmation: Confirmation, frame: Frame) -> ct.ControlPlot:
+    """Draw the coefficients of each record with 95 % intervals.
+
+    They are estimated from each record alone. Each coefficient has its own panel.
+    """
+    count = len(confirmation.names)
+    (name,) = frame.labels(["95 % interval"])
+    if frame.ax is not None and (given := np.asarray(frame.ax, dtype=object).size) != count:
+        raise ct.ControlDimension(f"ax holds {given} axes; there are {count} coefficients")
+    with frame.axes([1.0], count, figsize=(2.2 + 2.8 * count, 3.2)) as (axes, lines):
+        names = [
+            f"{e.name}, level {e.level:.2g}\nresidual p = {e.residual:.2g}" for e in confirmation.estimates
+        ]
+        places = np.arange(len(names))
+        for i, axis in enumerate(axes[0]):
+            values = np.array([e.coefficients[i] for e in confirmation.estimates])
+            spread = 1.96 * np.array([e.std[i] for e in confirmation.estimates])
+            bars = axis.errorbar(places, values, spread, fmt="o", capsize=4, label=name)
+            lines[0, i] = [bars.lines[0]]
+            factors = np.array([e.factors[i] for e in confirmation.estimates])
+            if np.ptp(factors):
+                axis.plot(places, values[0] * factors, "_", color="tab:red", ms=24, label="in proportion")
+                axis.legend(framealpha=0.9)
+            axis.set_xticks(places, names)
+            axis.set_xlim(-0.5, len(names) - 0.5)
+            axis.set_ylabel(unit_text(confirmation.names[i], confirmation.units[i]))
+            axis.grid(True, axis="y", alpha=0.4)
+        legends = [axes[0, 0]] if frame.label is not None or frame.show_legend else []
+        return frame.finish(axes, lines, legends, f"Each record alone: {confirmation.verdict}")

@@ -12,13 +12,10 @@ from ..comparison.failure_map.search import FailureMap
 from ..comparison.model_error import model_error
 from ..comparison.result import Comparison
 from ..exceptions import DataError
-from ..words import chance
-from .bode_axes import BodeUnits
-from .figures import BAND, MEASURED, Frame, log_labels, plain, style, unit_text
-from .tables import Table, clip, tabulates
-from .traces import trace
-
-__all__ = ["ROLES", "failure_table", "plot_map"]
+from ..words import chance, counted
+from .bode import BodeUnits
+from .figures import BAND, MEASURED, Frame, log_labels, plain, style, trace, unit_text
+from .tables import Table, cells, clip, tabulates
 
 _HEADERS = ["", "", "where", "measure", "share", "p-value"]
 #: Signs of what a row is beside the others.
@@ -32,34 +29,24 @@ def failure_table(found: FailureMap) -> Table:
     If there is no failure, the title and the notes say so.
     """
     rows = [
-        [
-            ROLES[row.role],
-            row.dimension,
-            row.where,
-            row.measure,
-            f"{100 * row.share:.0f} %",
-            chance(row.p_value),
-        ]
-        for row in found.rows
+        [ROLES[r.role], *cells(r, "dimension where measure"), f"{100 * r.share:.0f} %", chance(r.p_value)]
+        for r in found.rows
     ]
-    title = f"Where {found.name!r} fails: {len(rows)} row{'s' if len(rows) != 1 else ''}"
-    if not rows:
-        title = f"No failure of {found.name!r} found (searched: {', '.join(found.looked) or 'nothing'})"
-    if not rows and found.looked:
-        notes = [
-            "No significant failure: the residual looks like noise that is independent of input, motion and "
-            "time."
-        ]
-    elif not rows:
-        notes = []
-    else:
-        notes = [f"1. {found.rows[0].sentence}"]
-        notes += [f"{k}. {row.sentence}" for k, row in enumerate(found.rows[1:4], 2)]
+    title = f"Where {found.name!r} fails: {counted(len(rows), 'row')}"
+    notes = [f"{k}. {row.sentence}" for k, row in enumerate(found.rows[:4], 1)]
+    if rows:
         notes.append(
             "share: part of the error energy that the row explains (rows overlap). p-value: probability of "
             "such a row by chance if the model were right. 1: best single explanation; +: adds to the rows "
             "above; =: alternative to row 1."
         )
+    else:
+        title = f"No failure of {found.name!r} found (searched: {', '.join(found.looked) or 'nothing'})"
+    if found.looked and not rows:
+        notes = [
+            "No significant failure: the residual looks like noise that is independent of input, motion and "
+            "time."
+        ]
     notes += [f"{note}." for note in found.notes]
     return Table(_HEADERS, rows, title, notes, left=4)
 
@@ -96,18 +83,15 @@ def _shares(axis: Any, found: FailureMap, name: str) -> list[Any]:
     drawn = []
     for k, row in enumerate(rows):
         color, hatch = _LOOKS[row.dimension]
-        bar = axis.barh(
-            k, 100 * row.share, color=color, hatch=hatch, edgecolor="white", alpha=0.85, height=0.7
-        )
-        drawn += list(bar)
+        look = {"color": color, "hatch": hatch, "edgecolor": "white", "alpha": 0.85, "height": 0.7}
+        drawn += list(axis.barh(k, 100 * row.share, **look))
         text = plain(clip(f"{row.dimension}: {row.where} ({row.measure})", 62))
         axis.text(1.5, k, text, va="center", fontsize="x-small", zorder=4,
                   bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 0.8})  # fmt: skip
     if not rows:
         axis.text(50, 0, "no significant failure", ha="center", va="center")
-    axis.set_xlim(0, 100)
-    axis.set_ylim(max(len(rows), 1) - 0.4, -0.6)
     axis.set_yticks(range(len(rows)), [str(k + 1) for k in range(len(rows))])
+    axis.set(xlim=(0, 100), ylim=(max(len(rows), 1) - 0.4, -0.6))
     axis.set_xlabel("Share of the error [%] (rows overlap)")
     axis.set_title(plain(name), fontsize="medium")
     return drawn
@@ -125,8 +109,7 @@ def _times(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[Any
         if row.dimension == "time" and "start" in row.values:
             axis.axvspan(row.values["start"], row.values["stop"], color=_MARK, zorder=1)
     unit = data.output_units[0] if len(set(data.output_units)) == 1 else ""
-    axis.set_ylabel(unit_text("Residual", unit))
-    axis.set_xlabel("Time [s]")
+    axis.set(xlabel="Time [s]", ylabel=unit_text("Residual", unit))
     axis.margins(x=0.01)
     axis.grid(True, alpha=0.3)
     if data.n_outputs > 1:
@@ -141,21 +124,15 @@ def _frequencies(axis: Any, result: Comparison, m: int, found: FailureMap) -> li
     """
     units = BodeUnits.from_defaults()
     factor = units.frequency_factor
-    axis.set_xlabel(f"Frequency [{units.frequency}]")
-    axis.set_ylabel("Error |G$_{meas}$/G - 1|")
+    axis.set(xlabel=f"Frequency [{units.frequency}]", ylabel="Error |G$_{meas}$/G - 1|")
     try:
         error = model_error(result, m)
     except DataError:
         axis.text(0.5, 0.5, "the input has no excitation", ha="center", transform=axis.transAxes)
         return []
     size = np.abs(error.model)
-    worst = np.unravel_index(
-        int(np.argmax([float(np.sum((abs(e) / b) ** 2)) for e, b in
-                       zip(error.error.reshape(-1, error.omega.size),
-                           error.simultaneous.reshape(-1, error.omega.size), strict=True)])),
-        size.shape[:2],
-    )  # fmt: skip
-    i, j = (int(k) for k in worst)
+    significance = np.sum((np.abs(error.error) / error.simultaneous) ** 2, axis=-1)
+    i, j = (int(k) for k in np.unravel_index(int(np.argmax(significance)), size.shape[:2]))
     ratio, bound = error.relative[i, j], error.simultaneous[i, j] / np.maximum(size[i, j], 1e-300)
     low = max(0.3 * float(np.nanquantile(np.minimum(ratio, bound), 0.02)), 1e-6)
     x = error.omega * factor
@@ -171,11 +148,9 @@ def _frequencies(axis: Any, result: Comparison, m: int, found: FailureMap) -> li
         if row.dimension == "frequency" and row.values.get("kind") != "gain":
             axis.axvspan(max(row.values["low"] * factor, x[0]), min(row.values["high"] * factor, x[-1]),
                          color=_MARK, zorder=0, alpha=0.5)  # fmt: skip
-    axis.set_xscale("log")
-    axis.set_yscale("log")
+    top = max(3.0, min(2.0 * float(np.nanmax(ratio)), 100.0))
+    axis.set(xscale="log", yscale="log", xlim=(x[0], x[-1]), ylim=(low, top))
     log_labels(axis.xaxis)
-    axis.set_xlim(x[0], x[-1])
-    axis.set_ylim(low, max(3.0, min(2.0 * float(np.nanmax(ratio)), 100.0)))
     axis.grid(True, which="major", alpha=0.3)
     return list(drawn)
 
@@ -185,9 +160,8 @@ def _motions(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[A
 
     The place is the one that matters most.
     """
-    lead = next((r for r in found.rows if r.dimension == "state"), None) or next(
-        (r for r in found.rows if r.dimension == "place"), None
-    )
+    rows = [row for kind in ("state", "place") for row in found.rows if row.dimension == kind]
+    lead = rows[0] if rows else None
     force = residual_force(result, m, None if lead is None else str(lead.values["place"]))
     if force is None:
         axis.text(0.5, 0.5, "no place to show", ha="center", transform=axis.transAxes)
@@ -195,9 +169,8 @@ def _motions(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[A
     over_d = np.ptp(force.position) > 0 and (lead is None or lead.values.get("axis", "d") == "d")
     motion, unit = (force.position, force.position_unit) if over_d else (force.velocity, force.velocity_unit)
     name = "displacement d" if over_d else ("velocity v" if force.mechanical else "x")
-    drawn = axis.plot(
-        motion, force.force, linestyle="none", marker=",", color="0.6", zorder=1, rasterized=True
-    )
+    dots = {"linestyle": "none", "marker": ",", "color": "0.6", "zorder": 1, "rasterized": True}
+    drawn = axis.plot(motion, force.force, **dots)
     edges = np.quantile(motion, np.linspace(0.002, 0.998, 22))
     cell = np.clip(np.searchsorted(edges, motion) - 1, 0, edges.size - 2)
     centers, means, spreads = [], [], []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import control as ct
@@ -9,13 +10,12 @@ import numpy as np
 
 from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement
+from ..diagnosis.checks.result import Check
+from ..diagnosis.checks.row import CheckRow
 from ..words import frequency_text
-from .bode_axes import BodeUnits, bode_rows, draw_measured, magnitude_limits
-from .figures import MEASURED, Frame, draws, unit_text
-from .tables import Table, number, tabulates
-from .traces import trace
-
-__all__ = ["frequency_response_table", "measurement_table", "plot_frequency_response", "plot_measurement"]
+from .bode import BodeAxes, BodeUnits
+from .figures import MEASURED, Frame, draws, trace, unit_text
+from .tables import Table, Told, number, tabulates, tells
 
 _HOLD_TEXT = {
     "zoh": "constant between samples",
@@ -81,35 +81,23 @@ def frequency_response_table(measured: FrequencyResponse) -> Table:
     rows = []
     points = measured.omega * units.frequency_factor
     for i, output in enumerate(measured.output_labels):
-        share = None if measured.coherence is None else float(np.mean(measured.coherence[i] > 0.9))
+        share = "-" if measured.coherence is None else f"{float(np.mean(measured.coherence[i] > 0.9)):.0%}"
         for j, source in enumerate(measured.input_labels):
             magnitude = measured.magnitude[i, j]
             top = int(np.argmax(magnitude))
-            spread = None if measured.std is None else measured.std[i, j]
-            least = np.finfo(float).tiny
-            relative = None if spread is None else float(np.median(spread / np.maximum(magnitude, least)))
-            rows.append(
-                [
-                    output,
-                    source,
-                    number(magnitude[top]),
-                    number(points[top]),
-                    "-" if share is None else f"{share:.0%}",
-                    "-" if relative is None else f"{relative:.2%}",
-                ]
-            )
+            relative = "-"
+            if measured.std is not None:
+                floor = np.maximum(magnitude, np.finfo(float).tiny)
+                relative = f"{float(np.median(measured.std[i, j] / floor)):.2%}"
+            rows.append([output, source, number(magnitude[top]), number(points[top]), share, relative])
     title = (
         f"Measured frequency response of {measured.name!r}: {points.size} points, "
         f"{number(points[0])} ... {number(points[-1])} {units.frequency}"
     )
     if measured.segment_length == 0:
-        unknown = [
-            word
-            for word, value in (("coherence", measured.coherence), ("error", measured.std))
-            if value is None
-        ]
-        said = "Taken as given"
-        said += f": {' and '.join(unknown)} are not known." if unknown else "."
+        known = {"coherence": measured.coherence, "error": measured.std}
+        unknown = [word for word, value in known.items() if value is None]
+        said = f"Taken as given: {' and '.join(unknown)} are not known." if unknown else "Taken as given."
         if measured.amplitude is not None:
             low, high = measured.amplitude.min(), measured.amplitude.max()
             unit = measured.input_units[0]
@@ -133,17 +121,45 @@ def plot_frequency_response(measured: FrequencyResponse, frame: Frame) -> ct.Con
     n_y, n_w = measured.response.shape[:2]
     (name,) = frame.labels([measured.name])
     with frame.axes([1.8, 1.4, 0.9] * n_y, n_w) as (axes, lines):
-        bode = bode_rows(axes, measured.output_labels, measured.input_labels, extra="coherence")
-        for i in range(n_y):
-            for j in range(n_w):
-                magnitude, phase, below = axes[3 * i : 3 * i + 3, j]
-                lines[3 * i, j], lines[3 * i + 1, j] = draw_measured(
-                    magnitude, phase, measured, i, j, name, bode
-                )
-                magnitude_limits(magnitude, lines[3 * i, j], bode)
-                x = measured.omega * bode.frequency_factor
-                share = np.full(x.size, np.nan) if measured.coherence is None else measured.coherence[i]
-                lines[3 * i + 2, j] = below.plot(x, share, color=MEASURED, linewidth=1.0)
-                below.set_ylim(0.0, 1.05)
+        drawn = BodeAxes(axes, lines, measured.output_labels, measured.input_labels, "coherence")
+        drawn.measured(measured, name)
+        drawn.limits()
+        x = measured.omega * drawn.units.frequency_factor
+        for i, j in np.ndindex(n_y, n_w):
+            share = np.full(x.size, np.nan) if measured.coherence is None else measured.coherence[i]
+            lines[3 * i + 2, j] = axes[3 * i + 2, j].plot(x, share, color=MEASURED, linewidth=1.0)
+            axes[3 * i + 2, j].set_ylim(0.0, 1.05)
         title = f"Measured frequency response of {measured.name}"
         return frame.finish(axes, lines, [axes[0, 0]], title)
+
+
+_HEADERS = ["", "looked at", "where", "found"]
+
+
+@tells(Check)
+def check_told(found: Check) -> Told:
+    """Return the warnings of a check and the table of all its findings."""
+    looks = [f"{row.status.upper()}: {row.sentence}" for row in found.looks]
+    head = looks or ["No problem found: the record and the model can be compared."]
+    quiet = [row.sentence for row in found.rows if row.what == "information" and row not in found.looks]
+    return head, Table(_HEADERS, _rows(found.rows), "Check", [*head, *quiet], 4), quiet
+
+
+def odd(rows: Sequence[CheckRow]) -> list[Table]:
+    """A table of what asks for attention, none where nothing does.
+
+    Parameters
+    ----------
+    rows : sequence of CheckRow
+        Rows that ask for attention.
+
+    Returns
+    -------
+    list of Table
+    """
+    title, notes = "Checks that need attention", [row.sentence for row in rows]
+    return [Table(_HEADERS, _rows(rows), title, notes, 4)] if rows else []
+
+
+def _rows(rows: Sequence[CheckRow]) -> list[list[str]]:
+    return [[row.status, row.what, row.where, row.figure] for row in rows]

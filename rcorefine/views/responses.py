@@ -10,13 +10,11 @@ import numpy as np
 
 from ..comparison.responses import FrequencyComparison, LevelComparison
 from ..data.frequency_response import FrequencyResponse
+from ..engine.amplitude_response import AmplitudeResponse
 from ..words import frequency_text
-from .bode import bode
-from .bode_axes import bode_rows, broken_phase, draw_measured, magnitude_limits
+from .bode import BodeAxes, bode
 from .figures import Frame, draws, style
 from .tables import Table, number, tabulates
-
-__all__ = ["draw_points", "level_name", "plot_levels", "plot_responses", "responses_table"]
 
 _NOTES = (
     "fit = 100 (1 - |G - Gh| / |G - mean(G)|) of the complex responses: 100 % is perfect.",
@@ -110,22 +108,44 @@ def draw_points(
     first = curves[0][0]
     said = frame.labels([level_name(measured) for measured, _ in curves])
     with frame.axes([1.8, 1.4] * first.noutputs, first.ninputs) as (axes, lines):
-        units = bode_rows(axes, first.output_labels, first.input_labels, extra=None)
+        drawn = BodeAxes(axes, lines, first.output_labels, first.input_labels)
         for k, (measured, responses) in enumerate(curves):
-            x = measured.omega * units.frequency_factor
-            for i, j in np.ndindex(measured.response.shape[:2]):
-                upper, lower = axes[2 * i : 2 * i + 2, j]
-                dots = draw_measured(upper, lower, measured, i, j, said[k], units)
-                for row, some in enumerate(dots):
-                    for dot in some:
-                        dot.set_color(_GRAYS[k % len(_GRAYS)])
-                    lines[2 * i + row, j] += some
-                for m, curve in enumerate(responses[:, i, j]):
-                    look: dict[str, Any] = dict(style(m)._asdict(), zorder=3)
-                    look["label"] = names[m] if k == 0 else f"_{names[m]}"
-                    lines[2 * i, j] += upper.plot(x, units.magnitude(np.abs(curve)), **look)
-                    at, angle = broken_phase(measured.omega, curve)
-                    turned = angle * units.phase_factor
-                    lines[2 * i + 1, j] += lower.plot(at * units.frequency_factor, turned, **look)
-                magnitude_limits(upper, lines[2 * i, j], units)
+            drawn.measured(measured, said[k], color=_GRAYS[k % len(_GRAYS)])
+            for m, (name, response) in enumerate(zip(names, responses, strict=True)):
+                look = style(m)._asdict() | {"zorder": 3, "label": name if k == 0 else f"_{name}"}
+                drawn.curves(measured.omega, response, look)
+        drawn.limits()
         return frame.finish(axes, lines, [axes[0, 0]], title)
+
+
+_LEVEL_NOTES = (
+    "|G|: fundamental of the output divided by the sine at the input; its maximum is also searched between "
+    "the frequencies. A linear model has the same |G| at every amplitude.",
+    "distortion: the largest share of higher harmonics over the frequencies.",
+)
+
+
+def _title(found: AmplitudeResponse) -> str:
+    lost, loose = int((~found.converged).sum()), int((found.converged & ~found.stable).sum())
+    return (
+        f"{found.name} driven by a sine at {found.input_label}: {found.omega.size} frequencies, "
+        f"{found.omega.min():.4g} ... {found.omega.max():.4g} rad/s"
+        + (f"; no steady state found at {lost} of {found.converged.size} points" if lost else "")
+        + (f"; unstable at {loose} of {found.converged.size} points" if loose else "")
+    )
+
+
+@tabulates(AmplitudeResponse)
+def amplitude_table(found: AmplitudeResponse) -> Table:
+    """One row per amplitude and output."""
+    rows = []
+    for level, amplitude in enumerate(found.amplitude):
+        for i, label in enumerate(found.output_labels):
+            gain, omega = found.peak_gain[level, i], found.peak_omega[level, i]
+            cells = ["-", "-", "-"]
+            if np.isfinite(gain):
+                most = 100 * np.nanmax(found.distortion[level, i])
+                cells = [f"{gain:.4g}", f"{omega:.5g}", f"{most:.2g}"]
+            rows.append([f"{amplitude:.4g} {found.input_unit}".strip(), label, *cells])
+    headers = ["amplitude", "output", "largest |G|", "at [rad/s]", "distortion [%]"]
+    return Table(headers, rows, _title(found), _LEVEL_NOTES, left=2)

@@ -1,35 +1,55 @@
-"""Table of a survey, and plot of its coefficients over all machines."""
+"""Text, picture and report of a survey; exercises and the page of a class."""
 
 from __future__ import annotations
 
+import hashlib
+import re
+from collections.abc import Sequence
+from functools import partial
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import control as ct
 import numpy as np
 
+from ..arguments import as_flag, as_path
+from ..exercises.exercise import Exercise
+from ..exercises.grading import Grades
 from ..fleet.comparison import FleetEffect
 from ..fleet.result import Survey
 from ..fleet.row import SurveyRow
-from ..words import counted, with_error
-from .figures import BAND, Frame, draws, plain, unit_text
-from .tables import Table, Told, number, tells
-
-__all__ = ["plot_survey", "row_cells", "survey_told"]
+from ..results import shows
+from ..words import chance, counted, with_error
+from .figures import BAND, Frame, draws, plain, style, unit_text
+from .page import (
+    Page,
+    boxed,
+    check_target,
+    facts,
+    links,
+    listing,
+    paragraphs,
+    pictures,
+    reports,
+    version_facts,
+    write_page,
+)
+from .tables import Table, Told, cells, number, tabulates, tells
 
 _SHOWN = 12  # rows of the text; the others are counted
 _NAMED = 40  # machines up to which each has its name on the axis
+_INDEX = "index.html"
+_ROWS = ["machine", "record", "verdict", "effect", "coefficient", "probability", "seconds"]
 
 
-def row_cells(row: SurveyRow) -> list[str]:
-    """Return the cells of one row.
-
-    They are machine, record, verdict, effect, coefficient, probability and seconds.
-    """
+def _row_cells(row: SurveyRow) -> list[str]:
+    """Return the cells of one row, as in `_ROWS`."""
     if row.error is not None:
         return [row.machine, row.record, "failed", row.error, "", "", f"{row.seconds:.2g}"]
     size = "" if row.coefficient is None or row.std is None else with_error(row.coefficient, row.std)
-    chance = "" if row.probability is None else number(row.probability, 3)
-    return [row.machine, row.record, row.verdict or "", row.label, size, chance, f"{row.seconds:.2g}"]
+    sure = "" if row.probability is None else number(row.probability, 3)
+    return [row.machine, row.record, row.verdict or "", row.label, size, sure, f"{row.seconds:.2g}"]
 
 
 @tells(Survey)
@@ -43,23 +63,22 @@ def survey_told(found: Survey) -> Told:
     said = found.sentences()
     left = len(order) - _SHOWN
     more = [f"... and {counted(left, 'row')} more in `rows` and `to_dataframe()`."] if left > 0 else []
-    headers = ["machine", "record", "verdict", "effect", "coefficient", "prob.", "s"]
     title = f"Survey ({found.task}): {said[0]}"
     below = [*more, *said[1:]]
-    return [title], Table(headers, [row_cells(row) for row in order[:_SHOWN]], title, below, 4), below
+    rows = [_row_cells(row) for row in order[:_SHOWN]]
+    return [title], Table([*_ROWS[:-2], "prob.", "s"], rows, title, below, 4), below
 
 
 @draws(Survey)
 def plot_survey(found: Survey, frame: Frame) -> ct.ControlPlot:
     """Panels, one per coefficient; see `Survey.plot`."""
     shown = [effect for effect in found.effects if effect.sort != "unclear"] or list(found.effects)
-    count = max(len(shown), 1)
-    with frame.axes([2.0] * count, 1, sharex=False) as (axes, lines):
+    with frame.axes([2.0] * max(len(shown), 1), 1, sharex=False) as (axes, lines):
         labels = frame.labels([effect.label for effect in shown]) if shown else []
-        for panel, effect, label, k in zip(axes[:, 0], shown, labels, range(count), strict=False):
-            lines[k, 0] = _panel(panel, effect)
-            panel.set_title(plain(f"{label}: {effect.sort}"), fontsize="medium")
-            panel.set_ylabel(unit_text("", effect.unit) if effect.unit else "")
+        for k, (effect, label) in enumerate(zip(shown, labels, strict=True)):
+            lines[k, 0] = _panel(axes[k, 0], effect)
+            axes[k, 0].set_title(plain(f"{label}: {effect.sort}"), fontsize="medium")
+            axes[k, 0].set_ylabel(unit_text("", effect.unit) if effect.unit else "")
         if not shown:
             axes[0, 0].text(0.5, 0.5, "no coefficient to compare", ha="center", va="center")
         return frame.finish(axes, lines, [axes[0, 0]], f"{len(found.machines)} machines")
@@ -70,35 +89,215 @@ def _panel(panel: Any, effect: FleetEffect) -> list[Any]:
     where = np.arange(len(machines))
     panel.axhspan(effect.mean - effect.spread, effect.mean + effect.spread, color=BAND, alpha=0.6, lw=0)
     drawn = [panel.axhline(effect.mean, color="0.3", linewidth=1.2, label="fleet: mean, spread")]
-    out = np.array([machine.stands_out for machine in machines])
-    for chosen, color, text in (
-        (~out, "#1f4e9c", "machine, 95 %"),
-        (out, "#b5400a", "stands out"),
-    ):
-        if chosen.any():
-            mine = [machine for machine, wanted in zip(machines, chosen, strict=True) if wanted]
-            drawn.append(
-                panel.errorbar(
-                    where[chosen],
-                    [m.value for m in mine],
-                    [1.96 * m.std for m in mine],
-                    fmt="o", color=color, capsize=2, markersize=3.5, label=text,
-                )
-            )  # fmt: skip
-    drawn += panel.plot(
-        where,
-        [m.pooled for m in machines],
-        "_",
-        color="0.15",
-        markersize=9,
-        label="shrunk toward the fleet mean",
-    )
+    for out, color, text in ((False, style(0).color, "machine, 95 %"), (True, style(1).color, "stands out")):
+        mine = [(k, m.value, 1.96 * m.std) for k, m in enumerate(machines) if m.stands_out == out]
+        if mine:
+            look = {"fmt": "o", "color": color, "capsize": 2, "markersize": 3.5, "label": text}
+            drawn.append(panel.errorbar(*zip(*mine, strict=True), **look))
+    pooled, said = [m.pooled for m in machines], "shrunk toward the fleet mean"
+    drawn += panel.plot(where, pooled, "_", color="0.15", markersize=9, label=said)
     if len(machines) <= _NAMED:
-        panel.set_xticks(
-            where, [plain(m.machine) for m in machines], rotation=40, ha="right", fontsize="small"
-        )
+        names = [plain(m.machine) for m in machines]
+        panel.set_xticks(where, names, rotation=40, ha="right", fontsize="small")
     else:
         panel.set_xlabel(f"machine (of {len(machines)})")
     panel.axhline(0.0, color="black", linewidth=0.6)
     panel.grid(True, axis="y", alpha=0.3)
     return drawn
+
+
+@shows(Survey, "report")
+def report_survey(
+    found: Survey, folder: str | PathLike[str], *, title: str | None, code: str | None, overwrite: bool
+) -> Path:
+    """Write an index page and a page per machine; see `Survey.report`."""
+    home = as_path(folder, "folder").expanduser().absolute()
+    as_flag(overwrite, "overwrite")
+    home.mkdir(exist_ok=True)
+    if not (overwrite or (home / _INDEX).is_file()) and any(home.iterdir()):
+        raise FileExistsError(f"{home} holds other files; choose another folder or say overwrite=True")
+    files = _files(found.machines)
+    for name in (_INDEX, *files.values()):  # before anything is written
+        check_target(home / name, title=title, code=code, overwrite=overwrite)
+    for machine, name in files.items():
+        write_page(_machine_page(found, machine), home / name, overwrite=overwrite)
+    return write_page(_index(found, files, title, code), home / _INDEX, overwrite=overwrite)
+
+
+def _files(machines: tuple[str, ...]) -> dict[str, str]:
+    """Return the file name of each machine.
+
+    Characters that a file name may not have are replaced; a hash then keeps the names distinct.
+    """
+    found = {}
+    for machine in machines:
+        word = re.sub(r"[^A-Za-z0-9_.-]+", "_", machine)[:60]
+        if word != machine:
+            word += "-" + hashlib.sha256(machine.encode("utf-8", "replace")).hexdigest()[:8]
+        found[machine] = f"machine-{word}.html"
+    return found
+
+
+def _index(found: Survey, files: dict[str, str], title: str | None, code: str | None) -> Page:
+    fleet = (
+        "fleet",
+        partial(found.plot, title=""),
+        "Coefficient of each machine with its 95 % interval, and mean and spread of the fleet.",
+        "Points: estimates from the records of each machine; dashes: estimates shrunk toward the "
+        "fleet mean according to their errors; gray: spread between machines. Machines that "
+        "stand out have another color.",
+    )
+    effects = []
+    for e in found.effects:
+        count = f"{len(e.machines)} of {e.n_machines}"
+        figures = cells(e, "mean:.5g std:.2g spread:.2g")
+        effects.append([*cells(e, "label unit sort"), count, *figures, chance(e.p_value), chance(e.p_alike)])
+    common = Table(
+        ["effect", "unit", "", "machines", "mean", "std", "spread", "p (mean 0)", "p (all equal)"],
+        effects,
+        title="Effects over the fleet",
+        notes=[
+            "Mean and spread are those of the machines that do not stand out. p (mean 0): corrected by Holm."
+        ],
+        left=3,
+    )
+    failures = [[r.machine, r.record, r.error or ""] for r in found.failed]
+    failed = Table([*_ROWS[:2], "why"], failures, "Failed", (), 3)
+    sections = {
+        "Pictures": pictures([fleet] if found.effects else []),
+        "Tables": boxed(common, failed),
+        "Machines": [links((_line(found, machine), file) for machine, file in files.items())],
+        "Code to reproduce this result": [] if code is None else [listing(code)],
+        "Versions": [facts(version_facts())],
+    }
+    about = f"{len(found.rows)} record(s) of {len(found.machines)} machine(s), task {found.task}"
+    return Page(title or "Survey of a fleet", about, found.sentences(), not found.finds, sections)
+
+
+def _line(found: Survey, machine: str) -> str:
+    """A machine in a few words."""
+    out = [effect.label for effect, one in found.standing_out if one.machine == machine]
+    grows = [trend.label for trend in found.growing if trend.machine == machine]
+    verdicts = ", ".join(dict.fromkeys(row.verdict or "failed" for row in found.of(machine)))
+    words = [f"stands out in {', '.join(out)}"] * bool(out) + [f"{', '.join(grows)} changes"] * bool(grows)
+    return f"{machine}: {'; '.join([verdicts, *words])}"
+
+
+def _machine_page(found: Survey, machine: str) -> Page:
+    rows = found.of(machine)
+    mine = [(effect, one) for effect in found.effects for one in effect.machines if one.machine == machine]
+    trends = [trend for trend in found.trends if trend.machine == machine]
+    over_records = "Coefficients over the records."
+    course = ("course", partial(_course, found, machine), over_records, "With 95 % intervals.")
+    said = [f"{row.record}: {sentence}" for row in rows for sentence in row.sentences]
+    sections = {
+        "Pictures": pictures([course] if trends else []),
+        "Tables": _machine_tables(rows, mine, trends),
+        "Findings for each record": [paragraphs(said)] if said else [],
+        "The fleet": [links([("all machines", _INDEX)])],
+    }
+    out = any(one.stands_out for _, one in mine) or any(trend.grows for trend in trends)
+    return Page(machine, counted(len(rows), "record"), [_line(found, machine)], not out, sections)
+
+
+def _machine_tables(rows: Sequence[SurveyRow], mine: Sequence[Any], trends: Sequence[Any]) -> list[str]:
+    compared = [
+        [e.label, e.unit, *cells(m, "value:.5g std:.2g pooled:.5g"), f"{e.mean:.5g}"]
+        + ["-" if v is None else number(v, 3) for v in (m.deviation, m.p_value)]
+        for e, m in mine
+    ]
+    changes = [[*cells(t, "label unit n_records slope:.4g std:.2g per"), chance(t.p_value)] for t in trends]
+    return boxed(
+        Table(_ROWS, [_row_cells(row) for row in rows], "Records", (), 4),
+        Table(
+            ["effect", "unit", "value", "std", "shrunk", "fleet", "deviation", "p"],
+            compared,
+            title="Coefficients compared with the fleet",
+            notes=[
+                "shrunk: estimate shrunk toward the fleet mean. deviation: difference from the other "
+                "machines, in standard deviations. p: multiplied by their number."
+            ],
+            left=2,
+        ),
+        Table(["effect", "unit", "records", "slope", "std", "per", "p"], changes, "Change with time", left=2),
+    )
+
+
+def _course(found: Survey, machine: str) -> ct.ControlPlot:
+    """Each coefficient with a trend over the machine's records."""
+    keys = [(t.kind, t.place, t.name) for t in found.trends if t.machine == machine]
+    frame = Frame()
+    with frame.axes([1.2] * len(keys), 1) as (axes, lines):
+        for k, key in enumerate(keys):
+            axis = axes[k, 0]
+            entries = [(row.number, e) for row in found.of(machine) for e in row.estimates if e.key == key]
+            points = [(number_of, e.value, 1.96 * e.std) for number_of, e in entries]
+            look = {"fmt": "o", "color": style(0).color, "capsize": 2}
+            lines[k, 0] = [axis.errorbar(*zip(*points, strict=True), **look)]
+            axis.set_ylabel(unit_text(key[0], entries[0][1].unit))
+            axis.set_title(plain(f"at {key[1]}"), fontsize="small")
+            axis.grid(True, alpha=0.3)
+        axes[-1, 0].set_xlabel("record")
+        return frame.finish(axes, lines, [])
+
+
+@tells(Exercise)
+def exercise_told(exercise: Exercise) -> Told:
+    """Return the text of an exercise: what is given and what is asked."""
+    head = [
+        f"Exercise {exercise.ident}: {exercise.plant}, level {exercise.level}",
+        "One effect of the plant is missing in the model. Which one, where, and how large is it?",
+    ]
+    rows = [[effect.kind, effect.place, ", ".join(effect.coefficients)] for effect in exercise.candidates]
+    notes = [
+        f"Find it with .train ({exercise.train.n_samples} samples of {exercise.train.dt:g} s) and validate "
+        "it with .test.",
+        "check(kind, place, coefficient) grades an answer."
+        if exercise.has_answer
+        else "hand_in(path, student, kind, place, coefficient) writes your answer.",
+    ]
+    return head, Table(["kind", "place", "coefficients"], rows, head[0], notes, 3), notes
+
+
+@tabulates(Grades)
+def grades_table(found: Grades) -> Table:
+    """A row for each answer; remarks where there are any."""
+    headers = "student plant level answer effect coefficient points remark".split()
+    shown = slice(None if any(row.remark for row in found.rows) else -1)
+    rows = [
+        [
+            row.student,
+            row.plant,
+            str(row.level or "-"),
+            *cells(row, "answer effect coefficient points:.4g remark"),
+        ]
+        for row in found.rows
+    ]
+    note = "Points: 0.6 for the effect, 0.3 for its place alone, 0.4 for the coefficient."
+    return Table(headers[shown], [row[shown] for row in rows], "Answers", [note], 6)
+
+
+def _right(rows: Sequence[Any]) -> int:
+    return sum(row.effect in ("right", "tied") for row in rows)
+
+
+@reports(Grades)
+def report_grades(found: Grades, *, title: str | None, code: str | None) -> Page:
+    """The page of a class; see `Grades.report`."""
+    graded = [row for row in found.rows if not row.remark]
+    near = sum(row.coefficient == "near enough" for row in graded)
+    left = len(found.rows) - len(graded)
+    answer = [
+        f"{_right(graded)} of {len(graded)} answers name the effect, {near} of them with the right "
+        "coefficient.",
+        f"{left} could not be graded; the table shows why." if left else "Every answer could be graded.",
+    ]
+    about = f"{len(found.rows)} answers of {len({row.student for row in graded})} students"
+    by_plant = []
+    for plant in sorted({row.plant for row in graded}):
+        rows = [row for row in graded if row.plant == plant]
+        mean = number(sum(row.points for row in rows) / len(rows), 2)
+        by_plant.append([plant, str(len(rows)), str(_right(rows)), mean])
+    plants = Table(["plant", "answers", "right", "mean points"], by_plant, "By plant")
+    tables = {"Tables": boxed(grades_table(found), plants)}
+    return Page(title or "Hidden effects: results of the class", about, answer, not left, tables)

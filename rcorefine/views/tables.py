@@ -14,20 +14,6 @@ import numpy as np
 
 from ..results import shows
 
-__all__ = [
-    "WIDTH",
-    "Table",
-    "Told",
-    "clip",
-    "html_table",
-    "number",
-    "root_mean_square",
-    "tabulates",
-    "tells",
-    "text_table",
-    "wrapped",
-]
-
 _Cells = TypeVar("_Cells", bound=Callable[..., Any])
 
 WIDTH = 80
@@ -45,6 +31,27 @@ def number(value: float, digits: int = 4) -> str:
     if math.isnan(value):
         return "-"
     return f"{value:.{digits}g}"
+
+
+def cells(row: Any, columns: str) -> list[str]:
+    """Attributes of an object as the cells of a row.
+
+    Parameters
+    ----------
+    row : object
+        What the row shows.
+    columns : str
+        Names of attributes, each with its format behind a colon if it is not text; "-" stands for NaN.
+
+    Examples
+    --------
+    >>> cells(rco.Effect("damping", "link1"), "kind place start")
+    ['damping', 'link1', '{}']
+    >>> cells(1.5j, "imag:.3f")
+    ['1.500']
+    """
+    texts = {column: f"{{0.{column}}}".format(row) for column in columns.split()}
+    return ["-" if ":" in column and text == "nan" else text for column, text in texts.items()]
 
 
 def root_mean_square(values: Any) -> float:

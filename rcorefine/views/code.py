@@ -13,20 +13,18 @@ from typing import Any
 
 import numpy as np
 
-from ...data.frequency_response import FrequencyResponse
-from ...data.response_record import in_frequency
-from ...effects.effect import Effect
-from ...effects.origin import import_path, module_of
-from ...effects.tabulated import Table
-from ...inference.refinement import Refinement
-from ...models.conversion import as_physical
-from ...models.parameters import NominalParameter
-from ...models.physical_model import PhysicalModel
-from ...models.ports import Port
-from ...systems.linear import LinearModel
-from .origin import fingerprint, response_facts
-
-__all__ = ["comment", "effects_code", "literal", "model_code", "record_code", "script"]
+from ..data.frequency_response import FrequencyResponse
+from ..data.response_record import in_frequency
+from ..effects.effect import Effect
+from ..effects.origin import import_path, module_of
+from ..effects.tabulated import Table
+from ..inference.refinement import Refinement
+from ..models.conversion import as_physical
+from ..models.parameters import NominalParameter
+from ..models.physical_model import PhysicalModel
+from ..models.ports import Port
+from ..systems.linear import LinearModel
+from .page import fingerprint, response_facts
 
 _MOST_POINTS = 4000  # of a measured response
 _LARGEST = 30  # states of a model that is listed in full
@@ -74,7 +72,9 @@ def literal(value: Any, indent: int = 0) -> str:
     if isinstance(value, Effect):
         return _effect(value)
     if isinstance(value, (LinearModel, PhysicalModel, Port, NominalParameter)):
-        return _fields(value, indent)
+        fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+        own = "" if isinstance(value, LinearModel) else "rco."
+        return ("\n" + " " * indent).join(_call(own + type(value).__name__, [], fields, indent))
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{literal(k)}: {literal(v)}" for k, v in value.items()) + "}"
     if isinstance(value, (list, tuple)):
@@ -129,14 +129,15 @@ def _effect(effect: Effect) -> str:
     return f"rco.Effect({', '.join(parts)})"
 
 
-def _fields(value: Any, indent: int) -> str:
-    name = type(value).__name__ if isinstance(value, LinearModel) else f"rco.{type(value).__name__}"
-    pad = " " * (indent + 4)
-    lines = [
-        f"{pad}{field.name}={literal(getattr(value, field.name), indent + 4)},\n"
-        for field in dataclasses.fields(value)
-    ]
-    return f"{name}(\n{''.join(lines)}{' ' * indent})"
+def _call(name: str, values: Sequence[Any], keywords: Mapping[str, Any], indent: int = 0) -> list[str]:
+    """Return the lines of a call with an argument on each line."""
+    every = [("", value) for value in values] + [(f"{key}=", value) for key, value in keywords.items()]
+    return [f"{name}(", *(f"    {key}{literal(value, indent + 4)}," for key, value in every), ")"]
+
+
+def names_of(name: str, several: Sequence[Any]) -> list[str]:
+    """Names of variables for one thing, or numbered for several."""
+    return [name] if len(several) == 1 else [f"{name}{i + 1}" for i in range(len(several))]
 
 
 def model_code(model: Any, name: str = "model") -> list[str]:
@@ -163,19 +164,13 @@ def model_code(model: Any, name: str = "model") -> list[str]:
         ]
     if isinstance(model, PhysicalModel) and not _plain(model):
         return ["from rcorefine.systems.linear import LinearModel", "", f"{name} = {literal(model)}"]
-    keys = {
+    labels = {
         "inputs": list(linear.input_labels),
         "outputs": list(linear.output_labels),
         "states": list(linear.state_labels),
     }
-    return [
-        f"{name} = ct.ss(",
-        *(f"    {literal(getattr(linear, key), 4)}," for key in "ABCD"),
-        f"    {literal(linear.dt)},",
-        *(f"    {key}={literal(value, 4)}," for key, value in keys.items()),
-        f"    name={literal(linear.name)},",
-        ")",
-    ]
+    matrices = [getattr(linear, key) for key in "ABCD"]
+    return _call(f"{name} = ct.ss", [*matrices, linear.dt], labels | {"name": linear.name})
 
 
 def _plain(model: PhysicalModel) -> bool:
@@ -214,35 +209,25 @@ def record_code(records: Sequence[Any]) -> list[str]:
     -------
     list of str
     """
+    names = names_of("data", records)
+    listed = [] if len(records) == 1 else [f"data = [{', '.join(names)}]"]
     if in_frequency(records):
-        names = ["data"] if len(records) == 1 else [f"data{i + 1}" for i in range(len(records))]
         every = [line for one, name in zip(records, names, strict=True) for line in response_code(one, name)]
-        return every if len(records) == 1 else [*every, f"data = [{', '.join(names)}]"]
+        return [*every, *listed]
     lines = ["# the record: put the name of your file here"]
-    for index, data in enumerate(records):
-        name = "data" if len(records) == 1 else f"data{index + 1}"
-        file = "record.npz" if len(records) == 1 else f"record{index + 1}.npz"
+    for data, name, file in zip(records, names, names_of("record", records), strict=True):
+        known = {
+            "inputs": list(data.input_labels), "outputs": list(data.output_labels), "dt": data.dt,
+            "hold": data.hold, "input_units": list(data.input_units) if any(data.input_units) else None,
+            "output_units": list(data.output_units) if any(data.output_units) else None, "name": data.name,
+        }  # fmt: skip
+        known = {key: value for key, value in known.items() if value is not None}
+        lines += _call(f"{name} = rco.Measurement.from_npz", [f"{file}.npz"], known)
         lines += [
-            f"{name} = rco.Measurement.from_npz(",
-            f"    {literal(file)},",
-            f"    inputs={literal(list(data.input_labels), 4)},",
-            f"    outputs={literal(list(data.output_labels), 4)},",
-            f"    dt={literal(data.dt)},",
-            f"    hold={literal(data.hold)},",
+            f"assert sha256({name}.{what}.tobytes()).hexdigest() == {literal(fingerprint(values))}"
+            for what, values in (("inputs", data.inputs), ("outputs", data.outputs))
         ]
-        if any(data.input_units):
-            lines.append(f"    input_units={literal(list(data.input_units), 4)},")
-        if any(data.output_units):
-            lines.append(f"    output_units={literal(list(data.output_units), 4)},")
-        lines += [
-            f"    name={literal(data.name)},",
-            ")",
-            f"assert sha256({name}.inputs.tobytes()).hexdigest() == {literal(fingerprint(data.inputs))}",
-            f"assert sha256({name}.outputs.tobytes()).hexdigest() == {literal(fingerprint(data.outputs))}",
-        ]
-    if len(records) > 1:
-        lines.append(f"data = [{', '.join(f'data{i + 1}' for i in range(len(records)))}]")
-    return lines
+    return [*lines, *listed]
 
 
 def response_code(measured: FrequencyResponse, name: str = "measured") -> list[str]:
@@ -258,37 +243,22 @@ def response_code(measured: FrequencyResponse, name: str = "measured") -> list[s
         "input_labels": list(measured.input_labels), "output_labels": list(measured.output_labels),
         "dt": measured.dt, "hold": measured.hold, "name": measured.name,
     }  # fmt: skip
-    return [
-        f"{name} = rco.FrequencyResponse(",
-        f"    {literal(measured.response, 4)},",
-        f"    {literal(measured.omega, 4)},",
-        *(f"    {key}={literal(value, 4)}," for key, value in known.items() if value is not None),
-        ")",
-    ]
+    known = {key: value for key, value in known.items() if value is not None}
+    return _call(f"{name} = rco.FrequencyResponse", [measured.response, measured.omega], known)
 
 
 def script(*blocks: Sequence[str]) -> str:
     """Blocks of lines under the imports that they need."""
     body = "\n\n".join("\n".join(block) for block in blocks if block)
-    own = ["import rcorefine as rco"]
     model = "from rcorefine.systems.linear import LinearModel"
-    if model in body:
-        own.append(model)
-        body = body.replace(f"{model}\n\n", "")
+    own = ["import rcorefine as rco", *([model] if model in body else [])]
+    body = body.replace(f"{model}\n\n", "")
     own += sorted({f"import {module_of(path)}" for path in re.findall(r"\blaw=(?!rco\.)([\w.]+)", body)})
-    standard = "from hashlib import sha256\n\n" if "sha256(" in body else ""
-    outside = [
-        line
-        for line, sign in (("import control as ct", "ct."), ("import numpy as np", "np."))
-        if sign in body
-    ]
-    return (
-        standard
-        + "".join(f"{line}\n" for line in outside)
-        + ("\n" if outside else "")
-        + "\n".join(own)
-        + f"\n\n{body}\n"
-    )
+    known = {"import control as ct": "ct.", "import numpy as np": "np."}
+    standard = ["from hashlib import sha256"] if "sha256(" in body else []
+    outside = [line for line, sign in known.items() if sign in body]
+    heads = ["\n".join(lines) for lines in (standard, outside, own) if lines]
+    return "\n\n".join([*heads, body]) + "\n"
 
 
 def refinement_code(refinement: Refinement) -> list[str]:
@@ -312,28 +282,20 @@ def refinement_code(refinement: Refinement) -> list[str]:
             asked.append(effect.replace(start=found))
         elif role == "linear":
             floating.append(effect)
-    options: dict[str, Any] = {"offset": "offset" in refinement.roles}
-    if floating:
-        options["free"] = floating
-    lines = [
+    options = {"offset": "offset" in refinement.roles, "free": floating}
+    said = "# the linear parameters below were re-estimated; give tolerance= too if you gave it"
+    return [
+        *([said] if floating else []),
         f"effects = {effects_code(asked)}",
-        "better = rco.refine(model, data, effects" + call_options(options) + ")",
+        f"better = rco.refine(model, data, effects{call_options(options)})",
     ]
-    if floating:
-        lines.insert(0, "# the linear parameters below were re-estimated; give tolerance= too if you gave it")
-    return lines
 
 
 def call_options(options: Mapping[str, Any]) -> str:
     """Keywords of a call as text, those at their defaults left out."""
-    defaults: dict[str, Any] = {
-        "free": (),
-        "tolerance": 0.0,
-        "offset": True,
-        "noise": None,
-        "horizon": None,
-        "significance": 0.01,
-    }
+    defaults = {
+        "free": (), "tolerance": 0.0, "offset": True, "noise": None, "horizon": None, "significance": 0.01,
+    }  # fmt: skip
     text = ""
     for key, value in options.items():
         if key in defaults and _same(value, defaults[key]):

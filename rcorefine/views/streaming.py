@@ -1,0 +1,241 @@
+"""Table and plot of a monitor.
+
+They show how close it is to an alarm, the probable effects, and the size of the change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import control as ct
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..exceptions import DataError
+from ..streaming.coefficients.history import CoefficientHistory
+from ..streaming.monitor.monitor import Monitor
+from ..streaming.rcmr.history import History
+from ..streaming.refiner import RCORefiner
+from ..systems.linear import Array
+from ..words import with_error
+from .bode import bode
+from .figures import BAND, Frame, draws, plain, style, trace, unit_text
+from .tables import Table, number, tabulates
+
+_SHOWN = 8  # candidates in the table
+_MOST = 4  # candidates whose probability is drawn
+
+
+@tabulates(Monitor)
+def monitor_table(monitor: Monitor) -> Table:
+    """The candidates of a monitor, the most probable first."""
+    n, name = monitor.n_samples, monitor._structure.linear_model.name
+    stream = monitor._stream
+    state = monitor.alarm
+    busy = "a threshold was crossed, the effect is not identified yet"
+    head = "ALARM" if state is not None else busy if monitor._watch.busy else "no alarm"
+    if stream is None:
+        head = f"learning until sample {monitor.learn}"
+    title = f"Monitor of {name!r}: {head}; {n} samples so far ({n * monitor.dt:.6g} s)"
+    rows = []
+    for row in monitor.ranking[:_SHOWN]:
+        first = next(iter(row.coefficients))
+        unit = monitor._structure.model.unit(row.effect, first)
+        figure = with_error(row.coefficients[first], row.std[first], unit)
+        rows.append([row.effect.label, figure, f"{row.probability:.3f}", number(row.log_likelihood, 3)])
+    notes = [state.sentence] if state is not None else []
+    if monitor.adequacy is not None and monitor.adequacy.adequate:
+        notes.append(monitor.adequacy.sentence)
+    notes += list(monitor.remarks)
+    notes += [f"Ended: {alarm.sentence}" for alarm in monitor.past_alarms[-2:]]
+    if stream is not None:
+        ratio = float(monitor.statistic[-1]) if monitor.statistic.size else 0.0
+        force = stream.healthy.ratio
+        noise = "white" if not any(stream.healthy.orders) else f"AR({max(stream.healthy.orders)})"
+        grows = stream.healthy.noise[:, 1:].sum(axis=1) * stream.healthy.power
+        noise += ", growing with the signal" if (grows > stream.healthy.noise[:, 0]).any() else ""
+        notes.append(
+            f"The largest statistic is {ratio:.2f} of its threshold. Noise in the healthy state: {noise}"
+            + (f", unmeasured force about {100 * force:.2g} % of the input." if force else ".")
+        )
+        notes.append(
+            "probability: of each candidate among all candidates and no change, with "
+            "equal prior probabilities. gain: increase of the log-likelihood over the "
+            "healthy model. "
+            + ("The values are fitted since the change." if state else "The values are linearized.")
+        )
+    seconds = 1e5 / monitor.false_alarms * monitor.dt
+    units = ((86400 * 365, "years"), (86400, "days"), (3600, "hours"), (60, "minutes"), (1, "s"))
+    size, word = next((unit for unit in units if seconds >= 2 * unit[0]), units[-1])
+    notes.append(
+        f"False alarms: at most {monitor.false_alarms:g} in 100 000 healthy samples, one in "
+        f"{seconds / size:.3g} {word}."
+    )
+    return Table(["candidate", "coefficient", "probability", "gain"], rows, title, notes)
+
+
+@draws(Monitor)
+def plot_monitor(monitor: Monitor, frame: Frame) -> ct.ControlPlot:
+    """Draw statistic, probabilities and coefficient over time.
+
+    The statistic is divided by its threshold. The coefficient is that of the named effect. See
+    `Monitor.plot`.
+    """
+    t, p = monitor.timepts, monitor.probability
+    if t.size == 0:
+        raise DataError(
+            f"nothing to draw yet: {monitor.n_samples} samples taken, the learning phase has {monitor.learn}"
+        )
+    peak = p[1:].max(axis=1)
+    shown = [int(i) for i in np.argsort(-peak)[:_MOST] if peak[i] > 0.1]
+    names = ["nothing", *(monitor.candidates[i].label for i in shown)]
+    labels = frame.labels(names)
+    alarms = [*monitor.past_alarms, *([monitor.alarm] if monitor.alarm else [])]
+    with frame.axes([1.2, 1.6, 1.2], 1) as (axes, lines):
+        top, middle, bottom = axes[:, 0]
+        look: dict[str, Any] = {"color": style(0).color, "linewidth": 1.0, "label": "statistic"}
+        lines[0, 0] = top.plot(t, monitor.statistic, **look)
+        top.axhline(1.0, color="0.3", linestyle="--", linewidth=1.0, label="threshold")
+        top.set(yscale="log", ylabel="statistic /\nthreshold")
+        for k, (row, name) in enumerate(zip([0, *(i + 1 for i in shown)], labels, strict=True)):
+            look = style(k)._asdict() | ({"color": "0.6"} if k == 0 else {})
+            lines[1, 0] += middle.plot(t, p[row], label=name, **look)
+        middle.set(ylim=(-0.03, 1.03), ylabel="probability")
+        value, std = monitor.coefficient
+        band = np.where(np.isfinite(std), std, 0.0)
+        bottom.fill_between(t, value - 2 * band, value + 2 * band, color=BAND, linewidth=0)
+        lines[2, 0] = bottom.plot(t, value, color=style(1).color, linewidth=1.5)
+        bottom.set(ylabel=_coefficient_name(monitor, alarms), xlabel="time [s]")
+        for axis in (top, middle, bottom):
+            axis.grid(True, alpha=0.35)
+            for k, alarm in enumerate(alarms):
+                word = "alarm" if k == 0 else None
+                axis.axvline(alarm.time, color="#b5400a", linewidth=1.0, label=word if axis is top else None)
+                until = alarm.ended if alarm.ended is not None else t[-1]
+                axis.axvspan(alarm.since, max(until, alarm.since), color="#b5400a", alpha=0.07, linewidth=0)
+        middle.axvspan(0.0, monitor.learn * monitor.dt, color="0.5", alpha=0.12, linewidth=0)
+        middle.set_xlim(0.0, max(float(t[-1]), monitor.dt))
+        return frame.finish(axes, lines, [top, middle], _title(monitor, alarms))
+
+
+def _coefficient_name(monitor: Monitor, alarms: list[Any]) -> str:
+    if not alarms:
+        return "coefficient\n(no alarm)"
+    last = alarms[-1]
+    name = next(iter(last.coefficients))
+    unit = monitor._structure.model.unit(last.effect, name)
+    return f"{unit_text(name, unit)}\nat {last.effect.place}".replace("_", " ")
+
+
+def _title(monitor: Monitor, alarms: list[Any]) -> str:
+    if not alarms:
+        return f"No alarm in {monitor.n_samples} samples"
+    last = alarms[-1]
+    ended = "" if last.ended is None else f", ended by {last.ended:.4g} s"
+    return f"{last.effect.label} since {last.since:.4g} s{ended}"
+
+
+@tabulates(RCORefiner)
+def refiner_table(refiner: RCORefiner) -> Table:
+    """Settings, or parameters, with what the refiner has learned so far."""
+    found = refiner._summary()
+    left = 1 if refiner.form == "paper" else 3
+    return Table(found.headers, found.rows, found.title, found.notes, left)
+
+
+@draws(RCORefiner, "bode_plot")
+def plot_bode(
+    refiner: RCORefiner, frame: Frame, measured: Any = None, omega: ArrayLike | None = None
+) -> ct.ControlPlot:
+    """Draw the initial and refined model beside the measured response.
+
+    See `RCORefiner.bode_plot`.
+    """
+    systems = [("initial", refiner._sampled.initial), ("refined", refiner.system)]
+    return bode(systems, measured, omega, frame, refiner._estimator.deviation())
+
+
+@draws(History)
+def plot_stages(history: History, frame: Frame) -> ct.ControlPlot:
+    """Draw the performance of both stages, static coefficients and poles.
+
+    See `History.plot`.
+    """
+    names = frame.labels(["stage 1", "stage 2"])
+    n_y = history.z1.shape[0]
+    with frame.axes([1.6] * (n_y + 2), 1) as (axes, lines):
+        stages = [(1, history.z2, names[1]), (0, history.z1, names[0])]
+        _draw_performance(axes, lines, history, stages, "simulated")
+        static = history.theta2.reshape(-1, history.timepts.size)
+        lines[n_y, 0] = axes[n_y, 0].plot(history.timepts, static.T, linewidth=1.0)
+        for line, text in zip(lines[n_y, 0], _coefficients(history), strict=False):
+            line.set_label(plain(text))
+        axes[n_y, 0].set_ylabel("static coefficients")
+        axes[n_y, 0].grid(True, alpha=0.35)
+        lines[n_y + 1, 0] = _draw_poles(axes[n_y + 1, 0], history.pole_timepts, history.poles)
+        return frame.finish(axes, lines, [axes[0, 0], axes[n_y, 0]])
+
+
+def _draw_performance(axes: Any, lines: Any, history: Any, stages: Sequence[Any], what: str) -> None:
+    """Draw the error of each stage, an output in a row."""
+    for row, output in enumerate(history.output_labels):
+        for index, z, text in stages:
+            if np.isfinite(z[row]).any():
+                look = {"color": style(index).color, "linewidth": 0.8, "label": text}
+                lines[row, 0] += trace(axes[row, 0], history.timepts, z[row], **look)
+        axes[row, 0].set_ylabel(plain(f"{what} - measured\n{output}"))
+        axes[row, 0].grid(True, alpha=0.35)
+
+
+def _coefficients(history: History) -> list[str]:
+    """Signal of each static coefficient, where the static stage has no memory."""
+    names = [*history.state_labels, *history.input_labels]
+    l_u, q = history.theta2.shape[:2]
+    if q != len(names):
+        return []
+    return [f"{name} (u{c})" if l_u > 1 else name for c in range(l_u) for name in names]
+
+
+@draws(CoefficientHistory)
+def plot_coefficients(history: CoefficientHistory, frame: Frame) -> ct.ControlPlot:
+    """Performance, coefficients and poles; see `CoefficientHistory.plot`."""
+    names = frame.labels(history.names)
+    n_y = history.z2.shape[0]
+    with frame.axes([1.6] * n_y + [2.0, 1.6], 1) as (axes, lines):
+        stages = [(0, history.z1, "stage 1"), (1, history.z2, "static stage, one sample ahead")]
+        _draw_performance(axes, lines, history, stages, "predicted")
+        for axis, z in zip(axes[:n_y, 0], history.z2, strict=True):
+            usual = np.nanmax(np.abs(z), initial=0.0)
+            if usual > 0:  # a stage 1 that diverged must not hide the rest
+                axis.set_ylim(-1.1 * usual, 1.1 * usual)
+        axis = axes[n_y, 0]
+        size = np.nanmax(np.abs(history.coefficients), axis=1, initial=0.0)[:, None]
+        shown = history.coefficients / np.where(size > 0, size, 1.0)
+        lines[n_y, 0] = axis.plot(history.timepts, shown.T, linewidth=1.0)
+        for line, text in zip(lines[n_y, 0], names, strict=True):
+            line.set_label(plain(text))
+        axis.set_ylabel("coefficients /\nlargest value")
+        axis.grid(True, alpha=0.35)
+        lines[n_y + 1, 0] = _draw_poles(axes[n_y + 1, 0], history.pole_timepts, history.poles)
+        return frame.finish(axes, lines, [axes[0, 0], axis])
+
+
+def _draw_poles(axis: Any, timepts: Array, poles: NDArray[np.complex128]) -> list[Any]:
+    """Size of the refined poles over time: dashed where a pole is complex."""
+    lines: list[Any] = []
+    with np.errstate(invalid="ignore"):
+        for pole in poles:
+            size, oscillates = np.abs(pole), np.abs(pole.imag) > 1e-6 * np.abs(pole)
+            for part, line, name in ((~oscillates, "-", "real"), (oscillates, "--", "complex")):
+                if part.any():
+                    first = all(one.get_label() != name for one in lines)
+                    look = {"linewidth": 1.0, "color": "tab:purple", "label": name if first else f"_{name}"}
+                    lines += axis.plot(timepts, np.where(part, size, np.nan), line, **look)
+    positive = np.abs(poles)[np.isfinite(poles) & (np.abs(poles) > 0)]
+    if positive.size and positive.max() > 30 * positive.min():
+        axis.set_yscale("log")
+        axis.set_ylim(max(0.5 * positive.min(), 1e-6 * positive.max()), 2.0 * positive.max())
+    axis.set(ylabel="refined poles\n|s| [rad/s]", xlabel="Time [s]")
+    axis.grid(True, alpha=0.35)
+    return lines
