@@ -33,7 +33,7 @@ from rcorefine.diagnosis.screening import Metric, Numbers, Screen
 from rcorefine.inference.fitted import fitted_from
 from rcorefine.inference.sensitivities import candidate_columns
 from rcorefine.inference.starts import Motion
-from rcorefine.refinement.base_fit import base_fit
+from rcorefine.refinement.refine import base_fit
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from hidden.generator import Hidden, _with, hidden_record, linear_states

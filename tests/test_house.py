@@ -331,10 +331,10 @@ def test_one_of_each():
         "np.linalg.pinv(": {
             # of a map between states and outputs or modes, not of information
             "comparison/failure_map/frequency.py", "inference/assembly.py",
-            "streaming/coefficients/descent.py", "streaming/coefficients/entries.py",
+            "streaming/coefficients/effects.py", "streaming/coefficients/entries.py",
         },
         "solve_toeplitz(": set(),
-        "damping *=": {"streaming/coefficients/descent.py"},  # its steps come from a filter, not from columns
+        "damping *=": {"streaming/coefficients/effects.py"},  # its steps come from a filter, not from columns
         "damping = max(": {"gauss_newton.py"},
         "def autoregression": {"inference/autoregression.py"},
         "class Whitener": {"inference/whitening.py"},

@@ -18,11 +18,11 @@ from scipy.signal import lfilter
 from scipy.stats import binom, chi2, poisson
 
 import rcorefine as rco
-from rcorefine.streaming.gaps import whole_block
 from rcorefine.streaming.monitor.learning import crossing_rate, threshold
 from rcorefine.streaming.monitor.saving import content_of
 from rcorefine.streaming.monitor.stream import Stream
 from rcorefine.streaming.persistence import write_file
+from rcorefine.streaming.samples import whole_block
 
 SHORT = 3000  # healthy samples before a change
 
@@ -701,47 +701,48 @@ def test_table_and_picture():
     assert "alarm" in repr(monitor)
 
 
-def test_what_cannot_be_is_refused():
+REFUSED = [
+    ({"dt": None}, rco.ModelError, "give dt"),
+    ({"false_alarm": 0.1}, TypeError, "false_alarm"),
+    *(({"false_alarms": bad}, rco.ModelError, "false_alarms") for bad in (0, -1.0, 1e6, float("nan"))),
+    ({"learn": 10}, rco.ModelError, "learn"),
+    ({"candidates": [rco.Effect("hidden_mode", "mass1")]}, rco.ModelError, "hidden_mode"),
+    ({"candidates": [rco.Effect("damping", "link1")] * 2}, rco.ModelError, "twice"),
+    ({"candidates": []}, rco.ModelError, "empty"),
+    ({"candidates": [rco.Effect("damping", "link9")]}, rco.ModelError, "link9"),
+    ({"hold": "bandlimited"}, ct.ControlArgument, "band-limited"),
+]
+
+
+@pytest.mark.parametrize(("settings", "error", "match"), REFUSED)
+def test_bad_settings_are_refused(settings, error, match):
+    with pytest.raises(error, match=match):
+        rco.Monitor(Chain(14, n=2, sensor="velocity").model, **{"dt": 0.01, **settings})
+
+
+def test_bad_samples_are_refused():
     plant = Chain(14, n=2, sensor="velocity")
-    model = plant.model
-    with pytest.raises(rco.ModelError, match="give dt"):
-        rco.Monitor(model)
     with pytest.raises(rco.ModelError, match="discrete"):
-        rco.Monitor(model.system.sample(0.01), dt=0.01)
-    with pytest.raises(TypeError):
-        rco.Monitor(model, dt=0.01, false_alarm=0.1)
-    for bad in (0, -1.0, 1e6, float("nan")):
-        with pytest.raises(rco.ModelError, match="false_alarms"):
-            rco.Monitor(model, dt=0.01, false_alarms=bad)
-    with pytest.raises(rco.ModelError, match="learn"):
-        rco.Monitor(model, dt=0.01, learn=10)
-    with pytest.raises(rco.ModelError, match="hidden_mode"):
-        rco.Monitor(model, [rco.Effect("hidden_mode", "mass1")], dt=0.01)
-    with pytest.raises(rco.ModelError, match="twice"):
-        rco.Monitor(model, [rco.Effect("damping", "link1")] * 2, dt=0.01)
-    with pytest.raises(rco.ModelError, match="empty"):
-        rco.Monitor(model, [], dt=0.01)
-    with pytest.raises(rco.ModelError, match="link9"):
-        rco.Monitor(model, [rco.Effect("damping", "link9")], dt=0.01)
-    with pytest.raises(ct.ControlArgument, match="band-limited"):
-        rco.Monitor(model, dt=0.01, hold="bandlimited")
-    monitor = rco.Monitor(model, few(plant), dt=plant.dt, learn=300)
+        rco.Monitor(plant.model.system.sample(0.01), dt=0.01)
+
+    def monitor(**settings):
+        return rco.Monitor(plant.model, few(plant), dt=plant.dt, learn=300, **settings)
+
+    one = monitor()
     w, y = plant.record(np.zeros(400))
     with pytest.raises(rco.DataError, match=r"NaN at sample 7"):
-        monitor.update(w[:10], np.where(np.arange(10) == 7, np.nan, y[:10]))
-    assert monitor.n_samples == 0
+        one.update(w[:10], np.where(np.arange(10) == 7, np.nan, y[:10]))
+    assert one.n_samples == 0
     with pytest.raises(rco.DataError, match="dt ="):
-        monitor.run(rco.Measurement(w, y, dt=2 * plant.dt))
+        one.run(rco.Measurement(w, y, dt=2 * plant.dt))
     with pytest.raises(rco.DataError, match="hold="):
-        monitor.run(rco.Measurement(w, y, dt=plant.dt, hold="foh"))
+        one.run(rco.Measurement(w, y, dt=plant.dt, hold="foh"))
     with pytest.raises(ct.ControlDimension):
-        monitor.update(w[:10], y[:9])
-    open_ended = rco.Monitor(model, few(plant), dt=plant.dt, learn=300, missing="hold-out")
+        one.update(w[:10], y[:9])
     with pytest.raises(rco.DataError, match="learning phase"):
-        open_ended.update(np.where(np.arange(400) == 5, np.nan, w), y)
-    dead = rco.Monitor(model, few(plant), dt=plant.dt, learn=300)
+        monitor(missing="hold-out").update(np.where(np.arange(400) == 5, np.nan, w), y)
     with pytest.raises(rco.DataError, match="constant"):
-        dead.update(w, np.zeros(400))
+        monitor().update(w, np.zeros(400))
 
 
 # ------------------------------------------------------------------------ statistics

@@ -20,7 +20,7 @@ from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
 from rcorefine.inference.refinement import EstimatedParameter
 from rcorefine.progress import Progress
-from rcorefine.refinement.base_fit import base_fit
+from rcorefine.refinement.refine import base_fit
 
 M, C, K = (1.0, 0.6), (0.4, 0.3), (120.0, 90.0)  # two masses on the ground and on each other
 FACTORS = {"m2": 0.97, "k1": 1.03, "k2": 0.98, "c1": 1.04}

@@ -17,7 +17,7 @@ from scipy.linalg import expm
 import rcorefine as rco
 from rcorefine import RCORefiner
 from rcorefine.exceptions import ConversionWarning
-from rcorefine.streaming.coefficients.estimator import CoefficientFilter
+from rcorefine.streaming.coefficients.setup import CoefficientFilter
 
 
 def system(A, B, C, D=None):

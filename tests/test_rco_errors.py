@@ -12,9 +12,9 @@ from test_rco_refiner import DT, SETTINGS, damaged, record_of, state_of, two_by_
 
 import rcorefine as rco
 from rcorefine.streaming import RCORefiner
-from rcorefine.streaming.rcmr.arrays import Plant
-from rcorefine.streaming.rcmr.history import poles_of
-from rcorefine.streaming.rcmr.stream import explain
+from rcorefine.streaming.history import poles_of
+from rcorefine.streaming.rcmr.kernels import Plant
+from rcorefine.streaming.rcmr.setup import explain
 from rcorefine.systems.linear import LinearModel
 
 N = 150

@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 
 from rcorefine.jit import NUMBA, _own_folder, by_address, compiled
-from rcorefine.streaming.rcmr import products
-from rcorefine.streaming.rcmr.arrays import Design
-from rcorefine.streaming.rcmr.kernels import direct_step, learn
-from rcorefine.streaming.rcmr.memory import start
+from rcorefine.streaming.rcmr.kernels import Design, direct_step, learn
+from rcorefine.streaming.rcmr.setup import start
 
 Array = np.ndarray
 
@@ -92,46 +90,6 @@ def test_direct_step_minimizes(rng: np.random.Generator, alpha: float) -> None:
     step = direct_step(rows, residual, alpha)
     expected = step_by_least_squares(rows, residual, np.zeros(12), alpha)
     np.testing.assert_allclose(step, expected, rtol=1e-10, atol=1e-13)
-
-
-def test_both_bodies_of_each_pass_agree(rng: np.random.Generator) -> None:
-    m = 12
-    rows, offsets, theta = rng.standard_normal((9, m)), rng.standard_normal(9), rng.standard_normal(m)
-    np.testing.assert_allclose(
-        products._gradient_loops(rows, offsets, theta),
-        products._gradient_arrays(rows, offsets, theta),
-        rtol=1e-12,
-    )
-    np.testing.assert_allclose(products._product_loops(rows, theta), rows @ theta, rtol=1e-12)
-    three = [rng.standard_normal(shape) for shape in ((3, 2), (2,), (3, 1), (1,), (3, 4), (4,))]
-    np.testing.assert_allclose(products._affine_loops(*three), products._affine_arrays(*three), rtol=1e-12)
-
-    factor = rng.standard_normal((m, m))
-    gain = np.linalg.inv(factor @ factor.T + np.eye(m))
-    results = []
-    for slide in (products._slide_loops, products._slide_arrays):
-        copies = [gain.copy(), 0.1 * np.ones((2, m)), rows[0], 0.1 * rows[1], theta, np.zeros(m)]
-        pivot = slide(*copies)
-        results.append((copies[0], copies[1], copies[5], pivot))
-    for one, other in zip(*results, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-12)
-
-
-def test_slide_is_the_inverse_of_the_new_window(rng: np.random.Generator) -> None:
-    m = 8
-    rows = rng.standard_normal((20, m))
-    gain = np.linalg.inv(rows.T @ rows + np.eye(m))
-    new, gradient, pending, step = (
-        rng.standard_normal(m),
-        rng.standard_normal(m),
-        np.zeros((2, m)),
-        np.zeros(m),
-    )
-    products.slide(gain, pending, new, rows[0].copy(), gradient, step)
-    expected = np.linalg.inv(rows[1:].T @ rows[1:] + np.outer(new, new) + np.eye(m))
-    now = gain - np.outer(pending[0], pending[0]) + np.outer(pending[1], pending[1])
-    np.testing.assert_allclose(now, expected, atol=1e-12)
-    np.testing.assert_allclose(step, expected @ gradient, atol=1e-12)
 
 
 @pytest.mark.numba

@@ -92,25 +92,6 @@ def test_going_on_after_twenty_random_cuts_is_bitwise_the_same(case, tmp_path):
         np.testing.assert_array_equal(whole.history.x_D, cut.history.x_D)
 
 
-def test_hundred_kills_at_random_samples(tmp_path):
-    """Each time the process dies after a save and starts again from the file; the rest comes in one block."""
-    w, y = stream("effects")
-    settings = cases()["effects"]
-    whole = RCORefiner(**settings)
-    whole.update(w, y)
-    running, path = RCORefiner(**settings), tmp_path / "state.npz"
-    cuts = np.sort(np.random.default_rng(3).choice(np.arange(1, w.shape[1]), 100, replace=False))
-    begin = 0
-    for end in cuts:
-        running.update(w[:, begin:end], y[:, begin:end])
-        running.save(path)
-        running = RCORefiner.load(path)
-        begin = end
-    running.update(w[:, begin:], y[:, begin:])
-    np.testing.assert_array_equal(running.static_theta, whole.static_theta)
-    np.testing.assert_array_equal(running.covariance, whole.covariance)
-
-
 def test_a_failed_save_leaves_the_old_file(tmp_path, monkeypatch):
     w, y = stream("effects")
     refiner, path = RCORefiner(**cases()["effects"]), tmp_path / "state.npz"

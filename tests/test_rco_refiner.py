@@ -448,7 +448,7 @@ def test_survives_pickle_and_deepcopy(data: rco.Measurement) -> None:
 @pytest.mark.parametrize("samples", [1, 40])
 def test_a_call_that_raises_changes_none_of_the_forms(monkeypatch: pytest.MonkeyPatch, samples: int) -> None:
     """The second form of the race runs out of memory; the same samples go in afterwards as if it had not."""
-    from rcorefine.streaming.coefficients.estimator import CoefficientFilter
+    from rcorefine.streaming.coefficients.setup import CoefficientFilter
 
     example = rco.examples.rlc()
     data = example.record(300)

@@ -27,7 +27,7 @@ from rcorefine.inference.levels import Levels, levels
 from rcorefine.inference.sensitivities import candidate_columns
 from rcorefine.inference.whitening import Whitener
 from rcorefine.progress import Progress
-from rcorefine.refinement.base_fit import base_fit
+from rcorefine.refinement.refine import base_fit
 
 NAMES = {"k": "cubic_stiffness", "f": "coulomb_friction", "g": "input_gain", "d": "damping"}
 FLOATED, FOH = frozenset([Parameters(0.2)]), frozenset([Hold("foh")])

@@ -29,8 +29,7 @@ from ..inference.windows import about_noise, as_data, check_validation, spread_l
 from ..models.conversion import as_physical, under_control
 from ..models.operating_point import ordered_record
 from ..progress import Progress
-from ..refinement.base_fit import base_fit
-from ..refinement.refine import refit
+from ..refinement.refine import base_fit, refit
 from ..systems.linear import Array
 from ..words import chance, with_error
 from .absorbed import determined, numbers_that_moved, percent

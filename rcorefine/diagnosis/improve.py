@@ -33,8 +33,7 @@ from ..inference.windows import as_data, check_validation
 from ..models.conversion import as_physical, under_control
 from ..models.operating_point import ordered_record
 from ..progress import Progress
-from ..refinement.base_fit import base_fit
-from ..refinement.refine import refine, refit
+from ..refinement.refine import base_fit, refine, refit
 from ..systems.linear import Array
 from .case import Case, candidates_of, no_motion, not_held, seen_in
 from .checks.check import looks

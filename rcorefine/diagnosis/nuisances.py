@@ -15,8 +15,7 @@ from ..inference.assembly import nominal_size
 from ..inference.fitted import FittedModel, fitted_from
 from ..inference.refinement import Refinement
 from ..models.library import effect_library
-from ..refinement.base_fit import base_fit
-from ..refinement.refine import refine
+from ..refinement.refine import base_fit, refine
 from ..systems.linear import Array
 
 if TYPE_CHECKING:

@@ -39,8 +39,7 @@ from ..inference.windows import windows
 from ..models.conversion import as_model, as_physical
 from ..models.operating_point import ordered_record
 from ..models.physical_model import PhysicalModel
-from ..refinement.base_fit import base_fit
-from ..refinement.refine import refine
+from ..refinement.refine import base_fit, refine
 from ..systems.linear import Array, LinearModel
 from ..views.code import call_options, comment, effects_code, model_code, record_code, script
 

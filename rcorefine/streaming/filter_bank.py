@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 from ..exceptions import DataError, DivergenceError
 from ..systems.conversion import growth, stabilized, to_discrete
 from ..systems.linear import Array, LinearModel
-from .coefficients.estimator import CoefficientFilter
-from .coefficients.setup import Setup
-from .free_run import free_run_cost
-from .gaps import Block
-from .restoring import check_like
-from .summary import Summary, summarize_race
+from .coefficients.entries import MILESTONES
+from .coefficients.setup import CoefficientFilter, Setup
+from .history import PARAMETERS, Summary
+from .persistence import check_like, storable
+from .rcmr.kernels import free_run_cost
+from .samples import Block
 
-__all__ = ["INITIAL", "FilterBank", "FilterBankMemory", "Frozen"]
+__all__ = ["FilterBank"]
 
 INITIAL = "initial"
 _WILD = "!"  # after the name of a form: its model as it is, however fast it grows
@@ -84,6 +84,9 @@ class FilterBankMemory:
     stopped: dict[str, str]
     length: int
     n_samples: int
+
+
+storable(Frozen, FilterBankMemory, RaceMemory=FilterBankMemory)  # its name in files of version 0.1
 
 
 class FilterBank:
@@ -149,7 +152,9 @@ class FilterBank:
         position, total = 0, len(block.inputs)
         expected = np.full(block.outputs.shape if predict else (0, 0), np.nan)
         while position < total:
-            size = min(total - position, _end(self.n_samples) - self.n_samples)
+            last = (self.n_samples // _LONGEST + 1) * _LONGEST
+            end = next((end for end in MILESTONES if end > self.n_samples), last)  # of the present stretch
+            size = min(total - position, end - self.n_samples)
             part = slice(position, position + size)
             piece = block.part(position, position + size)
             # of the last whole stretch: a choice within this one would depend on where blocks begin
@@ -167,7 +172,7 @@ class FilterBank:
                 n_samples=memory.n_samples + size,
             )
             position += size
-            if self.n_samples in _ENDS or self.n_samples % _LONGEST == 0:
+            if self.n_samples in MILESTONES or self.n_samples % _LONGEST == 0:
                 self._turn()
         return expected
 
@@ -221,14 +226,15 @@ class FilterBank:
     def _judged(self) -> tuple[tuple[str, bool], dict[str, float]]:
         """Which form predicted the present stretch best, and the scores of all."""
         memory = self.memory
-        weights = 1.0 / np.sqrt(_variance(memory.outputs, memory.use))
+        spread = np.ma.filled(np.ma.masked_array(memory.outputs, memory.use == 0).var(axis=0), 0.0)
+        weights = 1.0 / np.sqrt(np.where(spread > 0, spread, 1.0))
         stretch = memory.inputs, memory.outputs, memory.use
         calm: dict[str, float] = {}
         wild: dict[str, float] = {}
         for one in memory.frozen:
             m = one.model
-            A, B, C, D = (np.ascontiguousarray(M) for M in (m.A, m.B, m.C, m.D))  # compiled for one layout
-            score = float(free_run_cost(A, B, C, D, *stretch, weights, self._window))
+            arrays = tuple(map(np.ascontiguousarray, (m.A, m.B, m.C, m.D)))  # compiled for one layout
+            score = float(free_run_cost(arrays, *stretch, weights, self._window))
             (wild if one.raw else calm)[one.name] = score if np.isfinite(score) else np.inf
         best = min(calm.values())
         name = INITIAL
@@ -268,7 +274,30 @@ class FilterBank:
 
     def summary(self, model: LinearModel, stopped: str) -> Summary:
         """Cells and sentences of `str`."""
-        return summarize_race(model, self, stopped)
+        (form, grows), memory = self.chosen, self.memory
+        part = self.filters[form]
+        dt = part.setup.settings.dt
+        title = f"RCORefiner of {model.name!r}: form {form!r} of the static stage, dt = {dt:g} s"
+        notes = [f"{memory.n_samples} samples taken."]
+        if memory.scores:
+            shown = ", ".join(
+                f"{name.rstrip(_WILD)}{' (unstable)' if name.endswith(_WILD) else ''} {score:.4g} %"
+                for name, score in self.scores.items()
+            )
+            notes.append(
+                f"Chosen by the fit of each form's simulation (free run) over {memory.length} held-out "
+                f"samples: {shown}."
+            )
+        else:
+            notes.append("No form has been compared yet: the refined model is the initial one.")
+        if grows:
+            notes.append("The refined model is unstable, and the data clearly support this.")
+        notes += [f"{name} {why}; it is no longer compared." for name, why in memory.stopped.items()]
+        if form != INITIAL:
+            notes += part.notes()
+        if stopped:
+            notes.append(stopped.split(";")[0] + "; the static stage does not need it.")
+        return Summary(title, PARAMETERS, part.rows(), notes)
 
     @property
     def filter(self) -> CoefficientFilter:
@@ -327,15 +356,6 @@ class FilterBank:
         self.memory = memory
 
 
-_ENDS = (32, 64, 128, 256, 512, 1024, 2048)
-
-
-def _end(n_samples: int) -> int:
-    """Samples at which the present stretch ends."""
-    ahead = [end for end in _ENDS if end > n_samples]
-    return ahead[0] if ahead else (n_samples // _LONGEST + 1) * _LONGEST
-
-
 def _allowed(initial: LinearModel) -> float:
     """Return the growth rate that a refined model may have.
 
@@ -345,12 +365,3 @@ def _allowed(initial: LinearModel) -> float:
     if rate > 1e-9:
         return np.inf
     return 1e-9 if rate > -1e-9 else 1e-3 * max(rate, -1.0)
-
-
-def _variance(outputs: Array, use: NDArray[np.uint8]) -> Array:
-    values = np.where(use > 0, outputs, np.nan)
-    with np.errstate(invalid="ignore"):
-        count = np.maximum((use > 0).sum(axis=0), 1)
-        mean = np.nansum(values, axis=0) / count
-        spread = np.nansum((values - mean) ** 2, axis=0) / count
-    return np.where(spread > 0, spread, 1.0)

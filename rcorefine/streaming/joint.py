@@ -1,6 +1,6 @@
 """Joint filter for state and coefficients as the static stage.
 
-Stage 1 runs beside it.
+Stage 1 runs beside it. The settings of a refiner choose this estimator or the paper's.
 """
 
 from __future__ import annotations
@@ -9,23 +9,28 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
+import control as ct
 import numpy as np
 
-from ..exceptions import RCOError
+from ..arguments import as_flag, as_list, as_whole
+from ..effects.effect import Effect
+from ..exceptions import ModelError, RCOError
+from ..models.operating_point import check_stream_hold
+from ..models.physical_model import PhysicalModel
 from ..systems.conversion import nearest_continuous
 from ..systems.linear import Array, LinearModel
 from ..systems.response import frequency_response
-from .coefficients.estimator import CoefficientFilter, joined
-from .coefficients.history import CoefficientHistory
+from .coefficients.effects import make_effects_setup
+from .coefficients.entries import FORMS, all_entries, correction, named_entries, no_entries, nonzero_entries
+from .coefficients.setup import CoefficientFilter, FilterSettings, Setup, checked_settings
 from .filter_bank import FilterBank
-from .gaps import Block
-from .rcmr.history import pole_samples, poles_of
+from .history import CoefficientHistory, Summary, joined, pole_samples, poles_of
+from .persistence import check_like
 from .rcmr.paper import PaperStages
-from .rcmr.scaling import Scales
-from .restoring import check_like
-from .summary import Summary
+from .rcmr.setup import Scales, Settings, as_settings, correction_path, make_setup
+from .samples import Block, Sampled, as_size
 
-__all__ = ["JointStages", "response_deviation", "variants"]
+__all__ = ["assembled"]
 
 _PENDING = 32  # single samples that wait for one another (race, stage 1) until a result is asked for
 
@@ -171,34 +176,6 @@ class JointStages:
             return nearest_continuous(model)
         return model
 
-    def discrete_system(self, name: str) -> LinearModel:
-        """Refined model in discrete time."""
-        return self.static.discrete_system(name)
-
-    def predict(self, inputs: Array) -> Array:
-        """Free run on further inputs of shape (N, n_w); outputs of shape (n_y, N)."""
-        return self.filter.predict(inputs)
-
-    @property
-    def form(self) -> str:
-        """Form of the static correction."""
-        return self.static.form
-
-    @property
-    def scores(self) -> dict[str, float]:
-        """Fit in % of each form's free run, where several compete."""
-        return self.static.scores
-
-    @property
-    def parameters(self) -> tuple[Any, ...]:
-        """One row per coefficient."""
-        return self.filter.parameters
-
-    @property
-    def covariance(self) -> Array:
-        """Covariance of the coefficients."""
-        return self.filter.covariance
-
     @property
     def scales(self) -> Scales | None:
         """Sizes that stage 1 divides signals by."""
@@ -233,7 +210,7 @@ class JointStages:
         """Course of both stages."""
         part = self.filter
         setup, lay = part.setup, part.setup.layout
-        y = joined([y for _, y in part.records], lay.ny)
+        y = joined([y for _, y in part.records], (lay.ny,))
         total = y.shape[1]
         first = None if self.first is None else self.first.history()
 
@@ -241,7 +218,7 @@ class JointStages:
             values = np.zeros((rows, 0)) if values is None else values[:, :total]
             return np.pad(values, ((0, 0), (0, total - values.shape[1])), constant_values=np.nan)
 
-        theta = joined([r.theta for r, _ in part.records], lay.p)
+        theta = joined([r.theta for r, _ in part.records], (lay.p,))
         timepts = np.arange(total, dtype=np.float64) * setup.settings.dt
         at = pole_samples(total)
         systems = [setup.system(theta[:, k], part.memory.widths, "") for k in at]
@@ -251,9 +228,9 @@ class JointStages:
             poles=poles_of(systems, setup.settings.dt),
             pole_timepts=timepts[at],
             z1=beside(None if first is None else first.z1, lay.ny),
-            z2=joined([r.predicted for r, _ in part.records], lay.ny) - y,
+            z2=joined([r.predicted for r, _ in part.records], (lay.ny,)) - y,
             x_D=beside(None if first is None else first.x, self.model.n_states),
-            x=joined([r.x for r, _ in part.records], lay.n),
+            x=joined([r.x for r, _ in part.records], (lay.n,)),
             y=y,
             names=setup.labels,
             output_labels=self.model.output_labels,
@@ -326,3 +303,166 @@ def response_deviation(center: LinearModel, around: Sequence[LinearModel], omega
     for model in around:
         total[:, :, seen] += np.abs(frequency_response(model, omega[seen]) - reference) ** 2
     return np.asarray(np.sqrt(total) / _SHARE)
+
+
+_STATIC = ("static_order", "static_window", "static_markov", "static_learning_rate", "static_average")
+_PAPERS = ("window", "markov", *_STATIC)
+_FILTERS = {"noise": None, "hold": "zoh", "disturbance": None, "forgetting": 1.0, "substeps": None}
+_DEFAULTS = {"window": 800, "markov": 20, "learning_rate": 1e5, "static_order": 0}
+_BESIDE = {**_DEFAULTS, "window": 100}  # stage 1 where it only runs beside: a short window costs less
+_INERT = Settings(order=0, window=1, markov=1, learning_rate=1e25)  # the static stage is the filter's
+_MOST = 150  # coefficients of a form that takes part in a race unasked
+
+
+def assembled(given: dict[str, Any], sampled: Sampled) -> PaperStages | JointStages:
+    """Estimator for these settings of `RCORefiner`.
+
+    Parameters
+    ----------
+    given : dict
+        Arguments of the refiner by name, None where they were left out.
+    sampled : Sampled
+        Initial model.
+    """
+    static = given["static"]
+    keep = as_flag(given["history"], "history")
+    as_flag(given["use_estimated_states"], "use_estimated_states")
+    papers = [name for name in _PAPERS if given[name] is not None]
+    listed = _named(static, given["effects"])
+    if given["substeps"] is not None:
+        as_whole(given["substeps"], "substeps", least=1, error=ModelError)
+    n_outputs = sampled.initial.n_outputs
+    checked_settings(n_outputs, 1.0, *(given[n] for n in ("hold", "noise", "disturbance", "forgetting")))
+    if listed is None and static == "auto" and papers:
+        unused = [
+            name
+            for name, default in _FILTERS.items()
+            if (given[name] is not None if default is None else given[name] != default)
+        ]
+        if unused:
+            raise ct.ControlArgument(
+                f"{unused[0]} is a setting of the joint filter, {papers[0]} one of the paper's equations; "
+                "name effects=[...] or static=..., or leave one of the two out"
+            )
+        return _paper(given, sampled, keep)
+    wrong = [name for name in _STATIC if given[name] is not None]
+    if wrong:
+        raise ct.ControlArgument(
+            f"{wrong[0]} is a setting of the paper's static stage; leave it out, or static= and effects="
+        )
+    chosen: CoefficientFilter | FilterBank
+    if listed is not None:
+        chosen = CoefficientFilter(_listed(given, sampled, listed), keep)
+    else:
+        if given["substeps"] is not None:
+            raise ct.ControlArgument("substeps is a setting of nonlinear effects; give effects=[...]")
+        settings = _filter_settings(given, sampled)
+        chosen = FilterBank(
+            _forms(static, given, sampled, settings), no_entries(sampled.initial, settings), keep
+        )
+    first, silent = _stage_one(given, sampled, keep)
+    return JointStages(chosen, first, sampled.initial, keep, silent)
+
+
+def _named(static: Any, effects: Any) -> list[Any] | None:
+    """Entries or effects that the user names, None where it is a form."""
+    if effects is not None and not (isinstance(static, str) and static == "auto"):
+        raise ct.ControlArgument("effects= and static= name the same thing; give one of them")
+    listed = effects if effects is not None else (None if isinstance(static, str) else static)
+    if isinstance(listed, Effect):
+        return [listed]
+    if listed is not None:
+        return as_list(listed, "static" if effects is None else "effects", "entries or effects")
+    if static not in ("auto", *FORMS):
+        raise ct.ControlArgument(
+            f"static must be 'auto', {', '.join(map(repr, FORMS))}, or a list of entries such as "
+            f"'A[1,0]' or of effects, not {static!r}"
+        )
+    return None
+
+
+def _paper(given: dict[str, Any], sampled: Sampled, keep: bool) -> PaperStages:
+    numbers = {name: _DEFAULTS.get(name) if given[name] is None else given[name] for name in _NUMBERS}
+    settings = as_settings(numbers)
+    average = given["static_average"]
+    if average is None:
+        average = 2 * settings[1].window if given["window"] or given["static_window"] else _AVERAGE
+    average = as_size(average, "static_average", 1, "samples to average over")
+    setup = make_setup(
+        sampled, settings, given["correction_input"], given["correction_feedthrough"],
+        given["use_estimated_states"], average, given["scale"],
+    )  # fmt: skip
+    return PaperStages(setup, keep)
+
+
+def _stage_one(given: dict[str, Any], sampled: Sampled, keep: bool) -> tuple[PaperStages | None, str]:
+    """Stage 1 beside the filter, or why there is none."""
+    if not given["use_estimated_states"]:
+        return None, ""
+    numbers = {name: _BESIDE.get(name) if given[name] is None else given[name] for name in _NUMBERS}
+    settings = as_settings(numbers)[0], _INERT
+    path = given["correction_input"], given["correction_feedthrough"]
+    model = sampled.discrete
+    shown, power = np.abs(model.D).max(axis=0, initial=0.0), model.B
+    for _ in range(model.n_states):
+        shown = np.maximum(shown, np.abs(model.C @ power).max(axis=0, initial=0.0))
+        power = model.A @ power
+    if all(part is None for part in path) and not (shown > 0).all():
+        return None, "Stage 1 does not run: an input affects no output, so it cannot correct any."
+    return PaperStages(make_setup(sampled, settings, *path, True, 1, given["scale"]), keep), ""
+
+
+def _filter_settings(given: dict[str, Any], sampled: Sampled) -> FilterSettings:
+    step = 1.0 if sampled.step is None else sampled.step
+    physical = getattr(given["model"], "physical_model", given["model"])
+    if isinstance(physical, PhysicalModel):
+        check_stream_hold(physical, given["hold"])
+    return checked_settings(
+        sampled.initial.n_outputs,
+        step,
+        given["hold"],
+        given["noise"],
+        given["disturbance"],
+        given["forgetting"],
+    )
+
+
+def _listed(given: dict[str, Any], sampled: Sampled, items: Sequence[Any]) -> Setup:
+    """Coefficients that the user names: entries or effects."""
+    if items and all(isinstance(item, str) for item in items) and given["effects"] is None:
+        if given["substeps"] is not None:
+            raise ct.ControlArgument("substeps is a setting of nonlinear effects; entries have none")
+        return named_entries(sampled.initial, items, _filter_settings(given, sampled))
+    assert sampled.step is not None or not sampled.initial.is_continuous
+    return make_effects_setup(
+        given["model"], items, 1.0 if sampled.step is None else sampled.step,
+        **{name: given[name] for name in _FILTERS},
+    )  # fmt: skip
+
+
+def _forms(
+    static: str, given: dict[str, Any], sampled: Sampled, settings: FilterSettings
+) -> dict[str, Setup]:
+    """Return the correction forms that take part, the most physical first."""
+    model, every = sampled.initial, static == "auto"
+    found: dict[str, Setup] = {}
+    if static in ("auto", "nonzero"):
+        found["nonzero"] = nonzero_entries(model, settings)
+    path = correction_path(model, given["correction_input"], given["correction_feedthrough"])
+    if static in ("auto", "input"):
+        found["input"] = correction(model, *path, settings)
+    if static in ("auto", "discrete"):
+        if settings.hold == "zoh" or not model.is_continuous:
+            found["discrete"] = all_entries(model, sampled.discrete, settings)
+        elif not every:
+            raise ModelError("static='discrete' needs a held input; leave hold out, or take static='nonzero'")
+    if every:
+        found = {name: one for name, one in found.items() if len(one.labels) <= _MOST}
+    return {name: one for name, one in found.items() if one.labels}
+
+
+_NUMBERS = (
+    "order", "window", "markov", "learning_rate", "static_order", "static_window", "static_markov",
+    "static_learning_rate",
+)  # fmt: skip
+_AVERAGE = 800  # samples that static coefficients are averaged over where no window is given

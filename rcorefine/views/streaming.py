@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..exceptions import DataError
-from ..streaming.coefficients.history import CoefficientHistory
+from ..streaming.history import CoefficientHistory, History
 from ..streaming.monitor.monitor import Monitor
-from ..streaming.rcmr.history import History
 from ..streaming.refiner import RCORefiner
 from ..systems.linear import Array
 from ..words import with_error

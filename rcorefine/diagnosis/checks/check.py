@@ -30,7 +30,7 @@ from ...models.conversion import as_physical, known_physical, under_control
 from ...models.operating_point import Controller, OperatingPoint, answer, ordered_record, unrecorded
 from ...models.physical_model import PhysicalModel
 from ...progress import Progress
-from ...refinement.base_fit import base_fit
+from ...refinement.refine import base_fit
 from ...systems.linear import Array, LinearModel
 from ...words import counted, with_error
 from ..case import Case

@@ -1,28 +1,29 @@
-"""Entries of a linear model as coefficients.
+"""Entries of a linear model as coefficients, and forms of a correction.
 
 The matrices are [A B; C D] plus patterns times coefficients.
 """
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+import control as ct
 import numpy as np
 
 from ...effects.entries import Entry
+from ...exceptions import ModelError
 from ...systems.conversion import to_discrete
 from ...systems.discretization import exponential
 from ...systems.linear import Array, LinearModel
-from ..free_run import state_power
-from .kernel import Kernel
-from .memory import CoefficientMemory
-from .packed import Layout
-from .setup import DOUBT, NEVER, FilterSettings, Setup
-from .stage import advanced
+from ..rcmr.kernels import state_power
+from .kernel import Kernel, Layout
+from .setup import DOUBT, NEVER, CoefficientMemory, FilterSettings, Setup, advanced
 
-__all__ = ["EntriesSetup"]
+__all__ = ["FORMS", "all_entries", "correction", "named_entries", "no_entries", "nonzero_entries"]
 
 # Samples at which the first ones are gone over: a wrong start spoils what was learned from them.
 MILESTONES = (32, 64, 128, 256, 512, 1024, 2048)
@@ -41,13 +42,13 @@ class EntriesSetup(Setup):
 
     Parameters
     ----------
-    initial : LinearModel
+    model : LinearModel
         Initial model, as it was given.
     base : LinearModel
         The model that the patterns change: the initial one, or the same discretized.
     patterns : ndarray of shape (p, n + n_y, n + n_w)
         Change of [A B; C D] by a unit of each coefficient.
-    names : tuple of str
+    labels : tuple of str
         Names of the coefficients.
     nominal : ndarray of shape (p,)
         Size of what each coefficient changes, in its unit; 0 where that is zero.
@@ -60,58 +61,46 @@ class EntriesSetup(Setup):
     one_to_one : bool
         Hold the coefficients still along directions that change no response of the initial model,
         so that each response has one set of them.
+    milestones : tuple of int
+        Numbers of samples at which the first ones are gone over.
     """
 
-    initial: LinearModel
+    model: LinearModel
     base: LinearModel
     patterns: Array
-    names: tuple[str, ...]
+    labels: tuple[str, ...]
     nominal: Array
     value: Array
     share_of_rate: float
     settings: FilterSettings
     one_to_one: bool = False
-
-    @property
-    def model(self) -> LinearModel:
-        """Initial model."""
-        return self.initial
+    milestones: tuple[int, ...] = MILESTONES
 
     @cached_property
-    def layout(self) -> Layout:
+    def layout(self) -> Layout:  # type: ignore[override]
         """Sizes of the packed memory."""
         base = self.base
-        return Layout(base.n_states, len(self.names), base.n_inputs + 1, base.n_outputs, 0, 0)
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Names of the coefficients."""
-        return self.names
+        return Layout(base.n_states, len(self.labels), base.n_inputs + 1, base.n_outputs, 0, 0)
 
     @cached_property
-    def bounds(self) -> tuple[Array, Array]:
+    def bounds(self) -> tuple[Array, Array]:  # type: ignore[override]
         """No bounds."""
-        free = np.full(len(self.names), np.inf)
+        free = np.full(len(self.labels), np.inf)
         return -free, free
 
-    @property
-    def milestones(self) -> tuple[int, ...]:
-        """Numbers of samples at which the first ones are gone over."""
-        return MILESTONES
-
-    @property
-    def share(self) -> float:
+    @cached_property
+    def share(self) -> float:  # type: ignore[override]
         """Standard deviations a coefficient may move before rediscretization."""
         return _SHARE if self.base.is_continuous else NEVER
 
-    @property
-    def watch(self) -> float:
+    @cached_property
+    def watch(self) -> float:  # type: ignore[override]
         """Mean square of normalized innovations at which the filter restarts."""
-        return _SURPRISE if self.names else NEVER
+        return _SURPRISE if self.labels else NEVER
 
     def start(self) -> Array:
         """Zero, the initial model."""
-        return np.zeros(len(self.names))
+        return np.zeros(len(self.labels))
 
     def stacked(self, theta: Array) -> Array:
         """[A B; C D] at these coefficients."""
@@ -138,7 +127,7 @@ class EntriesSetup(Setup):
                 name=name, kind=Entry.name, place=name, initial=float(value), value=float(value + change),
                 coefficient=float(change), std=float(std), unit="", role="coefficient",
             )
-            for name, value, change, std in zip(self.names, self.value, theta, spread, strict=True)
+            for name, value, change, std in zip(self.labels, self.value, theta, spread, strict=True)
         )  # fmt: skip
 
     def go_over(self, memory: CoefficientMemory) -> CoefficientMemory:
@@ -182,7 +171,7 @@ class EntriesSetup(Setup):
         derivatives are by each coefficient.
         """
         base, hold = self.base, self.settings.hold
-        n, nw, p = base.n_states, base.n_inputs, len(self.names)
+        n, nw, p = base.n_states, base.n_inputs, len(self.labels)
         nu = nw + 1
         whole = self.stacked(theta)[:n]
         M, dM = np.zeros((1, n, n + 2 * nu)), np.zeros((p, n, n + 2 * nu))
@@ -232,7 +221,7 @@ class EntriesSetup(Setup):
         Along a change of coordinates of the states no sample tells anything; what linearization
         seems to tell there would let the coefficients wander.
         """
-        if not self.one_to_one or not self.names:
+        if not self.one_to_one or not self.labels:
             return super().prior_covariance(spread)
         _, sizes, directions = np.linalg.svd(self._response_change * spread)
         seen = directions[: np.count_nonzero(sizes > _UNSEEN * sizes[0])]
@@ -244,7 +233,7 @@ class EntriesSetup(Setup):
 
         The shape is (2 K n_y n_w, p).
         """
-        n, nw, p = self.base.n_states, self.base.n_inputs, len(self.names)
+        n, nw, p = self.base.n_states, self.base.n_inputs, len(self.labels)
         M, dM = self.discretized(self.start())
         nu = nw + 1
         A, B = M[:, :n], M[:, n : n + nw] + M[:, n + nu : n + nu + nw]
@@ -271,7 +260,7 @@ class EntriesSetup(Setup):
         rate = np.concatenate([moved[: base.n_states].max(axis=1, initial=0.0), outputs])
         rest = states / self.settings.dt if base.is_continuous else states
         rate[: base.n_states] = np.where(rate[: base.n_states] > 0, rate[: base.n_states], rest)
-        found = np.zeros(len(self.names))
+        found = np.zeros(len(self.labels))
         for a, pattern in enumerate(self.patterns):
             drive = np.abs(pattern) * sources  # what a unit of the coefficient moves, row by row
             active = drive > 0
@@ -298,3 +287,131 @@ def _sized(setup: EntriesSetup, memory: CoefficientMemory) -> CoefficientMemory:
     states = np.where(states > 0, states, 1.0)
     spread = setup.prior(states, inputs, outputs)
     return replace(memory, sizes=np.concatenate([inputs, outputs]), states=states, spread=spread)
+
+
+FORMS = ("nonzero", "discrete", "input")
+_ENTRY = re.compile(r"\s*([ABCD])\s*\[\s*(\d+)\s*,\s*(\d+)\s*\]\s*")
+_RATE = 0.1  # of what moves a row that an entry which is zero may do, one standard deviation
+_WIDE = 0.5  # the same for a correction, of which nothing is known
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    """An entry of A, B, C or D."""
+
+    matrix: str
+    row: int
+    column: int
+
+    def __str__(self) -> str:
+        return f"{self.matrix}[{self.row},{self.column}]"
+
+    def place(self, model: LinearModel) -> tuple[int, int]:
+        """Row and column in [A B; C D]."""
+        n = model.n_states
+        return self.row + n * (self.matrix in "CD"), self.column + n * (self.matrix in "BD")
+
+
+def nonzero_entries(model: LinearModel, settings: FilterSettings) -> EntriesSetup:
+    """Entries that are not zero, where physics may have put them.
+
+    Rows x1' = x2 are kinematics, and an output that shows one state is a sensor: both are
+    no parameters. An output that mixes several signals (an acceleration) holds some.
+    """
+    found = []
+    for row in range(model.n_states):
+        columns = np.flatnonzero(model.A[row])
+        kinematic = columns.size == 1 and columns[0] != row and model.A[row, columns[0]] == 1.0
+        if kinematic and not model.B[row].any():
+            continue
+        found += [_Entry("A", row, int(j)) for j in columns]
+        found += [_Entry("B", row, int(j)) for j in np.flatnonzero(model.B[row])]
+    found += _mixed_outputs(model)
+    return replace(_of_entries(model, model, found, settings, 0.0), one_to_one=True)
+
+
+def all_entries(model: LinearModel, discrete: LinearModel, settings: FilterSettings) -> EntriesSetup:
+    """Return the setup with all entries of the discrete A and B.
+
+    Entries of outputs that mix several signals are included.
+    """
+    n = model.n_states
+    found = [_Entry("A", i, j) for i in range(n) for j in range(n)]
+    found += [_Entry("B", i, j) for i in range(n) for j in range(model.n_inputs)]
+    return _of_entries(model, discrete, found + _mixed_outputs(discrete), settings, _RATE)
+
+
+def named_entries(model: LinearModel, names: Sequence[str], settings: FilterSettings) -> EntriesSetup:
+    """Entries by their names, such as "A[1,0]", in the timebase of the model.
+
+    Raises
+    ------
+    control.ControlArgument
+        If a name is none of an entry.
+    ModelError
+        If the model has no such entry, or it is named twice.
+    """
+    found: list[_Entry] = []
+    for name in names:
+        match = _ENTRY.fullmatch(name)
+        if match is None:
+            raise ct.ControlArgument(
+                f"static: {name!r} is no entry; write it as 'A[1,0]' (rows and columns from 0)"
+            )
+        entry = _Entry(match[1], int(match[2]), int(match[3]))
+        shape = getattr(model, entry.matrix).shape
+        if entry.row >= shape[0] or entry.column >= shape[1]:
+            raise ModelError(f"static: the model has no entry {entry}; {entry.matrix} has shape {shape}")
+        if entry in found:
+            raise ModelError(f"static: {entry} is named twice; give each entry once")
+        found.append(entry)
+    return _of_entries(model, model, found, settings, _RATE)
+
+
+def correction(
+    model: LinearModel, inputs: Array, feedthrough: Array, settings: FilterSettings
+) -> EntriesSetup:
+    """Return the setup of the paper's correction u = theta [x; w].
+
+    The correction acts through B_u and D_u, in the timebase of the model.
+    """
+    n, nw = model.n_states, model.n_inputs
+    acts = np.vstack([inputs, feedthrough])
+    patterns, names = [], []
+    signals = (*model.state_labels, *model.input_labels)
+    for c in range(acts.shape[1]):
+        for j in range(n + nw):
+            pattern = np.zeros((n + model.n_outputs, n + nw))
+            pattern[:, j] = acts[:, c]
+            patterns.append(pattern)
+            names.append(f"u{c} from {signals[j]}" if acts.shape[1] > 1 else f"u from {signals[j]}")
+    none = np.zeros(len(names))
+    return EntriesSetup(model, model, np.array(patterns), tuple(names), none, none.copy(), _WIDE, settings)
+
+
+def _mixed_outputs(model: LinearModel) -> list[_Entry]:
+    found = []
+    for row in range(model.n_outputs):
+        states, inputs = np.flatnonzero(model.C[row]), np.flatnonzero(model.D[row])
+        if states.size + inputs.size > 1 or (not states.size and inputs.size):
+            found += [_Entry("C", row, int(j)) for j in states] + [_Entry("D", row, int(j)) for j in inputs]
+    return found
+
+
+def _of_entries(
+    initial: LinearModel, base: LinearModel, entries: Sequence[_Entry], settings: FilterSettings, rate: float
+) -> EntriesSetup:
+    whole = np.block([[base.A, base.B], [base.C, base.D]])
+    rest = whole - np.eye(*whole.shape) * (not base.is_continuous)
+    places = [entry.place(base) for entry in entries]
+    patterns = np.zeros((len(places), *whole.shape))
+    for a, (i, j) in enumerate(places):
+        patterns[a, i, j] = 1.0
+    value = np.array([whole[place] for place in places], dtype=float)
+    nominal = np.array([abs(rest[place]) for place in places], dtype=float)
+    return EntriesSetup(initial, base, patterns, tuple(map(str, entries)), nominal, value, rate, settings)
+
+
+def no_entries(model: LinearModel, settings: FilterSettings) -> EntriesSetup:
+    """The initial model itself, whose state alone is estimated."""
+    return _of_entries(model, model, [], settings, 0.0)

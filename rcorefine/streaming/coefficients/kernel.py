@@ -6,12 +6,16 @@ The filter is a Kalman filter for state and coefficients jointly, kept in two pa
 (Friedland, IEEE Trans. Automatic Control 14 (1969) 359): the state as if the coefficients
 were known, and the sensitivity of the filtered state to them. What a sample teaches about
 the coefficients moves the state as if the model had always had them, to first order; that is the
-retrospective filter about the current refined model. Names as in `packed`.
+retrospective filter about the current refined model.
+
+One packed array holds what the filter remembers, another what it is given: one array to copy makes a
+call all or nothing at no cost, and one array to write makes a save exact.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -21,12 +25,182 @@ from ...effects.compiled import raise_pending
 from ...engine.kernels import march_at
 from ...jit import compiled, put, put_rows
 from ...systems.linear import Array
-from ..gaps import Block
-from .input_laws import drive, hold, inputs_of, keep_first
-from .packed import CoefficientRecord, given_at, matrix, remembered, row, sample_of
-from .with_laws import Laws, enter, fill, march_of, push, read, shift_matrices
+from ..samples import Block
+from .laws import Laws, drive, enter, fill, hold, inputs_of, keep_first, march_of, push, read, shift_matrices
 
-__all__ = ["DIVERGED", "DONE", "MOVED", "SURPRISED", "Kernel", "advance"]
+__all__ = ["DIVERGED", "DONE", "MOVED", "SURPRISED", "CoefficientRecord", "Kernel", "Layout"]
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Sizes, and where each quantity stands in the packed memory.
+
+    Parameters
+    ----------
+    n, p, nu, ny, m : int
+        States, coefficients, inputs with the constant one, outputs, inner states of laws.
+    lag : int
+        Samples of the input that delays look back on.
+    kept : int
+        Input laws, where one of them has an inner state.
+    """
+
+    n: int
+    p: int
+    nu: int
+    ny: int
+    m: int
+    lag: int
+    kept: int = 0
+
+    @property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Names and shapes in the order of the memory."""
+        n, p, nu, ny = self.n, self.p, self.nu, self.ny
+        return {
+            "theta": (p,),
+            "delta": (p,),
+            "x": (n,),
+            "S": (p, n),
+            "Pb": (n, n),
+            "Pt": (p, p),
+            "level": (2, ny),
+            "count": (ny,),
+            "cost": (2, ny),
+            "power": (2, ny),
+            "surprise": (1,),
+            "w": (nu,),
+            "z": (self.m,),
+            "ring": (self.lag, nu),
+            "kept": (self.kept, 6),
+        }
+
+    @property
+    def size(self) -> int:
+        """Length of the memory."""
+        return sum(int(np.prod(shape)) for shape in self.shapes.values())
+
+    def view(self, memory: Array, name: str) -> Array:
+        """One quantity, as a view into the memory."""
+        part, shape = _places(self)[name]
+        return memory[part].reshape(shape)
+
+    def record(self, n_samples: int) -> CoefficientRecord:
+        """Room for the course over some samples, nothing known of it yet."""
+        return CoefficientRecord(
+            *(np.full((n_samples, width), np.nan) for width in (self.p, self.ny, self.n))
+        )
+
+
+@lru_cache(maxsize=64)
+def _places(layout: Layout) -> dict[str, tuple[slice, tuple[int, ...]]]:
+    """Return the position and shape of each quantity in the memory."""
+    found, at = {}, 0
+    for name, shape in layout.shapes.items():
+        stop = at + int(np.prod(shape))
+        found[name] = slice(at, stop), shape
+        at = stop
+    return found
+
+
+class CoefficientRecord(NamedTuple):
+    """History over a block: coefficients, predicted outputs and states.
+
+    Each has shape (N, .), or no rows.
+    """
+
+    theta: Array
+    predicted: Array
+    x: Array
+
+    def part(self, start: int, stop: int) -> CoefficientRecord:
+        """Samples from `start` up to `stop`."""
+        return CoefficientRecord(*(column[start:stop] for column in self))
+
+
+@compiled
+def row(packed, at, size):
+    """Numbers from `at` on, and where the next ones stand."""
+    return packed[at : at + size], at + size
+
+
+@compiled
+def matrix(packed, at, rows, columns):
+    """Return a matrix view of the packed array, and the next position."""
+    return packed[at : at + rows * columns].reshape(rows, columns), at + rows * columns
+
+
+@compiled
+def remembered(sizes, packed):
+    """Views of the packed memory, in the order of `Layout.shapes`.
+
+    theta : coefficients; delta : what a block of frozen ones says about them; x : state;
+    S : sensitivity of the state, (p, n); Pb : covariance of the state for known coefficients;
+    Pt : covariance of the coefficients; level : mean square of the innovations, quick and slow,
+    (2, n_y); count : samples in it; cost : sum of squares and count; power : what the prior doubt
+    moves at an output; surprise : mean square of what the filter was sure of; w : last inputs;
+    z, ring, kept : inner states of force laws, past inputs, inner states of input effects.
+    """
+    n, p, nu, ny = sizes[0], sizes[1], sizes[2], sizes[3]
+    theta, at = row(packed, 0, p)
+    delta, at = row(packed, at, p)
+    x, at = row(packed, at, n)
+    S, at = matrix(packed, at, p, n)
+    Pb, at = matrix(packed, at, n, n)
+    Pt, at = matrix(packed, at, p, p)
+    level, at = matrix(packed, at, 2, ny)
+    count, at = row(packed, at, ny)
+    cost, at = matrix(packed, at, 2, ny)
+    power, at = matrix(packed, at, 2, ny)
+    surprise, at = row(packed, at, 1)
+    w, at = row(packed, at, nu)
+    z, at = row(packed, at, sizes[6])
+    ring, at = matrix(packed, at, sizes[5], nu)
+    kept, at = matrix(packed, at, sizes[7], 6)
+    return theta, delta, x, S, Pb, Pt, level, count, cost, power, surprise, w, z, ring, kept
+
+
+@compiled
+def given_at(sizes, fixed):
+    """Views of what `Setup.head` packed, and where the model begins.
+
+    They stay fixed until the next discretization. centre : its coefficients; limits : their bounds,
+    (2, p); least : steps that do not matter; floor : declared variance of the noise; numbers : when to
+    discretize (standard deviations), what is not forgotten, limit of the state, when to begin anew;
+    Q, Qw : covariance of unknown forces, and of inputs that were not measured.
+    """
+    n, p, ny = sizes[0], sizes[1], sizes[3]
+    centre, at = row(fixed, 0, p)
+    limits, at = matrix(fixed, at, 2, p)
+    least, at = row(fixed, at, p)
+    floor, at = row(fixed, at, ny)
+    numbers, at = row(fixed, at, 4)
+    Q, at = matrix(fixed, at, n, n)
+    Qw, at = matrix(fixed, at, n, n)
+    return centre, limits, least, floor, numbers, Q, Qw, at
+
+
+@compiled
+def sample_of(sizes):
+    """Room for the prediction of one sample, and its correction.
+
+    F : transition; H, h : outputs by the state before and by the coefficients; yhat : outputs, the
+    later ones corrected by the earlier; predicted : outputs as they were predicted; g : gain of the
+    coefficients; gain : of the state, before and after the transition; T, loose : room.
+    """
+    n, p, ny = sizes[0], sizes[1], sizes[3]
+    room = np.zeros(3 * n * n + ny * (n + p) + 2 * ny + p + 2 * n)
+    F, at = matrix(room, 0, n, n)
+    H, at = matrix(room, at, ny, n)
+    h, at = matrix(room, at, ny, p)
+    yhat, at = row(room, at, ny)
+    predicted, at = row(room, at, ny)
+    g, at = row(room, at, p)
+    gain, at = matrix(room, at, 2, n)
+    T, at = matrix(room, at, n, n)
+    loose, at = matrix(room, at, n, n)
+    return F, H, h, yhat, predicted, g, gain, T, loose
+
 
 DONE, MOVED, DIVERGED, SURPRISED = 0, 1, 2, 3
 
@@ -135,8 +309,7 @@ def advance(sizes, fixed, packed, counters, block, frozen, record, laws):
     theta, delta, x, S, Pb, Pt, level, count, cost, power, surprise, before, z, ring, kept = remembered(
         sizes, packed
     )
-    given, at = given_at(sizes, fixed)
-    centre, limits, least, floor, numbers, Q, Qw = given
+    centre, limits, least, floor, numbers, Q, Qw, at = given_at(sizes, fixed)
     share, forgetting, limit, watch = numbers[0], numbers[1], numbers[2], numbers[3]
     F, H, h, yhat, predicted, g, gain, T, loose = sample_of(sizes)
     n, nu, ny = sizes[0], sizes[2], sizes[3]
@@ -257,26 +430,28 @@ def advance(sizes, fixed, packed, counters, block, frozen, record, laws):
 
 
 @compiled
+def apply(A, x, out):
+    """Multiply a matrix by a vector."""
+    for i in range(A.shape[0]):
+        total = 0.0
+        for j in range(A.shape[1]):
+            total += A[i, j] * x[j]
+        out[i] = total
+
+
+@compiled
 def state_gain(i, R, Pb, F, H, gain):
     """Compute the state gain for known coefficients.
 
     `gain` holds it before and after the transition. Return the variance of output i.
     """
-    n = Pb.shape[0]
     s = R
-    for a in range(n):
-        total = 0.0
-        for b in range(n):
-            total += Pb[a, b] * H[i, b]
-        gain[0, a] = total
-        s += H[i, a] * total
-    for a in range(n):
+    apply(Pb, H[i], gain[0])
+    for a in range(Pb.shape[0]):
+        s += H[i, a] * gain[0, a]
+    for a in range(Pb.shape[0]):
         gain[0, a] /= s
-    for a in range(n):
-        total = 0.0
-        for b in range(n):
-            total += F[a, b] * gain[0, b]
-        gain[1, a] = total
+    apply(F, gain[0], gain[1])
     return s
 
 
@@ -286,14 +461,10 @@ def coefficient_gain(i, Pt, h, g):
 
     Return what the coefficients add to the variance of that output.
     """
-    p = g.shape[0]
     spread = 0.0
-    for a in range(p):
-        total = 0.0
-        for b in range(p):
-            total += Pt[a, b] * h[i, b]
-        g[a] = total
-        spread += h[i, a] * total
+    apply(Pt, h[i], g)
+    for a in range(g.shape[0]):
+        spread += h[i, a] * g[a]
     return spread
 
 
@@ -427,31 +598,14 @@ def moved(theta, centre, Pt, share, least):
     return False
 
 
-class LinearPart(NamedTuple):
-    """Discretized model and its derivatives.
-
-    The model is x+ = M [x; w; w+], y = O [x; w].
-
-    columns : coefficient of each derivative; rows : first row that it moves, and the last one + 1;
-    varied : 1 where O depends on a coefficient; Oc : O at the present coefficients; others : room.
-    """
-
-    M: Array
-    O: Array
-    dM: Array
-    dO: Array
-    columns: NDArray[np.int64]
-    rows: NDArray[np.int64]
-    varied: bool
-    Oc: Array
-    step: Array
-    drive: Array
-    Sn: Array
-
-
 @compiled
 def linear_at(sizes, fixed, at):
-    """Views of the model among the packed numbers."""
+    """Views of the discretized model and its derivatives, and room.
+
+    The model is x+ = M [x; w; w+], y = O [x; w]. columns : coefficient of each derivative; rows : first
+    row that it moves, and the last one + 1; varied : whether O depends on a coefficient; Oc : O at the
+    present coefficients; others : room.
+    """
     n, nu, ny, q = sizes[0], sizes[2], sizes[3], sizes[4]
     nz, no = n + 2 * nu, n + nu
     M, at = matrix(fixed, at, n, nz)
@@ -475,8 +629,7 @@ def linear_at(sizes, fixed, at):
             for j in range(no):
                 if dO[r, i, j] != 0.0:
                     varied = True
-    room = np.zeros(nz), np.zeros((q, n)), np.zeros(n)
-    return LinearPart(M, O, dM, dO, columns, rows, varied, O.copy(), room[0], room[1], room[2])
+    return M, O, dM, dO, columns, rows, varied, O.copy(), np.zeros(nz), np.zeros((q, n)), np.zeros(n)
 
 
 @compiled
@@ -486,11 +639,8 @@ def step_state(x, F, M, dM, columns, rows, theta, centre, step, drive):
     Both are at the present coefficients, to first order about those of `M`.
     """
     n, nz = M.shape
+    apply(M, step, x)
     for i in range(n):
-        total = 0.0
-        for j in range(nz):
-            total += M[i, j] * step[j]
-        x[i] = total
         for j in range(n):
             F[i, j] = M[i, j]
     for r in range(columns.shape[0]):
@@ -508,15 +658,9 @@ def step_state(x, F, M, dM, columns, rows, theta, centre, step, drive):
 @compiled
 def step_sensitivity(S, F, columns, rows, drive, Sn):
     """Sensitivity of the state to the coefficients."""
-    p, n = S.shape
-    for a in range(p):
-        for i in range(n):
-            total = 0.0
-            for j in range(n):
-                total += F[i, j] * S[a, j]
-            Sn[i] = total
-        for i in range(n):
-            S[a, i] = Sn[i]
+    for a in range(S.shape[0]):
+        apply(F, S[a], Sn)
+        put(S[a], 0, Sn)
     for r in range(columns.shape[0]):
         for i in range(rows[r, 0], rows[r, 1]):
             S[columns[r], i] += drive[r, i]

@@ -1,11 +1,10 @@
-"""Setup of a coefficient filter before the first sample.
-
-It is the base for all kinds of coefficients.
-"""
+"""Filter for coefficients: setup, memory, and the loop over samples."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,13 +13,99 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...arguments import as_noise, as_number, as_text
-from ...exceptions import ModelError
+from ...exceptions import DivergenceError, ModelError
+from ...systems.conversion import to_discrete
 from ...systems.linear import Array, LinearModel
-from .kernel import Kernel
-from .memory import CoefficientMemory
-from .packed import Layout
+from ..history import PARAMETERS, Summary
+from ..persistence import check_course, check_like, check_range, storable
+from ..samples import Block
+from .kernel import DIVERGED, DONE, MOVED, SURPRISED, CoefficientRecord, Kernel, Layout
 
-__all__ = ["SHARE", "FilterSettings", "Setup", "checked_settings", "floor_at", "held_columns"]
+__all__ = [
+    "CoefficientFilter", "CoefficientMemory", "FilterSettings", "Setup", "advanced", "checked_settings",
+    "floor_at", "held_columns",
+]  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class CoefficientMemory:
+    """State of the physical stage between two calls.
+
+    Parameters
+    ----------
+    packed : ndarray
+        As `Layout` says.
+    counters : ndarray of int64, shape (3,)
+        Samples taken; samples for which the initial state still matters; whether unknown forces act.
+    centre : ndarray, shape (p,)
+        Coefficients that the model was discretized for.
+    origin : ndarray, shape (p,)
+        Coefficients that the search starts from, the mean of their prior.
+    spread : ndarray, shape (p,)
+        Standard deviation of their prior; empty until the first samples tell the sizes.
+    widths : ndarray
+        Smoothing width of each law that has one, by effect; NaN for others.
+    sizes : ndarray, shape (n_w + n_y,)
+        Rms of inputs and outputs over the first samples.
+    states : ndarray, shape (n,)
+        Rms of the states over the first samples; empty until they tell it.
+    inputs, outputs : ndarray, shape (K, n_w), (K, n_y)
+        First samples, gone over again as the model improves; empty later.
+    known, use : ndarray of uint8, shape (K,), (K, n_y)
+        Which of them were measured.
+    rivals : ndarray, shape (r, p)
+        Coefficients of other valleys, not yet discarded.
+    rounds : int
+        Times that the first samples were gone over.
+    discretized : int
+        Times that the model was discretized.
+    renewed : int
+        Times that the filter began anew, its innovations far beyond what it was sure of.
+    doubted : int
+        Sample at which it last began anew with the state alone, 0 for never.
+    kernel : Kernel
+        The model discretized at `centre`, made from the other fields.
+    """
+
+    packed: Array
+    counters: NDArray[np.int64]
+    centre: Array
+    origin: Array
+    spread: Array
+    widths: Array
+    sizes: Array
+    states: Array
+    inputs: Array
+    outputs: Array
+    known: NDArray[np.uint8]
+    use: NDArray[np.uint8]
+    rivals: Array
+    rounds: int
+    discretized: int
+    renewed: int
+    doubted: int
+    kernel: Any = None
+
+    @property
+    def first(self) -> Block:
+        """The first samples, as far as they are kept."""
+        return Block(self.inputs, self.outputs, self.known, self.use)
+
+    @property
+    def n_samples(self) -> int:
+        """Samples taken."""
+        return int(self.counters[0])
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "kernel": None}  # compiled code stays in its process
+
+    def copied(self) -> CoefficientMemory:
+        """Independent copy of what changes in place."""
+        twin = object.__new__(CoefficientMemory)  # dataclasses.replace takes longer than the sample itself
+        twin.__dict__.update(self.__dict__)
+        twin.__dict__["packed"], twin.__dict__["counters"] = self.packed.copy(), self.counters.copy()
+        return twin
+
 
 SHARE = 1.0  # of its standard deviation that a coefficient may move before the model is discretized anew
 _SOON = 500  # samples within which a second surprise means that not the state alone was wrong
@@ -28,6 +113,9 @@ DOUBT = 50.0  # samples that the first guess of the noise, the size of the outpu
 _LIMIT = 1e12  # state over its size, beyond which the filter has diverged
 NEVER = 1e300  # a threshold that nothing reaches, and still a finite number
 _CHANGING = 0.03  # unknown force over the input where coefficients may change
+
+
+storable(CoefficientMemory, CoefficientRecord)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,39 +161,31 @@ class Setup(ABC):
     ----------
     settings : FilterSettings
         Sampling, noise, memory.
+    model : LinearModel
+        Initial model.
+    layout : Layout
+        Sizes of the packed memory.
+    labels, bounds : tuple of str, tuple of two ndarray
+        Names of the coefficients; their lower and upper bounds.
+    milestones : tuple of int
+        Numbers of samples at which the first ones are gone over.
+    n_laws : int
+        Laws that may have a width of their own.
+    share : float
+        Standard deviations a coefficient may move before rediscretization.
+    watch : float
+        Mean square of normalized innovations at which the filter restarts.
     """
 
     settings: FilterSettings
-
-    @property
-    @abstractmethod
-    def model(self) -> LinearModel:
-        """Initial model."""
-
-    @property
-    @abstractmethod
-    def layout(self) -> Layout:
-        """Sizes of the packed memory."""
-
-    @property
-    @abstractmethod
-    def labels(self) -> tuple[str, ...]:
-        """Names of the coefficients."""
-
-    @property
-    @abstractmethod
-    def bounds(self) -> tuple[Array, Array]:
-        """Lower and upper bounds of the coefficients."""
-
-    @property
-    @abstractmethod
-    def milestones(self) -> tuple[int, ...]:
-        """Numbers of samples at which the first ones are gone over."""
-
-    @property
-    def n_laws(self) -> int:
-        """Laws that may have a width of their own."""
-        return 0
+    model: LinearModel
+    layout: Layout
+    labels: tuple[str, ...]
+    bounds: tuple[Array, Array]
+    milestones: tuple[int, ...]
+    n_laws = 0
+    share = SHARE
+    watch = NEVER
 
     @abstractmethod
     def start(self) -> Array:
@@ -194,11 +274,6 @@ class Setup(ABC):
         head = [memory.centre, *bounds, 1e-6 * scale, floor, numbers]
         return [*head, (acting @ acting.T).ravel(), (inputs @ inputs.T).ravel()], floor
 
-    @property
-    def watch(self) -> float:
-        """Mean square of normalized innovations at which the filter restarts."""
-        return NEVER
-
     def prior_covariance(self, spread: Array) -> Array:
         """Covariance of the coefficients before the first sample, shape (p, p)."""
         return np.diag(spread**2)
@@ -228,11 +303,6 @@ class Setup(ABC):
             memory, packed=packed, counters=counters, centre=memory.origin.copy(), kernel=None, doubted=0,
             renewed=memory.renewed + 1,
         )  # fmt: skip
-
-    @property
-    def share(self) -> float:
-        """Standard deviations a coefficient may move before rediscretization."""
-        return SHARE
 
 
 def floor_at(lay: Layout) -> slice:
@@ -271,3 +341,385 @@ def checked_settings(
         disturbance = 0.0 if forgetting == 1.0 else _CHANGING
     disturbance = as_number(disturbance, "disturbance", least=0.0, error=ModelError)
     return FilterSettings(dt, hold, levels, disturbance, forgetting)
+
+
+_UNLEARNED = 0.5  # of its prior deviation: a coefficient that is no better known has not been seen
+_UNEXPLAINED = 0.3  # of the rms of an output left in the innovations: the effects do not explain it
+_ALIKE = 0.995  # correlation of two estimates that the sensors can hardly tell apart
+
+
+def explain_divergence(setup: Setup, memory: CoefficientMemory, sample: int) -> DivergenceError:
+    """Error that says when the state left all bounds, and why."""
+    sentences = [
+        f"the static stage diverged at sample {sample} (t = {sample * setup.settings.dt:.6g} s); "
+        "the state before is readable.",
+        *_unstable(setup, memory),
+        *_bounds(setup, memory),
+        "Place: choose other effects, give them a start or a prior, or declare the noise of the sensors.",
+    ]
+    return DivergenceError(" ".join(sentences))
+
+
+def cautions(setup: Setup, memory: CoefficientMemory) -> list[str]:
+    """Return the reasons not to trust the coefficients."""
+    if memory.rounds == 0 or not memory.spread.size:
+        return []
+    lay = setup.layout
+    names = setup.labels
+    P = lay.view(memory.packed, "Pt")
+    std = np.sqrt(np.maximum(np.diag(P), 0.0))
+    found = [*_unstable(setup, memory), *_bounds(setup, memory)]
+    blind = [
+        name for name, one, prior in zip(names, std, memory.spread, strict=True) if one > _UNLEARNED * prior
+    ]
+    if blind:
+        found.append(f"Not excited: the samples hardly determine {', '.join(blind)}; excite or omit it.")
+    with np.errstate(divide="ignore", invalid="ignore"):
+        correlation = np.abs(P) / np.outer(std, std)
+    pairs = [
+        f"{names[i]} and {names[j]}"
+        for i in range(len(names))
+        for j in range(i)
+        if correlation[i, j] > _ALIKE
+    ]
+    if pairs:
+        found.append(f"Hardly distinguished by these sensors: {'; '.join(pairs[:3])}.")
+    level = np.sqrt(lay.view(memory.packed, "level")[1])
+    size = memory.sizes[-lay.ny :]
+    for label, left, whole, declared in zip(
+        setup.model.output_labels, level, size, setup.settings.noise, strict=True
+    ):
+        if declared > 0 and left > 2.0 * declared:
+            found.append(
+                f"Not explained: the prediction error of {label} is {left:.3g}, the declared noise "
+                f"{declared:.3g}. An effect is missing or at another place."
+            )
+        elif declared == 0 and left > _UNEXPLAINED * whole:
+            found.append(
+                f"Not explained: the prediction error of {label} is {100 * left / whole:.3g} % of its rms. "
+                "Unless this is noise, an effect is missing or at another place (rcorefine.diagnose ranks "
+                "the candidates)."
+            )
+    poles = _poles(setup, memory)
+    slowest = -float(np.max(poles.real, initial=-np.inf))
+    if slowest > 0 and memory.n_samples * setup.settings.dt * slowest < 1.0 and memory.counters[1] > 0:
+        found.append(
+            f"Not decayed: the slowest mode has a time constant of {1 / slowest:.3g} s and the stream is "
+            f"{memory.n_samples * setup.settings.dt:.3g} s long. The unknown initial state still affects "
+            "the coefficients."
+        )
+    return found
+
+
+def _poles(setup: Setup, memory: CoefficientMemory) -> NDArray[np.complex128]:
+    """Return the poles of the present model in rad/s.
+
+    Poles of a discrete model are converted to continuous time.
+    """
+    theta = setup.layout.view(memory.packed, "theta")
+    if not np.isfinite(theta).all():
+        return np.zeros(0, dtype=complex)
+    return _continuous_poles(setup.system(theta, memory.widths, "refined"), setup.settings.dt)
+
+
+def _continuous_poles(model: LinearModel, dt: float) -> NDArray[np.complex128]:
+    poles = np.linalg.eigvals(model.A).astype(complex)
+    if model.is_continuous:
+        return poles
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.log(poles) / dt)
+
+
+def _unstable(setup: Setup, memory: CoefficientMemory) -> list[str]:
+    before = _continuous_poles(setup.model, setup.settings.dt).real.max(initial=-np.inf)
+    poles = _poles(setup, memory)
+    if not poles.size:
+        return []
+    worst = poles[np.argmax(poles.real)]
+    size = np.abs(poles[np.isfinite(poles)]).max(initial=0.0)
+    if worst.real <= max(before, 0.0) + 1e-9 * size:
+        return []
+    return [
+        f"Unstable: the refined model has a pole at {worst:.4g} rad/s. A wrong place or a missing effect "
+        "can cause it."
+    ]
+
+
+def _bounds(setup: Setup, memory: CoefficientMemory) -> list[str]:
+    theta = setup.layout.view(memory.packed, "theta")
+    lower, upper = setup.bounds
+    held = [
+        label
+        for label, value, low, high in zip(setup.labels, theta, lower, upper, strict=True)
+        if (value <= low and value != 0) or (value >= high and value != 0)
+    ]
+    return [f"At its bound: {', '.join(held)}."] if held else []
+
+
+def take(
+    setup: Setup, memory: CoefficientMemory, block: Block, *, keep: bool = False
+) -> tuple[CoefficientMemory, CoefficientRecord]:
+    """Memory after some samples; the one given stays as it is.
+
+    Parameters
+    ----------
+    setup, memory
+        The stage.
+    block : Block
+        Samples.
+    keep : bool
+        Whether to record every sample.
+
+    Raises
+    ------
+    DivergenceError
+        If the state leaves all bounds.
+    """
+    memory = memory.copied()
+    total = len(block.inputs)
+    record = setup.layout.record(total if keep else 0)
+    position = 0
+    while position < total:
+        target = setup.milestone(memory.rounds)
+        stop = total if target < 0 else min(total, position + target - memory.n_samples)
+        part = block.part(position, stop)
+        if target >= 0:
+            memory = replace(memory, **Block.joined([memory.first, part])._asdict())
+        if memory.rounds == 0:
+            memory.counters[0] += stop - position
+            if keep:
+                record.theta[position:stop] = memory.origin
+        else:
+            memory, done = advanced(setup, memory, part, record.part(position, stop))
+            if done < stop - position:
+                raise explain_divergence(setup, memory, memory.n_samples)
+        position = stop
+        if target >= 0 and memory.n_samples == target:
+            memory = setup.go_over(memory)
+            if target == setup.milestones[-1]:
+                nothing = {name: part.copy() for name, part in memory.first.part(0, 0)._asdict().items()}
+                memory = replace(memory, rivals=memory.rivals[:0].copy(), **nothing)
+    return memory, record
+
+
+def advanced(
+    setup: Setup, memory: CoefficientMemory, block: Block, record: CoefficientRecord
+) -> tuple[CoefficientMemory, int]:
+    """Return the memory after a block, and the number of samples done.
+
+    The memory is changed in place. Fewer samples are done if the filter diverged.
+
+    The model is discretized anew where coefficients have moved.
+    """
+    position, total = 0, len(block.inputs)
+    while position < total:
+        if memory.kernel is None:
+            memory = replace(memory, kernel=setup.compile(memory))
+        done, why = memory.kernel.over(
+            memory.packed, memory.counters, block.part(position, total), record.part(position, total)
+        )
+        position += done
+        if why == DIVERGED:
+            break
+        if why == SURPRISED:
+            memory = setup.renewed(memory)
+        if why == MOVED:
+            centre = setup.layout.view(memory.packed, "theta").copy()
+            memory = replace(memory, centre=centre, discretized=memory.discretized + 1, kernel=None)
+    return memory, position
+
+
+# the first samples, and what was found about them
+_GROWN = {**dict.fromkeys(("inputs", "outputs", "known", "use"), "samples"), "rivals": "valleys"}
+
+
+class CoefficientFilter:
+    """Joint Kalman filter for the state and coefficients of a model.
+
+    It runs on a stream.
+
+    Parameters
+    ----------
+    setup : Setup
+        Model, coefficients, settings.
+    keep : bool
+        Whether to keep the course of every sample.
+    """
+
+    def __init__(self, setup: Setup, keep: bool) -> None:
+        self.setup, self.keep = setup, keep
+        self._unrecorded = setup.layout.record(0)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all samples."""
+        self.memory: CoefficientMemory = self.setup.begin()
+        self.records: list[tuple[CoefficientRecord, Array]] = []
+
+    @property
+    def n_samples(self) -> int:
+        """Samples taken."""
+        return self.memory.n_samples
+
+    @property
+    def filter(self) -> CoefficientFilter:
+        """Filter of the coefficients that the refined model has."""
+        return self
+
+    @contextmanager
+    def all_or_nothing(self) -> Iterator[None]:
+        """Undo what was learned where an error follows."""
+        memory, count = self.memory, len(self.records)
+        try:
+            yield
+        except BaseException:
+            self.memory = memory
+            del self.records[count:]
+            raise
+
+    def take(self, block: Block, *, predict: bool = False) -> Array:
+        """Learn from a block; with `predict` what was expected, one sample ahead."""
+        self.memory, record = take(self.setup, self.memory, block, keep=self.keep or predict)
+        if self.keep:
+            self.records.append((record, np.where(block.use, block.outputs, np.nan)))
+        return record.predicted
+
+    def one(self, block: Block) -> bool:
+        """Learn from a single sample by the fast path, if that is available.
+
+        Otherwise do nothing and return False.
+        """
+        memory = self.memory
+        kernel = memory.kernel
+        if self.keep or kernel is None or memory.inputs.size or memory.rounds == 0:
+            return False
+        after = memory.copied()
+        if kernel.over(after.packed, after.counters, block, self._unrecorded) != (1, DONE):
+            return False
+        self.memory = after
+        return True
+
+    def finish(self) -> None:
+        """Learn from what is still held back, however short."""
+        memory = self.memory
+        if memory.rounds == 0 and memory.inputs.shape[0] > self.setup.layout.n + 2:
+            self.memory = self.setup.go_over(memory)
+
+    # -- results -----------------------------------------------------------------------------------
+
+    @property
+    def theta(self) -> Array:
+        """Coefficients, shape (p,)."""
+        return self.setup.layout.view(self.memory.packed, "theta").copy()
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the coefficients, shape (p, p).
+
+        It is infinite before anything is learned.
+        """
+        found = self.setup.layout.view(self.memory.packed, "Pt").copy()
+        if not found.any():
+            found[np.diag_indices_from(found)] = np.inf
+        return found
+
+    @property
+    def standard_deviations(self) -> Array:
+        """Standard deviations of the coefficients, shape (p,).
+
+        They are infinite before anything is learned.
+        """
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
+
+    @property
+    def parameters(self) -> tuple[Any, ...]:
+        """Rows: name, kind, place, initial, value, coefficient, std, unit, role."""
+        return self.setup.rows(self.theta, self.standard_deviations)
+
+    @property
+    def noise(self) -> Array:
+        """Level of the innovations, shape (n_y,)."""
+        return np.asarray(np.sqrt(self.setup.layout.view(self.memory.packed, "level")[1]))
+
+    form = "coefficients"
+    waits = False  # single samples are learned from at once
+
+    @property
+    def scores(self) -> dict[str, float]:
+        """Nothing competes."""
+        return {}
+
+    def summary(self, model: LinearModel, stopped: str) -> Summary:
+        """Cells and sentences of `str`."""
+        setup, memory = self.setup, self.memory
+        title = (
+            f"RCORefiner of {model.name!r}: {len(setup.labels)} coefficients, dt = {setup.settings.dt:g} s"
+        )
+        taken = f"{memory.n_samples} samples taken; the model was discretized {memory.discretized} times."
+        notes = [taken, *self.notes()]
+        if stopped:
+            notes.append(stopped.split(";")[0] + "; the static stage does not need it.")
+        return Summary(title, PARAMETERS, self.rows(), notes)
+
+    def system(self, name: str) -> LinearModel:
+        """Refined linear model, in the timebase that it is estimated in."""
+        if self.memory.rounds == 0:
+            return self.setup.model.with_arrays(name=name)
+        return self.setup.system(self.theta, self.memory.widths, name)
+
+    def discrete_system(self, name: str) -> LinearModel:
+        """Refined linear model, its input held between samples."""
+        return to_discrete(self.system(name), self.setup.settings.dt, self.setup.settings.hold)
+
+    def predict(self, inputs: Array) -> Array:
+        """Free run on further inputs of shape (N, n_w); outputs of shape (n_y, N)."""
+        setup, memory, total = self.setup, self.memory, inputs.shape[0]
+        if memory.rounds == 0:  # still the initial model, from rest
+            inputs = np.vstack([memory.inputs, inputs])
+            packed = np.zeros(setup.layout.size)
+            setup.layout.view(packed, "theta")[:] = memory.centre
+            memory = replace(memory, packed=packed, counters=np.array([1, 0, 0]), kernel=None)
+        memory = replace(
+            memory, rounds=1 << 30, inputs=memory.inputs[:0], outputs=memory.outputs[:0], rivals=memory.rivals
+        )
+        use = np.zeros((inputs.shape[0], setup.layout.ny), np.uint8)
+        known = np.ones(inputs.shape[0], np.uint8)
+        block = Block(inputs, np.zeros(use.shape), known, use)
+        _, record = take(setup, memory, block, keep=True)
+        return np.ascontiguousarray(record.predicted.T[:, -total:])
+
+    def state(self) -> list[Any]:
+        """All that is remembered, for a file."""
+        return [self.memory, self.records]
+
+    def restore(self, state: list[Any]) -> None:
+        """Go on from what `state` gave, once it was held against a fresh memory."""
+        memory, records = state
+        lay, setup = self.setup.layout, self.setup
+        fresh = setup.begin()
+        if memory.spread.size:  # the first samples have told it
+            fresh = replace(fresh, spread=np.zeros(lay.p))
+        if memory.states.size:
+            fresh = replace(fresh, states=np.zeros(lay.n))
+        check_like(memory, fresh, "memory", _GROWN)
+        target = setup.milestone(memory.rounds)
+        check_range(memory.counters, 0, [target - 1 if target > 0 else np.inf, np.inf, 1], "memory.counters")
+        check_range(memory.sizes, 0.0, np.inf, "memory.sizes")
+        check_course(records, lay.record(0), lay.ny)
+        self.memory, self.records = memory, records
+
+    def rows(self) -> list[list[str]]:
+        """Cells of the table of parameters."""
+        return [row.cells for row in self.parameters]
+
+    def notes(self) -> list[str]:
+        """Sentences about the coefficients."""
+        if self.memory.rounds == 0:
+            return ["The first samples are held back until the size of the signals is known."]
+        labels = self.setup.model.output_labels
+        levels = ", ".join(f"{label} {level:.3g}" for label, level in zip(labels, self.noise, strict=True))
+        return [
+            "std is the standard deviation of the value at this sample, for white innovations. "
+            f"Prediction error one sample ahead (rms): {levels}.",
+            *cautions(self.setup, self.memory),
+        ]

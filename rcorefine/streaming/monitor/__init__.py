@@ -3,7 +3,7 @@
 The alarm names the effect.
 """
 
-from .alarm import Alarm, MonitorRow
 from .monitor import Monitor
+from .watching import Alarm, MonitorRow
 
 __all__ = ["Alarm", "Monitor", "MonitorRow"]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +26,8 @@ from ...models.library import effect_library
 from ...models.ports import felt
 from ...systems.discretization import discretize
 from ...systems.linear import Array
-from .forces import CODES, forces
-from .numbers import Numbers
+from .baseline import Numbers
+from .kernels import CODES, Columns, forces
 
 __all__ = ["Bank", "build_bank", "checked_candidates"]
 
@@ -67,21 +67,21 @@ class Bank:
     """
 
     effects: tuple[Effect, ...]
-    owner: NDArray[np.int64]
-    rows: Array
-    codes: NDArray[np.int64]
-    values: Array
-    widths: Array
-    pick: NDArray[np.int64]
-    drive: Array
-    through: Array
+    owner: Annotated[NDArray[np.int64], "k"]
+    rows: Annotated[Array, "2 k sensed"]
+    codes: Annotated[NDArray[np.int64], "k"]
+    values: Annotated[Array, "k 4"]
+    widths: Annotated[Array, "k"]
+    pick: Annotated[NDArray[np.int64], "k", 0, 3]
+    drive: Annotated[Array, "2 n k"]
+    through: Annotated[Array, "ny k"]
     names: tuple[str, ...]
-    Phi: Array
-    C: Array
-    scale: Array
+    Phi: Annotated[Array, "n n"]
+    C: Annotated[Array, "ny n"]
+    scale: Annotated[Array, "k"]
     watched: int
-    numbers: NDArray[np.int64]
-    root: Array
+    numbers: Annotated[NDArray[np.int64], "p"]
+    root: Annotated[Array, "p p"]
 
     @property
     def candidates(self) -> tuple[Effect, ...]:
@@ -89,18 +89,20 @@ class Bank:
         return self.effects[: int(self.owner[self.watched - 1]) + 1]
 
     @property
-    def laws(self) -> NDArray[np.int64]:
-        """Force law of each column for the kernels of this process.
+    def columns(self) -> Columns:
+        """Laws of the columns for the kernels of this process.
 
-        It is 0 where a column has none to evaluate.
+        A law is 0 where there is none to evaluate.
         """
         specs = [self.effects[owner].spec for owner in self.owner]
         asked = (self.codes < 100) | (self.codes == CODES["change"])
-        found = [
+        laws = [
             spec.code if ask and isinstance(spec, FormulaLaw) else 0
             for spec, ask in zip(specs, asked, strict=True)
         ]
-        return np.array(found, dtype=np.int64)
+        return Columns(
+            self.rows, self.codes, np.array(laws, dtype=np.int64), self.values, self.widths, self.pick
+        )
 
     @property
     def size(self) -> int:
@@ -117,7 +119,7 @@ class _Column:
     v: Array
     act: Array
     through: Array
-    hold: str = "foh"
+    hold: str
     values: tuple[float, ...] = ()
     width: float = 1.0
     pick: int = 0
@@ -213,7 +215,7 @@ def build_bank(
     spread = np.sqrt(np.diag(known))
     values, vectors = np.linalg.eigh(known / np.outer(spread, spread))
     root = (spread / unit[at][felt])[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-    return replace(bank, numbers=at[felt], root=root)
+    return replace(bank, numbers=at[felt], root=np.ascontiguousarray(root))
 
 
 def _sizes(bank: Bank, structure: Structure, theta: Array, data: Measurement, gain: Array) -> Array:
@@ -227,10 +229,7 @@ def _sizes(bank: Bank, structure: Structure, theta: Array, data: Measurement, ga
     X = np.ascontiguousarray(np.vstack([np.nan_to_num(run.states), data.inputs]).T)
     F, inner = np.zeros((data.n_samples, bank.size)), np.full((3, bank.size), np.nan)
     inner[0] = 0.0
-    n = structure.n_states
-    forces(
-        X, bank.rows, bank.codes, bank.laws, n, bank.values, bank.widths, bank.pick, 1.0 / data.dt, inner, F
-    )
+    forces(X, bank.columns, structure.n_states, 1.0 / data.dt, inner, F)
     size = np.sqrt(np.mean(F**2, axis=0))
     seen = np.isfinite(size) & (size > 0)
     return np.where(seen, 1.0 / np.where(seen, size, 1.0), np.where(np.isfinite(size), 1.0, 0.0))
@@ -252,81 +251,56 @@ def _along(structure: Structure, theta: Array, data: Measurement, gain: Array) -
 def _columns(
     structure: Structure, theta: Array, A: Array, owner: int, effect: Effect, motion: Motion
 ) -> list[_Column]:
-    m = structure.matrices(theta)
+    m, linear, law = structure.matrices(theta), structure.linear_model, effect.spec
     n, nw, ny = structure.n_states, structure.n_inputs, structure.n_outputs
     B, C, D = m.B[:, :nw].astype(float), m.C.astype(float), m.D[:, :nw].astype(float)
-    rate = np.zeros((ny, n))
-    rate[:, : structure.model.output_rate.shape[1]] = structure.model.output_rate
-    zero = np.zeros(n + nw)
-
-    def at(place: tuple[Array, Array], d: Array, v: Array, name: str, code: int, **law: Any) -> _Column:
-        return _Column(owner, name, code, d, v, *place, **law)
-
-    first = effect.coefficients[0]
-    law = effect.spec
+    d, unit, first = np.zeros(n + nw), np.eye(n + nw), effect.coefficients[0]
+    hold, width = "foh", 1.0
+    shapes: list[dict[str, float]] = [{}]
+    if not law.signal or (law.shaping and law.at_channel):
+        shapes = _shapes(structure, theta, effect, motion)
     if "any" in law.where and law.is_parameter:
         row, column = entry_among(structure, effect.place)
         act, read = np.split(np.eye(n + ny)[row], [n])
-        return [at((act, rate @ act + read), zero, np.eye(n + nw)[column], first, CODES[law.signal])]
-    if law.at_channel:
+        rate = structure.model.output_rate
+        through, v = rate @ act[: rate.shape[1]] + read, unit[column]
+    elif law.at_channel:
         if "input" in law.where:
-            i = structure.linear_model.input_labels.index(effect.place)
-            place, sense, hold = (B[:, i], D[:, i]), np.eye(n + nw)[n + i], "input"
+            i = linear.input_labels.index(effect.place)
+            act, through, v, hold = B[:, i], D[:, i], unit[n + i], "input"
         else:
-            i = structure.linear_model.output_labels.index(effect.place)
-            place, sense, hold = (np.zeros(n), np.eye(ny)[i]), np.concatenate([C[i], D[i]]), "foh"
-        if law.signal and not law.shaping:
-            return [at(place, zero, sense, first, CODES[law.signal], hold=hold)]
-        shapes = _shapes(structure, theta, effect, motion)
-        if law.signal:
-            return [
-                at(place, zero, sense, first, CODES[law.signal], hold=hold, values=(0.0, shape[first]))
-                for shape in shapes
-            ]
-        strengths = [name for name in effect.coefficients if name not in (*law.shaping, *effect.fixed)]
-        return [
-            at(
-                place,
-                sense,
-                zero,
-                name or first,
-                0 if name else CODES["change"],
-                hold=hold,
-                pick=c,
-                values=_row(effect, shape),
-            )
-            for shape in shapes
-            for c, name in [(effect.coefficients.index(s), s) for s in strengths] or [(0, "")]
-        ]
-    port = structure.model.port(effect.place)
-    pad = n - port.act.size
-    act = np.pad(port.act, (0, pad))
-    place = act, felt(port, structure.model.output_rate)
-    d = np.concatenate([port.position, np.zeros(pad), port.position_input])
-    v = np.concatenate([port.velocity, np.zeros(pad), port.velocity_input])
-    if law.inertial:
-        full = np.pad(port.velocity, (0, pad))
-        a = np.concatenate([full @ A, full @ B + port.acceleration_input])
-        return [at(place, zero, a, first, CODES[law.signal])]
+            i = linear.output_labels.index(effect.place)
+            act, through, v = np.zeros(n), np.eye(ny)[i], np.concatenate([C[i], D[i]])
+        if not law.signal:
+            d, v = v, d
+    else:
+        port = structure.model.port(effect.place)
+        pad = (0, n - port.act.size)
+        act, through = np.pad(port.act, pad), felt(port, structure.model.output_rate)
+        v = np.concatenate([np.pad(port.velocity, pad), port.velocity_input])
+        if law.inertial:
+            v = np.concatenate([v[:n] @ A, v[:n] @ B + port.acceleration_input])
+        else:
+            d = np.concatenate([np.pad(port.position, pad), port.position_input])
+        if not law.signal:
+            width = law_widths(Structure(structure.model, [effect]), motion).get(0, 1.0)
+    place = d, v, act, through, hold
     if law.signal:
-        return [at(place, d, v, first, CODES[law.signal])]
-    probe = Structure(structure.model, [effect])
-    width = law_widths(probe, motion).get(0, 1.0)
-    found = []
-    for shape in _shapes(structure, theta, effect, motion):
-        found += [
-            at(place, d, v, name, 0, values=_row(effect, shape), width=width, pick=c)
-            for c, name in enumerate(effect.coefficients)
-            if name not in law.shaping and name not in effect.fixed
-        ]
-    return found
-
-
-def _row(effect: Effect, shape: dict[str, float]) -> tuple[float, ...]:
-    """Coefficients and constants of a law at which it is looked at."""
-    assert isinstance(effect.spec, FormulaLaw)
-    known = {**effect.constants, **effect.fixed, **shape}
-    return tuple(float(known.get(name) or 0.0) for name in effect.spec.row)
+        values = [(0.0, shape[first]) if shape else () for shape in shapes]
+        return [_Column(owner, first, CODES[law.signal], *place, one) for one in values]
+    strengths = [
+        (c, name)
+        for c, name in enumerate(effect.coefficients)
+        if name not in law.shaping and name not in effect.fixed
+    ]
+    assert isinstance(law, FormulaLaw)
+    known = [{**effect.constants, **effect.fixed, **shape} for shape in shapes]
+    rows = [tuple(float(one.get(name) or 0.0) for name in law.row) for one in known]
+    return [
+        _Column(owner, name or first, 0 if name else CODES["change"], *place, row, width, c)
+        for row in rows
+        for c, name in strengths or [(0, "")]
+    ]
 
 
 def _shapes(structure: Structure, theta: Array, effect: Effect, motion: Motion) -> list[dict[str, float]]:

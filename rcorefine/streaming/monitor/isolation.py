@@ -252,7 +252,9 @@ def descend(
         columns = np.r_[loose, theta.size : theta.size + free]
         J = segment.whiten(run.sensitivity[:, :, columns]) if slopes else np.zeros((r.size, 0))
         if prior is not None:
-            r, J = _beside(r, J, prior(point[:p]))
+            also = prior(point[:p])
+            wide = np.pad(also.jacobian, ((0, 0), (0, J.shape[1] - also.jacobian.shape[1])))
+            r, J = np.concatenate([r, also.residual]), np.vstack([J, wide])
         sound = np.abs(r).max(initial=0.0) < _HUGE and np.abs(J).max(initial=0.0) < _HUGE
         # no more points than unknowns tell nothing
         return Rows(r, J) if sound and r.size > point.size else nothing
@@ -279,9 +281,3 @@ def descend(
     doubt = whole[p:, p:] if free else np.zeros((n, n))
     points = r.size if math.isfinite(cost) else 0
     return Fit(effect, point[:p], whole[:p, :p], cost, points, x0 + point[p:] if free else x0, doubt)
-
-
-def _beside(residual: Array, jacobian: Array, prior: Rows) -> tuple[Array, Array]:
-    """Rows of the data, and those of the prior of the first unknowns."""
-    wide = np.pad(prior.jacobian, ((0, 0), (0, jacobian.shape[1] - prior.jacobian.shape[1])))
-    return np.concatenate([residual, prior.residual]), np.vstack([jacobian, wide])

@@ -1,4 +1,4 @@
-"""The loop of the monitor: the scores of its candidates.
+"""Loops of the monitor: forces of its candidates, and their scores.
 
 Plain array functions that numba compiles where it is installed. Every loop keeps its
 memory in arrays that it is handed, so that a stream may be cut anywhere.
@@ -7,12 +7,105 @@ memory in arrays that it is handed, so that a stream may be cut anywhere.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ...jit import NUMBA, compiled, put, put_rows
+from ...effects.compiled import COUNT, evaluate
+from ...jit import compiled
+from ...systems.linear import Array
 
-__all__ = ["ALONE", "CLIP", "EVEN", "FEW", "scores"]
+__all__ = ["ALONE", "CLIP", "CODES", "EVEN", "Columns", "forces"]
+
+#: Signals of the candidates that are no law to evaluate; d and v are what the rows sense.
+CODES = {
+    "displacement": 101,
+    "velocity": 102,
+    "acceleration": 102,  # where the rows for v sense it
+    "value": 102,  # of a signal that the rows for v sense
+    "constant": 103,  # 1
+    "deadzone": 104,  # what a dead zone of half width p1 takes away
+    "saturation": 105,  # what a limit p1 cuts off
+    "rectification": 106,  # |v| - v
+    "change": 108,  # what a law makes of d beyond d itself
+    "rate": 107,  # minus the rate of v
+}
+
+
+class Columns(NamedTuple):
+    """Laws of the columns of a bank.
+
+    rows : (2, k, n + nw), what each column senses: d, v; codes : (k,), below 100 for the force of a law;
+    laws : (k,), the law, as `evaluate` takes it; values : (k, 4), coefficients at which the law is
+    differentiated; widths : (k,); pick : (k,), which coefficient.
+    """
+
+    rows: Array
+    codes: NDArray[np.int64]
+    laws: NDArray[np.int64]
+    values: Array
+    widths: Array
+    pick: NDArray[np.int64]
+
+
+@compiled
+def forces(X: Array, columns: Columns, n: int, rate: float, inner: Array, F: Array) -> None:
+    """Force of each column per unit of its coefficient, along the motion.
+
+    Parameters
+    ----------
+    X : ndarray, shape (N, n + nw)
+        States before the correction, and inputs.
+    columns : Columns
+        Laws.
+    n : int
+        Number of states.
+    rate : float
+        Samples per second.
+    inner : ndarray, shape (3, k)
+        State of the law, d and v of the sample before; NaN before the first.
+    F : ndarray, shape (N, k)
+        Forces, on return.
+    """
+    rows, codes, laws, values, widths, pick = columns
+    N, k = F.shape
+    width = X.shape[1]
+    out = np.zeros((1, COUNT + width - n))
+    for j in range(k):
+        code = codes[j]
+        z, d_last, v_last = inner[0, j], inner[1, j], inner[2, j]
+        for s in range(N):
+            d = 0.0
+            v = 0.0
+            for i in range(width):
+                d += rows[0, j, i] * X[s, i]
+                v += rows[1, j, i] * X[s, i]
+            if code == 101:
+                f = d
+            elif code == 102:
+                f = v
+            elif code == 103:
+                f = 1.0
+            elif code == 104:
+                f = -min(max(v, -values[j, 1]), values[j, 1])
+            elif code == 105:
+                f = min(max(v, -values[j, 1]), values[j, 1]) - v
+            elif code == 106:
+                f = abs(v) - v
+            elif code == 107:
+                f = (v_last - v) * rate if v_last == v_last else 0.0
+            else:
+                if d_last != d_last:
+                    d_last = d
+                evaluate(laws[j], d, v, d_last, z, values[j : j + 1], 0, widths[j], X[s, n:], out)
+                f = out[0, 0] - d if code == 108 else out[0, 9 + pick[j]]
+                z = out[0, 5]
+            d_last = d
+            v_last = v
+            F[s, j] = f
+        inner[0, j], inner[1, j], inner[2, j] = z, d_last, v_last
+
 
 LEARNED = 200.0  # samples that the noise level of the learning phase is worth
 BORROWED = 10.0  # independent values that the scatter in the next shorter window is worth
@@ -22,204 +115,200 @@ FEW = 3.0  # samples that may do so before it is taken for a change
 EVEN = 0.2  # least variance of the noise, of what it is on average around: no sample decides alone
 CLIP = 3.0  # standard deviations at which one innovation stops counting for more
 FALLEN = 0.8  # of the learned variance: below it the machine is still, which says nothing of when it runs
+SLOWEST = 1.0 / 50_000  # least weight of a sample in the noise level
 
 
-if NUMBA:  # scalar loops are the fast form in compiled code, and the slow one in Python
+class Fixed(NamedTuple):
+    """Settings of the scores, fixed by the learning phase.
 
-    @compiled
-    def _add(out, c, x):  # type: ignore[no-untyped-def]
-        for j in range(out.shape[0]):
-            out[j] += c * x[j]
+    Phi, drive, C, through : (n, n), (2, n, k), (ny, n), (ny, k), how forces pass: `drive` of one that falls
+    from one to zero over the sample, and of one that rises; gain : (n, ny), of the observer;
+    filters : (ny, q), whitening polynomials without the leading one; noise : (ny, 3), variance of the
+    innovations: constant, times prediction squared, times its mean; least : (ny,), the smallest one;
+    pace : weight of a sample in that mean; mix : (ny, ny), lower triangular, makes the innovations
+    independent, of unit variance; wide : (ny,), their standard deviation before; keep : (M,), share that
+    each window keeps per sample; level : (M,), square of its threshold; fading : weight of a sample in the
+    slow means that are taken off; numbers, root : (p,), (p, p), columns of what is known of the model but
+    for a doubt, and root of the covariance of that; block : samples per block sum; thinning : weight of a
+    sample in `crowd`.
+    """
 
-    @compiled
-    def _windows(N_, V_, doubt, keep, level, factor, gain, info):  # type: ignore[no-untyped-def]
-        top = 0.0
-        for m in range(keep.shape[0]):
-            g = keep[m]
-            g2 = g * g
-            best = 0.0
-            for j in range(N_.shape[1]):
-                a = g * N_[m, j] + gain[j]
-                v = g2 * V_[m, j] + info[j]
-                N_[m, j] = a
-                V_[m, j] = v
-                w = (v + doubt[m, j]) * factor[m, j]
-                if a * a > best * w and w > 1e-200:
-                    best = a * a / w
-            top = max(top, best / level[m])
-        return top
+    Phi: Array
+    drive: Array
+    C: Array
+    through: Array
+    gain: Array
+    filters: Array
+    noise: Array
+    least: Array
+    pace: float
+    mix: Array
+    wide: Array
+    keep: Array
+    level: Array
+    fading: float
+    numbers: NDArray[np.int64]
+    root: Array
+    block: int
+    thinning: float
 
-    @compiled
-    def _multiply(cross, seen, size, unsure):  # type: ignore[no-untyped-def]
-        for j in range(seen.size):
-            _add(cross[j], seen[j] / size, unsure)
 
-    @compiled
-    def _share_doubt(cross, shared, fading, doubt):  # type: ignore[no-untyped-def]
-        for m in range(fading.size):
-            for j in range(cross.shape[0]):
-                total = 0.0
-                for a in range(cross.shape[1]):
-                    c = fading[m] * shared[m, j, a] + cross[j, a]
-                    shared[m, j, a] = c
-                    total += c * c
-                doubt[m, j] = total
-        cross[:, :] = 0.0
+class State(NamedTuple):
+    """Memory of the scores.
 
-else:
+    Xc : (n, k), states of the columns, complete but for the force of the next sample; past_e, past_s :
+    (q, ny), (q, ny, k); known : (ny,), innovations in a row that are known; N, V : (M, k), scores of the
+    windows, and their variance; power : (ny,), mean square of the predictions; cross : (k, p), products of
+    the columns with the doubtful ones, since the last block; shared : (M, k, p), the same, of each window;
+    doubt : (M, k), variance of the scores from that; mean_e, mean_s : (ny,), (ny, k), slow means of the
+    innovations and of what the columns add to the outputs; spread : (M, k + 1), mean square of the
+    statistics, the last entry counts; factor : (M, k), by how much they scatter more than by theory;
+    crowd : (ny,), samples that stood out of late, fading; size : (ny,), variance of the whitened
+    innovations, followed slowly; sums : (2, blocks, k), scores and informations of the blocks, a ring;
+    counters : (2,), samples taken, samples counted.
+    """
 
-    def _add(out, c, x):  # type: ignore[no-untyped-def]
-        out += c * x
-
-    def _windows(N_, V_, doubt, keep, level, factor, gain, info):  # type: ignore[no-untyped-def]
-        N_ *= keep[:, None]
-        N_ += gain
-        V_ *= (keep * keep)[:, None]
-        V_ += info
-        wide = (V_ + doubt) * factor
-        return float((N_ * N_ / np.where(wide > 1e-200, wide, np.inf) / level[:, None]).max())
-
-    def _multiply(cross, seen, size, unsure):  # type: ignore[no-untyped-def]
-        cross += np.outer(seen / size, unsure)
-
-    def _share_doubt(cross, shared, fading, doubt):  # type: ignore[no-untyped-def]
-        shared *= fading[:, None, None]
-        shared += cross
-        doubt[:] = (shared * shared).sum(axis=2)
-        cross[:] = 0.0
+    Xc: Array
+    past_e: Array
+    past_s: Array
+    known: Array
+    N: Array
+    V: Array
+    power: Array
+    cross: Array
+    shared: Array
+    doubt: Array
+    mean_e: Array
+    mean_s: Array
+    spread: Array
+    factor: Array
+    crowd: Array
+    size: Array
+    sums: Array
+    counters: NDArray[np.int64]
 
 
 @compiled
-def _calibrate(N_, V_, doubt, keep, counted, spread, factor):  # type: ignore[no-untyped-def]
+def _windows(state: State, keep: Array, level: Array, gain: Array, info: Array) -> float:
+    """Let each window forget and learn.
+
+    Return the largest squared statistic over its threshold.
+    """
+    top = 0.0
+    for m in range(keep.size):
+        state.N[m] = keep[m] * state.N[m] + gain
+        state.V[m] = keep[m] * keep[m] * state.V[m] + info
+        wide = (state.V[m] + state.doubt[m]) * state.factor[m]
+        square = state.N[m] * state.N[m] / np.where(wide > 1e-200, wide, np.inf)
+        if square.size:
+            top = max(top, square.max() / level[m])
+    return top
+
+
+@compiled
+def _share_doubt(state: State, fading: Array) -> None:
+    """Bring the products of the last block into each window."""
+    for m in range(fading.size):
+        state.shared[m] = fading[m] * state.shared[m] + state.cross
+        state.doubt[m] = (state.shared[m] * state.shared[m]).sum(axis=1)
+    state.cross[:, :] = 0.0
+
+
+@compiled
+def _calibrate(state: State, keep: Array) -> None:
     """Estimate how much wider the statistics scatter than in theory.
 
     The estimate uses samples at which nothing is wrong.
 
     Long windows have few independent values yet; they borrow from the next shorter one.
     """
-    M, k = factor.shape
-    spread[M - 1, k] += 1.0
-    weight = 1.0 / spread[M - 1, k]
+    M, k = state.factor.shape
+    state.spread[M - 1, k] += 1.0
+    weight = 1.0 / state.spread[M - 1, k]
     for j in range(k):
         wider = 1.0
         for m in range(M):
-            if V_[m, j] > 1e-200:
-                square = min(N_[m, j] * N_[m, j] / (V_[m, j] + doubt[m, j]), CLIP * CLIP)
-                spread[m, j] += weight * (square - spread[m, j])
-            independent = 0.5 * counted * (1.0 - keep[m])
-            wider = (independent * spread[m, j] + BORROWED * wider) / (independent + BORROWED)
-            factor[m, j] = max(1.0, wider)
+            if state.V[m, j] > 1e-200:
+                variance = state.V[m, j] + state.doubt[m, j]
+                square = min(state.N[m, j] * state.N[m, j] / variance, CLIP * CLIP)
+                state.spread[m, j] += weight * (square - state.spread[m, j])
+            independent = 0.5 * state.counters[1] * (1.0 - keep[m])
+            wider = (independent * state.spread[m, j] + BORROWED * wider) / (independent + BORROWED)
+            state.factor[m, j] = max(1.0, wider)
 
 
 @compiled
-def scores(  # type: ignore[no-untyped-def]
-    E,  # (N, ny)         innovations; anything where missing
-    P,  # (N, ny)         outputs as predicted
-    use,  # (N, ny) uint8 1: measured, 0: missing; on return `ALONE`: left out, for it stands out alone
-    calm,  # (N,) uint8   whether the sample counts (the observer has settled)
-    F,  # (N, k)
-    Phi,  # (n, n)
-    drive,  # (2, n, k)   of a force that falls from one to zero over the sample, and that rises
-    C,  # (ny, n)
-    D,  # (ny, k)
-    K,  # (n, ny)
-    filters,  # (ny, q)   whitening polynomials without the leading one
-    noise,  # (ny, 3)     variance of the innovations: constant, times prediction squared, times its mean
-    least,  # (ny,)       the smallest one
-    pace,  # float        weight of a sample in that mean
-    mix,  # (ny, ny)      lower triangular: makes the innovations independent, of unit variance
-    keep,  # (M,)         share that each window keeps per sample
-    level,  # (M,)        square of the threshold of each window
-    adapt,  # bool        whether noise level and scatter are followed
-    slowest,  # float     least weight of a sample in the noise level
-    fading,  # float      weight of a sample in the slow means that are taken off
-    stop,  # bool         return at the first sample above a threshold
-    numbers,  # (p,)      columns of what is known of the model but for a doubt
-    root,  # (p, p)       root of the covariance of that
-    block,  # int         samples per block sum
-    Xc,  # (n, k)         states of the columns, complete but for the force of the next sample
-    past_e,  # (q, ny)
-    past_s,  # (q, ny, k)
-    known,  # (ny,)       innovations in a row that are known
-    N_,  # (M, k)
-    V_,  # (M, k)
-    power,  # (ny,)       mean square of the predictions
-    cross,  # (k, p)      products of the columns with the doubtful ones, since the last block
-    shared,  # (M, k, p)  the same, of each window
-    doubt,  # (M, k)      variance of the scores from that
-    mean_e,  # (ny,)      slow means of the innovations and of what the columns add to the outputs
-    mean_s,  # (ny, k)
-    spread,  # (M, k + 1) mean square of the statistics; the last entry counts
-    factor,  # (M, k)     by how much the statistics scatter more than by theory
-    spread_r,  # (ny,)    standard deviation of the innovations, whitened but not yet made independent
-    thinning,  # weight of a sample in `crowd`
-    crowd,  # (ny,)       samples that stood out of late, fading
-    size,  # (ny,)        variance of the whitened innovations, followed slowly
-    sums,  # (2, blocks, k) scores and informations of the blocks, a ring
-    counters,  # (2,) int64: samples taken, samples counted
-    scale,  # (N, ny)     standard deviation of the noise at each sample, on return
-    ratio,  # (N,)        largest squared statistic over its threshold, on return
-):
+def scores(
+    samples: tuple[Array, Array, NDArray[np.uint8], NDArray[np.uint8], Array],
+    fixed: Fixed,
+    state: State,
+    stop: bool,
+    scale: Array,
+    ratio: Array,
+) -> int:
     """Whiten the forces behind the observer and update the windows.
-
-    Return the number of samples done.
 
     The first columns are those of the candidates; others are parameters of the model. Ends early at a
     sample that is left out, for the observer must not follow it either.
+
+    Parameters
+    ----------
+    samples : tuple of ndarray
+        Innovations (N, ny), anything where missing; outputs as predicted (N, ny); flags (N, ny), 1:
+        measured, 0: missing, on return `ALONE`: left out, for it stands out alone; whether the sample
+        counts, for the observer has settled (N,); forces (N, k).
+    fixed, state : Fixed, State
+        Settings, and memory that is changed in place.
+    stop : bool
+        Whether nothing is wrong: follow noise level and scatter, return at the first sample above a
+        threshold.
+    scale : ndarray, shape (N, ny)
+        Standard deviation of the noise at each sample, on return.
+    ratio : ndarray, shape (N,)
+        Largest squared statistic over its threshold, on return.
+
+    Returns
+    -------
+    int
+        Number of samples done.
     """
-    total, k = F.shape
-    n = Phi.shape[0]
-    ny = E.shape[1]
-    q = filters.shape[1]
-    blocks = sums.shape[1]
-    y = np.zeros((ny, k))
-    white = np.zeros((ny, k))
-    level_s = np.zeros((ny, k))
-    s = np.zeros((ny, k))
-    e = np.zeros(ny)
-    r = np.zeros(ny)
-    fresh = np.zeros((n, k))
-    ready = np.zeros(ny, dtype=np.uint8)
-    watched = N_.shape[1]
-    p = numbers.size
-    unsure = np.zeros(p)
-    fading_of = keep**block
-    gain = np.zeros(watched)
-    info = np.zeros(watched)
-    for step in range(total):
+    E, P, use, calm, F = samples
+    filters, noise, mix, numbers, block = fixed.filters, fixed.noise, fixed.mix, fixed.numbers, fixed.block
+    known, size, counters, crowd = state.known, state.size, state.counters, state.crowd
+    ny, q = filters.shape
+    watched, p, blocks = state.N.shape[1], numbers.size, state.sums.shape[1]
+    e, r = np.zeros(ny), np.zeros(ny)
+    ready = np.zeros(ny, dtype=np.bool_)
+    fading_of = fixed.keep**block
+    gain, info = np.zeros(watched), np.zeros(watched)
+    for step in range(len(F)):
         if counters[0] > 0:
-            for a in range(n):
-                Xc[a] += drive[1, a] * F[step]
+            state.Xc[:, :] += fixed.drive[1] * F[step]
         # what each candidate would add to the outputs
-        for i in range(ny):
-            y[i] = D[i] * F[step]
-            for a in range(n):
-                if C[i, a] != 0.0:
-                    _add(y[i], C[i, a], Xc[a])
+        y = fixed.through * F[step] + fixed.C @ state.Xc
+        level_s = y - state.mean_s
+        white = level_s.copy()
         alone = False
         # whiten: filter of each output with its own past
         for i in range(ny):
             # noise may be larger where the signal is
             square = P[step, i] * P[step, i]
-            power[i] += pace * (square - power[i])
-            here = noise[i, 0] + noise[i, 1] * square + noise[i, 2] * power[i]
-            around = noise[i, 0] + (noise[i, 1] + noise[i, 2]) * power[i]
-            scale[step, i] = math.sqrt(max(here, EVEN * around, least[i]))
-            slow = fading * around / (scale[step, i] * scale[step, i])
+            state.power[i] += fixed.pace * (square - state.power[i])
+            here = noise[i, 0] + noise[i, 1] * square + noise[i, 2] * state.power[i]
+            around = noise[i, 0] + (noise[i, 1] + noise[i, 2]) * state.power[i]
+            scale[step, i] = math.sqrt(max(here, EVEN * around, fixed.least[i]))
+            slow = fixed.fading * around / (scale[step, i] * scale[step, i])
             there = use[step, i] != 0
-            e[i] = E[step, i] - mean_e[i] if there else 0.0
-            level_s[i] = y[i] - mean_s[i]
+            e[i] = E[step, i] - state.mean_e[i] if there else 0.0
             if calm[step]:
-                mean_s[i] += slow * level_s[i]
-            white[i] = level_s[i]
+                state.mean_s[i] += slow * level_s[i]
             w = e[i]
             for a in range(q):
-                f = filters[i, a]
-                if f != 0.0:
-                    w += f * past_e[a, i]
-                    _add(white[i], f, past_s[a, i])
-            crowd[i] -= thinning * crowd[i]
-            gate = GATE * scale[step, i] * spread_r[i] * math.sqrt(size[i])
+                w += filters[i, a] * state.past_e[a, i]
+                if filters[i, a] != 0.0:
+                    white[i] += filters[i, a] * state.past_s[a, i]
+            crowd[i] -= fixed.thinning * crowd[i]
+            gate = GATE * scale[step, i] * fixed.wide[i] * math.sqrt(size[i])
             if there and known[i] >= q and calm[step] and abs(w) > gate:
                 crowd[i] = min(crowd[i] + 1.0, 2.0 * FEW)
                 if crowd[i] <= FEW:  # as the past of the filter would have it
@@ -227,59 +316,41 @@ def scores(  # type: ignore[no-untyped-def]
                     w = 0.0
                     use[step, i] = ALONE
                     alone = True
-            if (
-                there and use[step, i] != ALONE and calm[step]
-            ):  # slow drift of a sensor is none of the candidates
-                mean_e[i] += slow * e[i]
+            measured = there and use[step, i] != ALONE
+            if measured and calm[step]:  # slow drift of a sensor is none of the candidates
+                state.mean_e[i] += slow * e[i]
             r[i] = w / scale[step, i]
             white[i] /= scale[step, i]
-            ready[i] = 1 if there and use[step, i] != ALONE and known[i] >= q and calm[step] else 0
+            ready[i] = measured and known[i] >= q and calm[step] != 0
             known[i] = known[i] + 1 if there else 0
-        for i in range(ny - 1, -1, -1):  # in place: each row needs those before it
-            whole = ready[i]
-            w = mix[i, i] * r[i]
-            s[i] = mix[i, i] * white[i]
+        s, r = mix @ white, mix @ r
+        for i in range(ny - 1, -1, -1):  # each row needs those before it
             for a in range(i):
-                c = mix[i, a]
-                if c != 0.0:
-                    w += c * r[a]
-                    _add(s[i], c, white[a])
-                    if ready[a] == 0:
-                        whole = 0
-            r[i] = w
-            ready[i] = whole
+                ready[i] = ready[i] and (ready[a] or mix[i, a] == 0.0)
         # the score of this sample
         gain[:] = 0.0
         info[:] = 0.0
-        counted = False
         for i in range(ny):
-            if ready[i] == 0:
-                continue
-            counted = True
-            w = r[i] / math.sqrt(size[i])
-            w = min(max(w, -CLIP), CLIP)
-            seen = s[i, :watched]
-            _add(gain, w / math.sqrt(size[i]), seen)
-            info += seen * seen / size[i]
-            if p:
-                unsure[:] = 0.0
-                for a in range(p):
-                    _add(unsure, s[i, numbers[a]], root[a])
-                _multiply(cross, seen, size[i], unsure)
-        top = 0.0
+            if ready[i]:
+                w = min(max(r[i] / math.sqrt(size[i]), -CLIP), CLIP)
+                seen = s[i, :watched]
+                gain += w / math.sqrt(size[i]) * seen
+                info += seen * seen / size[i]
+                if p:
+                    state.cross[:, :] += np.outer(seen / size[i], s[i][numbers] @ fixed.root)
+        counted, top = ready.any(), 0.0
         if counted:
-            top = _windows(N_, V_, doubt, keep, level, factor, gain, info)
+            top = _windows(state, fixed.keep, fixed.level, gain, info)
             counters[1] += 1
-        if counters[0] % block == 0:
-            at = (counters[0] // block) % blocks
-            sums[:, at] = 0.0
         at = (counters[0] // block) % blocks
-        sums[0, at] += gain
-        sums[1, at] += info
+        if counters[0] % block == 0:
+            state.sums[:, at] = 0.0
+        state.sums[0, at] += gain
+        state.sums[1, at] += info
         if p and (counters[0] + 1) % block == 0:
-            _share_doubt(cross, shared, fading_of, doubt)
-        if counted and adapt:
-            weight = max(slowest, 1.0 / (LEARNED + counters[1]))
+            _share_doubt(state, fading_of)
+        if counted and stop:
+            weight = max(SLOWEST, 1.0 / (LEARNED + counters[1]))
             runs = False
             for i in range(ny):
                 if ready[i]:
@@ -287,28 +358,22 @@ def scores(  # type: ignore[no-untyped-def]
                     size[i] = max(size[i] + weight * (1.005 * w - size[i]), FALLEN)
                     runs = runs or size[i] > FALLEN
             if runs and counters[0] % block == 0:
-                _calibrate(N_, V_, doubt, keep, counters[1], spread, factor)
+                _calibrate(state, fixed.keep)
         ratio[step] = top
         # the past of the filters
         for a in range(q - 1, 0, -1):
-            past_e[a] = past_e[a - 1]
-            past_s[a] = past_s[a - 1]
+            state.past_e[a] = state.past_e[a - 1]
+            state.past_s[a] = state.past_s[a - 1]
         if q > 0:
-            put(past_e[0], 0, e)
-            put_rows(past_s[0], level_s)
+            state.past_e[0] = e
+            state.past_s[0] = level_s
         # correct and step on
         for i in range(ny):
-            if use[step, i] == 1:
-                for a in range(n):
-                    if K[a, i] != 0.0:
-                        _add(Xc[a], -K[a, i], y[i])
-        for a in range(n):
-            fresh[a] = drive[0, a] * F[step]
-            for b in range(n):
-                if Phi[a, b] != 0.0:
-                    _add(fresh[a], Phi[a, b], Xc[b])
-        put_rows(Xc, fresh)
+            if use[step, i] != 1:
+                y[i] = 0.0
+        state.Xc[:, :] -= fixed.gain @ y
+        state.Xc[:, :] = fixed.Phi @ state.Xc + fixed.drive[0] * F[step]
         counters[0] += 1
         if alone or (stop and top > 1.0):
             return step + 1
-    return total
+    return len(F)

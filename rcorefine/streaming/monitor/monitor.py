@@ -22,28 +22,19 @@ from ...inference.levels import levels
 from ...results import Options, Result, picture, show
 from ...systems.discretization import check_sampling_time
 from ...systems.linear import Array
-from ..checks import as_size
-from ..gaps import Block, as_missing, block_with_gaps, whole_block
-from ..learned import alone
 from ..persistence import read_file, write_file
-from ..samples import checked_block
-from .adequacy import Adequacy
-from .alarm import Alarm, MonitorRow
+from ..refiner import alone
+from ..samples import Block, as_missing, as_size, checked_block
 from .bank import checked_candidates
-from .learning import learned, record_to_watch, window_lengths
-from .observer import as_base, pace_of
+from .learning import BLOCKS, PER, Adequacy, learned, record_to_watch, window_lengths
 from .saving import content_of, restored
-from .sequential_test import Watch
-from .standing import idle_remarks, linear_rows
-from .stream import Stream
-from .watching import Course, watch_block
+from .stream import Stream, as_base, period_of
+from .watching import Alarm, Course, MonitorRow, Watch, idle_remarks, linear_rows, watch_block
 
 __all__ = ["Monitor"]
 
-_PER = 100_000  # samples to which `false_alarms` refers
 _LEAST = 2000  # samples of the learning phase
 _LEARN_PERIODS = 20
-_BLOCKS = 256
 
 
 class Monitor(Result):
@@ -183,19 +174,19 @@ class Monitor(Result):
         self.hold = hold
         self.missing = as_missing(missing)
         self.false_alarms = as_number(
-            false_alarms, f"false_alarms per {_PER} samples", above=0.0, most=1000.0, error=ModelError
+            false_alarms, f"false_alarms per {PER} samples", above=0.0, most=1000.0, error=ModelError
         )
         self.disturbance = disturbance
         if disturbance is not None:
             self.disturbance = as_number(disturbance, "disturbance", least=0.0, error=ModelError)
         self.patience = as_number(patience, "patience (in periods)", least=0.0, error=ModelError)
         self.candidates = checked_candidates(self._structure.model, candidates)
-        self._pace = pace_of(self._structure, self._theta, self.dt)
-        usual = max(_LEAST, _LEARN_PERIODS * self._pace.period)
+        self._period = period_of(self._structure, self._theta, self.dt)
+        usual = max(_LEAST, _LEARN_PERIODS * self._period)
         self.learn = as_size(usual if learn is None else learn, "learn", 200, "samples of the learning phase")
-        self._block = max(1, self._pace.period // 8)
+        self._block = max(1, self._period // 8)
         self.windows = windows
-        self._lengths = window_lengths(windows, self._pace.period)
+        self._lengths = window_lengths(windows, self._period)
         self._lock = threading.RLock()
         self.reset()
 
@@ -209,10 +200,8 @@ class Monitor(Result):
         self._latest = np.zeros(linear.n_inputs)
         self.remarks: tuple[str, ...] = ()
         self.adequacy: Adequacy | None = None
-        self._watch = Watch(
-            self._pace.period, self.dt, self.false_alarms, self.patience, _BLOCKS * self._block
-        )
-        self._course = Course(len(self.candidates) + 4, max(1, self._pace.period // 2))
+        self._watch = Watch(self._period, self.dt, self.false_alarms, self.patience, BLOCKS * self._block)
+        self._course = Course(len(self.candidates) + 4, max(1, self._period // 2))
 
     # ------------------------------------------------------------------ samples in
     @alone
@@ -243,10 +232,8 @@ class Monitor(Result):
         Several threads may call it in turn.
         """
         linear = self._structure.linear_model
-        if self.missing == "raise":
-            block = whole_block(*checked_block(linear, self.dt, w, y, self._count))
-        else:
-            block = block_with_gaps(linear, self.dt, w, y, self._count, self._latest)
+        latest = None if self.missing == "raise" else self._latest
+        block = checked_block(linear, self.dt, w, y, self._count, latest)
         restore = self._way_back(len(block.inputs))
         try:
             self._go_on(block)
@@ -281,7 +268,7 @@ class Monitor(Result):
             if self._count < self.learn:
                 return
             whole = Block.joined(self._waiting)
-            self._stream, self.adequacy = learned(self, whole, _PER, _BLOCKS)
+            self._stream, self.adequacy = learned(self, whole)
             said = () if self.adequacy.adequate else (self.adequacy.sentence,)
             self.remarks, self._waiting = idle_remarks(self._stream) + said, []
         watch_block(self._stream, self._watch, self._course, block, position)

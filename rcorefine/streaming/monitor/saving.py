@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import copy
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,19 +17,14 @@ from ...engine.engine import MOST_SUBSTEPS
 from ...engine.structure import Structure
 from ...exceptions import DataError
 from ...inference.autoregression import MAX_ORDER
-from ..gaps import Block
-from ..persistence import storable
-from ..restoring import check_like, check_range, parts_of
-from .adequacy import Adequacy
-from .alarm import Alarm, MonitorRow
+from ..persistence import check_like, check_range, check_schema, storable
+from ..samples import Block
 from .bank import Bank
-from .baseline import Healthy
-from .forces import CODES
-from .kernels import ALONE
-from .observer import Observer
-from .sequential_test import Watch
+from .baseline import TINY, Healthy
+from .kernels import ALONE, CODES
+from .learning import Adequacy, stream_of
 from .stream import Stream, Windows
-from .watching import ROWS, Course
+from .watching import ROWS, Alarm, Course, MonitorRow, Watch
 
 if TYPE_CHECKING:
     from .monitor import Monitor
@@ -39,6 +35,7 @@ _SETTINGS = (
     "dt", "false_alarms", "learn", "disturbance", "hold", "missing", "windows", "patience", "tolerance",
     "candidates",
 )  # fmt: skip
+_FIXED = ("period", "dt", "false_alarms", "patience", "room")  # of the watch, by the settings
 _LAYOUT = 3  # of the content; raised when what a monitor learned changes its form
 storable(Adequacy, Alarm, Bank, Block, Healthy, MonitorRow, Watch, Windows)
 
@@ -87,7 +84,6 @@ def content_of(monitor: Monitor) -> dict[str, Any]:
             "numbers": {"effects": stream.observer.structure.effects, "theta": stream.observer.theta},
             "healthy": stream.healthy,
             "bank": stream.bank,
-            "windows": stream.windows,
             "memory": {key: value.copy() for key, value in stream.memory.items()},
         },
     }
@@ -112,20 +108,15 @@ def restored(cls: type[Monitor], content: Any) -> Monitor:
     monitor._waiting = list(content["waiting"])
     monitor.remarks = tuple(content["remarks"])
     monitor.adequacy = content["adequacy"]
-    monitor._watch = copy(content["watch"])
+    kept = {name: getattr(monitor._watch, name) for name in _FIXED}
+    monitor._watch = replace(content["watch"], **kept)
     monitor._course = Course.restored(content["course"])
     if content["stream"] is not None:
-        parts = content["stream"]
-        learned = parts["numbers"]
-        structure = Structure(
-            base["physical"], tuple(learned["effects"]), constants=monitor._structure.constants
-        )
-        check_like(learned["theta"], np.zeros(structure.n_parameters), "parameters of the model")
-        healthy = parts["healthy"]
-        observer = Observer(
-            structure, learned["theta"], monitor.dt, monitor.hold, monitor._substeps, healthy.gain
-        )
-        stream = Stream(observer, healthy, parts["bank"], parts["windows"], monitor.learn)
+        parts, fixed = content["stream"], monitor._structure
+        structure = Structure(fixed.model, tuple(parts["numbers"]["effects"]), constants=fixed.constants)
+        theta = parts["numbers"]["theta"]
+        check_like(theta, np.zeros(structure.n_parameters), "parameters of the model")
+        stream = stream_of(monitor, structure, theta, parts["healthy"], parts["bank"])
         check_memory(parts["memory"], stream, monitor._count)
         stream.memory = {key: np.array(value) for key, value in parts["memory"].items()}
         monitor._stream = stream
@@ -134,21 +125,11 @@ def restored(cls: type[Monitor], content: Any) -> Monitor:
 
 _NAN, _INF = float("nan"), float("inf")
 _BLOCK = dict.fromkeys(("inputs", "outputs", "known", "use"), "samples")
-_ALARM = {
-    "sample": 0, "time": 0.0, "crossed": 0.0, "since_sample": 0, "since": 0.0, "probability": _NAN,
-    "statistic": 0.0, "threshold": 0.0, "false_alarms": 0.0, "sentence": "",
-}  # fmt: skip
-_ROW = {"probability": 0.0, "log_likelihood": _NAN, "fitted": False}
-_WATCH = {
-    "confirmed": False, "crossed": 0, "misfit": _INF, "place": "", "next_naming": 0, "next_follow": 0,
-    "value": _NAN, "std": _NAN,
-}  # fmt: skip
 _CODES = frozenset([0, *CODES.values()])  # 0 for the force of a law
-_TINY = np.finfo(float).tiny
 _RANGES = {
-    "size": (_TINY, _INF), "factor": (_TINY, _INF), "V": (0.0, _INF), "spread": (0.0, _INF),
+    "size": (TINY, _INF), "factor": (TINY, _INF), "V": (0.0, _INF), "spread": (0.0, _INF),
     "known": (0.0, _INF), "crowd": (0.0, _INF), "ring_use": (0, ALONE),
-    "power": (0.0, _INF), "doubt": (0.0, _INF), "ring_scale": (_TINY, _INF),
+    "power": (0.0, _INF), "doubt": (0.0, _INF), "ring_scale": (TINY, _INF),
 }  # fmt: skip
 
 
@@ -174,13 +155,13 @@ def check_monitor(monitor: Monitor, content: Mapping[str, Any]) -> None:
     check_range(waiting, count if learning else 0, count if learning else 0, "samples that wait")
     check_range(count, 0 if learning else monitor.learn, monitor.learn - 1 if learning else _INF, "count")
     _check_course(content["course"], len(monitor.candidates) + 4, count)
-    _check_watch(parts_of(content["watch"]), monitor)
+    _check_watch(content["watch"], monitor)
     for remark in content["remarks"]:
         check_like(remark, "", "remarks")
     if monitor._covariance is not None:
         check_like(monitor._covariance, np.full((s.n_parameters,) * 2, _NAN), "covariance")
-    if content["adequacy"] is not None:
-        _check_adequacy(parts_of(content["adequacy"]), monitor)
+    if not isinstance(content["adequacy"], Adequacy | None):
+        raise DataError("adequacy is none: the file is damaged")
     if not learning:
         _check_parts(content["stream"], monitor)
 
@@ -211,92 +192,43 @@ def _check_course(found: Any, width: int, count: int) -> None:
 
 
 def _check_watch(found: Any, monitor: Monitor) -> None:
-    fresh = monitor._watch
-    for name in ("period", "dt", "false_alarms", "patience", "room"):
-        wanted = getattr(fresh, name)
-        if found[name] != wanted:
-            raise DataError(f"watch.{name} is {found[name]!r} and must be {wanted!r}: the file is damaged")
-    check_like({name: found[name] for name in _WATCH}, _WATCH, "watch")
+    """Check the alarm and the ranking.
+
+    The types of their fields were checked on reading.
+    """
     ny = monitor._structure.n_outputs
-    check_like(found["mean"], np.zeros(ny if len(found["mean"]) else 0), "watch.mean")
-    if found["gains"] is not None:
-        check_like(found["gains"], np.full(len(monitor.candidates), -np.inf), "watch.gains")
-    alarms = [parts_of(alarm) for alarm in (found["found"], *found["past"]) if alarm is not None]
-    rows = [parts_of(row) for row in found["rows"]]
-    for alarm in alarms:
-        check_like({name: alarm[name] for name in _ALARM}, _ALARM, "alarm")
-        if alarm["ended"] is not None:
-            check_like(alarm["ended"], 0.0, "alarm.ended")
-    for row in rows:
-        check_like({name: row[name] for name in _ROW}, _ROW, "ranking")
-    for part in (*alarms, *rows):
-        if part["effect"] not in monitor.candidates:
-            raise DataError(f"{part['effect']!r:.80} is none of the candidates: the file is damaged")
-        own = [name for name in part["coefficients"] if name in part["effect"].coefficients]
+    check_like(found.mean, np.zeros(ny if len(found.mean) else 0), "watch.mean")
+    if found.gains is not None:
+        check_like(found.gains, np.full(len(monitor.candidates), -np.inf), "watch.gains")
+    parts: list[tuple[Any, type]] = [(row, MonitorRow) for row in found.rows]
+    parts += [(alarm, Alarm) for alarm in (found.found, *found.past) if alarm is not None]
+    for part, kind in parts:
+        sound = type(part) is kind
+        if not sound or part.effect not in monitor.candidates:
+            raise DataError(f"{part!r:.80} is of none of the candidates: the file is damaged")
+        own = [name for name in part.coefficients if name in part.effect.coefficients]
         for name in ("coefficients", "std"):
-            check_like(part[name], dict.fromkeys(own, _NAN), name)
-
-
-def _check_adequacy(found: Any, monitor: Monitor) -> None:
-    fits = (_NAN,) * monitor._structure.n_outputs
-    fresh = {"fit": fits, "fit_moved": fits, "score": _NAN, "adequate": True, "sentence": ""}
-    check_like({name: found[name] for name in fresh}, fresh, "adequacy")
-    check_like(found["moved"], dict.fromkeys(found["moved"], _NAN), "adequacy.moved")
-    if found["missing"] is not None and found["missing"] not in monitor.candidates:
-        raise DataError("adequacy.missing is none of the candidates: the file is damaged")
+            check_like(getattr(part, name), dict.fromkeys(own, _NAN), name)
 
 
 def _check_parts(found: Any, monitor: Monitor) -> None:
-    """Check the learned parts: observer, noise, columns and windows."""
-    s = monitor._structure
-    n, ny, nw = s.n_states, s.n_outputs, s.n_inputs
-    healthy, bank = parts_of(found["healthy"]), parts_of(found["bank"])
-    q, k = np.shape(healthy["filters"])[-1], len(bank["owner"])
-    check_range(q, 0, MAX_ORDER, "orders of the noise")
-    check_like(
-        healthy,
-        {
-            "ratio": 0.0, "gain": np.zeros((n, ny)), "x0": np.zeros(n), "filters": np.zeros((ny, q)),
-            "mix": np.zeros((ny, ny)), "settle": 1, "orders": (0,) * ny, "mean": np.zeros(ny),
-            "noise": np.zeros((ny, 3)), "least": np.zeros(ny), "pace": 1.0, "power": np.zeros(ny),
-        },
-        "healthy",
-    )  # fmt: skip
-    check_range(healthy["noise"], 0.0, _INF, "healthy.noise")
-    check_range(healthy["least"], _TINY, _INF, "healthy.least")
-    check_range(healthy["pace"], 0.0, 1.0, "healthy.pace")
-    integers = np.zeros(k, dtype=np.int64)
-    effects, watched = bank.pop("effects"), len(monitor.candidates)
-    if as_effects(effects, "bank.effects")[:watched] != [*monitor.candidates]:
+    """Check the learned parts: observer, noise and columns."""
+    s, healthy, bank = monitor._structure, found["healthy"], found["bank"]
+    sizes = {"n": s.n_states, "ny": s.n_outputs, "sensed": s.n_states + s.n_inputs}
+    check_schema(healthy, Healthy, sizes, "healthy")
+    check_range(sizes["q"], 0, MAX_ORDER, "orders of the noise")
+    check_like(healthy.orders, (0,) * s.n_outputs, "healthy.orders")
+    check_schema(bank, Bank, sizes, "bank")
+    watched = len(monitor.candidates)
+    if as_effects(bank.effects, "bank.effects")[:watched] != [*monitor.candidates]:
         raise DataError("bank.effects are not the candidates: the file is damaged")
-    p = len(bank["numbers"])
-    check_like(
-        bank,
-        {
-            "owner": integers, "rows": np.zeros((2, k, n + nw)), "codes": integers,
-            "values": np.zeros((k, 4)), "widths": np.zeros(k), "pick": integers,
-            "drive": np.zeros((2, n, k)), "through": np.zeros((ny, k)), "names": ("",) * k,
-            "Phi": np.zeros((n, n)), "C": np.zeros((ny, n)), "scale": np.zeros(k),
-            "watched": 1, "numbers": np.zeros(p, dtype=np.int64), "root": np.zeros((p, p)),
-        },
-        "bank",
-    )  # fmt: skip
-    check_range(bank["pick"], 0, 3, "bank.pick")
-    owner = bank["owner"].tolist()
-    if set(owner) != set(range(len(effects))) or set(owner[: bank["watched"]]) != set(range(watched)):
-        raise DataError("bank.owner does not name each candidate: the file is damaged")
-    check_range(bank["watched"], 1, k, "bank.watched")
-    check_range(bank["numbers"], 0, k - 1, "bank.numbers")
-    for code in bank["codes"].tolist():
-        if code not in _CODES:
-            raise DataError(f"bank.codes holds {code}, the code of no law: the file is damaged")
-    windows = parts_of(found["windows"])
-    M = monitor._lengths.size
-    fresh = {"keep": np.zeros(M), "levels": np.zeros(M), "block": 1, "blocks": 1, "fading": 0.0}
-    check_like(windows, fresh, "windows")
-    check_range(windows["keep"], _TINY, 1.0 - 1e-12, "windows.keep")
-    check_range(windows["levels"], _TINY, _INF, "windows.levels")
-    check_range(windows["fading"], 0.0, 1.0, "windows.fading")
-    check_range(windows["block"], monitor._block, monitor._block, "windows.block")
-    room = monitor._watch.room // monitor._block
-    check_range(windows["blocks"], room, room, "windows.blocks")
+    check_range(bank.watched, 1, sizes["k"], "bank.watched")
+    check_range(bank.numbers, 0, sizes["k"] - 1, "bank.numbers")
+    owner = bank.owner.tolist()
+    if (
+        set(owner) != set(range(len(bank.effects)))
+        or set(owner[: bank.watched]) != set(range(watched))
+        or len(bank.names) != len(owner)
+        or not _CODES.issuperset(bank.codes.tolist())
+    ):
+        raise DataError("bank.owner, names and codes do not name each candidate: the file is damaged")

@@ -6,7 +6,7 @@ It consists of observer, bank and windows.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,19 +15,178 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from ...effects.compiled import raise_pending
+from ...engine.inputs import InputSignal
+from ...engine.kernels import march
+from ...engine.point import field_numbers
+from ...engine.setting import PIECES
+from ...engine.simulation import structure_of
+from ...engine.structure import Structure
+from ...exceptions import DivergenceError, ModelError
+from ...models.operating_point import check_stream_hold, refuse_discrete
 from ...systems.linear import Array
 from . import kernels
 from .bank import Bank
 from .baseline import Healthy
-from .forces import forces
-from .observer import Observer
+from .kernels import forces
 
-__all__ = ["Stream", "Windows"]
+__all__ = ["Observer", "Stream", "Windows", "as_base", "period_of"]
+
+
+def as_base(model: Any, hold: str) -> tuple[Structure, Array, int]:
+    """Return structure, coefficients and substeps of the healthy model.
+
+    Raises
+    ------
+    ModelError
+        If the model is discrete, was found to have another hold, or holds what needs the future.
+    """
+    refuse_discrete(model)
+    structure, theta, substeps = structure_of(model)
+    check_stream_hold(structure.model, hold)
+    if structure.output_delays:
+        raise ModelError(
+            f"{structure.effects[structure.output_delays[0][0]].label}: a delay at an output cannot be "
+            "estimated on a stream; refine with an input_delay or an output_lag"
+        )
+    return structure, np.asarray(theta, dtype=float), int(substeps)
+
+
+def period_of(structure: Structure, theta: Array, dt: float) -> int:
+    """Return the period of the first mode in samples.
+
+    Where nothing swings, it is two time constants of the slowest state. The result is kept between 8 and
+    100 000.
+    """
+    poles = np.linalg.eigvals(structure.matrices(theta).A.astype(float))
+    swinging = np.abs(poles[np.abs(poles.imag) > 0.2 * np.abs(poles)])
+    if swinging.size:
+        samples = 2 * math.pi / swinging.min() / dt
+    else:
+        rates = np.abs(poles)
+        rates = rates[rates > 1e-6 * rates.max(initial=0.0)]
+        samples = 2 / rates.min() / dt if rates.size else 50
+    return int(np.clip(round(samples), 8, 100_000))
+
+
+class Observer:
+    """Steady observer of a structure, advanced block by block.
+
+    Parameters
+    ----------
+    structure : Structure
+        Model with its effects.
+    theta : ndarray, shape (p,)
+        Their coefficients.
+    dt : float
+        Sampling time [s].
+    hold : {"zoh", "foh"}
+        The input between samples.
+    substeps : int
+        Substeps per sample.
+    gain : ndarray, shape (n, n_y)
+        Gain of ``x = x + gain (y - y_model)``.
+    """
+
+    def __init__(
+        self, structure: Structure, theta: Array, dt: float, hold: str, substeps: int, gain: Array
+    ) -> None:
+        s = self.structure = structure
+        self.theta, self.dt, self.hold, self.substeps = theta, dt, hold, substeps
+        self.gain = np.ascontiguousarray(gain)
+        step = dt / substeps
+        disc = s.discretize(theta, step, derivatives=False)
+        self._pieces = PIECES if s.jumps else 1
+        fine = s.discretize(theta, step / self._pieces, derivatives=False) if s.jumps else disc
+        self._disc, self._Ms = disc, np.stack([disc.M, fine.M])
+        self._dMs = np.stack([disc.dM, fine.dM])
+        codes, values, columns, widths = s.laws(theta)
+        self._laws = codes, values, np.full_like(columns, -1), widths
+        outcodes, outvalues, outcolumns = s.output_laws(theta)
+        self._out = outcodes, outvalues, np.full_like(outcolumns, -1)
+        delays = [
+            float(s.value(theta, i, s.effects[i].coefficients[0]))
+            for i, _ in s.input_statics
+            if s.effects[i].spec.delays
+        ]
+        turning = [s.effects[i].label for i, _ in s.input_statics if s.effects[i].spec.inner_states]
+        if turning:
+            raise ModelError(
+                f"{turning[0]}: an input effect with an inner state cannot be part of the healthy "
+                "model of a monitor; leave it out, or name it among the candidates"
+            )
+        self.lag = 1 + (math.ceil(sum(delays) / dt) + 2 if delays else 0)
+
+    def begin(self, x0: Array) -> dict[str, Array]:
+        """Memory before the first sample."""
+        s = self.structure
+        inner = np.zeros(s.n_ports + s.n_outputs * s.remembers)
+        return {"x": np.array(x0, dtype=float), "z": inner, "w": np.zeros((0, s.n_inputs))}
+
+    def advance(
+        self,
+        memory: Mapping[str, Array],
+        W: Array,
+        Y: Array,
+        use: NDArray[np.uint8],
+        first: int,
+    ) -> tuple[dict[str, Array], Array, Array]:
+        """Advance over a block.
+
+        Parameters
+        ----------
+        memory : mapping
+            From `begin` or the last call; left as it is.
+        W, Y : ndarray, shape (N, n_w), (N, n_y)
+            Samples, finite.
+        use : ndarray of uint8, shape (N, n_y)
+            Which outputs correct the state.
+        first : int
+            Samples before, for messages.
+
+        Returns
+        -------
+        memory : dict
+            Memory after the block.
+        outputs : ndarray, shape (N, n_y)
+            Predicted outputs.
+        states : ndarray, shape (N, n)
+            States after the correction.
+        """
+        s, disc = self.structure, self._disc
+        past = memory["w"]
+        before = min(len(past), 1)  # the sample before, from which the first step starts
+        whole = np.concatenate([past, W])
+        N, ny, n, m = W.shape[0] + before, s.n_outputs, s.n_states, s.n_ports
+        signal = InputSignal(np.ascontiguousarray(whole.T), self.dt, self.hold, self.substeps)
+        drive = signal.drive(s, self.theta)
+        skip = len(whole) - N
+        measured, flags = np.zeros((N, ny)), np.zeros((N, ny), dtype=np.uint8)
+        measured[before:], flags[before:] = Y, use
+        x, z = memory["x"].copy(), memory["z"].copy()
+        Yout, SY = np.full((N, ny), np.nan), np.zeros((N, ny, 0))
+        X, F = np.full((N, n), np.nan), np.full((N if m else 0, m), np.nan)
+        none = np.zeros((0, 1, s.n_inputs + 1))
+        limit = 1e12 * (1.0 + float(np.abs(x).max(initial=0.0) + np.abs(Y).max() + np.abs(W).max()))
+        blew_up = march(
+            self._Ms, self._dMs, self._pieces, disc.linear, disc.O, disc.dO, disc.P, disc.dP, *self._laws,
+            np.ascontiguousarray(drive.W[skip * self.substeps * max(drive.course, 1) :]), drive.course,
+            np.ascontiguousarray(drive.Wout[skip:]), none, none, np.zeros(0, dtype=np.int64),
+            measured, flags, self.gain, np.zeros((0, 0)), *self._out, x, z, np.zeros((0, n)), self.substeps,
+            Yout, SY, X, F, limit, np.full(ny, np.inf), *field_numbers(s, self.theta),
+        )  # fmt: skip
+        raise_pending()
+        if blew_up >= 0:
+            raise DivergenceError(
+                f"the observer of the healthy model left all bounds at sample {first + blew_up - before}; "
+                "check the model, the units of the samples, or raise disturbance"
+            )
+        after = {"x": x, "z": z, "w": whole[-self.lag :].copy()}
+        return after, Yout[before:], X[before:]
+
 
 _RINGS = ("ring_w", "ring_y", "ring_use", "ring_x", "ring_scale")  # the last samples
 _FIND = 64  # blocks after a missing input from which the state is found anew
 _CROWDED = 400  # most samples over which those that stand out are counted
-_SLOWEST = 1.0 / 50_000  # least weight of a sample in the noise level
 _DOUBT = 0.1  # by how much a state that is not sure yet may widen the variance of a statistic
 
 
@@ -54,11 +213,6 @@ class Windows:
     block: int
     blocks: int
     fading: float
-
-    @property
-    def lengths(self) -> Array:
-        """Effective number of samples in each window."""
-        return 1.0 / (1.0 - self.keep)
 
 
 @dataclass(eq=False)
@@ -87,8 +241,13 @@ class Stream:
     memory: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._spread = np.linalg.norm(np.linalg.inv(self.healthy.mix), axis=1)
-        self._thinning = max(4 * self.windows.fading, 1 / _CROWDED)  # four periods
+        bank, h, w = self.bank, self.healthy, self.windows
+        self._columns = bank.columns
+        self._fixed = kernels.Fixed(
+            bank.Phi, bank.drive, bank.C, bank.through, self.observer.gain, h.filters, h.noise, h.least,
+            h.pace, h.mix, np.linalg.norm(np.linalg.inv(h.mix), axis=1), w.keep, w.levels**2, w.fading,
+            bank.numbers, bank.root, w.block, max(4 * w.fading, 1 / _CROWDED),  # four periods
+        )  # fmt: skip
         self._gaps()
         if self.memory:
             return
@@ -176,22 +335,15 @@ class Stream:
         ratio : ndarray, shape (done,)
             Largest squared statistic over its threshold.
         """
-        mem, bank, w = self.memory, self.bank, self.windows
-        first = self.n_samples
+        mem, first = self.memory, self.n_samples
         given, use = use, use.copy()  # samples that stand out alone are marked in it
         calm, pause = self._calm(known, use)
         state = {key: mem[key] for key in ("x", "z", "w")}
         after, before, F, inner = self._motion(state, W, Y, use, first)
         ratio, scale = np.zeros(len(W)), np.ones(Y.shape)
-        h = self.healthy
-        done = int(kernels.scores(
-            Y - after[1], after[1], use, calm, F, bank.Phi, bank.drive, bank.C, bank.through,
-            self.observer.gain, h.filters, h.noise, h.least, h.pace, h.mix, w.keep, w.levels**2, stop,
-            _SLOWEST, w.fading, stop, bank.numbers, bank.root, w.block, mem["Xc"], mem["past_e"],
-            mem["past_s"], mem["known"], mem["N"], mem["V"], mem["power"], mem["cross"], mem["shared"],
-            mem["doubt"], mem["mean_e"], mem["mean_s"], mem["spread"], mem["factor"], self._spread,
-            self._thinning, mem["crowd"], mem["size"], mem["sums"], mem["counters"], scale, ratio,
-        ))  # fmt: skip
+        state_of = kernels.State(*(mem[name] for name in kernels.State._fields))
+        samples = Y - after[1], after[1], use, calm, F
+        done = int(kernels.scores(samples, self._fixed, state_of, stop, scale, ratio))
         left_out = bool((use[:done] == kernels.ALONE).any())
         marks, use = use[:done], (use[:done] == 1).astype(np.uint8)
         if done < len(W) or left_out:  # the observer stops at the same sample, and does not follow it
@@ -308,19 +460,8 @@ class Stream:
         before = states - np.where(use > 0, Y - outputs, 0.0) @ self.observer.gain.T
         sensed = np.ascontiguousarray(np.hstack([before, W]))
         F, inner = np.zeros((len(W), bank.size)), self.memory["inner"].copy()
-        forces(
-            sensed,
-            bank.rows,
-            bank.codes,
-            bank.laws,
-            self.observer.structure.n_states,
-            bank.values,
-            bank.widths,
-            bank.pick,
-            1.0 / self.observer.dt,
-            inner,
-            F,
-        )
+        n, rate = self.observer.structure.n_states, 1.0 / self.observer.dt
+        forces(sensed, self._columns, n, rate, inner, F)
         raise_pending()
         return (after, outputs), before, F * bank.scale, inner
 

@@ -1,19 +1,686 @@
-"""Samples of the stream in sequence: test, alarm and history rows."""
+"""Decisions of the monitor: alarm, ranking, and history rows."""
 
 from __future__ import annotations
 
 import math
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from ...data.measurement import Measurement
+from ...effects.effect import Effect
+from ...inference.levels import levels
+from ...inference.starts import Motion
+from ...models.physical_model import PhysicalModel
+from ...results import Row
 from ...systems.linear import Array
-from ..gaps import Block
-from .sequential_test import Watch
-from .standing import find_state, shares, standing
+from ...words import with_error
+from ..samples import Block
+from .isolation import Fit, Segment, fit_candidate
 from .stream import Stream
 
-__all__ = ["ROWS", "Course", "watch_block"]
+__all__ = [
+    "ROWS", "Alarm", "Course", "MonitorRow", "Watch", "idle_remarks", "linear_estimates", "linear_rows",
+    "watch_block",
+]  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class MonitorRow(Row):
+    """One candidate of `Monitor.ranking`.
+
+    Attributes
+    ----------
+    effect : Effect
+        Candidate.
+    coefficients : dict
+        Name and estimate, in the units of the model.
+    std : dict
+        Standard deviations.
+    probability : float
+        Share among the candidates and "nothing", all of which are as likely before.
+    log_likelihood : float
+        Gain of log-likelihood over the healthy model, since the change.
+    fitted : bool
+        Whether the estimate is a nonlinear fit (after an alarm), or the linear one of the bank.
+    """
+
+    effect: Effect
+    coefficients: dict[str, float]
+    std: dict[str, float]
+    probability: float
+    log_likelihood: float
+    fitted: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Alarm(Row):
+    """A change that chance does not explain.
+
+    Attributes
+    ----------
+    sample : int
+        Sample at which the alarm was raised, counted from the start of the stream.
+    time : float
+        The same in seconds.
+    crossed : float
+        Time [s] at which the threshold was crossed; the alarm then waits for a clear name.
+    since_sample : int
+        Sample since which the structure has changed, estimated.
+    since : float
+        The same in seconds.
+    effect : Effect
+        Candidate that explains the change best.
+    coefficients : dict
+        Name and estimate.
+    std : dict
+        Standard deviations.
+    probability : float
+        Of this effect among all candidates and "nothing".
+    statistic : float
+        Largest windowed score, in standard deviations.
+    threshold : float
+        Level that it crossed.
+    false_alarms : float
+        Stated expected number of false alarms per 100 000 healthy samples.
+    ended : float or None
+        Time [s] at which the change was gone; None while it lasts.
+    sentence : str
+        All that in words.
+    """
+
+    sample: int
+    time: float
+    crossed: float
+    since_sample: int
+    since: float
+    effect: Effect
+    coefficients: dict[str, float]
+    std: dict[str, float]
+    probability: float
+    statistic: float
+    threshold: float
+    false_alarms: float
+    ended: float | None
+    sentence: str
+
+    def __str__(self) -> str:
+        return textwrap.fill(self.sentence, 80)
+
+
+_SHORTLIST = 10
+_LEADERS = 3  # candidates with which the time of the change is settled
+_MOVES = 4
+_PLACES = 3  # leading fits whose places are searched through
+_HOPELESS = 100.0  # sum of squares by which a fit may lie behind before it is given up
+
+
+def standing(stream: Stream) -> tuple[float, Array]:
+    """Return the largest statistic over its threshold, and all gains.
+
+    A gain says by how much a candidate's log-likelihood exceeds the threshold.
+
+    Returns
+    -------
+    ratio : float
+        Largest windowed score over its threshold.
+    gain : ndarray, shape (n_candidates,)
+        Half of (squared score - squared threshold), the best of each candidate's
+        columns and windows; 0 at the threshold.
+    """
+    levels = stream.windows.levels**2
+    square = stream.memory["N"] ** 2 / stream.variances()
+    ratio = float(np.sqrt((square / levels[:, None]).max(initial=0.0)))
+    best = (0.5 * (square - levels[:, None])).max(axis=0)
+    return ratio, _by_candidate(stream, best)
+
+
+def _by_candidate(stream: Stream, values: Array) -> Array:
+    gain = np.full(len(stream.bank.candidates), -np.inf)
+    np.maximum.at(gain, stream.bank.owner[: values.size], values)
+    return gain
+
+
+def shares(change: float, gains: Array) -> Array:
+    """Return the probabilities of no change and of each candidate.
+
+    The prior probabilities of the candidates are equal.
+
+    Parameters
+    ----------
+    change : float
+        Log-likelihood ratio of a change, 0 at the threshold.
+    gains : ndarray, shape (n_candidates,)
+        Log-likelihoods of the candidates, up to a constant.
+
+    Returns
+    -------
+    ndarray, shape (1 + n_candidates,)
+    """
+    something = 1.0 / (1.0 + math.exp(-min(max(change, -700.0), 700.0)))
+    weight = np.exp(gains - gains.max())
+    return np.concatenate([[1.0 - something], something * weight / weight.sum()])
+
+
+def change_of(stream: Stream) -> tuple[int, Array]:
+    """Return the sample of the change, and the gain of each column since.
+
+    The change that makes the likelihood of one candidate largest, among the starts of the
+    blocks that are kept.
+    """
+    starts, sums = stream.block_sums()
+    N, V = np.cumsum(sums[0][::-1], axis=0)[::-1], np.cumsum(sums[1][::-1], axis=0)[::-1]
+    factor = stream.memory["factor"].min(axis=0)
+    gain = 0.5 * N**2 / np.where(V > 1e-200, V * factor, np.inf)
+    block = int(np.argmax(gain.max(axis=1)))
+    since = int(starts[block])
+    if block > 0:  # a block in which part of the samples were sound pulls the start a block too far
+        since = max(since - stream.windows.block, int(starts[0]))
+    return since, gain[block]
+
+
+def linear_estimates(stream: Stream, since: int) -> tuple[Array, Array, Array]:
+    """Return linearized estimates of each column since a sample.
+
+    They are coefficient, standard deviation and gain.
+    """
+    starts, sums = stream.block_sums()
+    recent = starts + stream.windows.block > since
+    N, V = sums[0][recent].sum(axis=0), sums[1][recent].sum(axis=0)
+    safe = np.where(V > 1e-200, V, np.inf)
+    scale = stream.bank.scale[: stream.bank.watched]
+    return N / safe * scale, scale / np.sqrt(safe), 0.5 * N**2 / safe
+
+
+def linear_rows(stream: Stream) -> list[MonitorRow]:
+    """Ranking from the windows alone, linearized: while no alarm is on."""
+    _, gains = standing(stream)
+    p = shares(float(gains.max()), gains)[1:]
+    mem, keep = stream.memory, stream.windows.keep[:, None]
+    V = np.where(mem["V"] > 1e-200, mem["V"], np.inf)
+    levels = stream.windows.levels[:, None] ** 2
+    wide = stream.variances()
+    square = mem["N"] ** 2 / wide
+    rows = []
+    for i, effect in enumerate(stream.bank.candidates):
+        own = np.flatnonzero(stream.bank.owner == i)
+        m, c = np.unravel_index(int(np.argmax((square - levels)[:, own])), (keep.size, own.size))
+        j = own[c]
+        scale = stream.bank.scale[j] / (1.0 + float(keep[m, 0]))  # forgetting sums s^2 once, not twice
+        name = stream.bank.names[j]
+        value = scale * mem["N"][m, j] / V[m, j]
+        std = scale * np.sqrt(wide[m, j]) / V[m, j] if np.isfinite(V[m, j]) else np.inf
+        rows.append(
+            MonitorRow(
+                effect,
+                {name: float(value)},
+                {name: float(std)},
+                float(p[i]),
+                float(0.5 * square[m, j]),
+                False,
+            )
+        )
+    return sorted(rows, key=lambda row: (-row.probability, -row.log_likelihood))
+
+
+def idle_remarks(stream: Stream) -> tuple[str, ...]:
+    """Candidates that are not watched for, in words."""
+    owner, effects = stream.bank.owner, stream.bank.candidates
+    idle = [e.label for i, e in enumerate(effects) if not stream.bank.scale[owner == i].any()]
+    return (f"Not monitored, because the needed motion is missing: {', '.join(idle)}.",) if idle else ()
+
+
+def segment_of(stream: Stream, start: int, free_state: bool, mean: Array) -> Segment:
+    """Samples from `start` on as the fit needs them."""
+    W, Y, use, scale, x0 = stream.recent(start)
+    observer, healthy = stream.observer, stream.healthy
+    data = Measurement(W.T, (Y - mean).T, dt=observer.dt, hold=observer.hold)
+    mix = healthy.mix / np.sqrt(stream.memory["size"])[:, None]
+    return Segment(
+        observer.structure, observer.theta, observer.substeps, data, use, x0, observer.gain,
+        healthy.filters, mix, scale, free_state,
+    )  # fmt: skip
+
+
+def fit_all(
+    stream: Stream,
+    since: int,
+    mean: Array,
+    before: Mapping[Effect, Array],
+    *,
+    latest: int | None,
+    window: int,
+) -> tuple[list[tuple[Fit, float]], int, float]:
+    """Fit each promising candidate to the samples since the change.
+
+    Parameters
+    ----------
+    stream : Stream
+        The stream.
+    since : int
+        Sample of the change, as the bank sees it.
+    mean : ndarray, shape (n_y,)
+        Offset of the sensors.
+    before : mapping
+        Coefficients found the last time, to go on from.
+    latest : int or None
+        Latest sample to which the start of the change may move. None: it is past, and the
+        fits take the last samples, their state before unknown.
+    window : int
+        How many last samples.
+
+    Returns
+    -------
+    scored : list of (Fit, float)
+        Fits and their gains of log-likelihood, best first.
+    since : int
+        Sample of the change, moved to what the best fits prefer.
+    misfit : float
+        Mean square of what the best fit leaves, in units of the noise.
+    """
+    effects = stream.bank.candidates
+    estimates, _, gains = linear_estimates(stream, since)
+    order = np.argsort(-_by_candidate(stream, gains))
+    chosen = [int(i) for i in order[:_SHORTLIST]]
+    always = (lambda effect: effect in before) if before else (lambda effect: effect.spec.may_wear)
+    chosen += [int(i) for i in order[_SHORTLIST:] if always(effects[i])]
+
+    contest = _Contest(stream, mean, latest, window, estimates)
+    scored = contest.fits_from(since, chosen, before)
+    # a strong change bends the linear scores: all laws at the places that lead
+    leading = {fit.effect.place for fit, _ in scored[:_PLACES] if fit.effect is not None}
+    others = [i for i in range(len(effects)) if effects[i].place in leading and i not in chosen]
+    if others:
+        scored = _best_first([*scored, *contest.fits_from(since, others, before)])
+    if scored and latest is not None:
+        scored, since = contest.moved(scored, since, latest)
+    if not scored:
+        return [], since, math.inf
+    points = max(scored[0][0].points, 1)
+    # what the best one leaves, where that is more than noise, weighs all of them less
+    temper = max(1.0, scored[0][0].cost / points)
+    fair = [
+        (fit, gain / temper - 0.5 * (fit.coefficients.size - 1) * math.log(points)) for fit, gain in scored
+    ]
+    return _best_first(fair), since, temper
+
+
+def _best_first(scored: Iterable[tuple[Fit, float]]) -> list[tuple[Fit, float]]:
+    return sorted(scored, key=lambda pair: -pair[1])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Contest:
+    """Candidates fitted to the same samples.
+
+    The fields are the arguments of `fit_all`.
+    """
+
+    stream: Stream
+    mean: Array
+    latest: int | None
+    window: int
+    estimates: Array
+
+    def fits_from(
+        self, start: int, which: Sequence[int], known: Mapping[Effect, Array]
+    ) -> list[tuple[Fit, float]]:
+        """Fit some candidates to the samples from `start` on.
+
+        Return the fits and their gains, best first.
+        """
+        stream = self.stream
+        if self.latest is None:
+            first, free = max(start, stream.n_samples - self.window, stream.oldest), True
+        else:
+            first, free = max(start, stream.oldest), start < stream.oldest
+        segment = segment_of(stream, first, free, self.mean)
+        found: list[tuple[Fit, float]] = []
+        if not segment.judged.any():  # a change of a moment ago: the filters have no past yet
+            return found
+        motion = Motion(segment.structure, segment.theta, segment.data)
+        nothing = fit_candidate(segment, None, motion)
+        worst = math.inf
+        for i in which:
+            effect = stream.bank.effects[i]
+            starts = [known[effect]] if effect in known else []
+            own = int(np.flatnonzero(stream.bank.owner == i)[0])
+            if not starts and len(effect.free) == 1:
+                starts = [np.array([self.estimates[own]])]
+            fit = fit_candidate(segment, effect, motion, starts, alone=effect in known, worst=worst)
+            worst = min(worst, fit.cost + _HOPELESS)
+            if math.isfinite(fit.cost):
+                found.append((fit, 0.5 * (nothing.cost - fit.cost)))
+        return _best_first(found)
+
+    def moved(
+        self, scored: list[tuple[Fit, float]], since: int, latest: int
+    ) -> tuple[list[tuple[Fit, float]], int]:
+        """Move the change to the sample at which the leaders fit best.
+
+        It may be earlier or later than the linear scores indicate.
+        """
+        index = {effect: i for i, effect in enumerate(self.stream.bank.candidates)}
+        leaders = [index[fit.effect] for fit, _ in scored[:_LEADERS] if fit.effect is not None]
+        known = {fit.effect: fit.coefficients for fit, _ in scored if fit.effect is not None}
+        best = {fit.effect: (fit, gain) for fit, gain in scored}
+        step = max(2 * self.stream.windows.block, 2)
+        top = scored[0][1]
+        for direction in (-1, 1):
+            start = since
+            for _ in range(_MOVES):
+                start += direction * step
+                if start <= self.stream.oldest or start > latest:
+                    break
+                trial = self.fits_from(start, leaders, known)
+                for fit, gain in trial:
+                    if gain > best[fit.effect][1]:
+                        best[fit.effect] = fit, gain
+                if not trial or trial[0][1] <= top:
+                    break
+                top, since = trial[0][1], start
+        return _best_first(best.values()), since
+
+
+def find_state(stream: Stream) -> None:
+    """Find the state again after a missing input.
+
+    A lightly damped model does not forget a wrong state.
+    """
+    start = max(int(stream.memory["lost"][0]), stream.oldest)
+    segment = segment_of(stream, start, True, stream.memory["mean_e"])
+    motion = Motion(segment.structure, segment.theta, segment.data)
+    fit = fit_candidate(segment, None, motion)
+    stream.found(start, fit.state, fit.doubt)
+
+
+def fit_one(stream: Stream, index: int, start: int, mean: Array, before: Array) -> tuple[Fit, Fit]:
+    """Fit one candidate, and no effect, to the samples from `start` on.
+
+    The state at `start` is unknown.
+    """
+    segment = segment_of(stream, max(start, stream.oldest), True, mean)
+    motion = Motion(segment.structure, segment.theta, segment.data)
+    effect = stream.bank.effects[index]
+    nothing = fit_candidate(segment, None, motion)
+    starts = [before, np.where([name in effect.spec.shaping for name in effect.free], before, 0.0)]
+    return fit_candidate(segment, effect, motion, starts, alone=True), nothing
+
+
+_SETTLE = 4  # periods in which more samples tell the time of the change better
+_FOLLOW = 8  # periods over which the coefficient is followed
+_MOST_PAST = 100
+_KEPT = 1e-6  # probability up to which a fit is gone on from
+
+
+@dataclass(eq=False)
+class Watch:
+    """State of the alarm.
+
+    Parameters
+    ----------
+    period : int
+        Samples in a period of the first mode.
+    dt : float
+        Sampling time [s].
+    false_alarms : float
+        Stated number per 100 000 samples.
+    patience : float
+        Periods that an alarm may wait for a clear name.
+    room : int
+        Samples that the stream keeps.
+    """
+
+    period: int
+    dt: float
+    false_alarms: float
+    patience: float
+    room: int
+    found: Alarm | None = None
+    confirmed: bool = False
+    crossed: int = 0
+    mean: Array = field(default_factory=lambda: np.zeros(0))
+    misfit: float = float("inf")
+    place: str = ""  # that led at the last look
+    past: list[Alarm] = field(default_factory=list)
+    rows: list[MonitorRow] = field(default_factory=list)
+    gains: Array | None = None  # log-likelihoods of all candidates since the change
+    next_naming: int = 0
+    next_follow: int = 0
+    value: float = float("nan")
+    std: float = float("nan")
+
+    @property
+    def busy(self) -> bool:
+        """Return whether the structure counts as changed.
+
+        This is so after a threshold was crossed, until the structure counts as healthy again.
+        """
+        return self.found is not None
+
+    @property
+    def alarm(self) -> Alarm | None:
+        """The alarm, once it has a name."""
+        return self.found if self.confirmed else None
+
+    def next_event(self, sample: int) -> int:
+        """Number of samples at which something is to be done, while `busy`."""
+        return max(min(self.next_naming, self.next_follow), sample + 1)
+
+    def ring(self, stream: Stream) -> None:
+        """Take note that a threshold was crossed at the last sample taken."""
+        sample = stream.n_samples - 1
+        since, columns = change_of(stream)
+        levels = stream.windows.levels
+        score = np.abs(stream.memory["N"]) / np.sqrt(stream.variances())
+        window = int(np.argmax((score / levels[:, None]).max(axis=1)))
+        owner = int(stream.bank.owner[int(np.argmax(columns))])
+        self.found = Alarm(
+            sample=sample,
+            time=sample * self.dt,
+            crossed=sample * self.dt,
+            since_sample=since,
+            since=since * self.dt,
+            effect=stream.bank.effects[owner],
+            coefficients={},
+            std={},
+            probability=float("nan"),
+            statistic=float(score[window].max()),
+            threshold=float(levels[window]),
+            false_alarms=self.false_alarms,
+            ended=None,
+            sentence="",
+        )
+        self.crossed, self.confirmed, self.misfit, self.place = sample, False, float("inf"), ""
+        self.mean = stream.memory["mean_e"].copy()
+        self.next_naming = self._look(sample + 1, sample + 1 if self.patience == 0 else 0)
+        self.next_follow = sample + 1 + 4 * self.period
+        if self.patience == 0:
+            self.attend(stream)
+
+    def _look(self, sample: int, least: int = 0) -> int:
+        """Return the sample at which the ranking is updated next.
+
+        Updates come after 1/2, 1, 2, 4, ... periods, then once per memory.
+        """
+        age = sample - self.crossed
+        step = max(self.period // 2, 1)
+        while step <= age:
+            step *= 2
+        return max(least, self.crossed + min(step, age + self.room))
+
+    def attend(self, stream: Stream) -> None:
+        """Do what is due."""
+        sample = stream.n_samples
+        assert self.found is not None
+        if sample >= self.next_naming:
+            settle = sample - self.crossed <= _SETTLE * self.period
+            self.name(stream, settle=settle)
+            self.next_naming = self._look(sample + 1)
+            if not self.confirmed:
+                waited = sample - 1 - self.crossed
+                if self._sure() or waited >= self.patience * self.period:
+                    self.confirmed = True
+                    self.found = replace(self.found, sample=sample - 1, time=(sample - 1) * self.dt)
+                    self._state(stream.observer.structure.model)
+                else:
+                    last = self.crossed + 1 + round(self.patience * self.period)
+                    self.next_naming = min(self.next_naming, last)
+        if sample >= self.next_follow:
+            self.next_follow = sample + 4 * self.period
+            self.follow(stream)
+
+    def _sure(self) -> bool:
+        """Return whether one place clearly explains the change.
+
+        It must have nearly all of the probability, twice in a row.
+        """
+        places: dict[str, float] = {}
+        for row in self.rows:
+            places[row.effect.place] = places.get(row.effect.place, 0.0) + row.probability
+        place = max(places, key=lambda name: places[name])
+        before, self.place = self.place, place
+        level = levels()
+        clear = places[place] > level.alarm_place * sum(places.values()) and self.misfit < level.alarm_left
+        return clear and place == before
+
+    def name(self, stream: Stream, *, settle: bool) -> None:
+        """Fit the candidates to the samples since the change, and rank them."""
+        assert self.found is not None
+        since = self.found.since_sample
+        if settle:
+            since = min(change_of(stream)[0], self.crossed)
+        before = {
+            row.effect: np.array(list(row.coefficients.values()))
+            for row in self.rows
+            if row.fitted and row.probability > _KEPT
+        }
+        window = _FOLLOW * self.period
+        scored, since, misfit = fit_all(
+            stream, since, self.mean, before, latest=self.crossed if settle else None, window=window
+        )
+        worst, least = levels().alarm_left * self.misfit, levels().alarm_worth
+        if not settle and (not scored or misfit > worst or scored[0][1] < least):
+            return  # the change itself is changing, or going: the name that fitted well stays
+        self.misfit = misfit
+        self.found = replace(self.found, since_sample=since, since=since * self.dt)
+        estimates, spreads, gains = linear_estimates(stream, since)
+        effects, owner = stream.bank.candidates, stream.bank.owner
+        fitted = {fit.effect: (fit, gain) for fit, gain in scored}
+        worst = min((gain for _, gain in scored), default=math.inf)
+        all_gains = np.zeros(len(effects))
+        rows: list[MonitorRow] = []
+        for i, effect in enumerate(effects):
+            own = np.flatnonzero(owner == i)
+            if effect in fitted:
+                fit, gain = fitted[effect]
+                names, values, stds = effect.free, fit.coefficients, fit.std
+            else:
+                best = own[int(np.argmax(gains[own]))]
+                # the linear figure of one that was not worth a fit: not above those that were
+                gain = min(float(gains[best]), worst)
+                names, values, stds = (stream.bank.names[best],), estimates[[best]], spreads[[best]]
+            all_gains[i] = gain
+            coefficients = dict(zip(names, map(float, values), strict=True))
+            std = dict(zip(names, map(float, stds), strict=True))
+            rows.append(MonitorRow(effect, coefficients, std, 0.0, float(gain), effect in fitted))
+        p = shares(self.change(stream), all_gains)[1:]
+        rows = [replace(row, probability=float(share)) for row, share in zip(rows, p, strict=True)]
+        self.rows = sorted(rows, key=lambda row: (-row.probability, -row.log_likelihood))
+        self.gains = all_gains
+        self._state(stream.observer.structure.model)
+
+    def change(self, stream: Stream) -> float:
+        """Return the log-likelihood ratio of a change, 0 at the threshold.
+
+        It is never less than its value at the alarm.
+        """
+        assert self.found is not None
+        at_alarm = 0.5 * (self.found.statistic**2 - self.found.threshold**2)
+        return max(at_alarm, float(standing(stream)[1].max()))
+
+    def _state(self, model: PhysicalModel) -> None:
+        """Write the best row into the alarm.
+
+        If several rows explain the change equally well at that place, the simplest is taken.
+        """
+        assert self.found is not None
+        best, near = self.rows[0], 0.5 * levels().rival
+        alike = [
+            row
+            for row in self.rows
+            if row.fitted == best.fitted
+            and row.effect.place == best.effect.place
+            and row.log_likelihood > best.log_likelihood - near
+        ]
+        row = min(alike, key=lambda one: len(one.coefficients))
+        first = next(iter(row.coefficients))
+        self.value, self.std = row.coefficients[first], row.std[first]
+        found = replace(
+            self.found,
+            effect=row.effect,
+            coefficients=row.coefficients,
+            std=row.std,
+            probability=row.probability,
+        )
+        others = tuple(other.effect.kind for other in alike if other is not row)
+        self.found = replace(found, sentence=_sentence(found, model, others))
+
+    def follow(self, stream: Stream) -> None:
+        """Fit the named effect to the last periods alone.
+
+        End the alarm if the effect is gone.
+        """
+        assert self.found is not None
+        index = stream.bank.effects.index(self.found.effect)
+        sample, reach = stream.n_samples, _FOLLOW * self.period
+        start = sample - reach
+        if start < self.found.since_sample or not self.confirmed:
+            return
+        before = np.array(list(self.found.coefficients.values()))
+        fit, nothing = fit_one(stream, index, start, self.mean, before)
+        if not fit.coefficients.size or not np.isfinite(fit.std[0]):
+            return
+        self.value, self.std = float(fit.coefficients[0]), float(fit.std[0])
+        expected = abs(float(before[0]))
+        level = levels()
+        small = abs(self.value) < max(level.alarm_gone * self.std, 0.1 * expected)
+        plain = nothing.cost < min(level.alarm_left * nothing.points, fit.cost + level.alarm_worth)
+        if small and plain and level.alarm_missed * self.std < expected:
+            self.end(stream, start, nothing.state)
+
+    def end(self, stream: Stream, start: int, state: Array) -> None:
+        """End the alarm and return to the healthy state.
+
+        `state` is the healthy state at sample `start`.
+        """
+        assert self.found is not None
+        gone = replace(self.found, ended=stream.n_samples * self.dt)
+        if self.confirmed:
+            self.past = [
+                *self.past,
+                replace(gone, sentence=_sentence(gone, stream.observer.structure.model)),
+            ][-_MOST_PAST:]
+        self.found, self.confirmed, self.rows, self.gains = None, False, [], None
+        self.value = self.std = float("nan")
+        stream.restart(start, state)
+
+
+def _sentence(alarm: Alarm, model: PhysicalModel, others: tuple[str, ...] = ()) -> str:
+    figures = ", ".join(
+        f"{name} {with_error(value, alarm.std[name], model.unit(alarm.effect, name))}"
+        for name, value in alarm.coefficients.items()
+    )
+    alike = f"; {', '.join(others)} would explain it as well" if others else ""
+    ended = "" if alarm.ended is None else f" It was gone by t = {alarm.ended:.6g} s."
+    return (
+        f"Alarm at t = {alarm.time:.6g} s: {alarm.effect.label} since about t = {alarm.since:.6g} s "
+        f"({figures}; probability {alarm.probability:.2f}{alike}).{ended}"
+    )
+
 
 _CHUNK = 2048  # samples at a time
 

@@ -1,4 +1,7 @@
-"""Both stages by the paper's equations, as an estimator of the refiner."""
+"""Both stages by the paper's equations, as an estimator of the refiner.
+
+Samples are held back until the scales are known.
+"""
 
 from __future__ import annotations
 
@@ -7,20 +10,143 @@ from typing import Any
 
 import numpy as np
 
-from ...exceptions import DataError, ModelError, RCOError
+from ...exceptions import DataError, DivergenceError, ModelError, RCOError
 from ...systems.conversion import nearest_continuous
 from ...systems.linear import Array, LinearModel
-from .. import summary
-from ..gaps import Block
-from ..restoring import check_course
-from .arrays import Plant, Record
-from .history import History, pole_samples, poles_of
-from .memory import Memory, begin, in_units, regressor_scale, restored_memory
-from .scaling import Scales
-from .setup import Setup
-from .stream import Diverged, take, take_until
+from ..history import History, Summary, joined, pole_samples, poles_of
+from ..persistence import check_course
+from ..samples import Block
+from .kernels import Plant, Record, advance
+from .setup import Memory, Scales, Setup, Tuned, explain, in_units, regressor_scale
 
-__all__ = ["PaperStages", "refined", "take_over_gaps", "with_lags"]
+__all__ = ["PaperStages"]
+
+
+class Diverged(DivergenceError):
+    """Divergence after `done` sound samples.
+
+    Samples that were held back are included. `found` holds the scales.
+    """
+
+    def __init__(self, message: str, done: int = 0, found: Tuned | None = None) -> None:
+        super().__init__(message)
+        self.done = done
+        self.found = found
+
+
+def take(
+    setup: Setup, memory: Memory, inputs: Array, outputs: Array, *, keep: bool = False, last: bool = False
+) -> tuple[Memory, Record | None, Array]:
+    """Memory after some samples, and what they leave behind for a history.
+
+    Parameters
+    ----------
+    setup, memory
+        The refiner; `memory` stays as it is.
+    inputs, outputs : ndarray of shape (N, n_w), (N, n_y)
+        Samples.
+    keep : bool
+        Whether to record every sample.
+    last : bool
+        Whether the record ends here, so that no sample is held back.
+
+    Raises
+    ------
+    Diverged
+        If a correction diverges.
+    """
+    n_samples = memory.n_samples + inputs.shape[0]
+    if memory.tuned is None:
+        inputs = np.concatenate([memory.inputs, inputs])
+        outputs = np.concatenate([memory.outputs, outputs])
+        scales = setup.found_scales(inputs, outputs, memory.inputs.shape[0], last)
+        if scales is None:
+            waiting = replace(memory, inputs=inputs, outputs=outputs, n_samples=n_samples)
+            return waiting, None, outputs[:0]
+        memory = replace(
+            memory,
+            inputs=inputs[:0].copy(),
+            outputs=outputs[:0].copy(),
+            tuned=setup.tuned(scales),
+        )
+    memory = memory.copied(n_samples)
+    record = _advanced(setup, memory, inputs, outputs, n_samples - inputs.shape[0], keep)
+    return memory, record, outputs
+
+
+def take_until(
+    setup: Setup, memory: Memory, inputs: Array, outputs: Array, error: Diverged, *, keep: bool = False
+) -> tuple[Memory, Record | None, Array]:
+    """Take the samples that were sound before these diverged."""
+    inputs = np.concatenate([memory.inputs, inputs])[: error.done]
+    outputs = np.concatenate([memory.outputs, outputs])[: error.done]
+    memory = replace(
+        memory,
+        inputs=inputs[:0].copy(),
+        outputs=outputs[:0].copy(),
+        n_samples=memory.n_samples - len(memory.inputs),
+        tuned=error.found,
+    )
+    return take(setup, memory, inputs, outputs, keep=keep)
+
+
+def _advanced(
+    setup: Setup, memory: Memory, inputs: Array, outputs: Array, first: int, keep: bool
+) -> Record | None:
+    """Run both stages over the block in place.
+
+    With `keep`, return the history of every sample.
+    """
+    assert memory.tuned is not None
+    scales, plant, designs = memory.tuned.scales, memory.tuned.plant, memory.tuned.designs
+    stages = memory.stages
+    kept = inputs.shape[0] if keep else 0
+    record = Record(
+        z1=np.empty((kept, outputs.shape[1])),
+        z2=np.empty((kept, outputs.shape[1])),
+        theta1=np.empty((kept, stages[0].theta.size)),
+        theta2=np.empty((kept, stages[1].theta.size)),
+        x=np.empty((kept, plant.A.shape[0])),
+    )
+    with np.errstate(all="ignore"):  # a divergence is reported below, in words
+        done, stage = advance(
+            plant,
+            *designs,
+            *stages,
+            memory.peak,
+            memory.levels,
+            memory.recent_theta,
+            inputs / scales.inputs,
+            outputs / scales.outputs,
+            setup.estimated,
+            record,
+        )
+    if stage:
+        raise Diverged(_explained(setup, memory, first + done, stage), done, memory.tuned)
+    if not keep:
+        return None
+    return Record(
+        record.z1 * scales.outputs,
+        record.z2 * scales.outputs,
+        in_units(record.theta1, scales, setup.settings[0].order),
+        in_units(record.theta2, scales, setup.settings[1].order),
+        record.x * scales.states,
+    )
+
+
+def _explained(setup: Setup, memory: Memory, sample: int, stage: int) -> str:
+    assert memory.tuned is not None
+    settings = setup.settings[stage - 1]
+    time = "" if setup.step is None else f" (t = {sample * setup.step:.6g} s)"
+    return explain(
+        memory.tuned.plant,
+        setup.delay,
+        settings.markov,
+        settings.learning_rate,
+        stage,
+        f"sample {sample}{time}",
+        float(memory.peak[0]),
+    )
 
 
 class PaperStages:
@@ -42,7 +168,7 @@ class PaperStages:
         """Forget all samples."""
         s = self.setup
         try:
-            self.memory: Memory = begin(s.plant, s.delay, s.settings, s.average, s.scales)
+            self.memory: Memory = s.begin()
         except MemoryError as error:
             raise ModelError(
                 f"order, window, markov and static_average need more memory than there is: {error}; "
@@ -115,10 +241,14 @@ class PaperStages:
         theta = memory.stages[0].theta if stage == 0 else memory.static_theta()
         return in_units(theta, memory.tuned.scales, self.setup.settings[stage].order)
 
+    form = "paper"
+
     @property
-    def form(self) -> str:
-        """The paper's equations."""
-        return "paper"
+    def static(self) -> PaperStages:
+        """The static stage."""
+        return self
+
+    filter = static
 
     @property
     def scores(self) -> dict[str, float]:
@@ -186,19 +316,89 @@ class PaperStages:
     def history(self) -> History:
         """Course of both stages."""
         s = self.setup
-        found = summary.assemble_history(self.records, s.initial, s.step, s.theta_shapes)
-        if s.settings[1].order > 0:
-            return found
-        at = pole_samples(found.n_samples)
-        systems = [refined(s.discrete, s.plant, found.theta2[:, :, k], 0, "") for k in at]
-        return replace(found, poles=poles_of(systems, s.step), pole_timepts=found.timepts[at])
-
-    def summary(self) -> summary.Summary:
-        """Cells and sentences of `str`."""
-        s = self.setup
-        return summary.summarize(
-            s.initial, s.step, s.settings, s.delay, s.theta_shapes, self.memory, self.n_learned, s.estimated
+        z1, z2, theta1, theta2, x = (
+            joined([record[i] for record, _ in self.records], shape) for i, shape in enumerate(self._shapes)
         )
+        timepts = np.arange(z1.shape[1], dtype=np.float64) * (1.0 if s.step is None else s.step)
+        at = pole_samples(timepts.size if s.settings[1].order == 0 else 0)
+        systems = [refined(s.discrete, s.plant, theta2[:, :, k], 0, "") for k in at]
+        return History(
+            timepts=timepts,
+            z1=z1,
+            z2=z2,
+            theta1=theta1,
+            theta2=theta2,
+            x=x,
+            y=joined([y for _, y in self.records], (s.initial.n_outputs,)),
+            input_labels=s.initial.input_labels,
+            output_labels=s.initial.output_labels,
+            state_labels=s.initial.state_labels,
+            pole_timepts=timepts[at],
+            poles=poles_of(systems, s.step),
+        )
+
+    @property
+    def _shapes(self) -> tuple[tuple[int, ...], ...]:
+        """Shape of one sample of each part of a `Record`."""
+        outputs = (self.setup.initial.n_outputs,)
+        return outputs, outputs, *self.setup.theta_shapes, (self.setup.initial.n_states,)
+
+    def summary(self) -> Summary:
+        """Cells and sentences of `str`."""
+        s, model = self.setup, self.setup.initial
+        rows = [
+            ["order n_c", *(f"{one.order}" for one in s.settings)],
+            ["window p [samples]", *(f"{one.window}" for one in s.settings)],
+            [f"Markov parameters mu, from H_{s.delay}", *(f"{one.markov}" for one in s.settings)],
+            ["learning rate alpha [scaled units]", *(f"{one.learning_rate:g}" for one in s.settings)],
+            ["coefficients", *(f"{rows * columns}" for rows, columns in s.theta_shapes)],
+        ]
+        if self.n_learned:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                share = np.sqrt(self.memory.levels[1:] / self.memory.levels[0])
+            for label, column in zip(model.output_labels[:3], share.T, strict=False):
+                rows.append([f"performance at {label} / its rms", *(f"{value:.3g}" for value in column)])
+        channels = f"{model.n_states} states, {model.n_inputs} in, {model.n_outputs} out"
+        timing = "" if s.step is None else f", dt = {s.step:g} s"
+        title = f"RCORefiner of {model.name!r}: {channels}, {s.theta_shapes[0][0]} correction(s){timing}"
+        return Summary(title, ["setting", "stage 1", "stage 2"], rows, self._notes())
+
+    def _notes(self) -> list[str]:
+        memory, model = self.memory, self.setup.initial
+        if memory.tuned is None:
+            held = memory.inputs.shape[0]
+            return [
+                f"{memory.n_samples} samples taken, {held} held back until the size of the signals is known. "
+                "The refined model is still the initial one."
+            ]
+        notes = [f"{self.n_learned} samples learned."]
+        if self.n_learned:
+            notes.append(
+                "Performance: rms of simulated minus measured output over about the last "
+                f"{self.setup.settings[0].window} samples (0 is perfect). "
+                + (
+                    "Stage 1 follows the output with a dynamic correction and so estimates the states. "
+                    "Stage 2 predicts the output from these states with the refined model."
+                    if self.setup.estimated
+                    else "Stage 1 does not run: its column shows the initial model. "
+                    "Stage 2 uses its own states."
+                )
+            )
+        scales = memory.tuned.scales
+        sizes = [
+            f"{label} {size:.3g}"
+            for label, size in zip(
+                (*model.input_labels, *model.output_labels), (*scales.inputs, *scales.outputs), strict=True
+            )
+        ]
+        shown = ", ".join(sizes[:6]) + (", ..." if len(sizes) > 6 else "")
+        notes.append(f"Scaled units: signals are divided by their size ({shown}), so alpha has no unit.")
+        if memory.peak[0] > 30.0:
+            notes.append(
+                f"Caution: an output has reached {memory.peak[0]:.3g} times its scale, so alpha has less "
+                "weight than intended. Declare scale={...} if this is not an outlier."
+            )
+        return notes
 
     def state(self) -> dict[str, Any]:
         """All that is remembered, for a file."""
@@ -207,9 +407,9 @@ class PaperStages:
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from what `state` gave, once it was held against a fresh memory."""
         s = self.setup
-        widths = (s.initial.n_outputs,), (s.initial.n_outputs,), *s.theta_shapes, (s.initial.n_states,)
-        check_course(state["records"], Record(*(np.zeros((0, *w)) for w in widths)), s.initial.n_outputs)
-        self.memory = restored_memory(state["memory"], s.plant, s.delay, s.settings, s.average)
+        rows = Record(*(np.zeros((0, *shape)) for shape in self._shapes))
+        check_course(state["records"], rows, s.initial.n_outputs)
+        self.memory = s.restored(state["memory"])
         self.records = state["records"]
 
     def _present_state(self) -> Array:

@@ -1,4 +1,4 @@
-"""History of a refiner, sample by sample, kept only on request."""
+"""Course of a refiner sample by sample, and what its summary consists of."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from ...results import Options, picture, show
-from ...systems.linear import Array, LinearModel
+from ..results import Options, picture, show
+from ..systems.linear import Array, LinearModel
 
-__all__ = ["History", "pole_samples", "poles_of"]
+__all__ = ["PARAMETERS", "CoefficientHistory", "History", "Summary", "joined", "pole_samples", "poles_of"]
 
+#: Headings of the table of parameters.
+PARAMETERS = ["parameter", "effect", "place", "initial", "value", "std", "unit"]
 _POINTS = 200  # at which poles are given over time
 
 
@@ -132,3 +134,89 @@ def poles_of(models: Sequence[LinearModel], dt: float | None) -> NDArray[np.comp
             poles = poles[columns[np.argsort(rows)]]
         found.append(poles)
     return np.array(found).T if found else np.zeros((0, 0), complex)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoefficientHistory:
+    """History of both stages with physical effects.
+
+    Values are in the units of the signals.
+
+    Attributes
+    ----------
+    timepts : ndarray of shape (N,)
+        Times in s.
+    coefficients : ndarray of shape (p, N)
+        Coefficients after each sample, in the order of `parameters`.
+    z1, z2 : ndarray of shape (n_y, N)
+        Simulated minus measured output of stage 1 (NaN where it does not run), and
+        of the physical stage, one sample ahead (NaN in gaps and while samples are held back).
+    x_D : ndarray of shape (n, N)
+        States of stage 1, NaN where it does not run.
+    x : ndarray of shape (n + extra, N)
+        States of the physical stage.
+    y : ndarray of shape (n_y, N)
+        Measured outputs, NaN in gaps.
+    names : tuple of str
+        Names of the coefficients.
+    pole_timepts : ndarray of shape (K,)
+        Times in s, up to 200 of them, at which the poles are given.
+    poles : complex ndarray of shape (n, K)
+        Poles of the refined model in rad/s (of a discrete one log(z) / dt) at these times.
+    output_labels : tuple of str
+        Names of the outputs.
+    """
+
+    timepts: Array
+    coefficients: Array
+    z1: Array
+    z2: Array
+    x_D: Array
+    x: Array
+    y: Array
+    names: tuple[str, ...]
+    pole_timepts: Array
+    poles: NDArray[np.complex128]
+    output_labels: tuple[str, ...]
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples taken."""
+        return int(self.timepts.size)
+
+    @picture
+    def plot(self, **options: Unpack[Options]) -> ct.ControlPlot:
+        """Plot the performance of both stages, coefficients and refined poles.
+
+        The horizontal axis is time.
+
+        Parameters
+        ----------
+        ax : array of Axes, optional
+            Axes to draw in, shape (n_y + 2, 1).
+        label : list of str, optional
+            Labels of the coefficients.
+
+        Returns
+        -------
+        ControlPlot
+            Lines, axes, figure.
+        """
+        return show(self, "plot", **options)
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """Cells of the table and the sentences around it."""
+
+    title: str
+    headers: list[str]
+    rows: list[list[str]]
+    notes: list[str]
+
+
+def joined(blocks: Sequence[Array], shape: tuple[int, ...]) -> Array:
+    """Join blocks of samples of this shape, time last."""
+    if not blocks:
+        return np.zeros((*shape, 0))
+    return np.ascontiguousarray(np.moveaxis(np.concatenate(blocks), 0, -1))
