@@ -13,7 +13,7 @@ from .diagnosis.confirmation import Confirmation
 from .diagnosis.improve import improve
 from .diagnosis.improvement import Improvement
 from .effects.effect import Effect
-from .effects.tabulated import Table
+from .effects.given import Table
 from .engine.amplitude_response import AmplitudeResponse, frequency_response_at
 from .engine.simulation import Simulation, simulate
 from .exceptions import (

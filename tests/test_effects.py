@@ -9,8 +9,8 @@ import pytest
 
 import rcorefine as rco
 from rcorefine.effects.effect import Effect
+from rcorefine.effects.given import Table
 from rcorefine.effects.law import KINDS
-from rcorefine.effects.tabulated import Table
 from rcorefine.exceptions import ModelError
 from rcorefine.models.builders import dc_motor, mass_spring_damper, series_rlc, thermal_network, two_tanks
 from rcorefine.models.library import describe_effects, effect_library
@@ -388,8 +388,7 @@ def test_describe_effects_takes_a_model():
 
 # ------------------------------------------------------------------ names
 def test_every_printed_name_is_accepted_and_means_one_kind():
-    from rcorefine.effects.domains import DOMAINS, worded
-    from rcorefine.effects.kinds import kind_named
+    from rcorefine.effects.domains import DOMAINS, kind_named, worded
 
     for kind, law in KINDS.items():
         assert kind_named(kind) == kind_named(kind.replace("_", " ").title()) == kind
@@ -411,7 +410,7 @@ def test_an_unknown_name_is_answered_with_the_nearest(wrong):
 def test_effects_by_their_names_are_candidates():
     model = rco.series_rlc(1.0, 0.1, 0.01)
     label = rco.effect_library(model)[0].label
-    from rcorefine.effects.several import as_effects
+    from rcorefine.effects.effect import as_effects
 
     assert label == "series resistance at inductor"
     assert as_effects(["damping@inductor", label], "candidates") == 2 * [Effect("damping", "inductor")]

@@ -12,7 +12,7 @@ import rcorefine as rco
 from rcorefine.diagnosis.hypothesis import Hypothesis
 from rcorefine.diagnosis.verdict import TableRow, answer, special
 from rcorefine.effects import KINDS
-from rcorefine.effects.along_motion import unit_forces
+from rcorefine.effects.effect import unit_forces
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
 from rcorefine.inference.levels import levels

@@ -14,8 +14,8 @@ from scipy.stats import multivariate_normal
 import rcorefine as rco
 from rcorefine.diagnosis import residual_tests
 from rcorefine.diagnosis.beside import Beside, stops
-from rcorefine.effects.along_motion import unit_forces
-from rcorefine.effects.tabulated import share_beyond
+from rcorefine.effects.effect import unit_forces
+from rcorefine.effects.given import share_beyond
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
 from rcorefine.inference.fitted import fitted_from

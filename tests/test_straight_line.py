@@ -10,10 +10,8 @@ import pytest
 from numpy import array, cosh
 
 import rcorefine as rco
-from rcorefine.effects.expressions import Tape, Untraceable
-from rcorefine.effects.right_hand_side import RightHandSide
-from rcorefine.effects.straight_line import exact_slopes
-from rcorefine.effects.tracing import as_numbers, tracing
+from rcorefine.effects.expressions import Tape, Untraceable, as_numbers, tracing
+from rcorefine.effects.right_hand_side import RightHandSide, exact_slopes
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
 from rcorefine.jit import NUMBA

@@ -14,7 +14,7 @@ from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement
 from ..data.records import as_record
 from ..data.response_record import in_frequency
-from ..effects.tabulated import Table, share_beyond
+from ..effects.given import Table, share_beyond
 from ..engine.controlled import as_it_runs
 from ..engine.free_runs import checked_horizon, free_runs, runs_away
 from ..engine.leading import leading_ratio

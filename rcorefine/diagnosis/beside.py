@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..effects.tabulated import InputCurve, OutputCurve
+from ..effects.given import InputCurve, OutputCurve
 from ..inference.basis import project
 from ..inference.f_tests import FTest
 from ..inference.fitted import FittedModel

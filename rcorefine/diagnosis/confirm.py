@@ -15,8 +15,7 @@ import numpy as np
 from ..arguments import as_mapping, as_number, as_share, as_vector
 from ..data.measurement import Measurement
 from ..data.records import amplitude, as_records
-from ..effects.effect import Effect
-from ..effects.several import as_effects
+from ..effects.effect import Effect, as_effects
 from ..engine.observer import observer_gain
 from ..engine.simulation import check_channels
 from ..exceptions import DataError

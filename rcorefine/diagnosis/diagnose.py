@@ -14,8 +14,7 @@ from ..arithmetic import own_arithmetic
 from ..data.measurement import Measurement
 from ..data.records import amplitude
 from ..data.response_record import in_frequency
-from ..effects.effect import Effect
-from ..effects.several import as_effects
+from ..effects.effect import Effect, as_effects
 from ..engine.free_runs import integrates
 from ..exceptions import IdentifiabilityWarning, unheard
 from ..inference.assembly import check_settings, offsets_everywhere

@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..effects.along_motion import unit_forces
-from ..effects.effect import Effect
+from ..effects.effect import Effect, unit_forces
 from ..engine.point import resting, tangents
 from ..inference.basis import Basis, project
 from ..inference.covariance import covariance, standard_deviations

@@ -15,8 +15,7 @@ from ..comparison.compare import compare
 from ..data.channels import match_channels, record_for
 from ..data.measurement import Measurement
 from ..data.response_record import in_frequency
-from ..effects.effect import Effect
-from ..effects.several import as_effects
+from ..effects.effect import Effect, as_effects
 from ..engine.response_engine import engine_on
 from ..exceptions import (
     DataError,

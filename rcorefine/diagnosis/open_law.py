@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..effects.along_motion import unit_forces
-from ..effects.effect import Effect
-from ..effects.tabulated import InputCurve, OutputCurve, Table, Tabulated
+from ..effects.effect import Effect, unit_forces
+from ..effects.given import InputCurve, OutputCurve, Table, Tabulated
 from ..inference.basis import Basis, project
 from ..inference.fitted import FittedModel
 from ..inference.free_form import FreeForm, evidence, fit_free_form

@@ -11,8 +11,7 @@ import numpy as np
 
 from ..data.measurement import HOLDS
 from ..data.records import at_rest
-from ..effects.along_motion import unit_forces
-from ..effects.effect import Effect
+from ..effects.effect import Effect, unit_forces
 from ..engine.point import resting
 from ..engine.structure import Structure
 from ..exceptions import DivergenceError, ModelError

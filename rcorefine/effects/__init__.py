@@ -10,8 +10,7 @@ from .formula import InputLaw, OutputLaw, PortLaw
 from .law import KINDS, Coefficient, register
 
 # the order in which laws are listed to people
-from . import springs, dampers, friction, hysteresis, relaxation, fields, bodies, flows  # noqa: F401, isort: skip
-from . import entries, input_path, output_path, record, custom, tabulated, right_hand_side  # noqa: F401, isort: skip
-from .tabulated import Table  # isort: skip
+from . import springs, dampers, friction, bodies, channels, given, right_hand_side  # noqa: F401, isort: skip
+from .given import Table  # isort: skip
 
 __all__ = ["KINDS", "Coefficient", "InputLaw", "OutputLaw", "PortLaw", "Table", "register"]

@@ -1,17 +1,194 @@
-"""Bodies: what a port moves, what hangs on it, what pulls at it."""
+"""Stores, fields and bodies, and entries of the matrices."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from math import inf
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from scipy.signal import lfilter
 
 from ..systems.linear import Array
-from .absorbed import AbsorbedLaw, Assembly, Site
-from .law import Coefficient, positive, register
-from .seen import Seen
+from .formula import PortLaw
+from .law import AbsorbedLaw, Assembly, Coefficient, Seen, Site, positive, register
+
+_SMALL = 0.03  # of the force that moves the port, to start from
+_PACES = (1.0, 4.0, 0.25)  # time constants, over that of the motion
+
+
+@register
+class MaxwellElement(AbsorbedLaw):
+    """Spring and damper in series."""
+
+    where = frozenset(["mechanical"])
+    coefficients = (
+        positive("stiffness", "force/position", "its spring"),
+        positive("time_constant", "s", "time in which its force fades, damper over spring", shapes=True),
+    )
+    formula = "f = k s, ds/dt = v - s / T"
+    explanation = "The joint at {place} relaxes: a spring and a damper in series, like rubber or foam."
+    words = (
+        "{elastic} that relaxes",
+        "An {elastic} that loses its {moved} with time is coupled in at {place}.",
+    )
+    linear = True
+    contains = MappingProxyType({"stiffness": {"time_constant": inf}, "damping": {"time_constant": 0.0}})
+    needs = frozenset(["velocity"])
+    inner_states = 1
+    essential = ("stiffness", "time_constant")
+    belongs_to = "stiffness"
+    states = ("stretch",)
+    secant = True
+    along_motion = False
+
+    def absorb(self, into: Assembly, site: Site, *values: Any) -> None:
+        """Add the stretch s of its spring."""
+        stiffness, time_constant = values
+        into.A[:, site.state] += stiffness * site.act
+        into.A[site.state] += site.velocity
+        into.A[site.state, site.state] -= 1.0 / time_constant
+        into.Bu[site.state] += site.velocity_input
+
+    def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
+        """One that relaxes as fast as the port moves, slower, and faster."""
+        found = []
+        for time in _times(seen):
+            stretch = time * _lagged(seen.v, time, seen.dt)
+            found.append({"stiffness": _SMALL * seen.pull / _size(stretch), "time_constant": time})
+        return found
+
+
+@register
+class HiddenStore(AbsorbedLaw):
+    """Store that is filled and emptied through a resistance."""
+
+    where = frozenset(["first_order"])
+    coefficients = (
+        positive("mass", "force s/velocity", "what it stores per unit of the state"),
+        positive("damping", "force/velocity", "what flows into it per difference"),
+    )
+    formula = "f = c (v - z), m dz/dt = f"
+    explanation = "A store that the model lacks hangs on {place}: it fills and empties through a resistance."
+    words = (
+        "hidden {store}",
+        "A {store} that the model lacks is coupled to {place}: it takes up and gives back with a delay.",
+    )
+    linear = True
+    contains = MappingProxyType({"mass": {"damping": inf}, "damping": {"mass": inf}})
+    needs = frozenset(["velocity"])
+    inner_states = 1
+    essential = ("mass", "damping")
+    belongs_to = "mass"
+    states = ("level",)
+    secant = True
+    along_motion = False
+
+    def absorb(self, into: Assembly, site: Site, *values: Any) -> None:
+        """Add its level z.
+
+        The level is absolute, because the surroundings of the port do not affect it.
+        """
+        mass, damping = values
+        flow = np.zeros(into.constant.size, into.A.dtype)
+        flow[site.state] -= damping
+        flow += damping * site.velocity
+        into.A += np.outer(site.act, flow)
+        into.A[site.state] += flow / mass
+
+    def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
+        """One that follows as fast as the state changes, slower, and faster."""
+        found = []
+        for time in _times(seen):
+            damping = _SMALL * seen.pull / _size(seen.v - _lagged(seen.v, time, seen.dt))
+            found.append({"mass": damping * time, "damping": damping})
+        return found
+
+
+def _times(seen: Seen) -> Iterator[float]:
+    """Return time constants near that of the motion.
+
+    None is much shorter than a sample.
+    """
+    pace = _size(seen.v - seen.v.mean()) / _size(np.gradient(seen.v, seen.dt))
+    return (max(factor * pace, 0.3 * seen.dt) for factor in _PACES)
+
+
+def _lagged(signal: Array, time: float, dt: float) -> Array:
+    """A signal behind a lag that has settled to its first value."""
+    kept = float(np.exp(-dt / time))
+    return np.asarray(lfilter([1.0 - kept], [1.0, -kept], signal, zi=[kept * signal[0]])[0])
+
+
+def _size(signal: Array) -> float:
+    return float(np.sqrt(np.mean(signal**2))) or 1.0
+
+
+@register
+class Gravity(PortLaw):
+    """Weight on a lever."""
+
+    coefficients = (Coefficient("torque", "force", explanation="m g l: torque of the weight, held level"),)
+    constants = MappingProxyType({"tangent": 1.0})
+    from_zero = frozenset(["tangent"])  # a model that is linear about the lowest point has the slope already
+    formula = "f = t (sin(d) - (1 - tangent) d), d the angle from where it hangs in rad"
+    explanation = "The weight at {place} pulls back by the sine of the angle, as at a pendulum (m g l sin)."
+    belongs_to = "stiffness"
+    domains = frozenset(["rotational"])
+
+    @staticmethod
+    def law(d, torque, tangent):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return torque * (math.sin(d) - (1.0 - tangent) * d)
+
+
+@register
+class Cogging(PortLaw):
+    """Force that repeats with the position."""
+
+    coefficients = (
+        Coefficient("sine", "force", explanation="part that is zero at rest"),
+        Coefficient("cosine", "force", explanation="part that is largest at rest"),
+        positive("period", "position", "distance from one cog to the next", shapes=True),
+    )
+    formula = "f = a sin(2 pi d/P) + b (cos(2 pi d/P) - 1)"
+    explanation = "The force at {place} repeats with the position: cogging of a motor, ripple of gears."
+    belongs_to = "stiffness"
+    on_request = True  # its period is many valleys where the drawing does not tell it
+
+    @staticmethod
+    def law(d, sine, cosine, period):  # type: ignore[no-untyped-def]
+        """Formula."""
+        angle = 2.0 * math.pi * d / period
+        return sine * math.sin(angle) + cosine * (math.cos(angle) - 1.0)
+
+    def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
+        """Shares of the way that the record shows."""
+        way = float(np.ptp(seen.d))
+        return [{"period": way / q} for q in (2.0, 4.0, 8.0, 16.0, 32.0, 1.0)]
+
+
+@register
+class MagneticForce(PortLaw):
+    """Pull of an electromagnet."""
+
+    coefficients = (
+        Coefficient(
+            "strength", "force position^2/signal^2", explanation="k: pull at unit current and distance"
+        ),
+    )
+    constants = MappingProxyType({"gap": 1.0, "current": 1.0})
+    formula = "f = -k i^2/(gap - d)^2, i the input numbered `current` from 1"
+    explanation = "A magnet pulls at {place}, by the square of its current over the square of its distance."
+    belongs_to = "stiffness"
+    on_request = True  # which input is the current, and how far the magnet is, nobody can guess
+
+    @staticmethod
+    def law(d, w, strength, gap, current):  # type: ignore[no-untyped-def]
+        """Formula: a pull towards positive d is a negative resistance."""
+        return -strength * (w[int(current) - 1] / (gap - d)) ** 2
 
 
 @register
@@ -115,3 +292,40 @@ class ConstantForce(AbsorbedLaw):
     def push(self, linear: Any, place: str, act: Array | None) -> Array | None:
         """Along the port."""
         return act
+
+
+@register
+class Entry(AbsorbedLaw):
+    """Change of an entry."""
+
+    name = "coefficient"
+    where = frozenset(["any"])
+    coefficients = (Coefficient("value", "entry", explanation="change of the entry"),)
+    formula = "dx_i/dt = ... + t x_j, with a signal w_j or an output y_i where the entry is of B, C or D"
+    explanation = "The entry {place} of the model's matrices differs from what they say."
+    linear = True
+    is_parameter = True
+    may_wear = True
+    signal = "value"
+
+    def absorb(self, into: Assembly, site: Site, *values: Any) -> None:
+        """Add t to the entry."""
+        row, column = site.entry
+        states = into.A.shape[0]
+        if row < states:
+            into.rates[row, column] += values[0]
+            return
+        read = np.zeros((into.output_gain.size, into.rates.shape[1] + 1 + states), into.A.dtype)
+        read[row - states, column] = values[0]
+        into.felt.append(read)
+
+    def sits(self, model: Any, place: str) -> bool:
+        """At an entry of a matrix."""
+        return bool(model.entry(place))
+
+    def bounds_in(self, structure: Any, place: str) -> tuple[float, float]:
+        """A decay does not turn into growth."""
+        row, column = structure.model.entry(place)
+        base = structure.linear_model
+        rate = float(base.A[row, row]) if row == column < base.n_states else 0.0
+        return -inf, -rate if rate < 0 else inf

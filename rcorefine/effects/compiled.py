@@ -12,31 +12,24 @@ from __future__ import annotations
 import ctypes
 import math
 import sys
-from collections.abc import Callable, Collection, Sequence
-from typing import Any, Final
+from collections.abc import Callable
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from ..exceptions import RCOWarning, warn
 from ..jit import NUMBA, address_of, call_at, compiled, compiled_law
+from .expressions import Number, Tape, Untraceable, as_numbers, in_python, tracing
 
-__all__ = [
-    "COUNT",
-    "MAX_COEFFICIENTS",
-    "address",
-    "code_of",
-    "evaluate",
-    "forces_along",
-    "raise_pending",
-    "through",
-]
+if TYPE_CHECKING:
+    from .formula import FormulaLaw
 
 MAX_COEFFICIENTS: Final = 4
 COUNT: Final = 18  # numbers that a law writes, before the derivatives by the inputs
 # where a law writes the derivatives of its force and of its inner state by what it takes
 _SLOTS: Final = {"d": (1, 6), "v": (2, 17), "d_start": (3, 7), "z_start": (4, 8)}
 _FOREVER: Final = 1e200  # s: a signal that has stood at its first value
-_STEP = "1e-6 * max(abs({x}), 1e-3)"
 
 _PLAIN: dict[int, Callable[..., None]] = {}  # laws by code, where nothing is compiled
 _PENDING: list[BaseException] = []  # raised by laws that numba cannot compile, inside a kernel
@@ -77,41 +70,16 @@ else:
         _PLAIN[code](d, v, d_start, z_start, values[i], width, w, w.shape[0], out[i])
 
 
-def address(
-    law: Callable[..., Any],
-    slopes: Callable[..., Any] | None,
-    arguments: Sequence[str],
-    signals: dict[str, str],
-    values: Sequence[str],
-    *,
-    memory: bool,
-    scaled: bool = False,
-    by_name: Collection[str] = (),
-    label: str = "law",
-) -> tuple[int, Any]:
+def address(of: FormulaLaw) -> tuple[int, Any]:
     """Code of a law for the kernels.
+
+    Derivatives are those of its `slopes`. Without these they are exact if the formula can be traced, and
+    central differences otherwise.
 
     Parameters
     ----------
-    law : callable
-        Formula: the force, or with memory the force and the inner state at the end of the step.
-    slopes : callable or None
-        The same with the derivatives by each argument behind: ``(f, f_by_first, ...)``, with memory a
-        pair of such tuples. Without it derivatives are central differences.
-    arguments : sequence of str
-        What they take, in order.
-    signals : dict
-        What each name that is no coefficient stands for.
-    values : sequence of str
-        Coefficients and constants in the order of their row.
-    memory : bool
-        Whether the law has an inner state.
-    scaled : bool
-        Whether the force is the first value times what `law` returns.
-    by_name : sequence of str
-        Arguments to be handed over by name.
-    label : str
-        For messages.
+    of : FormulaLaw
+        The law.
 
     Returns
     -------
@@ -120,7 +88,11 @@ def address(
     keep : object
         To be kept as long as the code is used.
     """
-    source = _source(arguments, signals, values, slopes is not None, memory, scaled, by_name)
+    law, slopes = of.law, of.slopes
+    if slopes is None and _importable(law):  # a closure may change its variables
+        with suppress(Exception):  # symbols go through a user's code: what that raises is not foreseeable
+            return _exact(of)
+    source = _by_differences(of) if slopes is None else _by_slopes(of)
     plain = _defined(source, {"law": law, "slopes": slopes, "carray": lambda w, n: w}, law)
     if not NUMBA:
         return code_of(plain)
@@ -129,7 +101,7 @@ def address(
         return code_of(plain, _defined(source, {**names, "carray": None}, law), cache=_importable(law))
     except TypeError as error:
         warn(
-            f"{label} cannot be compiled and is called in Python, which is some hundred times slower: "
+            f"{of.name} cannot be compiled and is called in Python, which is some hundred times slower: "
             f"{str(error).strip().splitlines()[0]}",
             RCOWarning,
         )
@@ -164,68 +136,121 @@ def code_of(
     return _callback(plain) if fast is None else address_of(fast, cache=cache)
 
 
-def _source(
-    arguments: Sequence[str],
-    signals: dict[str, str],
-    values: Sequence[str],
-    has_slopes: bool,
-    memory: bool,
-    scaled: bool,
-    by_name: Collection[str],
-) -> str:
-    """Text of the function that writes the row of numbers."""
+def _lines_before(of: FormulaLaw) -> list[str]:
+    """Return the first lines of the function that writes the row of numbers."""
     lines = ["def evaluate(_d, _v, _d_start, _z_start, _p, _width, _w, _nw, _out):"]
-    add = lines.append
-    for name in arguments:
-        if name in values:
-            add(f"    {name} = _p[{values.index(name)}]")
-        elif signals[name] == "w":
-            add(f"    {name} = carray(_w, _nw)")
-        else:
-            add(f"    {name} = _{signals[name]}")
-    given = ", ".join(f"{name}={name}" if name in by_name else name for name in arguments)
-    scale = "_p[0] * " if scaled else ""
-    slots = {name: _SLOTS[signals[name]] for name in arguments if signals.get(name) in _SLOTS}
-    slots |= {name: (9 + values.index(name), 13 + values.index(name)) for name in arguments if name in values}
-    smooth = [name for name in arguments if name in slots]
-    if has_slopes:
-        add(f"    {'_f, _z' if memory else '_f'} = slopes({given})")
-        add("    _out[0] = _f[0]")
-        if memory:
-            add("    _out[5] = _z[0]")
-        for k, name in enumerate(arguments):
+    for name in of.arguments:
+        where = "carray(_w, _nw)" if of.signals.get(name) == "w" else f"_{of.signals.get(name)}"
+        lines.append(f"{name} = " + (f"_p[{of.row.index(name)}]" if name in of.row else where))
+    return lines
+
+
+def _slots(of: FormulaLaw) -> dict[str, tuple[int, int]]:
+    """Return the places of the derivatives of force and inner state."""
+    slots = {name: _SLOTS[of.signals[name]] for name in of.arguments if of.signals.get(name) in _SLOTS}
+    return slots | {
+        name: (9 + at, 13 + at) for at, name in enumerate(of.row) if name in of.arguments or of.scaled
+    }
+
+
+def _call(of: FormulaLaw, function: str = "law") -> str:
+    given = ", ".join(f"{name}={name}" if name in of.by_name else name for name in of.arguments)
+    return f"{function}({given})"
+
+
+def _by_slopes(of: FormulaLaw) -> str:
+    """Text of the function whose derivatives the law itself computes."""
+    slots, pair = _slots(of), ("_f", "_z")[: 1 + of.inner_states]
+    lines = [*_lines_before(of), f"{', '.join(pair)} = {_call(of, 'slopes')}"]
+    for which, row in enumerate(pair):
+        lines.append(f"_out[{5 * which}] = {row}[0]")
+        for k, name in enumerate(of.arguments, 1):
             if name in slots:
-                add(f"    _out[{slots[name][0]}] = _f[{k + 1}]")
-                if memory:
-                    add(f"    _out[{slots[name][1]}] = _z[{k + 1}]")
-        return "\n".join(lines)
+                lines.append(f"_out[{slots[name][which]}] = {row}[{k}]")
+    return "\n    ".join(lines)
+
+
+def _by_differences(of: FormulaLaw) -> str:
+    """Text of the function whose derivatives are central differences."""
+    lines, slots, memory = _lines_before(of), _slots(of), of.inner_states > 0
+    scale = "_p[0] * " if of.scaled else ""
     pair = "{0}f, {0}z" if memory else "{0}f"
-    add(f"    {pair.format('_')} = law({given})")
-    add(f"    _out[0] = {scale}_f")
-    if scaled:
-        add("    _out[9] = _f")
-    if memory:
-        add("    _out[5] = _z")
-    for name in smooth:
-        add(f"    _at, _h = {name}, {_STEP.format(x=name)}")
-        add(f"    {name} = _at + _h")
-        add(f"    {pair.format('_up_')} = law({given})")
-        add(f"    {name} = _at - _h")
-        add(f"    {pair.format('_low_')} = law({given})")
-        add(f"    {name} = _at")
-        add(f"    _out[{slots[name][0]}] = {scale}(_up_f - _low_f) / (2.0 * _h)")
-        if memory:
-            add(f"    _out[{slots[name][1]}] = (_up_z - _low_z) / (2.0 * _h)")
-    for name in arguments:
-        if signals.get(name) == "w":
-            add("    for _j in range(_nw):")
-            add(f"        _at, _h = {name}[_j], {_STEP.format(x=name + '[_j]')}")
-            for side, sign in (("up", "+"), ("low", "-")):
-                add(f"        {name}[_j] = _at {sign} _h")
-                add(f"        {pair.format(f'_{side}_')} = law({given})")
-            add(f"        {name}[_j] = _at")
-            add(f"        _out[{COUNT} + _j] = {scale}(_up_f - _low_f) / (2.0 * _h)")
-    return "\n".join(lines)
+    lines += [f"{pair.format('_')} = {_call(of)}", f"_out[0] = {scale}_f"]
+    lines += ["_out[9] = _f"] * of.scaled + ["_out[5] = _z"] * memory
+
+    def differences(name: str, by_f: str, by_z: str, indent: str = "") -> list[str]:
+        found = [f"_at, _h = {name}, 1e-6 * max(abs({name}), 1e-3)"]
+        for side, sign in (("up", "+"), ("low", "-")):
+            found += [f"{name} = _at {sign} _h", f"{pair.format(f'_{side}_')} = {_call(of)}"]
+        found += [f"{name} = _at", f"_out[{by_f}] = {scale}(_up_f - _low_f) / (2.0 * _h)"]
+        found += [f"_out[{by_z}] = (_up_z - _low_z) / (2.0 * _h)"] * (memory and by_z != "")
+        return [indent + line for line in found]
+
+    for name in of.arguments:
+        if name in slots:
+            lines += differences(name, *map(str, slots[name]))
+        elif of.signals.get(name) == "w":
+            lines += ["for _j in range(_nw):", *differences(f"{name}[_j]", f"{COUNT} + _j", "", "    ")]
+    return "\n    ".join(lines)
+
+
+def _exact(of: FormulaLaw) -> tuple[int, Any]:
+    """Code of a law with exact derivatives.
+
+    Raises
+    ------
+    Exception
+        Whatever comes of a formula that cannot be traced, or not truly.
+    """
+    tape, traced, slots = Tape(), tracing(of.law), _slots(of)
+    given = {name: tape.symbol(f"a_{name}") for name in (*of.arguments, *slots)}
+    placed = [given[name] for name in of.arguments if name not in of.by_name]
+    symbols = [given[name] for name in slots]
+    first, *read = _lines_before(of)
+    read = [f"a_{line}" for line in read] + [f"a_{of.row[0]} = _p[0]"] * of.scaled
+
+    def formula() -> list[Number]:
+        found = as_numbers(traced(*placed, **{name: given[name] for name in of.by_name}))
+        return [given[of.row[0]] * found[0]] if of.scaled else found
+
+    def written(found: list[Number], done: set[int]) -> list[str]:
+        if len(found) != 1 + of.inner_states:
+            raise Untraceable(f"{len(found)} values")
+        lines, entries = tape.code(found, done), []
+        for which, one in enumerate(found):
+            slopes = tape.derivatives(one, symbols)
+            lines += tape.code(slopes, done)
+            entries.append(f"_out[{5 * which}] = {tape.name(one)}")
+            pairs = zip(slots.values(), slopes, strict=True)
+            entries += [f"_out[{slot[which]}] = {tape.finite(slope, one)}" for slot, slope in pairs]
+        return lines + entries
+
+    source = "\n    ".join([first, *read, *tape.branches(formula, written)])
+    plain = in_python(lambda functions: _defined(source, {"math": functions}, of.law))
+    if not _agrees(plain, of):
+        raise Untraceable("the code gives other values than the formula")
+    return code_of(plain, _defined(source, {}, of.law), cache=True)
+
+
+def _agrees(plain: Callable[..., None], of: FormulaLaw) -> bool:
+    """Return whether the code of a law agrees with its formula."""
+    points, agreed = np.random.default_rng(0).normal(size=(8, 2, MAX_COEFFICIENTS)), False
+    for signals, numbers in points:
+        told, row = dict(zip(_SLOTS, signals.tolist(), strict=True)), np.abs(numbers)
+        given = {name: float(row[of.row.index(name)]) for name in of.arguments if name in of.row}
+        given |= {n: told.get(of.signals[n], 1.0) for n in of.arguments if n not in given}
+        placed = [given[name] for name in of.arguments if name not in of.by_name]
+        out = np.zeros(COUNT)
+        plain(*told.values(), row, 1.0, np.zeros(0), 0, out)
+        try:
+            expected = np.ravel(of.law(*placed, **{name: given[name] for name in of.by_name})).astype(float)
+        except (ArithmeticError, ValueError):
+            continue
+        found = out[[9]] if of.scaled else out[[0, 5][: expected.size]]
+        if not np.allclose(found, expected, rtol=1e-9, atol=1e-12, equal_nan=True):
+            return False
+        agreed = True
+    return agreed
 
 
 def _defined(source: str, names: dict[str, Any], law: Callable[..., Any]) -> Callable[..., None]:

@@ -1,4 +1,4 @@
-"""Dampers: forces that grow with the velocity of a port."""
+"""Flows out of a store, and dampers: forces by the velocity of a port."""
 
 from __future__ import annotations
 
@@ -7,11 +7,108 @@ from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Any
 
-from .absorbed import AbsorbedLaw, Assembly, Site, nominal_is_left
-from .flows import ROOT_WIDTH
+import numpy as np
+
 from .formula import PortLaw
-from .law import Coefficient, positive, register
-from .seen import Seen
+from .law import AbsorbedLaw, Assembly, Coefficient, Seen, Site, nominal_is_left, positive, register
+
+ROOT_WIDTH = 1e-3  # of the rms level: a root has no slope at zero
+
+
+@register
+class SqrtFlow(PortLaw):
+    """Orifice."""
+
+    where = frozenset(["first_order"])
+    coefficients = (Coefficient("flow", "force/velocity^0.5", explanation="flow per root of the state"),)
+    formula = "f = t sqrt(max(x, 0))"
+    explanation = (
+        "The outflow at {place} follows the square root of the level, as through an orifice (Torricelli)."
+    )
+    domains = frozenset(["first_order", "hydraulic"])
+    width_share = ROOT_WIDTH
+
+    @staticmethod
+    def law(v, flow, width):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return flow * v / math.sqrt(math.sqrt(v * v + width * width)) if v > 0.0 else 0.0
+
+    def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
+        """A level has a root, the difference of two temperatures has not."""
+        return not between
+
+
+@register
+class ThresholdFlow(PortLaw):
+    """Overflow."""
+
+    where = frozenset(["first_order"])
+    coefficients = (
+        Coefficient("flow", "force/velocity", explanation="flow per unit above the threshold"),
+        Coefficient(
+            "threshold", "velocity", default_start=None, shapes=True, explanation="level at which it starts"
+        ),
+    )
+    formula = "f = t max(x - threshold, 0)"
+    explanation = "Beyond a certain level something spills over at {place}."
+    contains = MappingProxyType({"damping": {"threshold": 0.0}})  # of a level, which is not negative
+    domains = frozenset(["first_order", "hydraulic"])
+
+    @staticmethod
+    def law(v, flow, threshold):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return flow * max(0.0, v - threshold)
+
+    def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
+        """A level has a rim, the difference of two temperatures has not."""
+        return not between
+
+    def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
+        """Rims that the level reaches."""
+        return [{"threshold": float(q)} for q in np.quantile(seen.v, [0.7, 0.9, 0.5])]
+
+
+@register
+class CarriedFlow(PortLaw):
+    """Flow that an input carries away."""
+
+    where = frozenset(["first_order"])
+    coefficients = (
+        Coefficient("flow", "force/velocity/signal", explanation="flow per unit of state and input"),
+    )
+    constants = MappingProxyType({"input": 1.0})
+    formula = "f = t w v, w the input numbered `input` from 1"
+    explanation = "An input carries the content of {place} away: a flow times a temperature or a level."
+    belongs_to = "damping"
+    on_request = True  # which input carries it, nobody can guess
+
+    @staticmethod
+    def law(v, w, flow, input):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return flow * w[int(input) - 1] * v
+
+
+@register
+class Radiation(PortLaw):
+    """Heat that is radiated."""
+
+    where = frozenset(["first_order"])
+    coefficients = (
+        Coefficient("radiation", "force/velocity^4", explanation="emissivity times area times 5.67e-8"),
+    )
+    constants = MappingProxyType({"temperature": 293.15})
+    from_zero = frozenset(["temperature"])  # of a state that is an absolute temperature itself
+    formula = "f = t ((T0 + x)^4 - T0^4), T0 the absolute `temperature` where x = 0"
+    explanation = "Heat is radiated at {place}, by the fourth power of the absolute temperature."
+    on_request = True  # only who knows that the state is a temperature can say so
+
+    @staticmethod
+    def law(v, radiation, temperature):  # type: ignore[no-untyped-def]
+        """Formula."""
+        hot, cold = temperature + v, temperature
+        return (
+            radiation * v * (hot + cold) * (hot * hot + cold * cold)
+        )  # hot^4 - cold^4, without cancellation
 
 
 @register
@@ -42,7 +139,6 @@ class Damping(AbsorbedLaw):
 class AsymmetricDamping(PortLaw):
     """Damper of two rates."""
 
-    where = frozenset(["mechanical"])
     coefficients = (
         Coefficient("damping_plus", "force/velocity", explanation="damping where v > 0"),
         Coefficient("damping_minus", "force/velocity", explanation="damping where v < 0"),
@@ -55,7 +151,6 @@ class AsymmetricDamping(PortLaw):
         "asymmetric {loss}",
         "The {loss} at {place} differs between the two directions of the {state}, as at a valve or a diode.",
     )
-    needs = frozenset(["velocity"])
     covers = ("damping",)
     contains = MappingProxyType({"damping": {}})
 
@@ -63,13 +158,6 @@ class AsymmetricDamping(PortLaw):
     def law(v, damping_plus, damping_minus):  # type: ignore[no-untyped-def]
         """Formula."""
         return (damping_plus if v > 0.0 else damping_minus) * v
-
-    @staticmethod
-    def slopes(v, damping_plus, damping_minus):  # type: ignore[no-untyped-def]
-        """With its derivatives."""
-        if v > 0.0:
-            return damping_plus * v, damping_plus, v, 0.0
-        return damping_minus * v, damping_minus, 0.0, v
 
 
 @register
@@ -89,18 +177,11 @@ class QuadraticDamping(PortLaw):
         "The {loss} at {place} has a part that grows with the square of the {state}.",
     )
     resists = True
-    needs = frozenset(["velocity"])
 
     @staticmethod
     def law(v, quadratic_damping):  # type: ignore[no-untyped-def]
         """Formula."""
         return quadratic_damping * v * abs(v)
-
-    @staticmethod
-    def slopes(v, quadratic_damping):  # type: ignore[no-untyped-def]
-        """With its derivatives."""
-        drag = v * abs(v)
-        return quadratic_damping * drag, 2.0 * quadratic_damping * abs(v), drag
 
 
 @register
@@ -113,18 +194,11 @@ class CubicDamping(PortLaw):
     explanation = "The damping at {place} grows with the cube of the speed."
     words = ("cubic {loss}", "The {loss} at {place} has a part that grows with the cube of the {state}.")
     resists = True
-    needs = frozenset(["velocity"])
 
     @staticmethod
     def law(v, cubic_damping):  # type: ignore[no-untyped-def]
         """Formula."""
         return cubic_damping * v**3
-
-    @staticmethod
-    def slopes(v, cubic_damping):  # type: ignore[no-untyped-def]
-        """With its derivatives."""
-        cube = v * v * v
-        return cubic_damping * cube, 3.0 * cubic_damping * v * v, cube
 
     def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
         """A flow that has one direction is no odd function."""
@@ -147,7 +221,6 @@ class PowerDamping(PortLaw):
     )
     words = ("power-law {loss}", "The {loss} at {place} has a part that grows with a power of the {state}.")
     resists = True
-    needs = frozenset(["velocity"])
     width_share = ROOT_WIDTH
     powers = (("damping", "power"),)
     contains = MappingProxyType(
@@ -162,15 +235,7 @@ class PowerDamping(PortLaw):
     @staticmethod
     def law(v, damping, power, width):  # type: ignore[no-untyped-def]
         """Formula."""
-        return damping * v * max(v * v + width * width, 1e-300) ** (0.5 * power - 0.5)
-
-    @staticmethod
-    def slopes(v, damping, power, width):  # type: ignore[no-untyped-def]
-        """With its derivatives."""
-        square = max(v * v + width * width, 1e-300)
-        unit = v * square ** (0.5 * power - 0.5)
-        by_v = damping * square ** (0.5 * power - 0.5) * (1.0 + (power - 1.0) * v * v / square)
-        return damping * unit, by_v, unit, 0.5 * damping * unit * math.log(square), 0.0
+        return damping * v * math.exp((0.5 * power - 0.5) * math.log(max(v * v + width * width, 1e-300)))
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Between and beyond the exponents that have a law of their own."""

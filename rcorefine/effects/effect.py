@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import inspect
+import sys
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import control as ct
+import numpy as np
 
-from ..arguments import as_choice, as_mapping, as_number, as_text
+from ..arguments import as_choice, as_list, as_mapping, as_number, as_text, shown
 from ..exceptions import ModelError
-from .custom import Custom
-from .domains import DOMAINS, worded
-from .kinds import kind_named
+from ..systems.linear import Array
+from .compiled import MAX_COEFFICIENTS, forces_along, raise_pending
+from .domains import DOMAINS, kind_named, worded
+from .formula import PortLaw
+from .given import Custom
 from .law import KINDS, Law, instance_of
-
-__all__ = ["ARGUMENTS", "Effect"]
 
 ARGUMENTS = ("kind", "place", "start", "fixed", "prior", "law", "name")
 
@@ -353,3 +356,163 @@ def _restore(given: dict[str, Any], domain: str) -> Effect:
     effect = Effect(**given)
     object.__setattr__(effect, "_domain", domain)
     return effect
+
+
+def as_effects(values: Any, name: str) -> list[Effect]:
+    """Return effects from one or a list of them, or of their names.
+
+    A name is a key ``"coulomb_friction@link2"``, or what is printed: ``"series resistance at winding"``.
+
+    Raises
+    ------
+    control.ControlArgument
+        If an entry is something else, or names no effect.
+    """
+    given = [values] if isinstance(values, Effect | str) else as_list(values, name, "Effect objects")
+    effects = [effect_named(each, name) if isinstance(each, str) else each for each in given]
+    for effect in effects:
+        if not isinstance(effect, Effect):
+            raise ct.ControlArgument(f"{name} must hold Effect objects, not {shown(effect)}")
+    return effects
+
+
+def effect_named(text: str, name: str) -> Effect:
+    """Return the effect of a name ``"kind@place"`` or ``"kind at place"``."""
+    kind, at, place = (part.strip() for part in text.partition("@" if "@" in text else " at "))
+    if not (kind and at and place):
+        raise ct.ControlArgument(f"{name} must hold Effect objects, or names as 'kind@place', not {text!r}")
+    return Effect(kind, place)
+
+
+def import_path(effect: Effect) -> str:
+    """Name of an effect's own law as ``"module:qualname"``.
+
+    Parameters
+    ----------
+    effect : Effect
+        Effect.
+
+    Returns
+    -------
+    str
+        Empty for laws of this package, and for a law that no name leads to (a lambda, what is
+        defined inside a function).
+    """
+    own = type(effect.spec)
+    inside = own.__module__.split(".")[0] == __name__.split(".")[0]
+    law: Any = effect.law if effect.law is not None or inside else own
+    module, name = getattr(law, "__module__", None), getattr(law, "__qualname__", None)
+    if law is None or not module or not name:
+        return ""
+    found: Any = sys.modules.get(module)
+    for part in name.split("."):
+        found = getattr(found, part, None)
+    return f"{module}:{name}" if found is law else ""
+
+
+def law_here(path: str, label: str) -> Any:
+    """Return the law that `import_path` named, from imported modules.
+
+    A file decides which function is called, and with which values. Therefore nothing is imported for it, and
+    only functions and laws that a module itself defines are returned: no lazy attribute, nothing that it
+    imported, nothing of Python's library or of this package.
+
+    Parameters
+    ----------
+    path : str
+        ``"module:qualname"``.
+    label : str
+        Effect, for messages.
+
+    Returns
+    -------
+    callable or subclass of Law
+
+    Raises
+    ------
+    ModelError
+        If no imported module has it.
+    """
+    module, _, name = path.partition(":")
+    found: Any = sys.modules.get(module)
+    for part in name.split("."):
+        found = inspect.getattr_static(found, part, None)
+        found = found.__func__ if isinstance(found, staticmethod) else found
+    plain = inspect.getattr_static(found, "py_func", found)  # of what numba compiled
+    ours = inspect.isfunction(plain) or (isinstance(plain, type) and issubclass(plain, Law))
+    library = module.split(".")[0] in sys.stdlib_module_names | {__name__.split(".")[0]}
+    if library or not ours or (plain.__module__, plain.__qualname__) != (module, name):
+        raise ModelError(
+            f"the law of {label!r} was saved as {path}, and loading a file imports nothing: pass "
+            f"laws={{{label!r}: law}}, or import its module first if you trust it"
+        )
+    return found
+
+
+def module_of(name: str) -> str:
+    """Module that a dotted name begins with, "" where none is imported."""
+    while name and name not in sys.modules:
+        name = name.rpartition(".")[0]
+    return name
+
+
+_SHARP = 1e-300  # width of a jump that is none
+
+
+def unit_forces(
+    effect: Effect,
+    d: Array,
+    v: Array,
+    shapes: list[dict[str, float]],
+    w: Array | None = None,
+    rest: tuple[float, float] | None = None,
+) -> list[Array] | None:
+    """Columns of force (N,), one per coefficient that scales it and per shape.
+
+    Parameters
+    ----------
+    effect : Effect
+        Law at a port.
+    d, v : ndarray, shape (N,)
+        Displacement and velocity there.
+    shapes : list of dict
+        Values of the coefficients that shape the law, to be tried.
+    w : ndarray, shape (n_w, N), optional
+        Inputs, for laws that feel them.
+    rest : two floats, optional
+        Displacement and velocity at an operating point: force and tangent there are subtracted, but no
+        tangent by a velocity that is zero.
+
+    Returns
+    -------
+    list of ndarray, or None
+        None for a law that is not a force along a motion.
+    """
+    if rest is not None and effect.spec.signal != "constant":
+        sizes = np.abs([rest[0] or np.abs(d).max(initial=0.0), rest[1]]) * (not effect.spec.linear)
+        steps = 1e-5 * sizes * (not effect.spec.inner_states)
+        near = np.array(rest)[:, None] + steps[:, None] * [[0, 1, -1, 0, 0], [0, 0, 0, 1, -1]]
+        per, moved = 0.5 * steps / np.maximum(steps, 1e-150) ** 2, np.hstack([near, [d, v]])
+        whole = unit_forces(effect, moved[0], moved[1], shapes)  # none feels inputs at a point
+        above = moved[:, 5:] - near[:, :1]
+        return whole and [f[5:] - f[0] - (f[[1, 3]] - f[[2, 4]]) * per @ above for f in whole]
+    law, simple = effect.spec, {"displacement": d, "velocity": v, "constant": np.ones(v.size)}
+    if law.signal in simple:
+        return [np.asarray(simple[law.signal], dtype=float)]
+    if not isinstance(law, PortLaw) or law.needs_starts or (law.feels_inputs and w is None):
+        return None
+    # a copy: a read-only view would have the kernel compiled once more
+    inputs = np.zeros((d.size, 0)) if w is None else np.array(w.T, order="C")
+    d, v, columns = np.ascontiguousarray(d, dtype=float), np.ascontiguousarray(v, dtype=float), list[Array]()
+    for shape in shapes if law.shaping else [{}]:
+        values = {**law.constants, **effect.fixed, **shape}
+        if not law.shaping <= values.keys():
+            return None
+        row = np.zeros((1, MAX_COEFFICIENTS))
+        row[0, : len(law.row)] = [values.get(name) or 0.0 for name in law.row]
+        found = np.zeros((len(law.coefficients), d.size))
+        with np.errstate(all="ignore"):
+            forces_along(law.code, d, v, inputs, row, _SHARP, found)
+        raise_pending()
+        columns += [found[c] for c, name in enumerate(law.coefficient_names) if name not in law.shaping]
+    return columns

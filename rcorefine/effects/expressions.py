@@ -1,25 +1,49 @@
-"""Expressions of numbers, with exact derivatives, as straight-line code.
+"""Python functions as straight-line code with exact derivatives.
 
-A function is called with symbols. What hangs on a value (a comparison, a conversion) is `Untraceable`.
+A function is called with symbols; the functions of math, numpy and Python that it calls are replaced by
+ones that take symbols. What hangs on a value (a conversion, a loop) is `Untraceable`. Where it compares
+values, `Tape.branches` calls it once for each answer.
 """
 
 from __future__ import annotations
 
+import builtins
 import math
 import operator
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial, reduce
-from typing import Any, Final, TypeAlias
+from types import CellType, FunctionType, MethodType, SimpleNamespace
+from typing import Any, Final, TypeAlias, TypeVar
 
 import numpy as np
 
-__all__ = ["Number", "Symbolic", "Tape", "Untraceable", "as_numpy_calls", "is_number", "maximum", "minimum"]
-
+#: What numpy calls the functions of math, where it is another name.
+OF_NUMPY = {"asin": "arcsin", "acos": "arccos", "atan": "arctan", "asinh": "arcsinh"}
+OF_NUMPY |= {"atan2": "arctan2", "pow": "power"}
+_QUIET = SimpleNamespace(  # math without errors
+    **{name: getattr(np, OF_NUMPY.get(name, name), None) for name in dir(math) if not name.startswith("_")}
+)
+_MOST_BRANCHES = 6  # comparisons on one way through a function
 _MOST = 20_000  # operations: beyond, straight-line code takes longer to compile than it saves
 
 
 class Untraceable(TypeError):
     """The function asks for more than the symbol of a number."""
+
+
+class _Fork(BaseException):  # no `except Exception` of the traced function may catch it
+    """The function compares two values, and the answer is not known."""
+
+
+def _operation(name: str, swapped: bool = False) -> Callable[[Symbolic, Any], Number]:
+    def taken(self: Symbolic, other: Any) -> Number:
+        return self.tape.take(name, *((other, self) if swapped else (self, other)))
+
+    return taken
+
+
+def _comparison(relation: str) -> Callable[[Symbolic, Any], bool]:
+    return lambda self, other: self.tape.holds(self, relation, other)
 
 
 class Symbolic:
@@ -31,35 +55,11 @@ class Symbolic:
     def __init__(self, tape: Tape, at: int) -> None:
         self.tape, self.at = tape, at
 
-    def __add__(self, other: Any) -> Number:
-        return self.tape.take("+", self, other)
-
-    def __radd__(self, other: Any) -> Number:
-        return self.tape.take("+", other, self)
-
-    def __sub__(self, other: Any) -> Number:
-        return self.tape.take("-", self, other)
-
-    def __rsub__(self, other: Any) -> Number:
-        return self.tape.take("-", other, self)
-
-    def __mul__(self, other: Any) -> Number:
-        return self.tape.take("*", self, other)
-
-    def __rmul__(self, other: Any) -> Number:
-        return self.tape.take("*", other, self)
-
-    def __truediv__(self, other: Any) -> Number:
-        return self.tape.take("/", self, other)
-
-    def __rtruediv__(self, other: Any) -> Number:
-        return self.tape.take("/", other, self)
-
-    def __pow__(self, other: Any) -> Number:
-        return self.tape.take("**", self, other)
-
-    def __rpow__(self, other: Any) -> Number:
-        return self.tape.take("**", other, self)
+    __add__, __radd__ = _operation("+"), _operation("+", swapped=True)
+    __sub__, __rsub__ = _operation("-"), _operation("-", swapped=True)
+    __mul__, __rmul__ = _operation("*"), _operation("*", swapped=True)
+    __truediv__, __rtruediv__ = _operation("/"), _operation("/", swapped=True)
+    __pow__, __rpow__ = _operation("**"), _operation("**", swapped=True)
 
     def __neg__(self) -> Number:
         return self.tape.take("-", 0.0, self)
@@ -96,7 +96,11 @@ class Symbolic:
         raise Untraceable("the value of a number decides")
 
     __bool__ = __float__ = __int__ = __index__ = __complex__ = __iter__ = __len__ = _value
-    __eq__ = __ne__ = __lt__ = __le__ = __gt__ = __ge__ = __mod__ = __floordiv__ = __round__ = _value
+    __mod__ = __floordiv__ = __round__ = _value
+
+    __eq__, __ne__ = _comparison("=="), _comparison("!=")
+    __lt__, __le__ = _comparison("<"), _comparison("<=")
+    __gt__, __ge__ = _comparison(">"), _comparison(">=")
 
 
 Number: TypeAlias = Symbolic | float
@@ -174,6 +178,7 @@ _COMPOSED: Final[Mapping[str, Callable[..., Any]]] = {
     **dict.fromkeys(["radians", "deg2rad"], lambda u: u * (math.pi / 180.0)),
     "log10": lambda u: _both("log", u) / math.log(10.0),
     "log2": lambda u: _both("log", u) / math.log(2.0),
+    "copysign": lambda a, b: _both("pick", b, 0.0, 1.0, -1.0) * abs(a),
     "hypot": lambda a, b: _both("sqrt", a * a + b * b),
 }
 
@@ -184,6 +189,9 @@ def as_numpy_calls(name: str) -> Callable[..., Any] | None:
     Its arguments are symbols or known numbers.
     """
     return partial(_both, _BY_NUMPY[name]) if name in _BY_NUMPY else _COMPOSED.get(name)
+
+
+_Values = TypeVar("_Values")
 
 
 class Tape:
@@ -203,6 +211,7 @@ class Tape:
         self._made: list[tuple[str, tuple[Number | str, ...]]] = []
         self._known: dict[Any, int] = {}
         self._slopes: dict[tuple[int, int], Number] = {}
+        self._answers: dict[str, bool] | None = None
 
     def symbol(self, name: str) -> Symbolic:
         """A number that is called so in the code."""
@@ -271,14 +280,15 @@ class Tape:
             case "*":
                 return self.take("+", self.take("*", da, b), self.take("*", a, db))
             case "/":
-                return self.take("/", self.take("-", da, self.take("*", here, db)), b)
+                over = self.take("/", 1.0, b)  # once for all slopes: a division takes long
+                return self.take("*", self.take("-", da, self.take("*", here, db)), over)
             case "atan2":
                 crossed = self.take("-", self.take("*", da, b), self.take("*", a, db))
                 return self.take("/", crossed, self.take("+", self.take("*", a, a), self.take("*", b, b)))
             case "max":
                 return self.take("pick", a, b, da, db)
             case "min":
-                return self.take("pick", a, b, db, da)
+                return self.take("pick", b, a, da, db)
         found: Number = 0.0  # of a power
         if not is_number(da, 0.0):
             found = self.take("*", self.take("*", b, self.take("**", a, self.take("-", b, 1.0))), da)
@@ -298,6 +308,61 @@ class Tape:
                 lines.append(f"t{at} = {self._written(at)}")
             done.add(at)
         return lines
+
+    def holds(self, a: Any, relation: str, b: Any) -> bool:
+        """Return the answer to a comparison on the way that `branches` follows."""
+        if self._answers is None or len(self._answers) > _MOST_BRANCHES:
+            raise Untraceable("the value of a number decides")
+        numbers = [one if isinstance(one, Symbolic) else _known(one) for one in (a, b)]
+        text = f"{self.name(numbers[0])} {relation} {self.name(numbers[1])}"
+        if text not in self._answers:
+            raise _Fork(text, numbers)
+        return self._answers[text]
+
+    def branches(
+        self,
+        function: Callable[[], _Values],
+        written: Callable[[_Values, set[int]], list[str]],
+        done: Iterable[int] = (),
+    ) -> list[str]:
+        """Return code with an ``if`` for each comparison of a function.
+
+        `written` returns the code for what the function returns on one way through it, as `code` does.
+        """
+        known, self._answers = self._answers, dict(self._answers or {})
+        here = set(done)
+        try:
+            return written(function(), here)
+        except _Fork as fork:
+            text, numbers = fork.args
+        finally:
+            answers, self._answers = self._answers, known
+        lines = self.code(numbers, here)
+        for answer, word in ((True, f"if {text}:"), (False, "else:")):
+            self._answers = answers | {text: answer}
+            lines += [word, *(f"    {line}" for line in self.branches(function, written, here))]
+        self._answers = known
+        return lines
+
+    def finite(self, slope: Number, value: Number) -> str:
+        """Return the code of a slope of a value, with 0 where it is not finite.
+
+        For example, a root has no slope at zero.
+        """
+        name = self.name(slope)
+        return (
+            f"{name} if math.isfinite({name}) else 0.0" if self._poles(slope) - self._poles(value) else name
+        )
+
+    def _poles(self, value: Number) -> set[int]:
+        """Operations by whose result a value divides, and powers in it."""
+        found: set[int] = set()
+        for at in self._below(value.at) if isinstance(value, Symbolic) else ():
+            name, given = self._made[at]
+            operand = {"/": given[-1], "log": given[0], "**": Symbolic(self, at)}.get(name)
+            if isinstance(operand, Symbolic):
+                found.add(operand.at)
+        return found
 
     def _written(self, at: int) -> str:
         name, given = self._made[at]
@@ -363,3 +428,167 @@ def _same(a: Number, b: Number) -> bool:
     """Return whether two values are the same symbol or number."""
     at, where = (one.at if isinstance(one, Symbolic) else None for one in (a, b))
     return at == where if at is not None or where is not None else a == b
+
+
+def in_python(built: Callable[[Any], Callable[..., None]]) -> Callable[..., None]:
+    """Return straight-line code in Python, with inf and NaN for errors.
+
+    ``built(math)`` makes the function, which writes to its last argument.
+    """
+    quick, quiet = built(math), built(_QUIET)
+
+    def call(*given: Any) -> None:
+        try:
+            quick(*given)
+        except (ArithmeticError, ValueError):
+            *taken, out = given
+            with np.errstate(all="ignore"):
+                quiet(*(np.asarray(one, dtype=float)[()] for one in taken), out)
+
+    return call
+
+
+_Function = Callable[..., Any]
+
+
+def tracing(function: _Function) -> _Function:
+    """Return the function with its modules and helpers replaced.
+
+    The replacements take symbols.
+
+    Parameters
+    ----------
+    function : callable
+        As a user wrote it, or compiled by numba.
+
+    Returns
+    -------
+    callable
+        It raises whatever comes of what cannot be traced.
+    """
+    return _Replacing().of(getattr(function, "py_func", function))  # type: ignore[no-any-return]
+
+
+def as_numbers(values: Any) -> list[Number]:
+    """Return the values that a function returned, as a flat list."""
+    entries = np.asarray(values, dtype=object).reshape(-1).tolist()
+    return [one if isinstance(one, Symbolic) else float(one) for one in entries]
+
+
+class _Replacing:
+    """Functions in which the names from outside are replaced.
+
+    Each function is replaced once.
+    """
+
+    def __init__(self) -> None:
+        self._made: dict[int, Any] = {}
+
+    def of(self, value: Any) -> Any:
+        """Return the replacement of a value that a function names."""
+        if isinstance(value, MethodType):
+            return MethodType(self.of(value.__func__), value.__self__)
+        if isinstance(value, partial):
+            return partial(self.of(value.func), *value.args, **value.keywords)
+        if value is math:
+            return _MATH
+        if value is np:
+            return _NUMPY
+        if id(value) in _PYTHON:
+            return _PYTHON[id(value)]
+        name = str(getattr(value, "__name__", ""))
+        for module, stand in ((math, _MATH), (np, _NUMPY)):
+            if name and vars(module).get(name) is value:
+                return getattr(stand, name)
+        value = getattr(value, "py_func", value)
+        if not isinstance(value, FunctionType) or (value.__module__ or "").partition(".")[0] == "numpy":
+            return value
+        if id(value) not in self._made:
+            self._function(value)
+        return self._made[id(value)]
+
+    def _function(self, function: FunctionType) -> None:
+        scope = {"__builtins__": builtins, **_REPLACED}
+        cells = tuple(CellType() for _ in function.__closure__ or ())
+        made = FunctionType(function.__code__, scope, function.__name__, function.__defaults__, cells)
+        made.__kwdefaults__ = function.__kwdefaults__
+        self._made[id(function)] = made  # before what it names, which may be itself
+        for cell, before in zip(cells, function.__closure__ or (), strict=True):
+            cell.cell_contents = self.of(before.cell_contents)
+        for name, value in function.__globals__.items():
+            if name != "__builtins__":
+                scope[name] = self.of(value) if name in _named(function) else value
+
+
+def _named(function: FunctionType) -> set[str]:
+    """Names that the code uses, with those of functions inside it."""
+    found: set[str] = set()
+    waiting = [function.__code__]
+    while waiting:
+        code = waiting.pop()
+        found.update(code.co_names)
+        waiting += [one for one in code.co_consts if hasattr(one, "co_names")]
+    return found
+
+
+class _Math:
+    """The module math, for symbols."""
+
+    def __getattr__(self, name: str) -> Any:
+        plain = getattr(math, name)
+        if not callable(plain):
+            return plain
+
+        def taken(*given: Any) -> Any:
+            if not any(isinstance(one, Symbolic) for one in given):
+                return plain(*given)
+            ufunc = getattr(np, OF_NUMPY.get(name, name), None)
+            if not isinstance(ufunc, np.ufunc):
+                raise Untraceable(name)
+            return ufunc(*given)
+
+        return taken
+
+
+class _Numpy:
+    """The module numpy, whose arrays have room for symbols."""
+
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(np, name)
+        clip = name == "clip"
+        function = (lambda x, low, high: minimum(maximum(x, low), high)) if clip else as_numpy_calls(name)
+        if function is not None:
+            return partial(_entry_by_entry, function, found)
+        if name not in _MAKERS:
+            return found
+
+        def made(*given: Any, dtype: Any = None, **more: Any) -> Any:
+            return found(*given[: _MAKERS[name]], dtype=object, **more)
+
+        return made
+
+
+def _entry_by_entry(function: _Function, plain: _Function, *given: Any, **more: Any) -> Any:
+    """A function of numbers on arrays of which entries may be symbols."""
+    if more or not any(np.asarray(one).dtype == object for one in given):
+        return plain(*given, **more)
+    if any(np.ndim(one) for one in given if not isinstance(one, Symbolic)):
+        return np.frompyfunc(function, len(given), 1)(*given)
+    return function(*given)
+
+
+def _as_float(value: Any = 0.0) -> Any:
+    return value if isinstance(value, Symbolic) else float(value)
+
+
+def _extreme(plain: _Function, symbolic: _Function, *given: Any, **more: Any) -> Any:
+    values = list(given[0]) if len(given) == 1 else given
+    return symbolic(*values) if any(isinstance(one, Symbolic) for one in values) else plain(*given, **more)
+
+
+#: Functions of numpy that make arrays, with the number of arguments before the type.
+_MAKERS = {"array": 1, "asarray": 1, "zeros": 1, "ones": 1, "empty": 1, "zeros_like": 1, "empty_like": 1}
+_REPLACED: dict[str, Any] = {"float": _as_float, "max": partial(_extreme, max, maximum)}
+_REPLACED["min"] = partial(_extreme, min, minimum)
+_PYTHON = {id(getattr(builtins, name)): stand for name, stand in _REPLACED.items()}
+_MATH, _NUMPY = _Math(), _Numpy()

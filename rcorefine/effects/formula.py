@@ -19,8 +19,6 @@ from .law import Law
 
 FADED = 1e-3  # of what was before a record: as good as forgotten
 
-__all__ = ["FADED", "FormulaLaw", "InputLaw", "OutputLaw", "PortLaw"]
-
 
 class FormulaLaw(Law):
     """A law that is written as a formula.
@@ -34,7 +32,8 @@ class FormulaLaw(Law):
         inner state (it takes ``z_start``) the value and the state at the end of the step.
     slopes : staticmethod or None
         The same with derivatives by each argument behind: ``(f, f_by_first, ...)``, with an inner
-        state a pair of such tuples. Central differences do without it.
+        state a pair of such tuples. Needed only where the formula cannot be traced and central differences
+        are too inaccurate.
     rate : staticmethod or None
         Of a law with an inner state at a port: its rate of change ``rate(d, v, z, *coefficients)``, for
         `Refinement.nonlinear_system`.
@@ -117,10 +116,7 @@ class FormulaLaw(Law):
         self.checked()
         if not hasattr(self, "law"):
             raise ct.ControlArgument(f"{self.name} has no formula: write a static method law(...)")
-        return address(
-            self.law, self.slopes, self.arguments, dict(self.signals), self.row, memory=self.inner_states > 0,
-            scaled=self.scaled, by_name=self.by_name, label=self.name,
-        )  # fmt: skip
+        return address(self)
 
     @property
     def needs_starts(self) -> bool:

@@ -1,4 +1,4 @@
-"""Friction: forces that turn with the velocity of a port."""
+"""Friction and hysteresis: forces that depend on direction and path."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from .formula import PortLaw
-from .law import Coefficient, positive, register
-from .seen import Seen
+from .law import Coefficient, Seen, positive, register
 
 # the width over which sgn(v) is smoothed is fixed, because a free one only fits noise
 SIGN_WIDTH = 0.005  # of the rms velocity
@@ -30,7 +29,6 @@ class CoulombFriction(PortLaw):
         "{loss} of constant size",
         "The {loss} at {place} has a part of constant size, with the sign of the {state}.",
     )
-    needs = frozenset(["velocity"])
     jumps = True
     turns = True
     width_share = SIGN_WIDTH
@@ -40,12 +38,6 @@ class CoulombFriction(PortLaw):
     def law(v, force, width):  # type: ignore[no-untyped-def]
         """Formula."""
         return force * math.tanh(v / width)
-
-    @staticmethod
-    def slopes(v, force, width):  # type: ignore[no-untyped-def]
-        """With its derivatives."""
-        sign = math.tanh(v / width)
-        return force * sign, force * (1.0 - sign * sign) / width, sign, 0.0
 
     def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
         """A flow that has one direction has no sign to jump with."""
@@ -75,7 +67,6 @@ class SmoothFriction(PortLaw):
         "saturating {loss}",
         "The {loss} at {place} has a part that grows with the {state} and levels off.",
     )
-    needs = frozenset(["velocity"])
     turns = True
     width_share = SIGN_WIDTH
     contains = MappingProxyType({"damping": {}})
@@ -84,13 +75,6 @@ class SmoothFriction(PortLaw):
     def law(v, force, velocity):  # type: ignore[no-untyped-def]
         """Formula."""
         return force * math.tanh(v / velocity)
-
-    @staticmethod
-    def slopes(v, force, velocity):  # type: ignore[no-untyped-def]
-        """With its derivatives."""
-        share = math.tanh(v / velocity)
-        slope = force * (1.0 - share * share) / velocity
-        return force * share, slope, share, -slope * v / velocity
 
     def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
         """A flow that has one direction is no odd function."""
@@ -106,14 +90,9 @@ class SmoothFriction(PortLaw):
 class AsymmetricFriction(PortLaw):
     """Dry friction of two levels."""
 
-    where = frozenset(["mechanical"])
     coefficients = (
         Coefficient("force_plus", "force", explanation="friction force where v > 0"),
-        Coefficient(
-            "force_minus",
-            "force",
-            explanation="friction force where v < 0 (positive = resistance)",
-        ),
+        Coefficient("force_minus", "force", explanation="friction force where v < 0 (positive = resistance)"),
     )
     constants = MappingProxyType({"width": None})
     formula = "f = t+ where v > 0, -t- where v < 0"
@@ -122,7 +101,6 @@ class AsymmetricFriction(PortLaw):
         "{loss} of two sizes",
         "The {loss} at {place} has a part of constant size, another one for each sign of the {state}.",
     )
-    needs = frozenset(["velocity"])
     jumps = True
     turns = True
     width_share = SIGN_WIDTH
@@ -133,15 +111,6 @@ class AsymmetricFriction(PortLaw):
     def law(v, force_plus, force_minus, width):  # type: ignore[no-untyped-def]
         """Formula."""
         return (force_plus if v > 0.0 else force_minus) * math.tanh(v / width)
-
-    @staticmethod
-    def slopes(v, force_plus, force_minus, width):  # type: ignore[no-untyped-def]
-        """With its derivatives."""
-        sign = math.tanh(v / width)
-        slope = (1.0 - sign * sign) / width
-        if v > 0.0:
-            return force_plus * sign, force_plus * slope, sign, 0.0, 0.0
-        return force_minus * sign, force_minus * slope, 0.0, sign, 0.0
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Return initial guesses, which include equal levels.
@@ -155,7 +124,6 @@ class AsymmetricFriction(PortLaw):
 class StribeckFriction(PortLaw):
     """Dry friction that is higher at breakaway."""
 
-    where = frozenset(["mechanical"])
     coefficients = (
         Coefficient("coulomb_force", "force", lower=0.0, explanation="friction force at high speed"),
         Coefficient("static_force", "force", lower=0.0, explanation="friction force at breakaway"),
@@ -177,7 +145,6 @@ class StribeckFriction(PortLaw):
         "falling {loss}",
         "The {loss} at {place} has a part that is higher at a small {state} than at a large one.",
     )
-    needs = frozenset(["velocity"])
     order = (("static_force", "coulomb_force"),)
     jumps = True
     turns = True
@@ -189,18 +156,6 @@ class StribeckFriction(PortLaw):
         """Formula."""
         fading = math.exp(-((v / velocity) ** 2))
         return math.tanh(v / width) * (coulomb_force + (static_force - coulomb_force) * fading)
-
-    @staticmethod
-    def slopes(v, coulomb_force, static_force, velocity, width):  # type: ignore[no-untyped-def]
-        """With its derivatives."""
-        sign = math.tanh(v / width)
-        slope = (1.0 - sign * sign) / width
-        fading = math.exp(-((v / velocity) ** 2))
-        excess = (static_force - coulomb_force) * fading
-        level = coulomb_force + excess
-        by_v = level * slope - excess * 2.0 * v / (velocity * velocity) * sign
-        by_velocity = excess * 2.0 * v * v / (velocity * velocity * velocity) * sign
-        return level * sign, by_v, (1.0 - fading) * sign, fading * sign, by_velocity, 0.0
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """A level to begin with: at zero force the fading speed has no gradient."""
@@ -216,7 +171,6 @@ class StribeckFriction(PortLaw):
 class LoadFriction(PortLaw):
     """Dry friction under a load that the deflection brings."""
 
-    where = frozenset(["mechanical"])
     coefficients = (
         Coefficient("load_friction", "force/position", explanation="friction force per deflection"),
     )
@@ -225,7 +179,6 @@ class LoadFriction(PortLaw):
     explanation = (
         "Dry friction at {place} grows with the load that its deflection brings: leaf springs, wedges, gears."
     )
-    needs = frozenset(["position", "velocity"])
     belongs_to = "stiffness"
     on_request = True  # who knows that the load is this deflection can say so
     jumps = True
@@ -237,10 +190,138 @@ class LoadFriction(PortLaw):
         """Formula."""
         return load_friction * abs(d) * math.tanh(v / width)
 
+
+@register
+class Hysteresis(PortLaw):
+    """Dahl's law: presliding and slip."""
+
+    coefficients = (
+        Coefficient("force", "force", explanation="force that the hysteresis saturates at"),
+        positive(
+            "displacement",
+            "position",
+            "presliding displacement: how far it gives before it slips",
+            shapes=True,
+        ),
+    )
+    formula = "f = t z/D, dz/dt = v - |v| z/D (Dahl)"
+    explanation = (
+        "The force at {place} depends on the path taken: a joint that gives a little before it slips."
+    )
+    words = (
+        "hysteresis of the {moved}",
+        "The {elastic} at {place} depends on the path that the {moved} took.",
+    )
+    needs = frozenset(["position", "velocity"])
+    inner_states = 1
+    belongs_to = "stiffness"
+    turns = True
+    contains = MappingProxyType({"coulomb_friction": {}, "stiffness": {}})
+
     @staticmethod
-    def slopes(d, v, load_friction, width):  # type: ignore[no-untyped-def]
-        """With its derivatives."""
-        sign = math.tanh(v / width)
-        side = 1.0 if d > 0.0 else -1.0
-        by_v = load_friction * abs(d) * (1.0 - sign * sign) / width
-        return load_friction * abs(d) * sign, load_friction * side * sign, by_v, abs(d) * sign, 0.0
+    def law(d, d_start, z_start, force, displacement):  # type: ignore[no-untyped-def]
+        """Formula."""
+        side = math.copysign(1.0, d - d_start)
+        z = side + (z_start - side) * math.exp(-abs(d - d_start) / displacement)
+        return force * z, z
+
+    @staticmethod
+    def rate(d, v, z, force, displacement):  # type: ignore[no-untyped-def]
+        """Of the inner state."""
+        return (v - abs(v) * z) / displacement
+
+    def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
+        """Presliding in shares of the motion."""
+        rms = float(np.sqrt(np.mean(seen.d**2)))
+        return [{"displacement": q * rms} for q in (0.3, 0.05, 1.0)]
+
+
+@register
+class LugreFriction(PortLaw):
+    """LuGre friction: bristles that deflect before they slip.
+
+    The friction level falls with speed.
+
+    The step is exact for the level at its end, so stiff bristles need no finer ones. Damping of the
+    bristles themselves is left out: only micrometers before slip show it.
+    """
+
+    coefficients = (
+        Coefficient("force", "force", explanation="friction force at high speed"),
+        positive("static_ratio", "1", "friction at breakaway over that", lower=1.0, upper=10.0, shapes=True),
+        positive(
+            "velocity",
+            "velocity",
+            "speed at which the static part has faded",
+            widths=SEEN_TO_FADE,
+            shapes=True,
+        ),
+        positive(
+            "displacement",
+            "position",
+            "how far it gives before it slips: force over stiffness of the bristles",
+            shapes=True,
+        ),
+    )
+    formula = "f = F z, D dz/dt = v - |v| z/g, g = 1 + (r - 1) exp(-(v/vs)^2) (LuGre)"
+    explanation = (
+        "Friction at {place} gives before it slips, and is higher at breakaway than in motion (LuGre)."
+    )
+    words = ("lagging {loss}", "The {loss} at {place} has a part that builds up behind the {state}.")
+    inner_states = 1
+    belongs_to = "stiffness"
+    turns = True
+    width_share = SIGN_WIDTH
+    contains = MappingProxyType(
+        {
+            "hysteresis": {"static_ratio": 1.0},
+            "coulomb_friction": {"static_ratio": 1.0},
+            "stribeck_friction": {},
+        }
+    )
+
+    @staticmethod
+    def law(v, d, d_start, z_start, force, static_ratio, velocity, displacement):  # type: ignore[no-untyped-def]
+        """Formula."""
+        level = 1.0 + (static_ratio - 1.0) * math.exp(-((v / velocity) ** 2))
+        end = math.copysign(level, d - d_start)
+        z = end + (z_start - end) * math.exp(-abs(d - d_start) / (displacement * level))
+        return force * z, z
+
+    @staticmethod
+    def rate(d, v, z, force, static_ratio, velocity, displacement):  # type: ignore[no-untyped-def]
+        """Of the inner state."""
+        level = 1.0 + (static_ratio - 1.0) * np.exp(-((v / velocity) ** 2))
+        return (v - abs(v) * z / level) / displacement
+
+    def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
+        """Presliding and fading in shares of the motion."""
+        d, v = (float(np.sqrt(np.mean(s**2))) for s in (seen.d, seen.v))
+        pairs = ((0.05, 0.3), (0.3, 0.3), (0.05, 0.1))
+        return [{"static_ratio": 1.5, "velocity": q * v, "displacement": p * d} for p, q in pairs]
+
+
+@register
+class Play(PortLaw):
+    """Spring behind a gap that is carried along: backlash with memory."""
+
+    coefficients = (
+        Coefficient("stiffness", "force/position", explanation="stiffness of what is dragged along"),
+        positive("gap", "position", "play on either side", shapes=True),
+    )
+    formula = "f = t z, z follows d with play of +- gap"
+    explanation = "A spring at {place} is dragged along behind a play: the force depends on the path taken."
+    belongs_to = "stiffness"
+    inner_states = 1
+    contains = MappingProxyType({"stiffness": {"gap": 0.0}})
+    on_request = True  # beside a spring it is slip behind a spring: hysteresis says that already
+
+    @staticmethod
+    def law(d, z_start, stiffness, gap):  # type: ignore[no-untyped-def]
+        """Formula."""
+        z = min(max(z_start, d - gap), d + gap)
+        return stiffness * z, z
+
+    def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
+        """Gaps in shares of the motion."""
+        return [{"gap": float(q)} for q in np.quantile(np.abs(seen.d), [0.3, 0.6, 0.1])]

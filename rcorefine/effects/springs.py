@@ -9,10 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from .absorbed import AbsorbedLaw, Assembly, Site, nominal_is_left
 from .formula import PortLaw
-from .law import Coefficient, positive, register
-from .seen import Seen
+from .law import AbsorbedLaw, Assembly, Coefficient, Seen, Site, nominal_is_left, positive, register
 
 
 @register
@@ -44,17 +42,12 @@ class Stiffness(AbsorbedLaw):
 class CubicStiffness(PortLaw):
     """Spring that hardens."""
 
-    where = frozenset(["mechanical"])
     coefficients = (
         Coefficient("cubic_stiffness", "force/position^3", explanation="force per cubed displacement"),
     )
     formula = "f = t d^3"
     explanation = "The spring at {place} hardens as it is pushed either way (softens, if negative)."
-    words = (
-        "cubic {elastic}",
-        "The {elastic} at {place} grows with the square of the {moved}.",
-    )
-    needs = frozenset(["position"])
+    words = ("cubic {elastic}", "The {elastic} at {place} grows with the square of the {moved}.")
     belongs_to = "stiffness"
 
     @staticmethod
@@ -62,18 +55,11 @@ class CubicStiffness(PortLaw):
         """Formula."""
         return cubic_stiffness * d**3
 
-    @staticmethod
-    def slopes(d, cubic_stiffness):  # type: ignore[no-untyped-def]
-        """With its derivatives."""
-        cube = d * d * d
-        return cubic_stiffness * cube, 3.0 * cubic_stiffness * d * d, cube
-
 
 @register
 class QuadraticStiffness(PortLaw):
     """Spring that is stiffer on one side, gradually."""
 
-    where = frozenset(["mechanical"])
     coefficients = (
         Coefficient("quadratic_stiffness", "force/position^2", explanation="force per squared displacement"),
     )
@@ -81,11 +67,7 @@ class QuadraticStiffness(PortLaw):
     explanation = (
         "The spring at {place} is stiffer on one side than on the other, more so the further it is moved."
     )
-    words = (
-        "quadratic {elastic}",
-        "The {elastic} at {place} grows with the {moved}, sign included.",
-    )
-    needs = frozenset(["position"])
+    words = ("quadratic {elastic}", "The {elastic} at {place} grows with the {moved}, sign included.")
     belongs_to = "stiffness"
 
     @staticmethod
@@ -93,17 +75,11 @@ class QuadraticStiffness(PortLaw):
         """Formula."""
         return quadratic_stiffness * d * d
 
-    @staticmethod
-    def slopes(d, quadratic_stiffness):  # type: ignore[no-untyped-def]
-        """With its derivatives."""
-        return quadratic_stiffness * d * d, 2.0 * quadratic_stiffness * d, d * d
-
 
 @register
 class BilinearStiffness(PortLaw):
     """Spring with a kink at rest."""
 
-    where = frozenset(["mechanical"])
     coefficients = (
         Coefficient("bilinear_stiffness", "force/position", explanation="stiffness added where d > 0"),
     )
@@ -112,27 +88,18 @@ class BilinearStiffness(PortLaw):
         "The spring at {place} has another stiffness in one direction, like a crack that opens and closes."
     )
     words = ("bilinear {elastic}", "The {elastic} at {place} has another value for each sign of the {moved}.")
-    needs = frozenset(["position"])
     belongs_to = "stiffness"
 
     @staticmethod
     def law(d, bilinear_stiffness):  # type: ignore[no-untyped-def]
         """Formula."""
-        return bilinear_stiffness * max(d, 0.0)
-
-    @staticmethod
-    def slopes(d, bilinear_stiffness):  # type: ignore[no-untyped-def]
-        """With its derivatives."""
-        if d > 0.0:
-            return bilinear_stiffness * d, bilinear_stiffness, d
-        return 0.0, 0.0, 0.0
+        return bilinear_stiffness * max(0.0, d)
 
 
 @register
 class Clearance(PortLaw):
     """Stop behind a gap."""
 
-    where = frozenset(["mechanical"])
     coefficients = (
         Coefficient("stiffness", "force/position", explanation="stiffness of the contact"),
         positive("gap", "position", "play on either side", shapes=True),
@@ -141,22 +108,12 @@ class Clearance(PortLaw):
     formula = "f = t sgn(d) max(|d| - gap, 0)"
     explanation = "There is play at {place}: a stop is hit once the displacement exceeds a gap."
     words = ("limit of the {moved}", "Beyond a limit of the {moved} the {elastic} at {place} jumps up.")
-    needs = frozenset(["position"])
     belongs_to = "stiffness"
 
     @staticmethod
     def law(d, stiffness, gap):  # type: ignore[no-untyped-def]
         """Formula."""
-        return stiffness * math.copysign(max(abs(d) - gap, 0.0), d)
-
-    @staticmethod
-    def slopes(d, stiffness, gap):  # type: ignore[no-untyped-def]
-        """With its derivatives."""
-        excess = abs(d) - gap
-        if excess <= 0.0:
-            return 0.0, 0.0, 0.0, 0.0
-        side = 1.0 if d > 0.0 else -1.0
-        return stiffness * side * excess, stiffness, side * excess, -stiffness * side
+        return stiffness * math.copysign(max(0.0, abs(d) - gap), d)
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Gaps that the motion reaches now and then."""
@@ -167,7 +124,6 @@ class Clearance(PortLaw):
 class EndStop(PortLaw):
     """Stop on one side."""
 
-    where = frozenset(["mechanical"])
     coefficients = (
         Coefficient("stiffness", "force/position", explanation="stiffness of the contact"),
         Coefficient(
@@ -185,7 +141,6 @@ class EndStop(PortLaw):
         "limit on one side of the {moved}",
         "Beyond a limit on one side of the {moved} the {elastic} at {place} jumps up.",
     )
-    needs = frozenset(["position"])
     belongs_to = "stiffness"
 
     @staticmethod
@@ -193,16 +148,8 @@ class EndStop(PortLaw):
         """Formula."""
         beyond = d - position
         if position < 0.0:
-            return stiffness * min(beyond, 0.0)
-        return stiffness * max(beyond, 0.0)
-
-    @staticmethod
-    def slopes(d, stiffness, position):  # type: ignore[no-untyped-def]
-        """With its derivatives."""
-        beyond = d - position
-        if (beyond >= 0.0) if position < 0.0 else (beyond <= 0.0):
-            return 0.0, 0.0, 0.0, 0.0
-        return stiffness * beyond, stiffness, beyond, -stiffness
+            return stiffness * min(0.0, beyond)
+        return stiffness * max(0.0, beyond)
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Places on either side that the motion passes now and then."""
@@ -215,7 +162,6 @@ class EndStop(PortLaw):
 class TwoStops(PortLaw):
     """Stops on both sides, each at a place of its own."""
 
-    where = frozenset(["mechanical"])
     coefficients = (
         Coefficient("stiffness", "force/position", explanation="stiffness of both contacts"),
         Coefficient(
@@ -233,20 +179,12 @@ class TwoStops(PortLaw):
         "limits on both sides of the {moved}",
         "Beyond either limit of the {moved} the {elastic} at {place} jumps up.",
     )
-    needs = frozenset(["position"])
     belongs_to = "stiffness"
 
     @staticmethod
     def law(d, stiffness, lower, upper):  # type: ignore[no-untyped-def]
         """Formula."""
-        return stiffness * (max(d - upper, 0.0) + min(d - lower, 0.0))
-
-    @staticmethod
-    def slopes(d, stiffness, lower, upper):  # type: ignore[no-untyped-def]
-        """With its derivatives."""
-        beyond = max(d - upper, 0.0) + min(d - lower, 0.0)
-        above, below = 1.0 if d > upper else 0.0, 1.0 if d < lower else 0.0
-        return stiffness * beyond, stiffness * (above + below), beyond, -stiffness * below, -stiffness * above
+        return stiffness * (max(0.0, d - upper) + min(0.0, d - lower))
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Places that the motion passes now and then, and rarely."""
@@ -262,7 +200,6 @@ class TwoStops(PortLaw):
 class SoftClearance(PortLaw):
     """Stop that is met gradually: a gap with rounded corners."""
 
-    where = frozenset(["mechanical"])
     coefficients = (
         Coefficient("stiffness", "force/position", explanation="stiffness of the contact"),
         positive("gap", "position", "play on either side, to the middle of the corner", shapes=True),
@@ -271,7 +208,6 @@ class SoftClearance(PortLaw):
     formula = "f = t (d + (r(d - gap) - r(d + gap))/2), r(x) = sqrt(x^2 + (softness gap)^2)"
     explanation = "There is play at {place}, and its stop is met gradually, as through a layer of rubber."
     words = ("soft limit of the {moved}", "Beyond a limit of the {moved} the {elastic} at {place} grows.")
-    needs = frozenset(["position"])
     belongs_to = "stiffness"
     contains = MappingProxyType({"stiffness": {"gap": 0.0}})
 
@@ -280,18 +216,6 @@ class SoftClearance(PortLaw):
         """Formula."""
         corner = softness * gap
         return stiffness * (d + 0.5 * (math.hypot(d - gap, corner) - math.hypot(d + gap, corner)))
-
-    @staticmethod
-    def slopes(d, stiffness, gap, softness):  # type: ignore[no-untyped-def]
-        """With its derivatives."""
-        corner = softness * gap
-        near, far = math.hypot(d - gap, corner), math.hypot(d + gap, corner)
-        unit = d + 0.5 * (near - far)
-        near, far = max(near, 1e-300), max(far, 1e-300)
-        by_d = stiffness * (1.0 + 0.5 * ((d - gap) / near - (d + gap) / far))
-        by_corner = 0.5 * stiffness * corner * (1.0 / near - 1.0 / far)
-        by_gap = -0.5 * stiffness * ((d - gap) / near + (d + gap) / far) + softness * by_corner
-        return stiffness * unit, by_d, unit, by_gap, gap * by_corner
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Gaps that the motion reaches now and then."""

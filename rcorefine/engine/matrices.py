@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..effects.absorbed import AbsorbedLaw, Assembly, Site
+from ..effects.law import AbsorbedLaw, Assembly, Site
 from .point import act_scales, tangents
 
 if TYPE_CHECKING:

@@ -14,10 +14,10 @@ import control as ct
 import numpy as np
 from numpy.typing import NDArray
 
-from ..effects.absorbed import AbsorbedLaw
 from ..effects.compiled import MAX_COEFFICIENTS
 from ..effects.effect import Effect
 from ..effects.formula import FormulaLaw, InputLaw, OutputLaw, PortLaw
+from ..effects.law import AbsorbedLaw
 from ..effects.right_hand_side import Field, ModelParameter
 from ..exceptions import ModelError
 from ..models.conversion import as_physical

@@ -21,8 +21,8 @@ from ..archives import read_archive
 from ..arguments import as_choice, as_flag, as_number, as_path, as_text, as_whole
 from ..data.apart import damaged
 from ..data.measurement import Measurement
+from ..effects.domains import kind_named
 from ..effects.effect import Effect
-from ..effects.kinds import kind_named
 from ..exceptions import ModelError
 from ..models.physical_model import PhysicalModel
 from ..results import Result, Row

@@ -25,8 +25,7 @@ from ..diagnosis.checks.check import check
 from ..diagnosis.checks.result import Check
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis
-from ..effects.along_motion import unit_forces
-from ..effects.effect import Effect
+from ..effects.effect import Effect, unit_forces
 from ..engine.free_runs import checked_horizon
 from ..engine.response_engine import engine_on
 from ..engine.structure import Structure

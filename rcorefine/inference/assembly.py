@@ -14,11 +14,9 @@ import numpy as np
 from ..arguments import as_flag, as_list, as_noise, as_number, shown
 from ..data.measurement import Measurement
 from ..data.response_record import in_frequency
-from ..effects.effect import Effect
-from ..effects.input_path import InputOffset
+from ..effects.channels import InputOffset, OutputOffset
+from ..effects.effect import Effect, as_effects
 from ..effects.law import KINDS
-from ..effects.output_path import OutputOffset
-from ..effects.several import as_effects
 from ..engine.free_runs import checked_horizon, integrates
 from ..engine.structure import Structure
 from ..exceptions import ModelError

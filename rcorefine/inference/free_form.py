@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from ..effects.effect import Effect
-from ..effects.tabulated import OutputCurve, Table, Tabulated
+from ..effects.given import OutputCurve, Table, Tabulated
 from ..engine.structure import Structure
 from ..exceptions import ModelError
 from ..gauss_newton import Rows, gauss_newton

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..effects.along_motion import unit_forces
-from ..effects.effect import Effect
+from ..effects.effect import Effect, unit_forces
 from ..engine.controlled import sample_jumps
 from ..engine.engine import Engine
 from ..engine.linear import linear_responses

@@ -12,9 +12,9 @@ from ..arithmetic import own_arithmetic
 from ..data.measurement import Measurement
 from ..data.records import as_records
 from ..diagnosis.dead_sensors import without_dead_sensors
+from ..effects.channels import OutputGain
 from ..effects.dampers import Damping
 from ..effects.effect import Effect
-from ..effects.output_path import OutputGain
 from ..engine.simulation import check_channels
 from ..engine.structure import Structure
 from ..exceptions import DataError, ExcitationWarning, IdentifiabilityWarning, warn

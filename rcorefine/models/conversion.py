@@ -15,8 +15,7 @@ from ..arguments import as_list, as_mapping, as_number, as_text, shown
 from ..effects.bodies import Mass
 from ..effects.effect import Effect
 from ..effects.law import KINDS
-from ..effects.right_hand_side import Field, ModelParameter, RightHandSide
-from ..effects.straight_line import Remainder, exact_slopes
+from ..effects.right_hand_side import Field, ModelParameter, Remainder, RightHandSide, exact_slopes
 from ..exceptions import ModelError
 from ..systems.discretization import check_sampling_time
 from ..systems.linear import Array, LinearModel, realized

@@ -10,9 +10,9 @@ from typing import Any
 import control as ct
 import numpy as np
 
+from ..effects.bodies import Entry
+from ..effects.channels import InputGain
 from ..effects.dampers import Damping
-from ..effects.entries import Entry
-from ..effects.input_path import InputGain
 from ..effects.springs import Stiffness
 from ..exceptions import ModelError
 from ..systems.conversion import d2c

@@ -10,15 +10,12 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_texts
-from ..effects.bodies import ConstantForce, Mass
+from ..effects.bodies import ConstantForce, Entry, Gravity, Mass
 from ..effects.dampers import Damping
-from ..effects.effect import Effect
-from ..effects.entries import Entry
-from ..effects.fields import Gravity
-from ..effects.kinds import kind_named
+from ..effects.domains import kind_named
+from ..effects.effect import Effect, as_effects
 from ..effects.law import KINDS, Law
 from ..effects.right_hand_side import ModelParameter
-from ..effects.several import as_effects
 from ..effects.springs import Stiffness
 from ..exceptions import ModelError
 from ..systems.linear import Array

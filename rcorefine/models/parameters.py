@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arguments import as_flag, as_number, as_text
-from ..effects.entries import Entry
-from ..effects.input_path import InputGain
+from ..effects.bodies import Entry
+from ..effects.channels import InputGain
 from ..effects.law import KINDS
 from ..effects.springs import Stiffness
 from ..exceptions import ModelError

@@ -12,8 +12,8 @@ import numpy as np
 from ..arguments import as_array, as_choice, as_instance, as_list, as_text, as_texts, shown
 from ..data.measurement import HOLDS, Measurement
 from ..data.records import as_record
+from ..effects.bodies import Entry
 from ..effects.effect import Effect
-from ..effects.entries import Entry
 from ..exceptions import ModelError
 from ..results import Result
 from ..systems.linear import Array, LinearModel, entry_of

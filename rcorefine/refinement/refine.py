@@ -12,8 +12,7 @@ from ..arguments import as_whole
 from ..arithmetic import own_arithmetic
 from ..data.measurement import Measurement
 from ..data.response_record import in_frequency
-from ..effects.effect import Effect
-from ..effects.several import as_effects
+from ..effects.effect import Effect, as_effects
 from ..engine.engine import MOST_SUBSTEPS
 from ..engine.simulation import check_channels
 from ..engine.structure import Structure

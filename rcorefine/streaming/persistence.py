@@ -21,10 +21,8 @@ import numpy as np
 from ..archives import read_archive
 from ..arguments import as_mapping, as_path
 from ..data.apart import damaged
-from ..effects.custom import Custom
-from ..effects.effect import ARGUMENTS, Effect
-from ..effects.origin import import_path, law_here
-from ..effects.tabulated import Table
+from ..effects.effect import ARGUMENTS, Effect, import_path, law_here
+from ..effects.given import Custom, Table
 from ..exceptions import DataError, ModelError
 from ..models.parameters import NominalParameter
 from ..models.physical_model import PhysicalModel

@@ -15,9 +15,8 @@ import numpy as np
 
 from ..data.frequency_response import FrequencyResponse
 from ..data.response_record import in_frequency
-from ..effects.effect import Effect
-from ..effects.origin import import_path, module_of
-from ..effects.tabulated import Table
+from ..effects.effect import Effect, import_path, module_of
+from ..effects.given import Table
 from ..inference.refinement import Refinement
 from ..models.conversion import as_physical
 from ..models.parameters import NominalParameter

@@ -17,7 +17,7 @@ from ..diagnosis.experiment_design.result import ExperimentAdvice
 from ..diagnosis.hidden_force import HiddenForce
 from ..diagnosis.result import Diagnosis
 from ..diagnosis.words import next_step
-from ..effects.along_motion import unit_forces
+from ..effects.effect import unit_forces
 from ..engine.simulation import simulated
 from ..systems.linear import Array
 from ..words import chance, estimate

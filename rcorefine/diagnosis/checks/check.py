@@ -18,8 +18,7 @@ from ...data.channels import match_channels
 from ...data.measurement import Measurement
 from ...data.range_ends import clipped, coarse_noise, resolution, runs
 from ...data.records import as_record
-from ...effects.effect import Effect
-from ...effects.several import as_effects
+from ...effects.effect import Effect, as_effects
 from ...exceptions import DataError, DivergenceError, unheard
 from ...inference.autoregression import autoregression
 from ...inference.basis import project, rank_basis

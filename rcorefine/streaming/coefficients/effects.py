@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 
 from ...arguments import as_whole
-from ...effects.effect import Effect
+from ...effects.channels import OutputOffset
+from ...effects.effect import Effect, as_effects
 from ...effects.formula import InputLaw, OutputLaw
-from ...effects.output_path import OutputOffset
-from ...effects.several import as_effects
 from ...engine.engine import Engine
 from ...engine.kernels import address_of_march
 from ...engine.structure import Structure

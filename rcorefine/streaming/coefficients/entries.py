@@ -14,7 +14,7 @@ from typing import Any
 import control as ct
 import numpy as np
 
-from ...effects.entries import Entry
+from ...effects.bodies import Entry
 from ...exceptions import ModelError
 from ...systems.conversion import to_discrete
 from ...systems.discretization import exponential

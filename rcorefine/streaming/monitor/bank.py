@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...data.measurement import Measurement
-from ...effects.effect import Effect
+from ...effects.effect import Effect, as_effects
 from ...effects.formula import FormulaLaw
-from ...effects.several import as_effects
 from ...engine.engine import Engine
 from ...engine.matrices import entry_among
 from ...engine.point import linearized

@@ -18,8 +18,8 @@ from scipy.signal import lfilter
 from scipy.stats import norm
 
 from ...data.measurement import Measurement
+from ...effects.channels import OutputOffset
 from ...effects.effect import Effect
-from ...effects.output_path import OutputOffset
 from ...engine.engine import Engine
 from ...engine.initial_state import estimate_initial_state
 from ...engine.observer import observer_gain

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...effects.several import as_effects
+from ...effects.effect import as_effects
 from ...engine.engine import MOST_SUBSTEPS
 from ...engine.structure import Structure
 from ...exceptions import DataError
